@@ -50,7 +50,7 @@ def roll_doublet() -> None:
 def paper_steps(found: Reproduction) -> None:
     """The three delays in both fidelities."""
     figure, axes = plt.subplots(2, 3, figsize=(11, 5), sharex=True, sharey=True, constrained_layout=True)
-    fidelities = (("linear plant", found.linear.results), ("six degrees of freedom", found.flown))
+    fidelities = (("linear plant", found.linear.results), ("six degrees of freedom", found.flight_results))
     for row, (fidelity, results) in zip(axes, fidelities, strict=True):
         for panel, delay in zip(row, (5, 10, 25), strict=True):
             smith = results[f"step-{delay}.smith"]

@@ -283,9 +283,9 @@ def turbojet(calibration: Calibration) -> list[Reach]:
     with; no integral, which costs every controller the same.
     """
     truth, model = turbojet_plant()
-    flown = numbers.roll_model()
+    edf = numbers.roll_model()
     designs = []
-    for engine, plant, believed, lag in (("edf-as-flown", flown, flown, 0.039), ("turbojet", truth, model, 0.338)):
+    for engine, plant, believed, lag in (("edf-as-flown", edf, edf, 0.039), ("turbojet", truth, model, 0.338)):
         for controller in HEXJET:
             base = hexjet_axis(calibration, controller, "vehicle", noisy=False)
             axis = replace(base, plant=Plant(plant), model=believed, rate_limit=inf)

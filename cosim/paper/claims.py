@@ -22,7 +22,7 @@ from cosim.paper import numbers
 from cosim.paper.experiments import (
     Experiment,
     Metrics,
-    flown_payload_gain,
+    flight_payload_gain,
     hexjet_axis,
     hexjet_ratios,
     linear,
@@ -137,9 +137,9 @@ class Claim:
     flight_basis: Basis | None = None
     rests_on: str = ""
 
-    def judge(self, evidence: Evidence, flown: bool = False) -> Judgement:
+    def judge(self, evidence: Evidence, in_flight: bool = False) -> Judgement:
         """The verdict of one fidelity; experiments that it has not flown leave it open."""
-        basis = (self.flight_basis if flown else None) or self.basis
+        basis = (self.flight_basis if in_flight else None) or self.basis
         judged = self._judge(evidence)
         if judged.verdict in ("holds", "under a condition") and basis in NO_EVIDENCE:
             return judged.model_copy(update={"verdict": "by construction", "basis": basis})
@@ -147,11 +147,11 @@ class Claim:
 
     def _judge(self, evidence: Evidence) -> Judgement:
         try:
-            holds, said = self.test(evidence, "state")
+            holds, detail = self.test(evidence, "state")
         except KeyError as missing:
             return Judgement(verdict="not flown", evidence=f"no {missing.args[0]}")
         if holds:
-            return Judgement(verdict="holds", evidence=said)
+            return Judgement(verdict="holds", evidence=detail)
         other = self.condition_test or (self.test if self.about_state else None)
         condition = self.condition or (PRINTED_MATRICES if self.about_state else "")
         if other:
@@ -159,22 +159,22 @@ class Claim:
                 holds, also = other(evidence, STATE_AS_PRINTED)
             except KeyError:
                 holds, also = False, ""
-            if also and also != said:
-                said = f"{said}; under the condition: {also}"
+            if also and also != detail:
+                detail = f"{detail}; under the condition: {also}"
             if holds:
-                return Judgement(verdict="under a condition", evidence=said, condition=condition)
-        return Judgement(verdict="does not hold", evidence=said)
+                return Judgement(verdict="under a condition", evidence=detail, condition=condition)
+        return Judgement(verdict="does not hold", evidence=detail)
 
 
 def _percent(new: float, old: float) -> float:
     return 100.0 * (new / old - 1.0)
 
 
-def _stability(name: str, wanted: bool) -> Test:
+def _stability(name: str, expected: bool) -> Test:
     def test(e: Evidence, state: str) -> Answer:
         experiment = name.format(state=state)
         stable = e.stable(experiment)
-        return stable == wanted, f"{experiment} {'stable' if stable else 'unstable'}, RMSE {e.rmse(experiment):.3g}"
+        return stable == expected, f"{experiment} {'stable' if stable else 'unstable'}, RMSE {e.rmse(experiment):.3g}"
 
     return test
 
@@ -185,10 +185,10 @@ def _below(what: str, lower: str, higher: str, by: float = 0.0) -> Test:
     def test(e: Evidence, state: str) -> Answer:
         a, b = lower.format(state=state), higher.format(state=state)
         x, y = float(getattr(e.metrics[a], what)), float(getattr(e.metrics[b], what))
-        said = f"{a} {what} {x:.4g}, {b} {y:.4g} ({_percent(x, y):+.1f} %)"
+        detail = f"{a} {what} {x:.4g}, {b} {y:.4g} ({_percent(x, y):+.1f} %)"
         if not e.stable(a):
-            return False, f"{said}, {a} unstable"
-        return (x < y * (1.0 - 0.01 * by) or not e.stable(b)), said
+            return False, f"{detail}, {a} unstable"
+        return (x < y * (1.0 - 0.01 * by) or not e.stable(b)), detail
 
     return test
 
@@ -210,7 +210,7 @@ def _grows(what: str, new: str, old: str, most: float, least: float = -100.0) ->
 def _all(*tests: Test) -> Test:
     def test(e: Evidence, state: str) -> Answer:
         answers = [claim(e, state) for claim in tests]
-        return all(holds for holds, _ in answers), "; ".join(said for _, said in answers)
+        return all(holds for holds, _ in answers), "; ".join(detail for _, detail in answers)
 
     return test
 
@@ -235,16 +235,16 @@ def _same_time_constant(e: Evidence, state: str) -> Answer:
 
 def _less_oscillation(e: Evidence, state: str) -> Answer:
     overshoot = {c: e.metrics[f"step-5.{c}"].overshoot_percent or 0.0 for c in ("baseline", "smith", state)}
-    said = "overshoot " + ", ".join(f"{c} {v:.2f} %" for c, v in overshoot.items())
-    return overshoot[state] <= overshoot["smith"] < overshoot["baseline"], said
+    detail = "overshoot " + ", ".join(f"{c} {v:.2f} %" for c, v in overshoot.items())
+    return overshoot[state] <= overshoot["smith"] < overshoot["baseline"], detail
 
 
 def _tracking_is_consistent(e: Evidence, state: str) -> Answer:
     a, tau = np.radians(numbers.value("step.amplitude")), numbers.value("step.time_constant")
     least = float(a * np.sqrt(3.0 * tau / numbers.value("step.record")))
     printed = numbers.value("step-5.baseline.rmse")
-    said = f"an exponential of 0.1161 s on 15 deg either way has {least:.4f} rad over 2 s, printed {printed:.4f} rad"
-    return abs(_percent(printed, least)) < SIMILAR, said
+    detail = f"an exponential of 0.1161 s on 15 deg either way has {least:.4f} rad over 2 s, printed {printed:.4f} rad"
+    return abs(_percent(printed, least)) < SIMILAR, detail
 
 
 def _half_amplitude(e: Evidence, state: str) -> Answer:
@@ -252,8 +252,8 @@ def _half_amplitude(e: Evidence, state: str) -> Answer:
     names = ["step-5.baseline", "step-5.smith", "step-10.smith", "step-25.smith"]
     pairs = [(0.5 * e.rmse(n), numbers.value(n + ".rmse")) for n in names]
     worst = max(abs(_percent(ours, paper)) for ours, paper in pairs)
-    said = ", ".join(f"{n} {ours:.4f} ({paper:.4f})" for n, (ours, paper) in zip(names, pairs, strict=True))
-    return worst < SIMILAR, f"{said}, worst {worst:.1f} %"
+    detail = ", ".join(f"{n} {ours:.4f} ({paper:.4f})" for n, (ours, paper) in zip(names, pairs, strict=True))
+    return worst < SIMILAR, f"{detail}, worst {worst:.1f} %"
 
 
 def _no_worse_than_waiting(e: Evidence, state: str) -> Answer:
@@ -269,8 +269,8 @@ def _no_worse_than_waiting(e: Evidence, state: str) -> Answer:
 
 def _more_phase(e: Evidence, state: str) -> Answer:
     phase = {c: e.margins[c].phase_margin or 0.0 for c in ("baseline", state, "smith")}
-    said = ", ".join(f"{c} {v:.1f} deg" for c, v in phase.items())
-    return phase["baseline"] < phase[state] and phase["baseline"] < phase["smith"], said
+    detail = ", ".join(f"{c} {v:.1f} deg" for c, v in phase.items())
+    return phase["baseline"] < phase[state] and phase["baseline"] < phase["smith"], detail
 
 
 def _smith_has_most_phase(e: Evidence, state: str) -> Answer:
@@ -280,20 +280,20 @@ def _smith_has_most_phase(e: Evidence, state: str) -> Answer:
 
 def _cutoff_order(e: Evidence, state: str) -> Answer:
     cutoff = {c: e.margins[c].cutoff or 0.0 for c in ("baseline", state, "smith")}
-    said = ", ".join(f"{c} {v:.2f} Hz" for c, v in cutoff.items())
-    return cutoff["baseline"] > cutoff[state] * 1.005 and cutoff[state] > cutoff["smith"] * 1.005, said
+    detail = ", ".join(f"{c} {v:.2f} Hz" for c, v in cutoff.items())
+    return cutoff["baseline"] > cutoff[state] * 1.005 and cutoff[state] > cutoff["smith"] * 1.005, detail
 
 
 def _gain_margin_order(e: Evidence, state: str) -> Answer:
     margin = {c: e.margins[c].gain_margin or 0.0 for c in (state, "baseline", "smith")}
-    said = ", ".join(f"{c} {v:.2f} dB" for c, v in margin.items())
-    return margin[state] > margin["baseline"] > margin["smith"], said
+    detail = ", ".join(f"{c} {v:.2f} dB" for c, v in margin.items())
+    return margin[state] > margin["baseline"] > margin["smith"], detail
 
 
 def _state_deviates(e: Evidence, state: str) -> Answer:
     base, smith, other = e.gain_at_8_hz["baseline"], e.gain_at_8_hz["smith"], e.gain_at_8_hz[state]
-    said = f"at 8 Hz against baseline: smith {smith - base:+.2f} dB, {state} {other - base:+.2f} dB"
-    return abs(other - base) > 1.0 > abs(smith - base), said
+    detail = f"at 8 Hz against baseline: smith {smith - base:+.2f} dB, {state} {other - base:+.2f} dB"
+    return abs(other - base) > 1.0 > abs(smith - base), detail
 
 
 def _hexjet_ratio(key: str) -> Test:
@@ -301,11 +301,11 @@ def _hexjet_ratio(key: str) -> Test:
         a, b = e.metrics["hexjet-doublet-calibrated.baseline"], e.metrics["hexjet-doublet-calibrated.smith"]
         ours = hexjet_ratios(a.overshoot_percent, b.overshoot_percent, a.settling_s, b.settling_s)[key]
         paper = numbers.value(key)
-        said = (
+        detail = (
             f"{ours:.1f} % (paper {paper:g} %): overshoot {a.overshoot_percent or 0:.1f} -> "
             f"{b.overshoot_percent or 0:.1f} %, settling {a.settling_s or np.inf:.2f} -> {b.settling_s or np.inf:.2f} s"
         )
-        return a.stable and b.stable and abs(ours - paper) < 10.0, said
+        return a.stable and b.stable and abs(ours - paper) < 10.0, detail
 
     return test
 
@@ -445,7 +445,7 @@ def claim_rows(linear: Evidence, flight: Evidence | None = None) -> list[ClaimRo
             place=c.place,
             how=c.how,
             linear=c.judge(linear),
-            flight=c.judge(flight, flown=True) if flight else None,
+            flight=c.judge(flight, in_flight=True) if flight else None,
             rests_on=c.rests_on,
         )
         for c in CLAIMS
@@ -508,7 +508,7 @@ def _plant_error(calibration: Calibration, controller: str, called: str) -> Cond
     gain, extra = float(best.x[0]), float(best.x[1]) * 10.0
     response = at(gain, extra)
     met = best.fun < 3 * 0.1**2
-    said = (
+    detail = (
         f"a plant of {gain:.2f} times the modelled gain and {extra:.1f} samples more delay gives "
         f"{response.cutoff or 0:.2f} Hz, {response.phase_margin or 0:.1f} deg, {response.gain_margin or 0:.2f} dB "
         f"(paper {printed['cutoff']:g} Hz, {printed['phase_margin']:g} deg, {printed['gain_margin']:g} dB)"
@@ -516,7 +516,7 @@ def _plant_error(calibration: Calibration, controller: str, called: str) -> Cond
     return Condition(
         key=f"margins.{controller}",
         question=f"which model error would give the printed margins of {called}?",
-        answer=said if met else f"none of gain and delay does; closest, {said}",
+        answer=detail if met else f"none of gain and delay does; closest, {detail}",
         values={"gain": gain, "extra_samples": extra, "residual": float(best.fun)},
     )
 
@@ -525,7 +525,7 @@ def _observer_range(calibration: Calibration) -> Iterator[Condition]:
     """Where the double-integrator observer's bandwidth leaves the loop stable, with 5, 10 and 25 samples."""
     bandwidths = np.geomspace(20.0, 2000.0, 41)
     for controller, called in (("state", "G_n(z) realised"), (STATE_AS_PRINTED, "the matrices as printed")):
-        said, values = [], {}
+        spans, values = [], {}
         for delay in (5, 10, 25):
             stable = []
             for bandwidth in bandwidths:
@@ -534,11 +534,11 @@ def _observer_range(calibration: Calibration) -> Iterator[Condition]:
                     stable.append(float(bandwidth))
             values[f"stable_from_{delay}"] = stable[0] if stable else float("nan")
             values[f"stable_to_{delay}"] = stable[-1] if stable else float("nan")
-            said.append(f"{delay} samples: {f'{stable[0]:.0f} to {stable[-1]:.0f} rad/s' if stable else 'nowhere'}")
+            spans.append(f"{delay} samples: {f'{stable[0]:.0f} to {stable[-1]:.0f} rad/s' if stable else 'nowhere'}")
         yield Condition(
             key=f"observer.{controller}",
             question=f"at which observer bandwidths between 20 and 2000 rad/s is the state predictor stable, {called}?",
-            answer="; ".join(said),
+            answer="; ".join(spans),
             values={key: value for key, value in values.items() if np.isfinite(value)},
         )
 
@@ -568,7 +568,7 @@ def _doublet_length(calibration: Calibration) -> Condition:
 def _payload_condition(calibration: Calibration) -> Condition:
     """For which disturbances and payloads the state predictor's error grows more than Smith's, as the paper says."""
     lengths, gains = np.arange(0.05, 0.201, 0.0125), (0.8, 0.9, 1.1, 1.2, 1.3)
-    said, values = [], {}
+    lines, values = [], {}
     for gain in gains:
         holds = []
         for length in lengths:
@@ -582,20 +582,20 @@ def _payload_condition(calibration: Calibration) -> Condition:
                 holds.append(float(length))
         values[f"share_at_{gain}"] = len(holds) / len(lengths)
         spans = f"{min(holds):.3f} to {max(holds):.3f} s" if holds else "no length"
-        said.append(f"gain x {gain:g}: {spans} ({len(holds)} of {len(lengths)})")
+        lines.append(f"gain x {gain:g}: {spans} ({len(holds)} of {len(lengths)})")
     return Condition(
         key="payload-growth",
         question="for which lengths of the disturbance (0.05 to 0.2 s either way) and payloads does the state "
         "predictor, as printed, lose more than Smith?",
-        answer="; ".join(said),
+        answer="; ".join(lines),
         values=values,
     )
 
 
 def _payload_sign(calibration: Calibration) -> Condition:
     """What the linear plant says of the payload with the gain that six degrees of freedom give it."""
-    flown = flown_payload_gain()
-    trial = calibration.model_copy(update={"payload_gain": flown})
+    gain = flight_payload_gain()
+    trial = calibration.model_copy(update={"payload_gain": gain})
     run = linear(trial)
     state = run(Experiment("step", "state", 10, payload=True)).metrics.stable
     growth = {
@@ -609,13 +609,13 @@ def _payload_sign(calibration: Calibration) -> Condition:
         question="what becomes of the payload's claims on the linear plant with the gain that the same mass has in six "
         "degrees of freedom?",
         answer=f"fitted {_percent(calibration.payload_gain, 1.0):+.0f} %, in six degrees of freedom "
-        f"{_percent(flown, 1.0):+.0f} % (inertia alone). With the latter the state predictor with payload and 10 "
+        f"{_percent(gain, 1.0):+.0f} % (inertia alone). With the latter the state predictor with payload and 10 "
         f"samples is {'stable' if state else 'unstable'}; with 5 samples the disturbance's RMSE grows by "
         f"{growth['smith']:+.1f} % with Smith and {growth[STATE_AS_PRINTED]:+.1f} % with the printed matrices "
         f"(paper {paper:+.1f} % with the state predictor)",
         values={
             "fitted_gain": calibration.payload_gain,
-            "flown_gain": flown,
+            "flown_gain": gain,
             "state_stable": float(state),
             "smith_growth_percent": growth["smith"],
             "state_growth_percent": growth[STATE_AS_PRINTED],

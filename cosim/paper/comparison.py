@@ -203,14 +203,14 @@ def _row(
     used: set[str],
 ) -> Row:
     ours = _ours(key, evidence)
-    flown = extra.get(key, _ours(key, flight) if flight else None)
+    in_flight = extra.get(key, _ours(key, flight) if flight else None)
     origin: Origin = "predicted"
     # the state predictor's numbers were used with the matrices as printed
     if printed.key in used and (".state." not in printed.key or key != printed.key):
         origin = "calibrated"
     elif printed.key in _DERIVED:
         origin, ours = "derived", _DERIVED[printed.key]()
-    elif printed.key.startswith(_CHOSEN) or (printed.key.startswith(_CHOSEN_IN_FLIGHT) and flown is not None):
+    elif printed.key.startswith(_CHOSEN) or (printed.key.startswith(_CHOSEN_IN_FLIGHT) and in_flight is not None):
         origin = "follows from a choice"
     elif ours is None and printed.key.startswith(_GIVEN):
         origin = "given"
@@ -225,7 +225,7 @@ def _row(
         place=printed.place,
         paper=printed.value,
         linear=ours,
-        flight=flown,
+        flight=in_flight,
         origin=origin,
         note=note,
     )
@@ -240,11 +240,11 @@ def _growth_with_payload(printed: str, key: str, evidence: Evidence, flight: Evi
         with_it, without = value(name), value(name.replace("-payload", ""))
         return f"{100.0 * (with_it / without - 1.0):+.1f} %" if with_it and without else "not flown"
 
-    said = [f"growth with payload {growth(numbers.value, printed)} in the paper"]
-    said += [f"{growth(lambda name: _ours(name, evidence), key)} on the linear plant"]
+    growths = [f"growth with payload {growth(numbers.value, printed)} in the paper"]
+    growths += [f"{growth(lambda name: _ours(name, evidence), key)} on the linear plant"]
     if flight:
-        said += [f"{growth(lambda name: _ours(name, flight), key)} in flight"]
-    return ("; " if ".state." in printed else "") + ", ".join(said)
+        growths += [f"{growth(lambda name: _ours(name, flight), key)} in flight"]
+    return ("; " if ".state." in printed else "") + ", ".join(growths)
 
 
 def _ours(key: str, evidence: Evidence) -> float | None:

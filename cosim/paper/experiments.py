@@ -73,7 +73,7 @@ class Experiment:
         """First edge, s."""
         return 1.0 if self.kind == "hexjet-doublet" else numbers.value("step.start")
 
-    def each(self, calibration: Calibration) -> float:
+    def half_length(self, calibration: Calibration) -> float:
         """Length of either half of the doublet, s."""
         if self.kind == "disturbance":
             return calibration.disturbance_each_s
@@ -98,7 +98,7 @@ class Experiment:
 
     def signal(self, calibration: Calibration) -> Signal:
         """The doublet, a function of the step's number."""
-        return doublet(self.amplitude, self.start, self.each(calibration), self.step)
+        return doublet(self.amplitude, self.start, self.half_length(calibration), self.step)
 
 
 class Metrics(BaseModel):
@@ -186,7 +186,7 @@ def quadrotor_axis(calibration: Calibration, controller: str, delay: int, noisy:
     )
 
 
-def flown_payload_gain() -> float:
+def flight_payload_gain() -> float:
     """What the quadrotor's payload does to the plant's gain in six degrees of freedom: ``J_xx`` without over with it.
 
     ``J = J_0 + m M / (m + M) h^2``: two bodies a height ``h`` apart, about their common centre of gravity.
@@ -251,14 +251,14 @@ def result(
 
     A run that ended before ``experiment.run`` was lost: it is unstable.
     """
-    step, width = experiment.step, experiment.each(calibration)
-    wanted, is_angle, is_rate = np.array(setpoint), np.array(angle), np.array(rate)
+    step, width = experiment.step, experiment.half_length(calibration)
+    reference, is_angle, is_rate = np.array(setpoint), np.array(angle), np.array(rate)
     rows = round(experiment.record / step)
-    error = (is_rate if experiment.kind == "disturbance" else wanted - is_angle)[:rows]
+    error = (is_rate if experiment.kind == "disturbance" else reference - is_angle)[:rows]
     settles = len(is_rate) >= round(experiment.run / step) and not swings(is_rate, step, experiment.start + 2.0 * width)
     edges = [round((experiment.start + n * width) / step) for n in range(3)]
     commanded = experiment.kind != "disturbance" and len(error) == rows
-    overshoots, times = _steps(wanted[:rows], is_angle[:rows], edges, step) if commanded else ([], [])
+    overshoots, times = _steps(reference[:rows], is_angle[:rows], edges, step) if commanded else ([], [])
     return Result(
         experiment,
         Metrics(
@@ -268,10 +268,10 @@ def result(
             overshoot_percent=max(overshoots) if overshoots else None,
             settling_s=max((t for t in times if t is not None), default=None) if None not in times else None,
             time_constant_s=_rise(is_angle, edges[0], edges[1], step) if commanded else None,
-            late_rmse=_late(wanted[:rows], is_angle[:rows]) if commanded else None,
+            late_rmse=_late(reference[:rows], is_angle[:rows]) if commanded else None,
         ),
         time=[k * step for k in range(len(error))],
-        setpoint=wanted[:rows].tolist(),
+        setpoint=reference[:rows].tolist(),
         angle=is_angle[:rows].tolist(),
         rate=is_rate[:rows].tolist(),
         command=np.array(command)[:rows].tolist(),

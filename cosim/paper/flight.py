@@ -61,7 +61,7 @@ def scenario(experiment: Experiment, calibration: Calibration, noisy: bool = Tru
     }
     if experiment.kind == "disturbance":
         # an edge must fall on a step: the calibrated length, rounded to one
-        width = round(experiment.each(calibration) / experiment.step) * experiment.step
+        width = round(experiment.half_length(calibration) / experiment.step) * experiment.step
         data["disturbance"] = [
             *made.get("disturbance", []),
             {
@@ -82,7 +82,7 @@ def scenario(experiment: Experiment, calibration: Calibration, noisy: bool = Tru
                 "signal": "roll_deg",
                 "start_s": experiment.start,
                 "amplitude": numbers.value("hexjet.amplitude" if hexjet else "step.amplitude"),
-                "width_s": experiment.each(calibration),
+                "width_s": experiment.half_length(calibration),
             }
         ]
     return Scenario.from_table(data, Path(), f"experiment {experiment.name}")

@@ -154,9 +154,9 @@ def simulate(
         command = setpoint(k)
         r = k_att * (command - angle)
         r = clamp(r, limit) + rate_setpoint(k)
-        asked = rate_loop.update(r, rate + sigma * noise[k], refused)
-        u = clamp(asked, most)
-        refused = asked - u
+        demand = rate_loop.update(r, rate + sigma * noise[k], refused)
+        u = clamp(demand, most)
+        refused = demand - u
         w = disturbance(k)
         record.setpoint.append(command)
         record.angle.append(angle)

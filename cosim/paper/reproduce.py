@@ -68,7 +68,7 @@ from cosim.spec.vehicle import load_vehicle
 if TYPE_CHECKING:
     from cosim.design.identify import FrequencyResponse
 
-FLOWN_LOOPS = ("baseline", "smith", "state")
+FLIGHT_LOOPS = ("baseline", "smith", "state")
 OFFSET_CONTROLLERS = tuple(c for c in CONTROLLERS if c not in ("baseline", STATE_AS_PRINTED))
 SCENARIOS = "scenarios"
 WORKERS = 2
@@ -97,8 +97,8 @@ def reproduce(folder: Path, say: Say = lambda what, done, of: None, workers: int
 def _flight_data(reproduction: Reproduction) -> dict[str, Any]:
     """What the flights add to the data of the linear plant."""
     return {
-        "metrics": {name: result.metrics.model_dump() for name, result in reproduction.flown.items()},
-        "measured_margins": {name: sweep.margins.model_dump() for name, sweep in reproduction.flown_sweeps.items()},
+        "metrics": {name: result.metrics.model_dump() for name, result in reproduction.flight_results.items()},
+        "measured_margins": {name: sweep.margins.model_dump() for name, sweep in reproduction.flight_sweeps.items()},
         "offsets": [asdict(offset) for offset in reproduction.offsets],
         "turbojet": [asdict(design) for design in reproduction.turbojet],
     }
@@ -110,10 +110,10 @@ def _flight_data(reproduction: Reproduction) -> dict[str, Any]:
 def _tasks() -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
     """Every part by name: a function that can be sent to another process, and its arguments.  Longest first."""
     tasks: dict[str, tuple[Callable[..., Any], tuple[Any, ...]]] = {"linear": (linear_part, ())}
-    for controller in FLOWN_LOOPS:
+    for controller in FLIGHT_LOOPS:
         tasks[f"loop.{controller}"] = (fly_sweep, (controller,))
     tasks["identification"] = (identify, ())
-    for experiment in sorted(flown_experiments(), key=lambda e: -e.run):
+    for experiment in sorted(flight_experiments(), key=lambda e: -e.run):
         tasks[experiment.name] = (fly_experiment, (experiment,))
     tasks["manual"] = (fly_manual, ())
     for controller in OFFSET_CONTROLLERS:
@@ -121,7 +121,7 @@ def _tasks() -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
     return tasks
 
 
-def flown_experiments() -> list[Experiment]:
+def flight_experiments() -> list[Experiment]:
     """The experiments that six degrees of freedom fly: all but those with the matrices as printed, which do not fly."""
     return [e for e in experiments() if e.controller != STATE_AS_PRINTED]
 
@@ -159,7 +159,7 @@ def write_scenarios(folder: Path) -> None:
 
     folder.mkdir(parents=True, exist_ok=True)
     frozen = load().parameters
-    for experiment in flown_experiments():
+    for experiment in flight_experiments():
         made = scenario(experiment, frozen)
         text = tomli_w.dumps(made.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
         write_whole(folder / f"{experiment.name}.toml", text)
@@ -190,8 +190,8 @@ def fly_sweep(controller: str) -> Sweep:
         "at": "controller",
         "seen": True,
     }
-    flown = scenario(experiment, frozen, noisy=False).replace(duration_s=35.0, command=[], disturbance=[chirp])
-    log = fly(flown).log
+    chirped = scenario(experiment, frozen, noisy=False).replace(duration_s=35.0, command=[], disturbance=[chirp])
+    log = fly(chirped).log
     command = log["torque_roll"] + log["disturbance_torque_roll"]
     hertz = np.geomspace(0.8, 15.0, 160)
     kernel = np.exp(-2j * np.pi * hertz[:, None] * log["time_s"])
@@ -217,8 +217,8 @@ def fly_manual() -> Manual:
 
 
 def _thin(log: Log, *names: str) -> tuple[list[float], list[float]]:
-    command, flown = (log[name][::10].tolist() for name in names)
-    return command, flown
+    command, response = (log[name][::10].tolist() for name in names)
+    return command, response
 
 
 def fly_offset(controller: str) -> Offset:
@@ -335,10 +335,10 @@ def _fingerprint() -> str:
 
 def _put_together(parts: Mapping[str, Any]) -> Reproduction:
     part: LinearPart = parts["linear"]
-    flown: dict[str, Result] = {e.name: parts[e.name] for e in flown_experiments()}
-    sweeps: dict[str, Sweep] = {controller: parts[f"loop.{controller}"] for controller in FLOWN_LOOPS}
+    flights: dict[str, Result] = {e.name: parts[e.name] for e in flight_experiments()}
+    sweeps: dict[str, Sweep] = {controller: parts[f"loop.{controller}"] for controller in FLIGHT_LOOPS}
     evidence = Evidence(
-        metrics={name: result.metrics for name, result in flown.items()},
+        metrics={name: result.metrics for name, result in flights.items()},
         margins={name: sweep.margins for name, sweep in sweeps.items()},
         gain_at_low_end={name: _gain_at(sweep, LOW_END_HZ) for name, sweep in sweeps.items()},
         gain_at_8_hz={name: _gain_at(sweep, 8.0) for name, sweep in sweeps.items()},
@@ -346,9 +346,9 @@ def _put_together(parts: Mapping[str, Any]) -> Reproduction:
     extra: dict[str, float] = {**parts["manual"].numbers, **parts["identification"].numbers}
     return Reproduction(
         linear=part,
-        flown=flown,
-        flown_evidence=evidence,
-        flown_sweeps=sweeps,
+        flight_results=flights,
+        flight_evidence=evidence,
+        flight_sweeps=sweeps,
         offsets=[parts[f"offset.{controller}"] for controller in OFFSET_CONTROLLERS],
         turbojet=[part for name, part in parts.items() if name.startswith("turbojet.")],
         manual=parts["manual"],

@@ -68,9 +68,9 @@ class Reproduction:
     """Everything that the report shows."""
 
     linear: LinearPart
-    flown: dict[str, Result]
-    flown_evidence: Evidence
-    flown_sweeps: dict[str, Sweep]
+    flight_results: dict[str, Result]
+    flight_evidence: Evidence
+    flight_sweeps: dict[str, Sweep]
     offsets: list[Offset]
     turbojet: list[TurbojetFlight]
     manual: Manual

@@ -87,11 +87,11 @@ class Panel(NamedTuple):
 def paper_figures(reproduction: Reproduction) -> dict[str, Figure]:
     """Every figure of the page, by the name of its place."""
     part = reproduction.linear
-    both = (part.results, reproduction.flown)
+    both = (part.results, reproduction.flight_results)
     made = {f"step-{n}": panels([_pair(both, f"step-{n}", COMPARED, "angle", 30.0)]) for n in (5, 10, 25)}
     made |= {f"disturbance-{n}": panels([_pair(both, f"disturbance-{n}", COMPARED, "rate", 9.0)]) for n in (5, 10)}
     made["identification"] = identification(reproduction)
-    made["bode"] = bode(part.sweeps, reproduction.flown_sweeps)
+    made["bode"] = bode(part.sweeps, reproduction.flight_sweeps)
     made |= {f"payload-{n}": _payload(both, n) for n in (5, 10)}
     made["disturbance-payload"] = panels(
         [_pair(both, "disturbance-5-payload", ("smith", "state", STATE_AS_PRINTED), "rate", 9.0)]
@@ -152,7 +152,7 @@ def _payload(both: Sequence[Mapping[str, Result]], delay: int) -> Figure:
                 ]
             row.append(Panel(title, "time [s]", _unit("angle"), curves, y_range=(-30.0, 30.0)))
         rows.append(row)
-    return panels(rows, height_each=200)
+    return panels(rows, panel_height=200)
 
 
 def identification(reproduction: Reproduction) -> Figure:
@@ -186,12 +186,12 @@ def identification(reproduction: Reproduction) -> Figure:
     return panels(rows)
 
 
-def bode(linear: Mapping[str, Sweep], flown: Mapping[str, Sweep]) -> Figure:
+def bode(linear: Mapping[str, Sweep], measured: Mapping[str, Sweep]) -> Figure:
     """Gain and phase of the measured open loops."""
     rows = []
     for what, title, limits in (("gain", "gain of C G* [dB]", (-18.0, 24.0)), ("phase", "phase [deg]", (-400.0, 0.0))):
         row = []
-        for sweeps, name in zip((linear, flown), FIDELITIES, strict=True):
+        for sweeps, name in zip((linear, measured), FIDELITIES, strict=True):
             curves = [Curve(NAMES[c], s.frequency, getattr(s, what), COLOURS[c]) for c, s in sweeps.items()]
             level = 0.0 if what == "gain" else -180.0
             curves.append(Curve("0 dB, -180 deg", [0.5, 20.0], [level, level], GREY, "dot", 1.2))
@@ -213,13 +213,13 @@ def manual(reproduction: Reproduction) -> Figure:
                 Panel("rate", "time [s]", f"{axis} rate [deg/s]", _tracked(time, flight.rate[axis])),
             ]
         )
-    return panels(rows, height_each=180)
+    return panels(rows, panel_height=180)
 
 
 def _tracked(time: Sequence[float], pair: tuple[Sequence[float], Sequence[float]]) -> list[Curve]:
-    command, flown = pair
+    command, response = pair
     return [
-        Curve("flown", time, np.degrees(flown), BLUE, width=1.5),
+        Curve("flown", time, np.degrees(response), BLUE, width=1.5),
         Curve("set-point", time, np.degrees(command), GREY, "dash", 1.3),
     ]
 
@@ -328,7 +328,7 @@ def delays(reproduction: Reproduction) -> Figure:
 
 def offsets(reproduction: Reproduction) -> Figure:
     """Roll after the onset of a constant disturbance: on the linear plant and in flight."""
-    known, flown = (
+    known, in_flight = (
         [
             Curve(NAMES[offset.controller], offset.time, np.degrees(angle), COLOURS[offset.controller])
             for offset, angle in pairs
@@ -340,8 +340,8 @@ def offsets(reproduction: Reproduction) -> Figure:
     )
     titles = ("linear plant: constant roll command", "six degrees of freedom: half a kilogram 1 cm to the right")
     return panels(
-        [[Panel(title, "time [s]", "roll [deg]", c) for title, c in zip(titles, (known, flown), strict=True)]],
-        height_each=300,
+        [[Panel(title, "time [s]", "roll [deg]", c) for title, c in zip(titles, (known, in_flight), strict=True)]],
+        panel_height=300,
     )
 
 
@@ -371,9 +371,9 @@ def turbojet(reproduction: Reproduction) -> Figure:
 # --- pieces ---------------------------------------------------------------------------------------------------------
 
 
-def panels(rows: Sequence[Sequence[Panel]], height_each: int = 250) -> Figure:
+def panels(rows: Sequence[Sequence[Panel]], panel_height: int = 250) -> Figure:
     """Panels in rows and columns with one legend; a panel without curves says that it was not flown."""
-    layout = _layout(len(rows) * height_each + 90) | {"annotations": []}
+    layout = _layout(len(rows) * panel_height + 90) | {"annotations": []}
     data: list[Figure] = []
     shown: set[str] = set()
     columns = len(rows[0])

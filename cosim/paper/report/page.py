@@ -105,7 +105,7 @@ def margin_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
     sources = (
         ("computed", reproduction.linear.evidence.margins),
         ("measured, linear plant", {name: sweep.margins for name, sweep in reproduction.linear.sweeps.items()}),
-        ("measured in flight", {name: sweep.margins for name, sweep in reproduction.flown_sweeps.items()}),
+        ("measured in flight", {name: sweep.margins for name, sweep in reproduction.flight_sweeps.items()}),
     )
     return [
         {"name": NAMES[controller], "source": source, "margins": margins[controller]}
@@ -118,12 +118,12 @@ def margin_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
 def offset_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
     """Roll under a constant disturbance, degrees, by controller."""
     known = {offset.controller: offset for offset in reproduction.linear.offsets}
-    flown = {offset.controller: offset.late for offset in reproduction.offsets}
+    late = {offset.controller: offset.late for offset in reproduction.offsets}
     rows = []
-    for controller in [name for name in NAMES if name in known or name in flown]:
+    for controller in [name for name in NAMES if name in known or name in late]:
         linear = known.get(controller)
         values: list[float | None] = [linear.peak, linear.early, linear.late] if linear else [None] * 3
-        values.append(flown.get(controller))
+        values.append(late.get(controller))
         rows.append(
             {
                 "name": NAMES[controller],

@@ -68,7 +68,7 @@ def constructed_table(claims: Iterable[ClaimRow]) -> str:
 
 def _doublet(reproduction: Reproduction) -> str:
     """The Hex-Jet's roll doublet at the gains of vehicle.toml, flown with noise."""
-    results = [reproduction.flown[f"hexjet-doublet.{c}"] for c in ("baseline", "smith")]
+    results = [reproduction.flight_results[f"hexjet-doublet.{c}"] for c in ("baseline", "smith")]
     a, b = (result.metrics for result in results)
     less, faster = numbers.value("hexjet.less_overshoot"), numbers.value("hexjet.faster_settling")
     rmse, most = numbers.value("hexjet-doublet.smith.rmse"), numbers.value("hexjet-doublet.smith.max")
@@ -87,9 +87,9 @@ def _doublet(reproduction: Reproduction) -> str:
 
 def _outcome(result: Result) -> str:
     experiment = result.experiment
-    flown = len(result.time) * experiment.step
-    if flown < experiment.record - 0.5 * experiment.step:
-        return f"lost at {flown:.1f} s, swinging up"
+    seconds = len(result.time) * experiment.step
+    if seconds < experiment.record - 0.5 * experiment.step:
+        return f"lost at {seconds:.1f} s, swinging up"
     return "settles both ways, ends level" if result.metrics.stable else "does not settle"
 
 
@@ -109,21 +109,21 @@ def _held(reproduction: Reproduction) -> str:
     def both(*keys: str) -> bool:
         return all(_agrees(judged) for key in keys for judged in (claims[key].linear, claims[key].flight))
 
-    def said(text: str, *keys: str) -> str:
+    def sentence(text: str, *keys: str) -> str:
         return text if both(*keys) else f"{text} (not in both fidelities)"
 
     computed = reproduction.linear.evidence.margins["smith"].phase_margin or 0.0
-    flown = reproduction.flown_evidence.margins["smith"].phase_margin or 0.0
+    measured = reproduction.flight_evidence.margins["smith"].phase_margin or 0.0
     less, faster = ours["hexjet.less_overshoot"], ours["hexjet.faster_settling"]
     delay = next(condition.values for condition in reproduction.linear.conditions if condition.key == "baseline-delay")
     lines = [
-        said(
+        sentence(
             "Without a predictor the quadrotor is stable with 5 samples and not with 10; with Smith's it is stable with 5, "
             f"10 and 25. Its rate loop alone loses stability with {delay['rate_loop']:.0f}, with the attitude loop "
             f"closed round it with {delay['with_attitude_loop']:.0f}.",
             "baseline-5", "baseline-10", "smith-25",
         ),
-        said(
+        sentence(
             "Smith's predictor holds the Hex-Jet through its doublet at gains at which the baseline is lost. The gains are "
             "not printed: we chose them so that the baseline is lost.",
             "hexjet-baseline", "hexjet-smith",
@@ -131,9 +131,9 @@ def _held(reproduction: Reproduction) -> str:
         f"Where the baseline just settles, Smith overshoots {less.flight:.0f} % less and settles {faster.flight:.0f} % "
         f"faster in flight (paper {less.paper:g} % and {faster.paper:g} %). This is the fit itself: on the linear plant "
         f"two gains were fitted to these two numbers ({less.linear:.0f} % and {faster.linear:.0f} %).",
-        said("Smith rejects disturbances best with 10 samples.", "disturbance-smith-10"),
-        said("Predictors raise the phase margin, Smith's most: ", "phase-up", "phase-smith")
-        + f"{computed:.0f}° computed, {flown:.0f}° measured in flight, "
+        sentence("Smith rejects disturbances best with 10 samples.", "disturbance-smith-10"),
+        sentence("Predictors raise the phase margin, Smith's most: ", "phase-up", "phase-smith")
+        + f"{computed:.0f}° computed, {measured:.0f}° measured in flight, "
         f"{numbers.value('frequency.smith.phase_margin'):.1f}° in the paper.",
     ]  # fmt: skip
     return "".join(f"- {line}\n" for line in lines)
@@ -145,7 +145,7 @@ def _agrees(judged: Judgement | None) -> bool:
 
 def _differs(reproduction: Reproduction) -> str:
     """What does not follow from the printed model, and what we found."""
-    linear, flight = reproduction.linear.evidence, reproduction.flown_evidence
+    linear, flight = reproduction.linear.evidence, reproduction.flight_evidence
     margins = linear.margins
 
     def growth(new: str, old: str, what: str, evidence: Evidence = flight) -> str:
@@ -218,7 +218,7 @@ def _differs(reproduction: Reproduction) -> str:
 def _turbojet(reproduction: Reproduction) -> str:
     """The fastest attitude loop of each controller with fans and with turbojets, and what the flight makes of it."""
     reach = {(design.engine, design.controller): design for design in reproduction.linear.turbojet}
-    flown = {design.controller: design for design in reproduction.turbojet}
+    designs = {design.controller: design for design in reproduction.turbojet}
 
     def hertz(engine: str, controller: str) -> str:
         design = reach.get((engine, controller))
@@ -229,7 +229,7 @@ def _turbojet(reproduction: Reproduction) -> str:
 
     rows = []
     for controller in dict.fromkeys(design.controller for design in reproduction.linear.turbojet):
-        flight = flown.get(controller)
+        flight = designs.get(controller)
         linear = reach.get(("turbojet", controller))
         settles = "-" if flight is None else "never" if flight.settling_s is None else f"{flight.settling_s:.1f} s"
         rows.append(
@@ -250,11 +250,11 @@ def _turbojet(reproduction: Reproduction) -> str:
         for here in [reach.get(("edf-as-flown", controller))]
         if here is not None and here.noise_gain
     }
-    said = (
+    note = (
         f"\nThe price is noise: the lag has to be undone by the controller, and the gyro's noise reaches the throttle "
         f"{min(times.values()):.1f} to {max(times.values()):.1f} times stronger than with the fans, "
         f"{times['smith']:.1f} times with Smith's.\n"
         if "smith" in times
         else ""
     )
-    return table(head, rows) + said
+    return table(head, rows) + note

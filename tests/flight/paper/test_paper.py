@@ -39,7 +39,7 @@ from cosim.paper.experiments import (
     Result,
     axis,
     experiments,
-    flown_payload_gain,
+    flight_payload_gain,
     hexjet_axis,
     hexjet_ratios,
     linear,
@@ -434,8 +434,8 @@ def test_the_numbers_that_a_claim_calls_fitted_were_fitted() -> None:
 def test_the_payload_has_opposite_signs_on_the_linear_plant_and_in_flight() -> None:
     """Inertia of two bodies 3 cm apart, by hand: 1.928e-3 + 0.5948 0.23 / 0.8248 0.03^2 = 2.0773e-3 kg m^2."""
     shared = 0.5948 * 0.23 / (0.5948 + 0.23) * 0.03**2
-    assert flown_payload_gain() == pytest.approx(0.001928 / (0.001928 + shared), rel=1e-12)
-    assert flown_payload_gain() < 1.0 < FOUND.payload_gain
+    assert flight_payload_gain() == pytest.approx(0.001928 / (0.001928 + shared), rel=1e-12)
+    assert flight_payload_gain() < 1.0 < FOUND.payload_gain
     found = {each.key: each.values for each in conditions(FOUND)}
     assert found["payload-sign"]["state_stable"] == 1.0
     assert found["payload-sign"]["paper_growth_percent"] == pytest.approx(100.0 * (1.2679 / 1.0217 - 1.0))

@@ -146,7 +146,10 @@ def test_the_quadjets_page_has_what_is_left_without_an_engine() -> None:
     roll, pitch, yaw = (found.span(axis) for axis in range(3))
     assert all(each.met for each in (roll, pitch, yaw))
     page = " ".join((ROOT / "aircraft" / "quadjet" / "README.md").read_text().split())
-    assert f"{roll.in_words()} N m of roll, {pitch.in_words()} N m of pitch and {yaw.in_words()} N m of yaw either way" in page
+    assert (
+        f"{roll.in_words()} N m of roll, {pitch.in_words()} N m of pitch and {yaw.in_words()} N m of yaw either way"
+        in page
+    )
     report = AircraftCheck("quadjet", "", "", [], [found, Authority((2,), 0.5, None, inf, (inf,) * 3)], (1.0,) * 3)
     told = report.to_dict()
     assert not told["authority_exact"]

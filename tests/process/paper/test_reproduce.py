@@ -224,14 +224,14 @@ def found() -> Reproduction:
             for engine in ("edf-as-flown", "turbojet")
         ],
     )  # fmt: skip
-    flown = {e.name: results[e.name] for e in reproduce.flown_experiments()}
+    flown = {e.name: results[e.name] for e in reproduce.flight_experiments()}
     tracked = {axis: ([0.0, 0.1], [0.0, 0.05]) for axis in ("roll", "pitch", "yaw")}
     extra = {"hexjet-manual.roll.rmse": 0.05}
     return Reproduction(
         linear=part,
-        flown=flown,
-        flown_evidence=evidence,
-        flown_sweeps={c: sweeps[c] for c in reproduce.FLOWN_LOOPS},
+        flight_results=flown,
+        flight_evidence=evidence,
+        flight_sweeps={c: sweeps[c] for c in reproduce.FLIGHT_LOOPS},
         offsets=[reproduce.Offset("smith", [0.0, 0.1], [0.0, 0.05], 0.018)],
         manual=Manual(extra, [0.0, 0.1], tracked, tracked),
         turbojet=[reproduce.TurbojetFlight("baseline", "completed", 46.0, None, 0.1)],
@@ -378,7 +378,7 @@ def test_files_terminal_and_json_tell_the_same(
         main(["paper", "--out", str(tmp_path / "b"), "--json"])
     data = json.loads(capsys.readouterr().out)
     assert [row["key"] for row in data["claims"]] == [row.key for row in found.claims]
-    assert data["flight"]["metrics"]["step-5.smith"]["rmse"] == found.flown["step-5.smith"].metrics.rmse
+    assert data["flight"]["metrics"]["step-5.smith"]["rmse"] == found.flight_results["step-5.smith"].metrics.rmse
     rmse = next(row for row in data["comparison"] if row["key"] == "step-5.smith.rmse")
     assert rmse["flight_deviation"] == pytest.approx(100.0 * (rmse["flight"] / rmse["paper"] - 1.0))
     with (tmp_path / "a" / "comparison.csv").open(newline="") as file:
@@ -409,7 +409,7 @@ HELD = (
 CONSTRUCTED = ("baseline-5", "hexjet-baseline", "hexjet-overshoot", "hexjet-settling")
 NEEDED = [
     e
-    for e in reproduce.flown_experiments()
+    for e in reproduce.flight_experiments()
     if (e.kind == "hexjet-doublet" and e.controller != "filtered-smith")
     or (e.controller in ("baseline", "smith") and e.kind == "step" and not e.payload)
     or e.name in ("step-10-payload.smith", "disturbance-10.baseline")
@@ -464,8 +464,8 @@ def test_every_flown_experiment_is_a_scenario_of_its_own(tmp_path: Path) -> None
     """The file flies to the same bits as the experiment did."""
     reproduce.write_scenarios(tmp_path)
     files = {path.stem for path in tmp_path.glob("*.toml")}
-    assert files == {e.name for e in reproduce.flown_experiments()}
-    experiment = next(e for e in reproduce.flown_experiments() if e.name == "disturbance-5.smith")
+    assert files == {e.name for e in reproduce.flight_experiments()}
+    experiment = next(e for e in reproduce.flight_experiments() if e.name == "disturbance-5.smith")
     from_file = fly(Scenario.load(tmp_path / "disturbance-5.smith.toml"))
     from_code = reproduce.fly_experiment(experiment)
     assert from_file.log["rate_p_rad_s"][: len(from_code.rate)].tolist() == from_code.rate
