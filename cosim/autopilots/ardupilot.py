@@ -100,7 +100,7 @@ class ArduPilot:
             self._sticks = frame.sticks
             self._out.sendto(_STICKS.pack(*_pulses(frame)), (LOCAL, RC_PORT + APART * self._instance))
         opened.sendto(state, peer)
-        said = monotonic()
+        sent_at = monotonic()
         counts.frames += 1
         waiting = Waiting("ardupilot", self.limit, self._program)
         while True:
@@ -121,9 +121,9 @@ class ArduPilot:
                 continue
             if count == self._count:
                 counts.repeated += 1
-                if monotonic() - said > self.patience:  # it has waited for an answer since, which was lost
+                if monotonic() - sent_at > self.patience:  # it has waited for an answer since, which was lost
                     opened.sendto(state, peer)
-                    said = monotonic()
+                    sent_at = monotonic()
                 continue
             if count < self._count:
                 counts.repeated += 1  # a late copy, or it began anew: then it will not go on, and that is told

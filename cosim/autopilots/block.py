@@ -33,27 +33,27 @@ class OutsideRates:
 
     def __init__(self, cascade: Cascade, gain: Vector3, hears: bool = False) -> None:
         self._cascade, self._gain, self._hears = cascade, gain, hears
-        self.asked = ZERO3  # rad/s, what the autopilot asked for last
+        self.rate_setpoint = ZERO3  # rad/s, the autopilot's last
         self._jets = len(cascade.reset(False, 0.0))
         self._torques = np.array(torques(self._jets, cascade.allocator))
         self._shares = np.linspace(0.0, 1.0, 2001)
         self._throttles = [cascade.thrust_map.throttle((float(share),) * self._jets)[0] for share in self._shares]
 
-    def told(self, rate: Vector3) -> Vector3:
+    def gyro(self, rate: Vector3) -> Vector3:
         """What the autopilot's gyro says of a measured rate [rad/s]."""
         return rate if self._hears else ZERO3
 
-    def answer(self, asked: Answer, measured: Measured) -> Answer:
+    def answer(self, request: Answer, measured: Measured) -> Answer:
         """What goes to the actuators for what the autopilot asks for."""
-        torque = self._torques @ np.array([*asked.throttle, *asked.tilt])
-        roll, pitch, yaw = torque / self._gain + self.told(measured.rate)
-        collective = float(np.interp(sum(asked.throttle) / self._jets, self._throttles, self._shares))
-        self.asked = (float(roll), float(pitch), float(yaw))
-        command = Command(ZERO3, 0.0, self.asked, collective)
-        engines = EngineState.FLY if asked.armed else EngineState.IDLE
+        torque = self._torques @ np.array([*request.throttle, *request.tilt])
+        roll, pitch, yaw = torque / self._gain + self.gyro(measured.rate)
+        collective = float(np.interp(sum(request.throttle) / self._jets, self._throttles, self._shares))
+        self.rate_setpoint = (float(roll), float(pitch), float(yaw))
+        command = Command(ZERO3, 0.0, self.rate_setpoint, collective)
+        engines = EngineState.FLY if request.armed else EngineState.IDLE
         given = self._cascade.update(command, measured, Disturbance(), engines)
         left, right = given.tilt
-        return Answer(given.throttle, (left, right), True) if asked.armed else asked
+        return Answer(given.throttle, (left, right), True) if request.armed else request
 
 
 class AutopilotBlock:
@@ -131,7 +131,7 @@ class AutopilotBlock:
     def _exchange(self, measured: Measured, sticks: Sticks, spool: tuple[float, ...]) -> Answer:
         frame = Frame(
             self._frames * self._belief.step_s,
-            measured.rate if self.rates is None else self.rates.told(measured.rate),
+            measured.rate if self.rates is None else self.rates.gyro(measured.rate),
             measured.specific_force,
             measured.attitude,
             measured.position,

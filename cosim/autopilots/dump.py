@@ -21,8 +21,8 @@ def parameters_of(autopilot: str, vehicle: Vehicle, step: float) -> str:
     if autopilot == "betaflight":
         lines = [*mixing(vehicle, vehicle.control.allocation.throttle_min), *fixed(vehicle), *gains_of(vehicle), "save"]
         return "\n".join(lines) + "\n"
-    told = px4_parameters(vehicle) if autopilot == "px4" else ardupilot_parameters(vehicle, step)
-    return parameter_file(autopilot, told)
+    parameters = px4_parameters(vehicle) if autopilot == "px4" else ardupilot_parameters(vehicle, step)
+    return parameter_file(autopilot, parameters)
 
 
 def torque_of(autopilot: str, vehicle: Vehicle) -> Vector3:

@@ -66,7 +66,7 @@ class Reader:
     def feed(self, data: bytes) -> list[tuple[Kind, tuple[float, ...]]]:
         """Every message that ``data`` completes; those of other kinds and with a wrong checksum are left out."""
         rest = self._rest + data
-        found: list[tuple[Kind, tuple[float, ...]]] = []
+        messages: list[tuple[Kind, tuple[float, ...]]] = []
         at, end = 0, len(rest)
         while at < end:
             magic = rest[at]
@@ -84,14 +84,14 @@ class Reader:
             number = int.from_bytes(rest[at + 7 : at + 10], "little") if magic == MAGIC else rest[at + 5]
             kind = KINDS.get(number)
             if kind is not None:
-                told = rest[stop] | rest[stop + 1] << 8
-                if crc16.mcrf4xx(rest[at + 1 : stop] + bytes((kind.extra,))) != told:
+                checksum = rest[stop] | rest[stop + 1] << 8
+                if crc16.mcrf4xx(rest[at + 1 : stop] + bytes((kind.extra,))) != checksum:
                     self.noise += 1
                     at += 1
                     continue
                 whole = kind.payload.size
-                found.append((kind, kind.payload.unpack(rest[at + head : stop][:whole].ljust(whole, b"\0"))))
+                messages.append((kind, kind.payload.unpack(rest[at + head : stop][:whole].ljust(whole, b"\0"))))
             self.frames += 1
             at = stop + CHECKSUM + (13 if signed else 0)
         self._rest = rest[at:]
-        return found
+        return messages

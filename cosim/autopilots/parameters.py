@@ -53,47 +53,51 @@ def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
     jets, control = vehicle.jets, vehicle.control
     if vehicle.allocation == "effectiveness":
         raise InputError(f"px4: {vehicle.name}: is flown by effectiveness, whose gains are not in PX4's torques")
-    told: dict[str, float] = {"CA_AIRFRAME": 8 if vehicle.servo else 0, "CA_ROTOR_COUNT": len(jets)}
+    parameters: dict[str, float] = {"CA_AIRFRAME": 8 if vehicle.servo else 0, "CA_ROTOR_COUNT": len(jets)}
     for index, jet in enumerate(jets):
         x, y, z = jet.position_m
-        told |= {f"CA_ROTOR{index}_PX": 0.0 if vehicle.servo else x, f"CA_ROTOR{index}_PY": y, f"CA_ROTOR{index}_PZ": z}
+        parameters |= {
+            f"CA_ROTOR{index}_PX": 0.0 if vehicle.servo else x,
+            f"CA_ROTOR{index}_PY": y,
+            f"CA_ROTOR{index}_PZ": z,
+        }
         # positive for a rotor that turns counter-clockwise, whose reaction turns the nose to the right
-        told[f"CA_ROTOR{index}_KM"] = jet.reaction_m
-        told[f"HIL_ACT_FUNC{index + 1}"] = told[f"PWM_MAIN_FUNC{index + 1}"] = 101 + index
+        parameters[f"CA_ROTOR{index}_KM"] = jet.reaction_m
+        parameters[f"HIL_ACT_FUNC{index + 1}"] = parameters[f"PWM_MAIN_FUNC{index + 1}"] = 101 + index
         if vehicle.servo:
-            told[f"CA_ROTOR{index}_TILT"] = 1 if jet.servo == "left" else 2
+            parameters[f"CA_ROTOR{index}_TILT"] = 1 if jet.servo == "left" else 2
     if vehicle.servo:
         limit = degrees(vehicle.servo.range_rad)
-        told["CA_SV_TL_COUNT"] = 2
+        parameters["CA_SV_TL_COUNT"] = 2
         for index in range(2):
-            told |= {f"CA_SV_TL{index}_MINA": -limit, f"CA_SV_TL{index}_MAXA": limit}
-            told[f"CA_SV_TL{index}_TD"] = 0.0  # towards the front
-            told[f"CA_SV_TL{index}_CT"] = 3  # for pitch and yaw
+            parameters |= {f"CA_SV_TL{index}_MINA": -limit, f"CA_SV_TL{index}_MAXA": limit}
+            parameters[f"CA_SV_TL{index}_TD"] = 0.0  # towards the front
+            parameters[f"CA_SV_TL{index}_CT"] = 3  # for pitch and yaw
             function = f"FUNC{len(jets) + index + 1}"
-            told[f"HIL_ACT_{function}"] = told[f"PWM_MAIN_{function}"] = 201 + index
+            parameters[f"HIL_ACT_{function}"] = parameters[f"PWM_MAIN_{function}"] = 201 + index
     for axis, gains, worth in rates(vehicle, px4_torque(vehicle)):
         name = f"MC_{axis.upper()}RATE"
-        told |= {
+        parameters |= {
             f"{name}_P": gains.p / worth,
             f"{name}_I": gains.i / worth,
             f"{name}_D": gains.d / worth,
             f"{name}_K": 1.0,
         }
     roll, pitch, yaw = control.attitude.gain_1_s
-    told |= {"MC_ROLL_P": roll, "MC_PITCH_P": pitch, "MC_YAW_P": yaw}
-    told |= {
+    parameters |= {"MC_ROLL_P": roll, "MC_PITCH_P": pitch, "MC_YAW_P": yaw}
+    parameters |= {
         f"MC_{axis.upper()}RATE_MAX": degrees(limit)
         for axis, limit in zip(AXES, control.attitude.rate_limit_rad_s, strict=True)
     }
-    told |= {"IMU_GYRO_CUTOFF": 0.0, "MC_AIRMODE": 1.0}  # the gyro of the vehicle is filtered already
-    told["MC_YAW_TQ_CUTOFF"] = 0.0  # since 1.16 a low-pass of 2 Hz as shipped, which no design has
+    parameters |= {"IMU_GYRO_CUTOFF": 0.0, "MC_AIRMODE": 1.0}  # the gyro of the vehicle is filtered already
+    parameters["MC_YAW_TQ_CUTOFF"] = 0.0  # since 1.16 a low-pass of 2 Hz as shipped, which no design has
     if control.rate.roll.d:
-        told["IMU_DGYRO_CUTOFF"] = 1.0 / (2.0 * pi * control.rate.roll.d_filter_s)
+        parameters["IMU_DGYRO_CUTOFF"] = 1.0 / (2.0 * pi * control.rate.roll.d_filter_s)
     # sticks by the simulator's link: Stabilized in every position, the fifth channel arms
-    told |= {"COM_RC_IN_MODE": 0, "RC_MAP_ROLL": 1, "RC_MAP_PITCH": 2, "RC_MAP_THROTTLE": 3, "RC_MAP_YAW": 4}
-    told |= {"RC_MAP_ARM_SW": 5, "RC_MAP_FLTMODE": 6, "RC_CHAN_CNT": 8, "RC3_TRIM": 1000}
-    told |= {f"COM_FLTMODE{slot}": 8 for slot in range(1, 7)}
-    return told
+    parameters |= {"COM_RC_IN_MODE": 0, "RC_MAP_ROLL": 1, "RC_MAP_PITCH": 2, "RC_MAP_THROTTLE": 3, "RC_MAP_YAW": 4}
+    parameters |= {"RC_MAP_ARM_SW": 5, "RC_MAP_FLTMODE": 6, "RC_CHAN_CNT": 8, "RC3_TRIM": 1000}
+    parameters |= {f"COM_FLTMODE{slot}": 8 for slot in range(1, 7)}
+    return parameters
 
 
 _X_FRAME = {(True, True): 0, (False, False): 1, (True, False): 2, (False, True): 3}  # front, right: its motor less one
@@ -121,23 +125,23 @@ def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
             "yours (--defaults): the first outputs are the engines, the next two the tilts, left and right"
         )
     least = control.allocation.throttle_min
-    told: dict[str, float] = {"SIM_RATE_HZ": round(1.0 / step), "SCHED_LOOP_RATE": min(round(1.0 / step), 400)}
-    told |= {"FRAME_CLASS": 1, "FRAME_TYPE": 1}
+    parameters: dict[str, float] = {"SIM_RATE_HZ": round(1.0 / step), "SCHED_LOOP_RATE": min(round(1.0 / step), 400)}
+    parameters |= {"FRAME_CLASS": 1, "FRAME_TYPE": 1}
     for number, jet in enumerate(jets, 1):
         x, y, _ = jet.position_m
-        told[f"SERVO{number}_FUNCTION"] = 33 + _X_FRAME[x > 0.0, y > 0.0]
-        told |= {f"SERVO{number}_MIN": 1000, f"SERVO{number}_MAX": 2000}
+        parameters[f"SERVO{number}_FUNCTION"] = 33 + _X_FRAME[x > 0.0, y > 0.0]
+        parameters |= {f"SERVO{number}_MIN": 1000, f"SERVO{number}_MAX": 2000}
     for axis, gains, worth in rates(vehicle, ardupilot_torque(vehicle)):
         name = f"ATC_RAT_{'RLL' if axis == 'roll' else 'PIT' if axis == 'pitch' else 'YAW'}"
-        told |= {f"{name}_P": gains.p / worth, f"{name}_I": gains.i / worth, f"{name}_D": gains.d / worth}
-        told |= {f"{name}_FLTT": 0.0, f"{name}_FLTE": 0.0}
-        told[f"{name}_FLTD"] = 1.0 / (2.0 * pi * gains.d_filter_s) if gains.d else 0.0
-        told[f"{name}_IMAX"] = min(gains.integral_limit / worth, 1.0)
+        parameters |= {f"{name}_P": gains.p / worth, f"{name}_I": gains.i / worth, f"{name}_D": gains.d / worth}
+        parameters |= {f"{name}_FLTT": 0.0, f"{name}_FLTE": 0.0}
+        parameters[f"{name}_FLTD"] = 1.0 / (2.0 * pi * gains.d_filter_s) if gains.d else 0.0
+        parameters[f"{name}_IMAX"] = min(gains.integral_limit / worth, 1.0)
     names = [f"ATC_ANG_{axis}_P" for axis in ("RLL", "PIT", "YAW")]
-    told |= dict(zip(names, control.attitude.gain_1_s, strict=True))
-    told |= {"MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000, "MOT_THST_EXPO": 0.0, "MOT_SPIN_MAX": 1.0}
-    told |= {"MOT_SPIN_MIN": least, "MOT_SPIN_ARM": least, "INS_GYRO_FILTER": 0}
-    return told | {"RC7_OPTION": 153, "ARMING_CHECK": 0}  # armed by the seventh channel
+    parameters |= dict(zip(names, control.attitude.gain_1_s, strict=True))
+    parameters |= {"MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000, "MOT_THST_EXPO": 0.0, "MOT_SPIN_MAX": 1.0}
+    parameters |= {"MOT_SPIN_MIN": least, "MOT_SPIN_ARM": least, "INS_GYRO_FILTER": 0}
+    return parameters | {"RC7_OPTION": 153, "ARMING_CHECK": 0}  # armed by the seventh channel
 
 
 # With --rates its rate loop is P of the error: so small that no output is at its limit for what a scenario asks for, a
@@ -162,10 +166,10 @@ NOTES = {
 }
 
 
-def parameter_file(autopilot: str, told: Mapping[str, float]) -> str:
+def parameter_file(autopilot: str, parameters: Mapping[str, float]) -> str:
     """As the ground stations read it: for PX4 ids, name, value and type by tabs, for ArduPilot name and value."""
     lines = [f"# {line}" for line in NOTES[autopilot]]
-    for name, value in sorted(told.items()):
+    for name, value in sorted(parameters.items()):
         if autopilot == "px4":
             whole = float(value).is_integer() and not _real(name)
             lines.append(f"1\t1\t{name}\t{value:.9g}\t{6 if whole else 9}")

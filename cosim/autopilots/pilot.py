@@ -52,10 +52,10 @@ class Pilot:
             roll / self._lean, -pitch / self._lean, self._heading * off / self._turn, self._throttle(collective), True
         )
 
-    def _landed(self, asked: float, down: float) -> bool:
-        """Whether it has stood for long enough; ``asked`` the height [m], ``down`` the speed [m/s], measured."""
+    def _landed(self, height: float, down: float) -> bool:
+        """Whether it has stood for long enough; ``height`` the height [m], ``down`` the speed [m/s], measured."""
         if self._still < self._wait:
-            self._still = self._still + 1 if asked < 0.0 and abs(down) < STILL_M_S else 0
+            self._still = self._still + 1 if height < 0.0 and abs(down) < STILL_M_S else 0
         return self._still >= self._wait
 
     def _throttle(self, share: float) -> float:

@@ -75,7 +75,7 @@ class Px4:
         self._accuracy = max(1, round(100.0 * max(vehicle.sensors.gnss.position_noise_m, 0.3)))  # cm
         self._mag_every = max(1, round(_MAG_EVERY / step))
         self._baro_every = max(1, round(_BARO_EVERY / step))
-        self._told_sticks, self._sticks_every = Sticks(), max(1, round(STICKS_S / step))
+        self._last_sticks, self._sticks_every = Sticks(), max(1, round(STICKS_S / step))
         self._writer, self._reader = hil.Writer(), hil.Reader()
         self._server: socket.socket | None = None
         self._link: socket.socket | None = None
@@ -87,11 +87,11 @@ class Px4:
         self._folder.mkdir(parents=True, exist_ok=True)
         self._server = listen(socket.SOCK_STREAM, port, "px4")
         if self._binary is not None:
-            told = {"PX4_SYS_AUTOSTART": "10016", "PX4_SIM_MODEL": "none_iris", "HEADLESS": "1"}
-            told |= {f"PX4_PARAM_{name}": f"{value:g}" for name, value in self._parameters.items()}
+            environment = {"PX4_SYS_AUTOSTART": "10016", "PX4_SIM_MODEL": "none_iris", "HEADLESS": "1"}
+            environment |= {f"PX4_PARAM_{name}": f"{value:g}" for name, value in self._parameters.items()}
             etc = self._binary.parent.parent / "etc"
             command = [str(self._binary), "-d", "-i", str(self._instance), "-w", str(self._folder), str(etc)]
-            self._program = Program(command, self._folder, self._folder / "px4.log", told)
+            self._program = Program(command, self._folder, self._folder / "px4.log", environment)
         waiting = Waiting("px4", _START_S, self._program, f"did not connect to port {port}")
         while self._link is None:
             self._server.settimeout(waiting.left())
@@ -105,7 +105,7 @@ class Px4:
         assert self._link is not None
         counts = self.counts
         now = round(1e6 * frame.time) + 1  # 0 would be no time
-        self._send(self._told(frame, now))
+        self._send(self._messages(frame, now))
         counts.frames += 1
         booting = counts.answers == 0
         waiting = Waiting("px4", _BOOT_WAIT if booting else self.limit, self._program)
@@ -175,10 +175,10 @@ class Px4:
             data = b""
         if not data:
             raise self._closed()
-        found = self._reader.feed(data)
+        messages = self._reader.feed(data)
         if self._reader.noise >= _PATIENCE and not self._reader.frames:
             raise FlightError(f"what is connected to px4's port speaks no MAVLink: it said {data[:16]!r}")
-        return [values for kind, values in found if kind is hil.HIL_ACTUATOR_CONTROLS]
+        return [values for kind, values in messages if kind is hil.HIL_ACTUATOR_CONTROLS]
 
     def _send(self, data: bytes) -> None:
         assert self._link is not None
@@ -187,12 +187,12 @@ class Px4:
         except OSError:
             raise self._closed() from None
 
-    def _told(self, frame: Frame, now: int) -> bytes:
+    def _messages(self, frame: Frame, now: int) -> bytes:
         """What goes out in one step: HIL_SENSOR last, because it moves PX4's clock."""
         k = self.counts.frames
         parts = []
-        if frame.sticks != self._told_sticks or k % self._sticks_every == 0:
-            self._told_sticks = frame.sticks
+        if frame.sticks != self._last_sticks or k % self._sticks_every == 0:
+            self._last_sticks = frame.sticks
             parts.append(self._sticks(frame))
         if k % self._fix_every == 0:
             parts.append(self._fix(frame, now))
@@ -267,6 +267,6 @@ class Px4:
         """End it; may be called twice."""
         if self._program is not None:
             self._program.close()
-        for each in (self._link, self._server):
-            if each is not None:
-                each.close()
+        for connection in (self._link, self._server):
+            if connection is not None:
+                connection.close()

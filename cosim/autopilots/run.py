@@ -30,8 +30,8 @@ _FLUSH = 250  # rows, a second of flight
 
 
 @dataclass(frozen=True)
-class Flown:
-    """A run, and the books of its lockstep."""
+class AutopilotRun:
+    """A run, and the counts of its lockstep."""
 
     run: Run
     counts: Counts
@@ -91,18 +91,19 @@ def fly_autopilot(
     lean_deg: float,
     turn_deg_s: float,
     files: Sequence[Path] = (),
-    told: dict[str, Any] | None = None,
+    details: dict[str, Any] | None = None,
     observers: Sequence[Observer] = (),
     realtime_factor: float | None = None,
     rates: OutsideRates | None = None,
     page: bool = True,
-) -> Flown:
+) -> AutopilotRun:
     """Fly a scenario with an autopilot in the place of the controller, and close that.
 
     ``before``, ``lean_deg``, ``turn_deg_s``: see :class:`AutopilotBlock`.  ``files``: what flew, to be hashed.
-    ``told``: what else is to be known of it.  ``rates``: in the place of its rate loop.  ``page``: whether to make
-    one.  A crash, an autopilot that ends or hangs, and Ctrl-C are outcomes, and the run is kept.  Raises InputError
-    for what cannot be flown, and FlightError for an autopilot that does not begin; there is no run then.
+    ``details``: what the run's lockstep.json says of it beside the counts.  ``rates``: in the place of its rate loop.
+    ``page``: whether to make one.  A crash, an autopilot that ends or hangs, and Ctrl-C are outcomes, and the run is
+    kept.  Raises InputError for what cannot be flown, and FlightError for an autopilot that does not begin; there is no
+    run then.
     """
     try:
         if scenario.engine_start == "in flight":
@@ -150,9 +151,9 @@ def fly_autopilot(
             writer.close()
             hashed = sha256((folder / ACTUATORS).read_bytes()).hexdigest()
             recording.restate(resolve(simulation)[0].model_copy(update=again | {"controller_sha256": hashed}))
-            books = {"autopilot": label, "steps": simulation.k, **asdict(autopilot.counts), **(told or {})}
-            (folder / LOCKSTEP).write_text(json.dumps(books, indent=2) + "\n")
+            counted = {"autopilot": label, "steps": simulation.k, **asdict(autopilot.counts), **(details or {})}
+            (folder / LOCKSTEP).write_text(json.dumps(counted, indent=2) + "\n")
             run = recording.finish(ending.outcome, ending.reason, wall, pace.report if realtime_factor else None)
-            return Flown(with_page(run) if page else run, autopilot.counts, label)
+            return AutopilotRun(with_page(run) if page else run, autopilot.counts, label)
     finally:
         autopilot.close()

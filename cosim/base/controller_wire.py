@@ -104,11 +104,11 @@ def answer_whole(values: Sequence[float], jets: int, servos: int, extras: Sequen
     actuation = Actuation(throttle, tilt, Unallocated(roll, pitch, yaw, collective), off)
     if "shown" not in extras:
         return actuation, None
-    (a, b, c), (d, e, f), (g, h, i), (asked, given) = take(3), take(3), take(3), take(2)
-    return actuation, ControlSignals((a, b, c), (d, e, f), (g, h, i), asked, given)
+    (a, b, c), (d, e, f), (g, h, i), (commanded, allocated) = take(3), take(3), take(3), take(2)
+    return actuation, ControlSignals((a, b, c), (d, e, f), (g, h, i), commanded, allocated)
 
 
-def told_whole(ahead: bool, command: Command, measured: Measured, applied: Any) -> tuple[float, ...]:
+def whole_numbers(ahead: bool, command: Command, measured: Measured, applied: Any) -> tuple[float, ...]:
     """The numbers of :func:`input_names` for a whole controller."""
     rate: Vector3 = command.rate or (0.0, 0.0, 0.0)
     engines = applied.engines
@@ -141,14 +141,14 @@ def frame(count: int) -> struct.Struct:
     return struct.Struct(f"<{count + 1}d")
 
 
-def numbers(told: Sequence[Any], level: str, ahead: bool = False) -> tuple[float, ...]:
+def numbers(arguments: Sequence[Any], level: str, ahead: bool = False) -> tuple[float, ...]:
     """What ``update`` is told as the numbers of a frame; ``ahead`` as for :func:`input_names`."""
     if level == "controller":
-        return told_whole(ahead, *told)
+        return whole_numbers(ahead, *arguments)
     if level == "attitude":
-        command, measured = told
+        command, measured = arguments
         return (*command.attitude, *measured.attitude)
     if level == "rate":
-        setpoint, measured, applied = told
+        setpoint, measured, applied = arguments
         return (*setpoint, *measured, *applied)
-    return (told[0], told[1])
+    return (arguments[0], arguments[1])

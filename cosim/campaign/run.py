@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cosim.autopilots.ready import program_of
+from cosim.autopilots.prepare import program_of
 from cosim.base.errors import FlightError, InputError
 from cosim.campaign.folder import is_campaign
 from cosim.campaign.store import (

@@ -16,7 +16,7 @@ from pathlib import Path
 from socket import gethostname
 from typing import TYPE_CHECKING
 
-from cosim.autopilots.ready import make_ready, own_instance
+from cosim.autopilots.prepare import Setup, own_instance, prepare, program_of
 from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError
 from cosim.campaign.study.plan import Flight, scenario_of
 from cosim.flight import fly
@@ -97,18 +97,10 @@ def with_autopilot(study: Study, scenario: Scenario, folder: Path, page: bool = 
     stated = study.autopilot
     assert stated is not None
     with own_instance() as instance:
-        ready = make_ready(
-            stated.name,
-            scenario,
-            folder,
-            Path(stated.seen_from(study.folder).binary) if stated.binary else None,
-            instance,
-            stated.gains,
-            stated.lines,
-            stated.parameters,
-            stated.timeout_s,
-        )
-        done = ready.fly(scenario, folder, page)
+        setup = Setup(instance, stated.timeout_s, gains=stated.gains, lines=stated.lines, parameters=stated.parameters)
+        binary = Path(stated.seen_from(study.folder).binary) if stated.binary else None
+        autopilot = prepare(stated.name, scenario, folder, program_of(stated.name, binary), setup)
+        done = autopilot.fly(scenario, folder, page)
     run, counts = done.run, done.counts
     made = hashlib.sha256("\n".join([inputs(run), scenario.model_dump_json()]).encode()).hexdigest()
     row = _outcome_row(study, run, log_digest(run.log)) | {

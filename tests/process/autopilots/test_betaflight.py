@@ -17,7 +17,7 @@ from stated_figures import stated
 
 from cosim.autopilots import betaflight as theirs
 from cosim.autopilots.lockstep import Frame, Sticks
-from cosim.autopilots.run import LOCKSTEP, Flown, fly_autopilot, outside_rates
+from cosim.autopilots.run import LOCKSTEP, AutopilotRun, fly_autopilot, outside_rates
 from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Sample
 from cosim.design.design import margins
@@ -72,24 +72,24 @@ def made(scenario: Scenario, folder: Path, gains: str = "vehicle", limit: float 
     return theirs.Betaflight(BINARY, folder / "betaflight", vehicle, scenario.step_s, lines, free_port(), limit)
 
 
-def fly_with(autopilot: theirs.Betaflight, scenario: Scenario, folder: Path, **more: Any) -> Flown:
+def fly_with(autopilot: theirs.Betaflight, scenario: Scenario, folder: Path, **more: Any) -> AutopilotRun:
     return fly_autopilot(
         scenario, autopilot, "betaflight", folder, before=theirs.BEFORE_S, lean_deg=theirs.ANGLE_LIMIT_DEG,
         turn_deg_s=theirs.YAW_RATE_DEG_S, **more,
     )  # fmt: skip
 
 
-def flown(scenario: Scenario, folder: Path, gains: str = "vehicle") -> Flown:
+def flown(scenario: Scenario, folder: Path, gains: str = "vehicle") -> AutopilotRun:
     return fly_with(made(scenario, folder, gains), scenario, folder)
 
 
 @pytest.fixture(scope="module")
-def minute(tmp_path_factory: pytest.TempPathFactory) -> Flown:
+def minute(tmp_path_factory: pytest.TempPathFactory) -> AutopilotRun:
     scenario = Scenario.load("hover").replace(duration_s=60.0, vehicle=DESIGNED)
     return flown(scenario, tmp_path_factory.mktemp("runs") / "minute")
 
 
-def test_sixty_seconds_with_designed_gains_and_not_one_step_lost(minute: Flown) -> None:
+def test_sixty_seconds_with_designed_gains_and_not_one_step_lost(minute: AutopilotRun) -> None:
     """Two states set its clock before the flight; every other has its answer."""
     counts, run = minute.counts, minute.run
     assert run.summary.as_planned, run.reason
@@ -101,7 +101,7 @@ def test_sixty_seconds_with_designed_gains_and_not_one_step_lost(minute: Flown) 
     assert (books["steps"], books["answers"]) == (15000, counts.answers)
 
 
-def test_the_flight_repeats_without_it_bit_for_bit(minute: Flown, tmp_path: Path) -> None:
+def test_the_flight_repeats_without_it_bit_for_bit(minute: AutopilotRun, tmp_path: Path) -> None:
     run = minute.run
     assert run.folder is not None
     again = fly(run.folder / "scenario.toml", tmp_path / "again", report=False)
@@ -176,7 +176,7 @@ def test_with_a_motor_lost_it_is_lost(tmp_path: Path) -> None:
     )
 
 
-def test_at_its_own_gains_the_delay_loses_it(minute: Flown, tmp_path: Path) -> None:
+def test_at_its_own_gains_the_delay_loses_it(minute: AutopilotRun, tmp_path: Path) -> None:
     """And at those of the vehicle, which are for a predictor; without the delay they fly.  As the page has it."""
     hover, doublet = Scenario.load("hover").replace(duration_s=10.0), Scenario.load("roll-doublet")
     stock = flown(hover, tmp_path / "stock", "stock").run

@@ -13,7 +13,7 @@ import pytest
 from command_tools import Hexjet
 
 from cosim.autopilots import betaflight
-from cosim.autopilots.ready import LOCKS, MOST, own_instance
+from cosim.autopilots.prepare import LOCKS, MOST, own_instance
 from cosim.base.errors import FlightError, InputError
 from cosim.campaign import fly_again, open_campaign, run_campaign
 from cosim.campaign.study.study import Study
@@ -75,7 +75,7 @@ def test_a_number_is_held_and_given_back() -> None:
 
 
 def test_more_than_there_are_numbers_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cosim.autopilots.ready.MOST", 0)
+    monkeypatch.setattr("cosim.autopilots.prepare.MOST", 0)
     with pytest.raises(FlightError, match="fly on this machine already"), own_instance():
         pass
     assert LOCKS + MOST < 65536

@@ -32,7 +32,7 @@ def test_what_an_autopilot_asks_for_reaches_the_controller(name: str, hears: boo
     vehicle, _ = scenario.resolved_vehicle()
     rates = outside_rates(scenario, GAIN, hears)
     draw = np.random.default_rng(3)
-    assert rates.told((0.1, 0.2, 0.3)) == ((0.1, 0.2, 0.3) if hears else ZERO3)
+    assert rates.gyro((0.1, 0.2, 0.3)) == ((0.1, 0.2, 0.3) if hears else ZERO3)
     with build(scenario) as simulation:
         cascade, jets = simulation.cascade, len(vehicle.jets)
         cascade.reset(False, 0.0)
@@ -41,7 +41,7 @@ def test_what_an_autopilot_asks_for_reaches_the_controller(name: str, hears: boo
             rate: Vector3 = tuple(map(float, 0.1 * draw.standard_normal(3)))  # type: ignore[assignment]
             share = float(draw.uniform(0.4, 0.7))
             mean = cascade.thrust_map.throttle((share,) * jets)[0]
-            roll, pitch, yaw = (asked - np.array(rates.told(rate))) * GAIN
+            roll, pitch, yaw = (asked - np.array(rates.gyro(rate))) * GAIN
             if vehicle.servo is None:
                 throttle = tuple(
                     mean - np.sign(jet.position_m[1]) * roll + np.sign(jet.position_m[0]) * pitch

@@ -1,0 +1,187 @@
+"""An autopilot for a flight, from its name and its set-up: what ``hexjet sitl`` and campaigns share."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cosim.autopilots import ardupilot, betaflight, px4
+from cosim.autopilots.block import OutsideRates
+from cosim.autopilots.lockstep import LOCAL, Autopilot, stated_program
+from cosim.autopilots.parameters import ardupilot_parameters, parameter_file, px4_outside, px4_parameters
+from cosim.autopilots.run import AutopilotRun, fly_autopilot, outside_rates
+from cosim.base.errors import FlightError, InputError
+from cosim.base.geodesy import Geodesy
+from cosim.base.signals import Vector3
+from cosim.spec.scenario import Scenario
+
+LOCKS = 32_760  # the first of the ports that stand for a number; chosen by us, nobody's
+MOST = 250  # numbers: as many instances as hexjet sitl takes
+APART = 20  # ports of Betaflight from one instance to the next: fourteen are one's
+
+
+@dataclass(frozen=True)
+class Setup:
+    """How an autopilot is set up, as the options of ``hexjet sitl`` and a study's table [autopilot] state it.
+
+    Of what belongs to one autopilot the others see nothing.
+    """
+
+    instance: int = 0  # which of several at the same time
+    limit_s: float = 5.0  # for an answer, of the clock
+    port: int | None = None  # Betaflight: its first; None: the instance's
+    gains: str = "vehicle"  # Betaflight: the vehicle's, or "stock", as it ships
+    lines: Sequence[str] = ()  # Betaflight: for its console
+    parameters: Mapping[str, float] = field(default_factory=dict)  # PX4: over those made from the vehicle
+    magnetic_field: Vector3 | None = None  # PX4: gauss, NED; None: a dipole's at the place
+    defaults: Path | None = None  # ArduPilot: its parameters; None: those made from the vehicle
+
+
+@dataclass(frozen=True)
+class PreparedAutopilot:
+    """An autopilot that has not begun, its program, and what a run's lockstep.json says of it."""
+
+    name: str
+    autopilot: Autopilot
+    program: Path | None  # None: started by hand
+    endpoint: str  # where one that is started by hand connects
+    details: Mapping[str, Any]
+    rates: OutsideRates | None = None
+
+    def fly(
+        self, scenario: Scenario, folder: Path, page: bool = True, realtime_factor: float | None = None, **details: Any
+    ) -> AutopilotRun:
+        """See :func:`cosim.autopilots.run.fly_autopilot`; ``details``: what else its lockstep.json is to say."""
+        module = {"betaflight": betaflight, "px4": px4, "ardupilot": ardupilot}[self.name]
+        return fly_autopilot(
+            scenario,
+            self.autopilot,
+            self.name,
+            folder,
+            before=module.BEFORE_S,
+            lean_deg=module.ANGLE_LIMIT_DEG,
+            turn_deg_s=module.YAW_RATE_DEG_S,
+            files=[] if self.program is None else [self.program],
+            details=dict(self.details) | details,
+            realtime_factor=realtime_factor,
+            rates=self.rates,
+            page=page,
+        )
+
+
+@contextmanager
+def own_instance() -> Iterator[int]:
+    """A number from 1 to :data:`MOST`, this process's until the end; 0 is left to ``hexjet sitl``.
+
+    It is held by a bound port, so that it is free again whatever becomes of the process.  Raises FlightError where all
+    are taken.
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:
+        for number in range(1, MOST + 1):
+            try:
+                held.bind((LOCAL, LOCKS + number))
+            except OSError:
+                continue
+            yield number
+            return
+    raise FlightError(f"{MOST} autopilots fly on this machine already")
+
+
+def find_program(name: str, binary: Path | None) -> Path | None:
+    """The program that is stated, that the environment names, or that is installed.
+
+    None: there is none, and the autopilot is started by hand; Betaflight never is.  Raises InputError for what is no
+    program.
+    """
+    return betaflight.program(binary) if name == "betaflight" else stated_program(binary, f"{name.upper()}_SITL")
+
+
+def program_of(name: str, binary: Path | None) -> Path:
+    """As :func:`find_program`, where nobody is there to start one by hand.  Raises InputError for none."""
+    program = find_program(name, binary)
+    if program is None:
+        raise InputError(
+            f"{name}: no program is named; allowed: binary in the table [autopilot], or {name.upper()}_SITL"
+        )
+    return program
+
+
+def prepare(
+    name: str, scenario: Scenario, folder: Path, program: Path | None, setup: Setup, rates: Scenario | None = None
+) -> PreparedAutopilot:
+    """An autopilot for the scenario's vehicle; its files go into a folder of its name in ``folder``, the run's.
+
+    ``program``: see :func:`find_program`.  ``rates``: the scenario whose controller's rate loop flies in the place of
+    the autopilot's own, from outside; ArduPilot takes none.  Raises InputError.
+    """
+    make = {"betaflight": _betaflight, "px4": _px4, "ardupilot": _ardupilot}[name]
+    return make(scenario, folder / name, program, setup, rates)
+
+
+def _betaflight(
+    scenario: Scenario, folder: Path, program: Path | None, setup: Setup, rates: Scenario | None
+) -> PreparedAutopilot:
+    assert program is not None
+    vehicle, _ = scenario.resolved_vehicle()
+    lines = [
+        *([] if setup.gains == "stock" else betaflight.gains_of(vehicle)),
+        *([] if rates is None else betaflight.OUTSIDE),
+        *setup.lines,
+    ]
+    outside = None if rates is None else outside_rates(rates, betaflight.outside_gain(vehicle))
+    port = betaflight.PORT + APART * setup.instance if setup.port is None else setup.port
+    ground = scenario.environment.ground_m
+    autopilot = betaflight.Betaflight(program, folder, vehicle, scenario.step_s, lines, port, setup.limit_s, ground)
+    details = {"gains": setup.gains, "console": autopilot.settings}
+    return PreparedAutopilot("betaflight", autopilot, program, f"UDP port {port}", details, outside)
+
+
+def _px4(
+    scenario: Scenario, folder: Path, program: Path | None, setup: Setup, rates: Scenario | None
+) -> PreparedAutopilot:
+    vehicle, _ = scenario.resolved_vehicle()
+    parameters, outside = px4_parameters(vehicle), None
+    if rates is not None:
+        loop, gain = px4_outside(vehicle)
+        parameters, outside = parameters | loop, outside_rates(rates, gain, hears=True)
+    parameters |= setup.parameters
+    autopilot = px4.Px4(
+        program,
+        folder,
+        vehicle,
+        scenario.step_s,
+        _place(scenario),
+        parameters,
+        setup.instance,
+        setup.limit_s,
+        setup.magnetic_field,
+    )
+    endpoint = f"TCP port {px4.PORT + setup.instance}"
+    return PreparedAutopilot("px4", autopilot, program, endpoint, {"parameters": parameters}, outside)
+
+
+def _ardupilot(
+    scenario: Scenario, folder: Path, program: Path | None, setup: Setup, rates: Scenario | None
+) -> PreparedAutopilot:
+    if rates is not None:
+        raise InputError("ardupilot: flies its own rate loop; allowed with another in its place: betaflight, px4")
+    vehicle, _ = scenario.resolved_vehicle()
+    defaults = setup.defaults
+    if defaults is None and program is not None:
+        defaults = folder / "hexjet.parm"
+        folder.mkdir(parents=True, exist_ok=True)
+        defaults.write_text(parameter_file("ardupilot", ardupilot_parameters(vehicle, scenario.step_s)))
+    autopilot = ardupilot.ArduPilot(
+        program, folder, vehicle, scenario.step_s, _place(scenario), defaults, setup.instance, setup.limit_s
+    )
+    endpoint = f"UDP port {ardupilot.PORT + ardupilot.APART * setup.instance}"
+    return PreparedAutopilot("ardupilot", autopilot, program, endpoint, {"defaults": str(defaults)})
+
+
+def _place(scenario: Scenario) -> Geodesy:
+    environment = scenario.environment
+    return Geodesy(environment.latitude_deg, environment.longitude_deg, environment.ground_m)
