@@ -1,0 +1,83 @@
+"""What an autopilot is made with: from its name and set-up, for a command and for a campaign alike."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cosim.autopilots import ardupilot, betaflight, px4
+from cosim.autopilots import prepare as preparation
+from cosim.autopilots.parameters import ardupilot_parameters, parameter_file, px4_outside, px4_parameters
+from cosim.autopilots.prepare import APART, PreparedAutopilot, Setup, find_program, program_of
+from cosim.base.errors import InputError
+from cosim.spec.scenario import Scenario
+
+PROGRAM = Path("/bin/true")  # is never started here
+HOVER = Scenario.load("hover")
+QUAD = HOVER.replace(aircraft="quadrotor", step_s=0.0025)
+
+
+def prepare(
+    name: str, scenario: Scenario, folder: Path, program: Path | None, setup: Setup, rates: Scenario | None = None
+) -> PreparedAutopilot:
+    """As it would fly, and closed."""
+    made = preparation.prepare(name, scenario, folder, program, setup, rates)
+    made.autopilot.close()
+    return made
+
+
+def test_betaflights_console_has_gains_then_what_is_stated(tmp_path: Path) -> None:
+    vehicle, _ = HOVER.resolved_vehicle()
+    setup = Setup(instance=3, lines=["set p_roll = 12"])
+    own = prepare("betaflight", HOVER, tmp_path, PROGRAM, setup)
+    console = [*betaflight.gains_of(vehicle), "set p_roll = 12"]
+    assert own.details["gains"] == "vehicle"
+    assert own.details["console"][-len(console) :] == console
+    assert own.endpoint == f"UDP port {betaflight.PORT + 3 * APART}"
+    assert own.rates is None
+    stock = prepare("betaflight", HOVER, tmp_path, PROGRAM, Setup(gains="stock", port=2000))
+    assert not set(betaflight.gains_of(vehicle)) & set(stock.details["console"])
+    assert stock.endpoint == "UDP port 2000"
+
+
+def test_a_rate_loop_from_outside_makes_their_own_p(tmp_path: Path) -> None:
+    vehicle, _ = HOVER.resolved_vehicle()
+    smith = HOVER.replace(controller="smith")
+    first = prepare("betaflight", HOVER, tmp_path, PROGRAM, Setup(lines=["set p_roll = 12"]), smith)
+    console = first.details["console"]
+    assert console[-1] == "set p_roll = 12"
+    assert console[-1 - len(betaflight.OUTSIDE) : -1] == betaflight.OUTSIDE
+    second = prepare("px4", HOVER, tmp_path, PROGRAM, Setup(), smith)
+    assert second.details["parameters"] == px4_parameters(vehicle) | px4_outside(vehicle)[0]
+    assert first.rates is not None
+    assert second.rates is not None
+    with pytest.raises(InputError, match="allowed with another in its place: betaflight, px4"):
+        prepare("ardupilot", QUAD, tmp_path, PROGRAM, Setup(), smith)
+
+
+def test_px4s_parameters_are_the_vehicles_then_what_is_stated(tmp_path: Path) -> None:
+    vehicle, _ = HOVER.resolved_vehicle()
+    made = prepare("px4", HOVER, tmp_path, None, Setup(instance=2, parameters={"MC_ROLL_P": 1.25}))
+    assert made.details["parameters"] == px4_parameters(vehicle) | {"MC_ROLL_P": 1.25}
+    assert made.endpoint == f"TCP port {px4.PORT + 2}"
+
+
+def test_ardupilots_parameters_are_a_file_where_it_is_started_here(tmp_path: Path) -> None:
+    vehicle, _ = QUAD.resolved_vehicle()
+    by_hand = prepare("ardupilot", QUAD, tmp_path, None, Setup(instance=1))
+    assert by_hand.details == {"defaults": "None"}
+    assert by_hand.endpoint == f"UDP port {ardupilot.PORT + ardupilot.APART}"
+    assert not (tmp_path / "ardupilot").exists()
+    prepare("ardupilot", QUAD, tmp_path, PROGRAM, Setup())
+    written = (tmp_path / "ardupilot" / "hexjet.parm").read_text()
+    assert written == parameter_file("ardupilot", ardupilot_parameters(vehicle, 0.0025))
+
+
+def test_who_may_be_started_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("PX4_SITL", raising=False)
+    assert find_program("px4", None) is None
+    with pytest.raises(InputError, match=r"px4: no program is named; allowed: binary in the table .*, or PX4_SITL"):
+        program_of("px4", None)
+    monkeypatch.setenv("PX4_SITL", str(PROGRAM))
+    assert program_of("px4", None) == PROGRAM
