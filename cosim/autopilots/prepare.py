@@ -21,6 +21,7 @@ from cosim.spec.scenario import Scenario
 
 LOCKS = 32_760  # the first of the ports that stand for a number; chosen by us, nobody's
 MOST = 250  # numbers: as many instances as hexjet sitl takes
+VARIABLES = {"px4": "PX4_SITL", "ardupilot": "ARDUPILOT_SITL"}  # of the environment: a program that nobody states
 APART = 20  # ports of Betaflight from one instance to the next: fourteen are one's
 
 
@@ -97,16 +98,14 @@ def find_program(name: str, binary: Path | None) -> Path | None:
     None: there is none, and the autopilot is started by hand; Betaflight never is.  Raises InputError for what is no
     program.
     """
-    return betaflight.program(binary) if name == "betaflight" else stated_program(binary, f"{name.upper()}_SITL")
+    return betaflight.program(binary) if name == "betaflight" else stated_program(binary, VARIABLES[name])
 
 
 def program_of(name: str, binary: Path | None) -> Path:
     """As :func:`find_program`, where nobody is there to start one by hand.  Raises InputError for none."""
     program = find_program(name, binary)
     if program is None:
-        raise InputError(
-            f"{name}: no program is named; allowed: binary in the table [autopilot], or {name.upper()}_SITL"
-        )
+        raise InputError(f"{name}: no program is named; allowed: binary in the table [autopilot], or {VARIABLES[name]}")
     return program
 
 
