@@ -19,7 +19,7 @@ from cosim.engine import EngineSpec, engine_names, load_engine
 from cosim.engine.spec import find_source
 from cosim.results.autopilot.autopilot_record import PilotRecord
 from cosim.results.autopilot.request_log import REQUESTS, Replay, read_requests
-from cosim.results.columns import flown_by, log_columns
+from cosim.results.columns import log_columns, logged_vehicle
 from cosim.results.limits import yardstick
 from cosim.results.metrics import Reach, metric_names
 from cosim.results.recorder import KeepingSink
@@ -191,7 +191,7 @@ def record(
     folder is not usable.
     """
     resolved, files = resolve(simulation)
-    columns = log_columns(flown_by(simulation.vehicle), simulation.columns)
+    columns = log_columns(logged_vehicle(simulation.vehicle), simulation.columns)
     files |= dict(contents or {})
     metrics = simulation.brought.metrics
     return begin_run(_setup(simulation), resolved, folder, files, background, sink, columns, metrics)

@@ -315,7 +315,7 @@ def scenario_of(aircraft: str, engine: str, controller: str, step: float, height
 
 def fly_case(task: tuple[Case, Start, Scenario]) -> FailsafeFlight:
     """One flight, in this process."""
-    from cosim.results.columns import flown_by, log_columns
+    from cosim.results.columns import log_columns, logged_vehicle
     from cosim.results.digest import DigestSink
     from cosim.results.recorder import Recorder
     from cosim.simulation.build import build
@@ -326,7 +326,7 @@ def fly_case(task: tuple[Case, Start, Scenario]) -> FailsafeFlight:
         pilot = with_autopilot(simulation, airborne=True)
         dt = simulation.dt
         sink = DigestSink(())
-        columns = log_columns(flown_by(simulation.vehicle), simulation.columns)
+        columns = log_columns(logged_vehicle(simulation.vehicle), simulation.columns)
         sink.begin(columns)
         recorder = Recorder(dt, sink, columns)
         _ask(pilot, case.name, case.before, 0)

@@ -155,7 +155,7 @@ def _check_controller(path: Path, as_json: bool) -> int:
     from cosim.spec.scenario import Scenario
 
     fmu = read_controller_fmu(path)
-    said = describing(fmu)
+    description = describing(fmu)
     run = fly(Scenario.load("hover").replace(duration_s=1.0, expect=[], controller=str(path.absolute())))
     own = run.summary.own_controller
     report = {
@@ -164,8 +164,8 @@ def _check_controller(path: Path, as_json: bool) -> int:
         "level": fmu.level,
         "inputs": list(fmu.inputs),
         "outputs": list(fmu.outputs),
-        "parameters": [name for name, *_ in said["parameters"]],
-        "columns": [name for name, *_ in said["columns"]],
+        "parameters": [name for name, *_ in description["parameters"]],
+        "columns": [name for name, *_ in description["columns"]],
         "notes": list(fmu.notes),
         "hover of 1 s": f"{run.outcome}, {run.reason}",
         "repeatable": own.repeatable if own is not None else None,

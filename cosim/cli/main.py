@@ -10,7 +10,7 @@ from io import TextIOWrapper
 import click
 
 from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError
-from cosim.cli.options import DONE, FLIGHT_FAILED, TOLD, WRONG_INPUT, Terminated
+from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, WRONG_INPUT, Terminated
 
 INTERRUPTED, TERMINATED = 130, 143  # as a shell has them
 COMMANDS = {  # where each is, so that none is read for another
@@ -93,7 +93,7 @@ def main(arguments: list[str] | None = None) -> None:
         status = FLIGHT_FAILED
     except (click.Abort, KeyboardInterrupt) as error:
         stop = error.__cause__ or error
-        if TOLD not in getattr(stop, "__notes__", ()):
+        if REPORTED not in getattr(stop, "__notes__", ()):
             _complain("stopped; what was written before is kept")
         status = TERMINATED if isinstance(stop, Terminated) else INTERRUPTED
     sys.exit(status if isinstance(status, int) else DONE)

@@ -31,7 +31,7 @@ class Number(click.FloatRange):
         return "" if self.min is None and self.max is None else super()._describe_range()
 
 
-TOLD = "told"  # a note of an interruption: the command has said itself what is kept
+REPORTED = "told"  # a note of an interruption: the command has said itself what is kept
 
 
 class Terminated(KeyboardInterrupt):
@@ -190,8 +190,8 @@ def _controller_without_a_model(aircraft: str, scenario: Any) -> dict[str, str]:
 
 def shared_assets(command: Callable[..., int]) -> Callable[..., int]:
     """The option of commands that write a run's page."""
-    said = "What draws the page goes into one folder beside DIR, assets-..., for all runs there; move them together."
-    return click.option("--shared-assets", is_flag=True, help=said)(command)
+    text = "What draws the page goes into one folder beside DIR, assets-..., for all runs there; move them together."
+    return click.option("--shared-assets", is_flag=True, help=text)(command)
 
 
 def own_blocks(command: Callable[..., int]) -> Callable[..., int]:
@@ -250,7 +250,7 @@ def engine_for(aircraft: str, engine: str | None) -> str:
     return chosen
 
 
-def flown_by(aircraft: str | None) -> list[str]:
+def aircraft_settings(aircraft: str | None) -> list[str]:
     """Another aircraft with the engine that it is made for as settings of a study; a path is meant from here."""
     import json
 

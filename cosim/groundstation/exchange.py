@@ -40,7 +40,7 @@ from cosim.simulation.pacing import PaceReport
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 
-WAITING_EACH = 64  # requests of one sender that may wait; a mission is one.  Chosen by us: a quarter second of steps
+WAITING_PER_SENDER = 64  # requests that may wait; a mission is one.  Chosen by us: a quarter second of steps
 SENDERS = 32  # that may have something waiting at once
 KEPT_MESSAGES = 100
 PATIENCE = 2.0  # s for an answer at a port: ground stations ask again after 1 to 3 s
@@ -59,11 +59,11 @@ class Shutdown:
     """End the session; refused while it flies."""
 
 
-Asked = Request | Restart | Shutdown
+GroundRequest = Request | Restart | Shutdown
 Done = Callable[[Answer], None]
 
 
-def untold(answer: Answer) -> None:
+def ignore_answer(answer: Answer) -> None:
     """For whom no answer is needed."""
 
 
@@ -102,7 +102,7 @@ class Waiting(NamedTuple):
     """One request on its way to the flight."""
 
     sender: str
-    request: Asked
+    request: GroundRequest
     answer: Done  # tells who has asked
     until: float  # s, of the exchange's clock
 
@@ -116,7 +116,7 @@ class Exchange:
         self._queues: dict[str, deque[Waiting]] = {}
         self._snapshot: Snapshot | None = None
         self._messages: tuple[Message, ...] = ()
-        self._said = 0
+        self._message_count = 0
         self._wakers: tuple[Callable[[], None], ...] = ()
         self.turned_away = 0  # requests for which there was no room
 
@@ -145,7 +145,7 @@ class Exchange:
 
     # --- for those who ask ---------------------------------------------------------------------------------------
 
-    def ask(self, request: Asked, done: Done = untold, sender: str = "", until: float = inf) -> None:
+    def ask(self, request: GroundRequest, done: Done = ignore_answer, sender: str = "", until: float = inf) -> None:
         """Ask something of the vehicle; it is handled before the next step.
 
         ``done`` gets the answer once, in the flight's thread, or at once in this one if there is no room; it must
@@ -162,7 +162,7 @@ class Exchange:
             if queue is not None:
                 if isinstance(request, _STREAMS) and queue and type(queue[-1].request) is type(request):
                     dropped = queue.pop()
-                full = len(queue) >= WAITING_EACH
+                full = len(queue) >= WAITING_PER_SENDER
                 if not full:
                     queue.append(waiting)
             if full:
@@ -203,8 +203,8 @@ class Exchange:
     def say(self, severity: Severity, text: str, k: int = 0) -> None:
         """A line for the people on the ground; goes out with the next snapshot."""
         with self._lock:
-            self._said += 1
-            self._messages = (*self._messages[1 - KEPT_MESSAGES :], Message(self._said, k, severity, text))
+            self._message_count += 1
+            self._messages = (*self._messages[1 - KEPT_MESSAGES :], Message(self._message_count, k, severity, text))
 
     def publish(self, snapshot: Snapshot) -> None:
         """Put a snapshot in place of the one before, and wake who waits for news."""
@@ -226,20 +226,20 @@ class Port:
         self.snapshot: Snapshot | None = None  # the last one of a flight that has begun
         self._exchange = exchange
         self._lines: tuple[Message, ...] = ()
-        self._told = 0
+        self._last_message = 0
         self._open: dict[int, tuple[Done, float]] = {}  # who waits for an answer, and how long
-        self._asked = 0
+        self._request_count = 0
         self._answered: deque[tuple[int, Answer]] = deque()
         self.leave = exchange.subscribe(self._news)
 
-    def ask(self, request: Asked, reply: Done | None = None, sender: str = "") -> None:
+    def ask(self, request: GroundRequest, reply: Done | None = None, sender: str = "") -> None:
         """Ask something of the vehicle; ``reply`` gets exactly one answer, from :meth:`collect`."""
         sender = sender or self.name
         if reply is None:
             self._exchange.ask(request, sender=sender)
             return
-        self._asked += 1
-        number, until = self._asked, self._exchange.clock() + PATIENCE
+        self._request_count += 1
+        number, until = self._request_count, self._exchange.clock() + PATIENCE
         self._open[number] = reply, until
         self._exchange.ask(request, lambda answer: self._answer(number, answer), sender, until)
 
@@ -254,8 +254,8 @@ class Port:
 
     def messages(self) -> list[Message]:
         """What has been said since the last call."""
-        new = [message for message in self._lines if message.number > self._told]
-        self._told = new[-1].number if new else self._told
+        new = [message for message in self._lines if message.number > self._last_message]
+        self._last_message = new[-1].number if new else self._last_message
         return new
 
     def _news(self) -> None:

@@ -85,8 +85,8 @@ class Links:
     def urls(self) -> list[str]:
         """Where the links are, with the ports that were taken."""
         return [
-            asked._replace(port=port or asked.port).url
-            for asked, port in zip(self.endpoints, self.link.ports, strict=True)
+            endpoint._replace(port=port or endpoint.port).url
+            for endpoint, port in zip(self.endpoints, self.link.ports, strict=True)
         ]
 
     @property

@@ -47,7 +47,7 @@ class Onlooker:
         self._export.close()
 
     def _run(self) -> None:
-        flight, step, told, looks = 0, -1, 0, 0
+        flight, step, last_line, looks = 0, -1, 0, 0
         while not self._over.wait(1.0 / LOOKS_1_S):
             snapshot = self._exchange.snapshot
             if snapshot is None or snapshot.sample is None:
@@ -59,8 +59,8 @@ class Onlooker:
             if looks % round(DRAWN_S * LOOKS_1_S) == 0:
                 self._export.draw(snapshot.sample.time)
             looks += 1
-            lines = [message for message in self._exchange.messages if message.number > told]
-            told = lines[-1].number if lines else told
+            lines = [message for message in self._exchange.messages if message.number > last_line]
+            last_line = lines[-1].number if lines else last_line
             self._export.say(
                 LogLine(line.k, line.k * scenario.step_s, int(line.severity), "autopilot", line.text) for line in lines
             )

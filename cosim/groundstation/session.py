@@ -39,7 +39,7 @@ from cosim.control.autopilot.requests import (
 )
 from cosim.control.autopilot.status import Status
 from cosim.flight import record, reserve_folder, with_page
-from cosim.groundstation.exchange import Asked, Exchange, Facts, Restart, Shutdown, Snapshot
+from cosim.groundstation.exchange import Exchange, Facts, GroundRequest, Restart, Shutdown, Snapshot
 from cosim.groundstation.parameter_store import ParameterStore
 from cosim.results.autopilot.autopilot_record import PilotRecord
 from cosim.results.autopilot.request_log import REQUESTS, RequestLog
@@ -187,7 +187,7 @@ class Session:
             except FlightError as error:  # a log cannot be written: the disk is full, say
                 ending = Ending("failed", str(error))
             wall = time.perf_counter() - begin
-        flight.said = pass_on(flight.pilot, exchange, flight.said)
+        flight.last_message = pass_on(flight.pilot, exchange, flight.last_message)
         if ending.outcome == "completed":
             exchange.say(Severity.INFO, f"flight over: {ending.reason}", simulation.k)
         else:
@@ -219,7 +219,7 @@ class Session:
             return Ending("completed", "a restart was asked for")
         return None
 
-    def _answer(self, flight: _Flight, sender: str, request: Asked, k: int) -> Answer:
+    def _answer(self, flight: _Flight, sender: str, request: GroundRequest, k: int) -> Answer:
         if isinstance(request, (Restart, Shutdown)):
             what = "restart" if isinstance(request, Restart) else "shutdown"
             if flight.pilot.armed:
@@ -227,7 +227,7 @@ class Session:
             self._leave(request, sender)
             return Answer(True, Result.ACCEPTED, "")
         if isinstance(request, Sticks) and (holder := flight.hands.others(sender, k)):
-            if flight.hands.untold():
+            if flight.hands.first_time():
                 self.exchange.say(Severity.WARNING, f"sticks of {sender} not taken: {holder} flies", k)
             return Answer(False, Result.TEMPORARILY_REJECTED, f"sticks refused: {holder} flies")
         answer = flight.ask(sender, request, k)
@@ -265,21 +265,21 @@ class _Hands:
     def __init__(self, parameters: Parameters, step: float) -> None:
         self._parameters, self._step = parameters, step
         self._holder, self._at = "", 0
-        self._told = False
+        self._announced = False
 
     def others(self, sender: str, k: int) -> str:
         """Who else has them at step ``k``; empty: from now on ``sender`` has."""
         fresh = (k - self._at) * self._step <= self._parameters["HJ_STICK_TIME"]
         if self._holder not in ("", sender) and fresh:
             return self._holder
-        self._told = self._told and self._holder == sender
+        self._announced = self._announced and self._holder == sender
         self._holder, self._at = sender, k
         return ""
 
-    def untold(self) -> bool:
+    def first_time(self) -> bool:
         """Is this the first time since they changed hands?  It is said once, however many others there are."""
-        told, self._told = self._told, True
-        return not told
+        announced, self._announced = self._announced, True
+        return not announced
 
 
 @dataclass
@@ -294,7 +294,7 @@ class _Flight:
     log: RequestLog | None = None
     noting: PilotRecord | None = None
     sample: Sample | None = None
-    said: int = 0  # messages of the pilot that have been passed on
+    last_message: int = 0  # messages of the pilot that have been passed on
 
     def __post_init__(self) -> None:
         self.hands = _Hands(self.pilot.parameters, self.simulation.dt)
@@ -322,7 +322,7 @@ class _Flight:
 
     def publish(self, exchange: Exchange, sample: Sample | None, ending: Ending | None) -> None:
         """Let everybody see how things stand."""
-        self.said = pass_on(self.pilot, exchange, self.said)
+        self.last_message = pass_on(self.pilot, exchange, self.last_message)
         self.sample = sample or self.sample
         simulation, status = self.simulation, self.pilot.status
         if ending is not None:
@@ -463,7 +463,7 @@ class _Onlooker:
     ) -> None:
         self._simulation, self._pilot, self._facts, self._pace = simulation, pilot, facts, pace
         self._exchange = exchange
-        self._said = 0
+        self._last_message = 0
         self._last = -1.0
 
     def observe(self, sample: Sample) -> None:
@@ -475,7 +475,7 @@ class _Onlooker:
         for waiting in exchange.take(_MOST_A_STEP):
             waiting.answer(Answer(False, Result.DENIED, "this flight follows its script"))
         if pilot is not None:
-            self._said = pass_on(pilot, exchange, self._said)
+            self._last_message = pass_on(pilot, exchange, self._last_message)
         status = scripted_status(simulation, sample) if pilot is None else pilot.status
         mission = tuple(pilot.mission.items) if pilot else ()
         exchange.publish(
@@ -500,15 +500,15 @@ def snapshot_of(
     return Snapshot(published, facts, k, time, sample, state, measured, status, pace, ending, mission, seen)
 
 
-def pass_on(pilot: Autopilot, exchange: Exchange, said: int) -> int:
-    """Pass on what the pilot has said after its message ``said``; the number of its last one."""
+def pass_on(pilot: Autopilot, exchange: Exchange, after: int) -> int:
+    """Pass on what the pilot has said after its message ``after``; the number of its last one."""
     messages = pilot.messages
-    if messages and messages[-1].number > said:
+    if messages and messages[-1].number > after:
         for message in messages:
-            if message.number > said:
+            if message.number > after:
                 exchange.say(message.severity, message.text, message.k)
         return messages[-1].number
-    return said
+    return after
 
 
 def scripted_status(simulation: Simulation, sample: Sample) -> Status:

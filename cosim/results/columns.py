@@ -336,7 +336,7 @@ def jets_in(columns: Iterable[str]) -> int:
     return next(jets for jets in count(JETS) if f"throttle_{jets + 1}" not in names)
 
 
-def flown_by(vehicle: Vehicle) -> LoggedVehicle:
+def logged_vehicle(vehicle: Vehicle) -> LoggedVehicle:
     """What the log of a flight of this vehicle has columns of."""
     surfaces = tuple(surface.name for surface in vehicle.surfaces)
     servos = vehicle.actuators[: len(vehicle.actuators) - len(surfaces)]

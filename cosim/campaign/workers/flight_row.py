@@ -21,7 +21,7 @@ from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError
 from cosim.campaign.study.plan import Flight, scenario_of
 from cosim.flight import fly
 from cosim.results import metrics
-from cosim.results.columns import flown_by
+from cosim.results.columns import logged_vehicle
 from cosim.results.digest import DigestSink, log_digest
 from cosim.results.metrics import check_expectations, metric_names
 from cosim.simulation.brought import metrics_of
@@ -128,7 +128,7 @@ def _brought(study: Study) -> Kinds:
 def _sink(scenario: Scenario) -> DigestSink:
     """Keeps what metrics read, everything where one of the user's does not say what it reads."""
     waypoints = any(isinstance(entry, WaypointsCommand) for entry in scenario.command)
-    names = list(metrics.columns(flown_by(scenario.resolved_vehicle()[0]), waypoints))
+    names = list(metrics.columns(logged_vehicle(scenario.resolved_vehicle()[0]), waypoints))
     own = metrics_of(scenario)
     extra = [name for metric in own for name in metric.columns or ()]
     return DigestSink([*names, *(name for name in dict.fromkeys(extra) if name not in names)],

@@ -66,8 +66,8 @@ def margins(
     from cosim.spec.controller_name import folder_name
 
     offer_to_compile(*engines)
-    flown = load_scenario(scenario, controller, engines, seed, settings, None, aircraft)
-    warn_of_blemishes(flown.engine, folder=flown.folder)
+    loaded = load_scenario(scenario, controller, engines, seed, settings, None, aircraft)
+    warn_of_blemishes(loaded.engine, folder=loaded.folder)
     with output_to_stderr(as_json), part_progress("margins", as_json) as progress:
         done = 0
 
@@ -77,7 +77,7 @@ def margins(
             done += 1
 
         margins = measure_margins(
-            flown, axes or AXES, amplitude=amplitude, from_hz=from_hz, to_hz=to_hz, period_s=period_s, periods=periods,
+            loaded, axes or AXES, amplitude=amplitude, from_hz=from_hz, to_hz=to_hz, period_s=period_s, periods=periods,
             say=say,
         )  # fmt: skip
     paths = write(

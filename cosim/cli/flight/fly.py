@@ -142,23 +142,23 @@ def fly(
     factor = (rtf or None) if rtf is not None else 1.0 if realtime or links or flightgear else None
     finish_killed(Path(scenario))
     offer_to_compile(*engines)
-    flown = load_scenario(scenario, controller, engines, seed, settings, model, aircraft)
-    flown = with_own_blocks(flown, metrics, own_observers, sensors, wind)
+    loaded = load_scenario(scenario, controller, engines, seed, settings, model, aircraft)
+    loaded = with_own_blocks(loaded, metrics, own_observers, sensors, wind)
     if unchecked_engine:
-        flown = flown.replace(engine_unchecked=True)
+        loaded = loaded.replace(engine_unchecked=True)
     if controller is not None and is_design(controller):
         from cosim.design.controller_file import differences
 
-        for text in differences(flown, Path(controller)):
+        for text in differences(loaded, Path(controller)):
             click.echo(f"hexjet: warning: {controller}: {text}", err=True)
-    for text in flown.after_the_end():
-        click.echo(f"hexjet: warning: scenario {flown.name}: {text}", err=True)
-    warn_of_blemishes(flown.engine, *(s.engine for s in flown.stations.values() if s.engine), folder=flown.folder)
-    folder = out if out is not None else new_folder(Path("runs"), f"{flown.name}-{folder_name(flown.controller)}")
+    for text in loaded.after_the_end():
+        click.echo(f"hexjet: warning: scenario {loaded.name}: {text}", err=True)
+    warn_of_blemishes(loaded.engine, *(s.engine for s in loaded.stations.values() if s.engine), folder=loaded.folder)
+    folder = out if out is not None else new_folder(Path("runs"), f"{loaded.name}-{folder_name(loaded.controller)}")
     with (
         output_to_stderr(as_json),
-        _shown(flown, flightgear) as viewers,
-        flight_progress(flown, quiet=as_json) as watching,
+        _shown(loaded, flightgear) as viewers,
+        flight_progress(loaded, quiet=as_json) as watching,
     ):
         observers = (*watching, *viewers)
         if links:
@@ -167,10 +167,15 @@ def fly(
             with Links(links) as opened:
                 watch = opened.onlookers()
                 run = fly_scenario(
-                    flown, folder, observers=observers, realtime_factor=factor, watch=watch, shared_assets=shared_assets
+                    loaded,
+                    folder,
+                    observers=observers,
+                    realtime_factor=factor,
+                    watch=watch,
+                    shared_assets=shared_assets,
                 )
         else:
-            run = fly_scenario(flown, folder, observers=observers, realtime_factor=factor, shared_assets=shared_assets)
+            run = fly_scenario(loaded, folder, observers=observers, realtime_factor=factor, shared_assets=shared_assets)
     if as_json:
         click.echo(json.dumps(run.summary.model_dump(mode="json"), allow_nan=False))
     else:

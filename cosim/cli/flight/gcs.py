@@ -131,19 +131,19 @@ def gcs(
         vehicle_key,
     )
 
-    flown = load_scenario(scenario, controller, engines, seed, settings, None, aircraft)
-    flown = with_own_blocks(flown, metrics, own_observers, sensors, wind)
-    changes: dict[str, Any] = {"name": "gcs" if scenario == "hover" else flown.name}
+    loaded = load_scenario(scenario, controller, engines, seed, settings, None, aircraft)
+    loaded = with_own_blocks(loaded, metrics, own_observers, sensors, wind)
+    changes: dict[str, Any] = {"name": "gcs" if scenario == "hover" else loaded.name}
     if unchecked_engine:
         changes["engine_unchecked"] = True
     if place is not None:
         changes["environment"] = place_at(place)
-    flown = flown.replace(**changes)
-    own = vehicle_key(flown) if system == 1 else f"{vehicle_key(flown)}-system-{system}"
+    loaded = loaded.replace(**changes)
+    own = vehicle_key(loaded) if system == 1 else f"{vehicle_key(loaded)}-system-{system}"
     kept = None if str(parameters) == "none" else parameters or default_file(own)
     with output_to_stderr(as_json), Links(links, public, sign_key, personality, web, system, foxglove) as opened:
         session = Session(
-            flown,
+            loaded,
             opened.exchange,
             factor=rtf or None,
             out=out,
@@ -235,11 +235,11 @@ def live_line(links: Links, quiet: bool) -> Iterator[None]:
     over = threading.Event()
 
     def show() -> None:
-        told = 0
+        shown = 0
         while not over.wait(0.5):
             for message in links.exchange.messages:
-                if message.number > told:
-                    told = message.number
+                if message.number > shown:
+                    shown = message.number
                     print(f"\r\x1b[K{message.severity.name.lower()}: {message.text}", file=sys.stderr)
             print(f"\r\x1b[K{_state(links)}", end="", file=sys.stderr, flush=True)
 

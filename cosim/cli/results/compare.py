@@ -76,26 +76,28 @@ def compare(
     from cosim.results.comparison import pairs
     from cosim.results.report.comparison import write_comparison
 
-    asked = _expanded(names, flights)
-    if not 2 <= len(asked) <= len(LETTERS):
-        raise InputError(f"compare: {len(asked)} flights; allowed: 2 to {len(LETTERS)}")
+    requested = _expanded(names, flights)
+    if not 2 <= len(requested) <= len(LETTERS):
+        raise InputError(f"compare: {len(requested)} flights; allowed: 2 to {len(LETTERS)}")
     page = None if no_page else (out if out is not None else new_folder(Path("runs"), "comparison")) / PAGE
     if page is not None and page.exists():
         raise InputError(f"{page}: is there already; choose another folder or remove it")
     with output_to_stderr(as_json):
-        flown = _shifted([_flown(letter, name) for letter, name in zip(LETTERS, asked, strict=False)], shifts)
-    compared = pairs(flown)
+        loaded = _shifted(
+            [_load_flight(letter, name) for letter, name in zip(LETTERS, requested, strict=False)], shifts
+        )
+    compared = pairs(loaded)
     chosen = _chosen(compared, patterns)
     if page is not None:
         try:
             page.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{page.parent}: {error.strerror or error}") from error
-        write_comparison(flown, compared, page)
+        write_comparison(loaded, compared, page)
     if as_json:
-        click.echo(json.dumps(_data(flown, compared, page), allow_nan=False))
+        click.echo(json.dumps(_data(loaded, compared, page), allow_nan=False))
     else:
-        _print(flown, compared, chosen, page)
+        _print(loaded, compared, chosen, page)
     return DONE
 
 
@@ -104,7 +106,7 @@ def write_page(names: Sequence[str], folder: Path) -> Path:
     from cosim.results.comparison import pairs
     from cosim.results.report.comparison import write_comparison
 
-    flights = [_flown(letter, name) for letter, name in zip(LETTERS, _expanded(names, ()), strict=False)]
+    flights = [_load_flight(letter, name) for letter, name in zip(LETTERS, _expanded(names, ()), strict=False)]
     folder.mkdir(parents=True, exist_ok=True)
     write_comparison(flights, pairs(flights), folder / PAGE)
     return folder / PAGE
@@ -114,17 +116,17 @@ def _expanded(names: Sequence[str], flights: Sequence[int]) -> list[str]:
     """The flights that are meant, one text each; a campaign's folder stands for the ``flights`` of it."""
     from cosim.campaign.folder import is_campaign
 
-    asked: list[str] = []
+    requested: list[str] = []
     for name in names:
         if not is_campaign(Path(name)):
-            asked.append(name)
+            requested.append(name)
         elif not flights:
             raise InputError(f"{name}: is a campaign; say which flight: {name}:0, or --flight 0")
         else:
-            asked += [f"{name.rstrip('/')}:{number}" for number in flights]
+            requested += [f"{name.rstrip('/')}:{number}" for number in flights]
     if flights and not any(is_campaign(Path(name)) for name in names):
         raise InputError("--flight: none of these is a campaign")
-    return asked
+    return requested
 
 
 def _shifted(flights: Sequence[ComparedFlight], shifts: Sequence[str]) -> list[ComparedFlight]:
@@ -145,7 +147,7 @@ def _shifted(flights: Sequence[ComparedFlight], shifts: Sequence[str]) -> list[C
     return moved
 
 
-def _flown(letter: str, name: str) -> ComparedFlight:
+def _load_flight(letter: str, name: str) -> ComparedFlight:
     from cosim.campaign import fly_again, open_campaign
     from cosim.campaign.folder import is_campaign
     from cosim.flight import fly
@@ -253,12 +255,12 @@ def _print(
 
 def _about(flight: ComparedFlight) -> list[str]:
     if flight.run is None:
-        said = "a log"
+        text = "a log"
     else:
         summary = flight.run.summary
-        said = f"{summary.scenario}, {summary.aircraft}, {summary.engine}, {summary.controller}, {summary.outcome}"
-        said += f" ({summary.verdict})" if summary.verdict not in (None, "not completed") else ""
-    return ["; ".join([said, *flight.remarks])]
+        text = f"{summary.scenario}, {summary.aircraft}, {summary.engine}, {summary.controller}, {summary.outcome}"
+        text += f" ({summary.verdict})" if summary.verdict not in (None, "not completed") else ""
+    return ["; ".join([text, *flight.remarks])]
 
 
 def _print_metrics(flights: Sequence[ComparedFlight]) -> None:

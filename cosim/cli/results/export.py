@@ -164,11 +164,11 @@ def controller(
     from cosim.spec.controller_name import is_design
 
     offer_to_compile(*engines)
-    flown = load_scenario(scenario, controller, engines, None, settings, None, aircraft)
+    loaded = load_scenario(scenario, controller, engines, None, settings, None, aircraft)
     source = Path(controller).name if controller is not None and is_design(controller) else ""
-    vehicle, _ = flown.resolved_vehicle()
+    vehicle, _ = loaded.resolved_vehicle()
     torques = {autopilot: torque_of(autopilot, vehicle) for autopilot in inside}
-    done = export_controller(flown, out if out is not None else Path(name), name, licence, not no_fmu, source, torques)
+    done = export_controller(loaded, out if out is not None else Path(name), name, licence, not no_fmu, source, torques)
     if as_json:
         click.echo(json.dumps(_data(done)))
     else:
@@ -228,9 +228,9 @@ def vehicle(
     from cosim.codegen.vehicle_ports import Parts
 
     offer_to_compile(*engines)
-    flown = load_scenario(scenario, controller, engines, None, settings, None, aircraft)
+    loaded = load_scenario(scenario, controller, engines, None, settings, None, aircraft)
     parts = Parts("engines" not in outside, "controller" not in outside)
-    done = export_vehicle(flown, out if out is not None else Path(name), name, parts, system=kind == "ssp")
+    done = export_vehicle(loaded, out if out is not None else Path(name), name, parts, system=kind == "ssp")
     if as_json:
         click.echo(json.dumps(done.data))
     else:

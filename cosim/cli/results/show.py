@@ -79,10 +79,10 @@ def show(name: str, kind: str | None, as_json: bool) -> int:
         for kind, entry in entries
     ]
     if as_json:
-        click.echo(json.dumps([one | {"numbers": [number._asdict() for number in one["numbers"]]} for one in shown]))
+        click.echo(json.dumps([item | {"numbers": [number._asdict() for number in item["numbers"]]} for item in shown]))
     else:
-        for one in shown:
-            _print(one)
+        for item in shown:
+            _print(item)
     return DONE
 
 
@@ -135,11 +135,11 @@ def _aircraft(name: str) -> Iterator[Number]:
         moved = [f"carries {', '.join(map(str, hinge.carries))}"] if hinge.carries else []
         moved += [f"deflects {', '.join(map(str, hinge.deflects))}"] if hinge.deflects else []
         least, most = hinge.least_most
-        name, said = f"hinge {hinge.name}", " and ".join(moved)
+        name, motion = f"hinge {hinge.name}", " and ".join(moved)
         if least == -most:
-            yield Number(name, most, "rad", f"either way; {said}")
+            yield Number(name, most, "rad", f"either way; {motion}")
         else:
-            yield Number(name, most, "rad", f"the most; {said}")
+            yield Number(name, most, "rad", f"the most; {motion}")
             yield Number(f"{name}, least", least, "rad", "the other end of its range")
     for surface in vehicle.surfaces:
         yield Number(f"surface {surface.name}", surface.range[1], "", f"the most, {surface.range[0]:g} the least")
@@ -269,7 +269,7 @@ def _text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _print(one: Mapping[str, Any]) -> None:
+def _print(item: Mapping[str, Any]) -> None:
     from rich import box
     from rich.table import Table
     from rich.text import Text
@@ -277,14 +277,14 @@ def _print(one: Mapping[str, Any]) -> None:
     from cosim.results.wording import unit_shown
 
     console = terminal()
-    kind = {"studies": "study", "aircraft": "aircraft"}.get(one["kind"], one["kind"].removesuffix("s"))
-    console.print(f"[bold]{one['name']}[/bold], {kind}: {one['title']}", highlight=False)
-    if one["description"]:
-        console.print(one["description"], highlight=False, markup=False)
+    kind = {"studies": "study", "aircraft": "aircraft"}.get(item["kind"], item["kind"].removesuffix("s"))
+    console.print(f"[bold]{item['name']}[/bold], {kind}: {item['title']}", highlight=False)
+    if item["description"]:
+        console.print(item["description"], highlight=False, markup=False)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for title in ("number", "value", "unit", "meaning"):
         table.add_column(title, overflow="fold")
-    for number in one["numbers"]:
+    for number in item["numbers"]:
         unit, factor = unit_shown(number.unit)
         value = factor * number.value if factor != 1.0 and isinstance(number.value, float) else number.value
         unit = unit if value is not number.value or factor == 1.0 else number.unit

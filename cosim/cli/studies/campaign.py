@@ -16,11 +16,11 @@ from cosim.cli.console import output_to_stderr, part_progress, terminal
 from cosim.cli.options import (
     DONE,
     FLIGHT_FAILED,
-    TOLD,
+    REPORTED,
     Number,
+    aircraft_settings,
     brought_settings,
     example,
-    flown_by,
     terminated_as_interrupted,
 )
 
@@ -89,7 +89,7 @@ def sweep(
     from cosim.campaign.analysis.summary import campaign_summary
     from cosim.campaign.run import opened, run_campaign, workers_at
 
-    options["settings"] = [*flown_by(aircraft), *options["settings"], *brought_settings(metrics, wind)]
+    options["settings"] = [*aircraft_settings(aircraft), *options["settings"], *brought_settings(metrics, wind)]
     if keys is not None:
         return _list_keys(name, options["settings"], keys, as_json)
     study, folder = opened(name, out, resume, **options)
@@ -115,8 +115,8 @@ def _list_keys(name: str, settings: tuple[str, ...], pattern: str, as_json: bool
     base = Study.load(name).base() if name in study_names() else Scenario.load(name, list(settings))
     keys = matching(all_keys(base), pattern)
     if as_json:
-        told = [{"key": key.path, "value": key.nominal, "unit": key.unit, "allowed": key.allowed} for key in keys]
-        click.echo(json.dumps({"keys": told}, allow_nan=False))
+        listed = [{"key": key.path, "value": key.nominal, "unit": key.unit, "allowed": key.allowed} for key in keys]
+        click.echo(json.dumps({"keys": listed}, allow_nan=False))
     else:
         print_keys(keys)
     return DONE
@@ -180,7 +180,7 @@ def search(
     from cosim.campaign.search.folder import opened, run_search
     from cosim.flight import new_folder
 
-    options["settings"] = [*flown_by(aircraft), *options["settings"], *brought_settings(metrics, wind)]
+    options["settings"] = [*aircraft_settings(aircraft), *options["settings"], *brought_settings(metrics, wind)]
     study, plan = opened(name, **options)
     if resume and out is None:
         raise InputError("--resume: give the folder of the search with --out")
@@ -215,7 +215,7 @@ def sweep_progress(folder: Path, quiet: bool) -> Iterator[Callable[[Tally, int, 
 
             yield tell
     except KeyboardInterrupt as stop:
-        stop.add_note(TOLD)
+        stop.add_note(REPORTED)
         done, of = reached
         print(
             f"hexjet: stopped; {done} of {of} flights are kept: hexjet sweep {folder} --resume goes on"
@@ -324,7 +324,7 @@ def search_progress(folder: Path, quiet: bool) -> Iterator[Callable[[int], None]
 
             yield tell
     except KeyboardInterrupt as stop:
-        stop.add_note(TOLD)
+        stop.add_note(REPORTED)
         kept = f"{reached} flights are kept: the same command with --out {folder} --resume goes on"
         print(f"hexjet: stopped; {kept if reached else 'before the first flight'}", file=sys.stderr)
         raise

@@ -103,7 +103,7 @@ def faults(
         check_marks(page, PARTS)
 
     with part_progress("faults", quiet=as_json) as say:
-        named = [seen_from(each, Path()) for each in controllers]
+        named = [seen_from(controller, Path()) for controller in controllers]
         result = survival(aircraft, engine, named, kinds, workers, say, limits or page is not None)
     paths = write(result, out if out is not None else new_folder(Path("runs"), f"faults-{result.aircraft}"))
     for text in result.warnings:
@@ -211,22 +211,22 @@ def failsafes(
     aircraft = tuple(dict.fromkeys(aircraft))
     several = len(aircraft) > 1
     if page is not None:
-        check_marks(page, [mark(aircraft_name(each)) for each in aircraft])
+        check_marks(page, [mark(aircraft_name(name)) for name in aircraft])
     results: list[Failsafes] = []
     folder = out
     with part_progress("failsafes", quiet=as_json) as say:
-        asked = (kinds, heights or HEIGHTS_M, winds or WINDS_M_S)
-        for one in fly_all(aircraft, engine, controller, *asked, workers, say, moving):
+        conditions = (kinds, heights or HEIGHTS_M, winds or WINDS_M_S)
+        for survey in fly_all(aircraft, engine, controller, *conditions, workers, say, moving):
             if folder is None:
-                folder = new_folder(Path("runs"), "failsafes" if several else f"failsafes-{one.aircraft}")
-            table = write(one, folder / one.aircraft if several else folder)
+                folder = new_folder(Path("runs"), "failsafes" if several else f"failsafes-{survey.aircraft}")
+            table = write(survey, folder / survey.aircraft if several else folder)
             if not as_json:
-                print_failsafes(one, table)
-            results.append(one)
+                print_failsafes(survey, table)
+            results.append(survey)
     if page is not None:
-        write_marks(page, {mark(one.aircraft): markdown(one) for one in results})
+        write_marks(page, {mark(survey.aircraft): markdown(survey) for survey in results})
     if as_json:
-        tables = [one.to_dict() for one in results]
+        tables = [survey.to_dict() for survey in results]
         click.echo(json.dumps({"tables": tables} if several else tables[0], allow_nan=False))
     return DONE
 
@@ -256,14 +256,14 @@ def print_survival(result: Survival, report: Path) -> None:
     for name in result.unwatched:
         console.print(f"no engine monitor with {name}: a whole controller sees to lost engines itself", highlight=False)
     if result.moments is not None:
-        one = result.moments
+        moments = result.moments
         console.print(
-            f"a jet lost in hover: {one.moment:.3g} N m about roll, {one.acceleration:.3g} rad/s^2; "
-            f"{one.late:.3g} s until the others answer: {one.rate:.2g} rad/s, {one.angle:.2g} rad by then",
+            f"a jet lost in hover: {moments.moment:.3g} N m about roll, {moments.acceleration:.3g} rad/s^2; "
+            f"{moments.late:.3g} s until the others answer: {moments.rate:.2g} rad/s, {moments.angle:.2g} rad by then",
             highlight=False,
         )
     for limit in result.limits:
-        held, airborne = (" ".join(f"{value:g}" for value in each) or "-" for each in (limit.held, limit.airborne))
+        held, airborne = (" ".join(f"{value:g}" for value in values) or "-" for values in (limit.held, limit.airborne))
         lost = "nowhere" if limit.lost_at is None else f"at {limit.lost_at:g}"
         name = label(limit.controller)
         console.print(
@@ -274,10 +274,10 @@ def print_survival(result: Survival, report: Path) -> None:
     table = Table(box=box.SIMPLE_HEAD)
     for title in ("lost jets", "thrust over weight", "roll authority", "yaw balanced"):
         table.add_column(title, justify="left" if title == "lost jets" else "right")
-    for each in result.attainable:
-        roll = "cannot hover" if each.roll is None else f"{100.0 * each.roll:.0f} %"
-        lost = ", ".join(map(str, each.lost)) or "none"
-        table.add_row(lost, f"{each.thrust:.2f}", roll, "yes" if each.yaw else "no")
+    for attainable in result.attainable:
+        roll = "cannot hover" if attainable.roll is None else f"{100.0 * attainable.roll:.0f} %"
+        lost = ", ".join(map(str, attainable.lost)) or "none"
+        table.add_row(lost, f"{attainable.thrust:.2f}", roll, "yes" if attainable.yaw else "no")
     console.print(table)
     console.print(f"report: {report}", highlight=False, soft_wrap=True)
 
@@ -290,7 +290,7 @@ def print_engine_out(result: EngineOut, paths: Sequence[Path]) -> None:
     from cosim.campaign.engine_out import TABLES, rows
 
     console = terminal()
-    aircraft = [each.aircraft for each in result.flights] + [each.aircraft for each in result.left]
+    aircraft = [flight.aircraft for flight in result.flights] + [flight.aircraft for flight in result.left]
     for name, lines in rows(result, aircraft).items():
         table = Table(box=box.SIMPLE_HEAD)
         for title in TABLES[name]:

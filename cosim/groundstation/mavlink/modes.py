@@ -50,7 +50,7 @@ _COPTER: dict[Mode, int] = {
     Mode.ORBIT: 7,  # CIRCLE
 }
 _FROM_PX4 = {value: mode for mode, value in _PX4.items()}
-NOT_FLOWN = {  # of PX4, by main and sub mode: what a station may ask for, and is refused by name
+UNSUPPORTED = {  # of PX4, by main and sub mode: what a station may ask for, and is refused by name
     (_AUTO, 8): "follow-me",
     (_AUTO, 9): "precision landing",
     (_AUTO, 10): "VTOL take-off",

@@ -345,7 +345,7 @@ class Vehicle:
         if view is None:
             return
         try:
-            self.port.ask(_wanted(message, view), None, sender.text)
+            self.port.ask(_pilot_request(message, view), None, sender.text)
         except InputError as error:
             self._complain(str(error), sender.peer)
 
@@ -387,7 +387,7 @@ class Vehicle:
         """Taken and of no effect: rates are set message by message."""
 
 
-def _wanted(message: Message, view: View) -> Request:
+def _pilot_request(message: Message, view: View) -> Request:
     name = message.msgname
     if name == "MANUAL_CONTROL":
         return setpoints.sticks(message)

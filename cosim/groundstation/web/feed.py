@@ -16,7 +16,7 @@ from cosim.base.signals import Sample
 from cosim.control.autopilot.modes import DIRECT, Home, Message, Mode
 from cosim.control.autopilot.parameters import Parameters
 from cosim.groundstation.exchange import Facts, Snapshot
-from cosim.results.columns import flown_by, log_columns
+from cosim.results.columns import log_columns, logged_vehicle
 from cosim.results.recorder import OneRow
 from cosim.results.report.signals_data import shape
 from cosim.spec.controller_name import label
@@ -44,7 +44,7 @@ def flight(facts: Facts) -> dict[str, Any]:
         "modes": [mode.value for mode in Mode if mode is not Mode.ORBIT],
         "direct": [mode.value for mode in Mode if mode in DIRECT],
         "shape": shape(vehicle),
-        "columns": [column[:4] for column in log_columns(flown_by(vehicle), facts.own)],
+        "columns": [column[:4] for column in log_columns(logged_vehicle(vehicle), facts.own)],
     }
 
 
@@ -79,7 +79,7 @@ class Rows:
         if sample is None:
             return []
         if facts.number != self._flight:
-            self._flight, self._row = facts.number, OneRow(log_columns(flown_by(facts.vehicle), facts.own))
+            self._flight, self._row = facts.number, OneRow(log_columns(logged_vehicle(facts.vehicle), facts.own))
         return [float(f"{value:.{_DIGITS}g}") if isfinite(value) else None for (value,) in self._row(sample).tolist()]
 
 
@@ -118,10 +118,10 @@ def jets(facts: Facts, sample: Sample, off: bool) -> list[dict[str, Any]]:
 
     The thrust asked for is the steady one at the throttle asked for, from the engine's static curve.
     """
-    out, told = sample.engines, []
+    out, jets = sample.engines, []
     for jet, spec in enumerate(facts.stations):
         throttle = 0.0 if off else sample.actuation.throttle[jet]
-        told.append(
+        jets.append(
             {
                 "throttle": _plain(throttle),
                 "asked_N": 0.0 if off else _plain(spec.thrust_at(throttle)),
@@ -133,7 +133,7 @@ def jets(facts: Facts, sample: Sample, off: bool) -> list[dict[str, Any]]:
                 "fault": bool(sample.faults[jet]),
             }
         )
-    return told
+    return jets
 
 
 def point(sample: Sample) -> Point:

@@ -31,7 +31,7 @@ from websockets.typing import Origin
 from cosim.base.errors import InputError
 from cosim.base.signals import Sample
 from cosim.control.autopilot import requests as rq
-from cosim.groundstation.exchange import Asked, Done, Exchange, Restart, Snapshot, untold
+from cosim.groundstation.exchange import Done, Exchange, GroundRequest, Restart, Snapshot, ignore_answer
 from cosim.groundstation.web import feed
 from cosim.groundstation.web.loopback import (
     TYPES,
@@ -235,23 +235,23 @@ class WebServer:
             if number is not None and (isinstance(number, bool) or not isinstance(number, int)):
                 number = None
                 raise InputError("id: must be a whole number")
-            asked = _asked(message)
+            request = _request_in(message)
         except InputError as error:
             self.refused += 1
             _send(
                 connection, {"type": "answer", "id": number, "accepted": False, "result": "failed", "text": str(error)}
             )
             return
-        self._exchange.ask(asked, self._reply(connection, number), f"web-{page.number}")
+        self._exchange.ask(request, self._reply(connection, number), f"web-{page.number}")
 
     def _reply(self, connection: ServerConnection, number: int | None) -> Done:
         """What sends the answer; nobody waits for that of a stick."""
         if number is None:
-            return untold
+            return ignore_answer
 
         def done(answer: rq.Answer) -> None:
-            told = {"accepted": answer.accepted, "result": answer.result.value, "text": answer.text}
-            self._soon(lambda: _send(connection, {"type": "answer", "id": number, **told}))
+            result = {"accepted": answer.accepted, "result": answer.result.value, "text": answer.text}
+            self._soon(lambda: _send(connection, {"type": "answer", "id": number, **result}))
 
         return done
 
@@ -322,9 +322,9 @@ class WebServer:
             if changed := {name: value for name, value in values.items() if page.values.get(name) != value}:
                 page.values = values
                 _send(connection, {"type": "values", "values": changed})
-        messages = [message for message in self._exchange.messages if message.number > page.told]
+        messages = [message for message in self._exchange.messages if message.number > page.last_message]
         if messages:
-            page.told = messages[-1].number
+            page.last_message = messages[-1].number
             lines = feed.lines(messages, snapshot.facts.scenario.step_s)
             _send(connection, {"type": "messages", "lines": lines})
 
@@ -335,7 +335,7 @@ class _Page:
     def __init__(self, number: int) -> None:
         self.number = number
         self.flight = 0  # that it was told of
-        self.told = 0  # the last message that it was sent
+        self.last_message = 0  # the last message that it was sent
         self.values: dict[str, float] = {}  # of parameters, that it was sent
         self.read_at = time.monotonic()
         self._allowance, self._counted = BURST, self.read_at
@@ -354,7 +354,7 @@ class _Page:
         return True
 
 
-def _asked(message: dict[str, Any]) -> Asked:
+def _request_in(message: dict[str, Any]) -> GroundRequest:
     """The request in a message.  Raises InputError for what the page may not ask."""
     if message == {"request": "Restart"}:
         return Restart()
@@ -383,14 +383,14 @@ def _parsed(text: str | bytes) -> dict[str, Any]:
     return value
 
 
-def _send(connection: ServerConnection, told: dict[str, Any]) -> None:
+def _send(connection: ServerConnection, message: dict[str, Any]) -> None:
     """Send without waiting; one that does not read gets nothing, and is let go soon."""
     if connection.transport.get_write_buffer_size() <= 2 * WAITING:
-        broadcast([connection], _dump(told))
+        broadcast([connection], _dump(message))
 
 
-def _dump(told: dict[str, Any]) -> str:
-    return json.dumps(told, separators=(",", ":"), allow_nan=False)
+def _dump(message: dict[str, Any]) -> str:
+    return json.dumps(message, separators=(",", ":"), allow_nan=False)
 
 
 def _read(token: str, hosts: set[str]) -> dict[str, tuple[str, bytes, str]]:

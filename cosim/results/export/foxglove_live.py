@@ -13,7 +13,7 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.base.protocols import Column
 from cosim.base.signals import Sample
-from cosim.results.columns import flown_by, log_columns
+from cosim.results.columns import log_columns, logged_vehicle
 from cosim.results.export.output import LogLine
 from cosim.results.recorder import OneRow
 from cosim.spec.scenario import Scenario
@@ -77,7 +77,7 @@ class LiveExport:
         self._schemas, self._channels = [], []
         self._server.clear_session()
         self._vehicle = scenario.resolved_vehicle()[0]
-        columns = log_columns(flown_by(self._vehicle), own)
+        columns = log_columns(logged_vehicle(self._vehicle), own)
         self._row = OneRow(columns)
         self._columns = self._mcap.channels_of(self, columns)
         self._drawn = self._scene.Scene(self, scenario.step_s, scenario)

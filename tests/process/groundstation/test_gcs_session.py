@@ -26,7 +26,7 @@ from cosim.control.autopilot.requests import Answer, Result
 from cosim.flight import fly
 from cosim.groundstation.exchange import (
     SENDERS,
-    WAITING_EACH,
+    WAITING_PER_SENDER,
     Exchange,
     Restart,
     Shutdown,
@@ -146,7 +146,7 @@ def test_senders_take_turns() -> None:
 def test_a_full_queue_answers_at_once_and_leaves_room_for_others() -> None:
     exchange = Exchange()
     answers: list[Answer] = []
-    for _ in range(WAITING_EACH + 3):
+    for _ in range(WAITING_PER_SENDER + 3):
         exchange.ask(rq.Hold(), answers.append, "loud")
     assert [answer.result for answer in answers] == [Result.TEMPORARILY_REJECTED] * 3
     exchange.ask(rq.Land(), answers.append, "quiet")
@@ -516,7 +516,7 @@ def test_a_flood_of_one_leaves_the_others_served(tmp_path: Path) -> None:
                 before = pilot.until(lambda s: True).k
                 pilot.ok(rq.SetHome())
                 waits.append(exchange.snapshot.k - before if exchange.snapshot else -1)
-                assert exchange.waiting <= WAITING_EACH + 1
+                assert exchange.waiting <= WAITING_PER_SENDER + 1
         finally:
             going = False
             thread.join()

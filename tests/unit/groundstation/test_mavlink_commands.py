@@ -39,7 +39,7 @@ from cosim.control.autopilot.requests import (
     Sticks,
     Takeoff,
 )
-from cosim.groundstation.exchange import PATIENCE, WAITING_EACH
+from cosim.groundstation.exchange import PATIENCE, WAITING_PER_SENDER
 from cosim.groundstation.mavlink.modes import LIST
 from cosim.groundstation.mavlink.services.commands import KNOWN
 from cosim.groundstation.mavlink.wire.dialect import mav
@@ -453,7 +453,7 @@ def test_too_many_at_once_are_put_off(desk: Desk) -> None:
     desk.bench.step()
     acks = [m.result for m in desk.named("COMMAND_ACK")]
     assert len(acks) == 300
-    assert acks.count(TEMPORARILY) == desk.bench.exchange.turned_away == 300 - WAITING_EACH
+    assert acks.count(TEMPORARILY) == desk.bench.exchange.turned_away == 300 - WAITING_PER_SENDER
 
 
 # --- sticks and set-points -----------------------------------------------------------------------------------------

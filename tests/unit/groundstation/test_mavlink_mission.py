@@ -31,8 +31,8 @@ from cosim.control.autopilot.requests import (
 from cosim.groundstation.mavlink.services.items import (
     Item,
     ItemError,
-    to_flown,
     to_item,
+    to_mission_item,
 )
 from cosim.groundstation.mavlink.services.missions import MissionService
 from cosim.spec.scenario import Environment, Initial
@@ -213,7 +213,7 @@ def test_a_mission_from_elsewhere_is_written_as_items_that_mean_the_same() -> No
     for message, item in zip(received, vehicle.items, strict=True):
         params = (message.param1, message.param2, message.param3, message.param4)
         written = Item(message.frame, message.command, params, message.x, message.y, message.z)
-        again = to_flown(written, PLACE, 99.0)
+        again = to_mission_item(written, PLACE, 99.0)
         assert again.kind is item.kind
         if item.north is not None:
             assert (again.north, again.east) == pytest.approx((item.north, item.east), abs=0.012)
@@ -245,7 +245,7 @@ def test_loiter_items_are_flown_by_a_vehicle_that_hovers() -> None:
     assert all(same(a, b) for a, b in zip(download(vehicle.station), loiter, strict=True))
     # written anew, they mean the same
     for item in vehicle.items:
-        again = to_flown(to_item(item, PLACE), PLACE, 99.0)
+        again = to_mission_item(to_item(item, PLACE), PLACE, 99.0)
         assert (again.kind, again.turns, again.radius, again.clockwise) == (
             *(item.kind, item.turns, item.radius, item.clockwise),
         )
@@ -339,7 +339,7 @@ def test_the_pilots_refusal_is_the_end_of_the_upload() -> None:
 
 def test_a_place_high_up_and_far_away_is_where_it_is() -> None:
     """At 3 km above and 10 km away the verticals have drifted apart by 5 m; 1e-7 deg are 12 mm."""
-    flown = to_flown(at(10_000.0, 8000.0, 3000.0), PLACE, HOME)
+    flown = to_mission_item(at(10_000.0, 8000.0, 3000.0), PLACE, HOME)
     assert (flown.north, flown.east) == pytest.approx((10_000.0, 8000.0), abs=0.012)
 
 
@@ -359,7 +359,7 @@ def test_no_item_is_a_surprise(
     """Any item is flown or refused with a code that MAVLink has."""
     code = None
     try:
-        flown = to_flown(Item(frame, command, params, x, y, z), PLACE, home)
+        flown = to_mission_item(Item(frame, command, params, x, y, z), PLACE, home)
     except ItemError as error:
         code = error.code
     if code is None:

@@ -34,7 +34,7 @@ from cosim.control.autopilot.requests import (
     Takeoff,
 )
 from cosim.groundstation.mavlink.about import About
-from cosim.groundstation.mavlink.modes import CUSTOM, FROM_STANDARD, LIST, NOT_FLOWN, from_custom, from_main_sub
+from cosim.groundstation.mavlink.modes import CUSTOM, FROM_STANDARD, LIST, UNSUPPORTED, from_custom, from_main_sub
 from cosim.groundstation.mavlink.streams import BY_ID, FASTEST, interval
 from cosim.groundstation.mavlink.telemetry import View, gps_global_origin, mode_line
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message, mav
@@ -196,7 +196,7 @@ def _set_mode(order: Order, context: Context) -> Plan:
         return _refuse("mode: only custom modes are known here", Ack.UNSUPPORTED)
     if context.about.personality == "ardupilot":
         return _mode(from_custom(main, "ardupilot"), f"{main}")
-    name = NOT_FLOWN.get((main, sub), "")
+    name = UNSUPPORTED.get((main, sub), "")
     return _mode(from_main_sub(main, sub), f"{main}, {sub}{f', {name},' if name else ''}")
 
 
@@ -444,15 +444,15 @@ def _get_interval(order: Order, context: Context) -> Plan:
 def _set_origin(order: Order, context: Context) -> Plan:
     """DO_SET_GLOBAL_ORIGIN: it is where the flight began and stays there, so only that place is taken.  Tells it."""
     at = context.about.geodesy
-    told = tuple(gps_global_origin(context.view))
+    messages = tuple(gps_global_origin(context.view))
     if order.place is None:
-        return Plan(result=Ack.DENIED, text="origin: latitude and longitude are missing", messages=told)
+        return Plan(result=Ack.DENIED, text="origin: latitude and longitude are missing", messages=messages)
     if order.frame is not None and order.frame not in ABSOLUTE_FRAMES:
-        return Plan(result=Ack.UNSUPPORTED_FRAME, messages=told)
+        return Plan(result=Ack.UNSUPPORTED_FRAME, messages=messages)
     off = hypot(*at.to_local(*order.place, at.ground)[:2])
     if off > ORIGIN_NEAR:
-        return Plan(result=Ack.DENIED, text=ORIGIN_FIXED, messages=told)
-    return Plan(messages=told)
+        return Plan(result=Ack.DENIED, text=ORIGIN_FIXED, messages=messages)
+    return Plan(messages=messages)
 
 
 def _set_interval(order: Order, context: Context) -> Plan:

@@ -88,7 +88,7 @@ class ItemError(Exception):
         self.code = code
 
 
-def to_flown(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
+def to_mission_item(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
     """What the pilot flies for an item; heights above home are taken from ``home_altitude``.  Raises ItemError."""
     command, (p1, p2, _, p4) = item.command, item.params
     try:

@@ -82,7 +82,7 @@ class Shelf:
         self._maker: tuple[subprocess.Popen[bytes], Log, float] | None = None
         self._made = 0  # how many of them are done with
         self._search: Thread | None = None
-        self._found: Sequence[Path] = ()
+        self._listed: Sequence[Path] = ()
         self._looked = -inf
         self._stale = True  # a run has been finished since the last search began
         self._now = 0.0
@@ -106,14 +106,14 @@ class Shelf:
 
     def _find(self) -> None:
         with suppress(OSError):  # a folder that may not be read: as it was
-            self._found = self._runs()
+            self._listed = self._runs()
 
     def _take_in(self, now: float) -> None:
         """What was found, once it has been found."""
         if self._search is None or self._search.is_alive():
             return
         self._search, self._looked = None, now
-        new = [run for run in self._found if run not in self._known]
+        new = [run for run in self._listed if run not in self._known]
         first = not self._known
         self._known.update(new)
         for run in new[-FIRST_LOGS:] if first else new[: MOST_LOGS - len(self.logs)]:

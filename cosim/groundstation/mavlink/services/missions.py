@@ -42,8 +42,8 @@ from cosim.groundstation.mavlink.services.items import (
     Item,
     ItemError,
     received,
-    to_flown,
     to_item,
+    to_mission_item,
 )
 from cosim.groundstation.mavlink.services.plans import CHECKS, from_fence, from_rally, to_fence, to_rally
 from cosim.groundstation.mavlink.services.service import Answers, Ask, Client, Outgoing, Peer, Service, status_text
@@ -69,11 +69,11 @@ _CLEARING: dict[int, Request] = {MISSION: MissionClear(), FENCE: FenceUpload(())
 class _Upload:
     client: Client
     count: int
-    asked: float  # when the present item was last asked for
+    requested: float  # when the present item was last asked for
     moved: float  # when anything last came
     which: int = MISSION
     items: list[Item] = field(default_factory=list)
-    flown: list[MissionItem] = field(default_factory=list)
+    mission: list[MissionItem] = field(default_factory=list)
     waiting: bool = False  # for the pilot's answer
 
 
@@ -110,10 +110,10 @@ class MissionService(Service):
         self._answers = Answers(ask)
         self._upload: _Upload | None = None
         self._last: tuple[Client, int, int, int] | None = None  # who uploaded, how many items, of what, with which end
-        self._flown: tuple[MissionItem, ...] = ()  # what the pilot got of the last upload
+        self._mission: tuple[MissionItem, ...] = ()  # what the pilot got of the last upload
         self._sent: list[Item] = []  # and what came
-        self._told: tuple[int, ...] = ()
-        self._told_at = -TELL_AGAIN
+        self._progress_sent: tuple[int, ...] = ()
+        self._progress_at = -TELL_AGAIN
         self._reached = -1
         self._repeats = 0
         self._now = 0.0
@@ -154,9 +154,9 @@ class MissionService(Service):
             if now - upload.moved > GIVE_UP:
                 self._upload = None
                 out.append((upload.client.peer, _ack(upload.client, CANCELLED, upload.which)))
-            elif now - upload.asked > ASK_AGAIN:
-                upload.asked = now
-                out.append((upload.client.peer, self._wanted(upload)))
+            elif now - upload.requested > ASK_AGAIN:
+                upload.requested = now
+                out.append((upload.client.peer, self._next_request(upload)))
         return out + [(None, message) for message in self._progress(now)]
 
     @property
@@ -214,10 +214,10 @@ class MissionService(Service):
 
     def _as_items(self) -> list[Item]:
         """The pilot's mission as items: those that came, if it is that one."""
-        flown = self._items()
-        if flown is self._flown or flown == self._flown:
+        mission = self._items()
+        if mission is self._mission or mission == self._mission:
             return self._sent
-        self._flown, self._sent = flown, [to_item(item, self._geodesy) for item in flown]
+        self._mission, self._sent = mission, [to_item(item, self._geodesy) for item in mission]
         return self._sent
 
     # ---- up
@@ -232,10 +232,10 @@ class MissionService(Service):
         if count == 0:
             return self._clear(client, which)
         if count > LONGEST_MISSION:
-            said = _say(f"{_NAMES[which]} refused: {count} items, {LONGEST_MISSION} are allowed")
-            return [_ack(client, NO_SPACE, which), *said]
+            lines = _say(f"{_NAMES[which]} refused: {count} items, {LONGEST_MISSION} are allowed")
+            return [_ack(client, NO_SPACE, which), *lines]
         self._upload = _Upload(client, count, self._now, self._now, which)
-        return [self._wanted(self._upload)]
+        return [self._next_request(self._upload)]
 
     def _take(self, message: Message, client: Client, which: int) -> list[Message]:
         """An item of an upload; what is not the one that was asked for is dropped and asked for again in time."""
@@ -249,15 +249,15 @@ class MissionService(Service):
         item = received(message)
         try:
             if which == MISSION:
-                upload.flown.append(to_flown(item, self._geodesy, self._home_altitude()))
+                upload.mission.append(to_mission_item(item, self._geodesy, self._home_altitude()))
             else:
                 CHECKS[which](item)
         except ItemError as error:
             return self._refuse(upload, error.code, f"{_NAMES[which]} item {message.seq} refused: {error}")
         upload.items.append(item)
-        upload.asked = upload.moved = self._now
+        upload.requested = upload.moved = self._now
         if len(upload.items) < upload.count:
-            return [self._wanted(upload)]
+            return [self._next_request(upload)]
         try:
             request = self._request(upload)
         except InputError as error:  # a jump to nowhere: nothing else is left to check
@@ -275,7 +275,7 @@ class MissionService(Service):
             return to_fence(upload.items, self._geodesy)
         if upload.which == RALLY:
             return to_rally(upload.items, self._geodesy, self._home_altitude())
-        return MissionUpload(tuple(upload.flown))
+        return MissionUpload(tuple(upload.mission))
 
     def _uploaded(self, upload: _Upload, request: Request, answer: Answer) -> Outgoing:
         peer = upload.client.peer
@@ -285,7 +285,7 @@ class MissionService(Service):
         self._upload = None
         out: Outgoing = [(peer, self._end(upload, ACCEPTED))]
         if isinstance(request, MissionUpload):
-            self._flown, self._sent = request.items, upload.items
+            self._mission, self._sent = request.items, upload.items
             out += [(peer, message) for message in _say(_left_out(upload.items))]
         return out
 
@@ -297,7 +297,7 @@ class MissionService(Service):
         self._last = (upload.client, len(upload.items), upload.which, code)
         return _ack(upload.client, code, upload.which)
 
-    def _wanted(self, upload: _Upload) -> Message:
+    def _next_request(self, upload: _Upload) -> Message:
         client, at = upload.client, len(upload.items)
         return wire.MAVLink_mission_request_int_message(client.system, client.component, at, upload.which)
 
@@ -337,7 +337,7 @@ class MissionService(Service):
             if answer.accepted:
                 status = self._status()
                 if status is not None and status.mission_current == index:
-                    self._told = ()  # nothing will change, and yet an answer is waited for
+                    self._progress_sent = ()  # nothing will change, and yet an answer is waited for
                 return []
             return [(client.peer, message) for message in _say(answer.text)]
 
@@ -356,9 +356,9 @@ class MissionService(Service):
             self._reached = status.mission_reached
             self._repeats = REPEATS if self._reached >= 0 else 0
         new = mission_standing(status)
-        due = now - self._told_at >= TELL_AGAIN
-        if new != self._told or due:
-            self._told, self._told_at = new, now
+        due = now - self._progress_at >= TELL_AGAIN
+        if new != self._progress_sent or due:
+            self._progress_sent, self._progress_at = new, now
             out.append(mission_progress(status))
         if self._repeats and (self._repeats == REPEATS or due):
             self._repeats -= 1

@@ -61,7 +61,7 @@ class ParameterService(Service):
         # PX4 sorts by name, and the hash goes in this order
         self._lines = sorted(parameters, key=lambda line: line.name)
         self._index = {line.name: i for i, line in enumerate(self._lines)}
-        self._told = dict(parameters.values)
+        self._sent = dict(parameters.values)
         self._lists = {client: (0, pace) for client, (_, pace) in self._lists.items()}
 
     def handle(self, message: Message, client: Client, now: float) -> list[Message]:
@@ -81,9 +81,9 @@ class ParameterService(Service):
         """Answers of the pilot, changes that others made, and the next part of every list."""
         out = self._answers.take()
         values = dict(self._parameters.values)
-        if values != self._told:
-            out += [(None, self._value(self._index[n])) for n, v in values.items() if v != self._told[n]]
-            self._told = values
+        if values != self._sent:
+            out += [(None, self._value(self._index[n])) for n, v in values.items() if v != self._sent[n]]
+            self._sent = values
         for client, (at, pace) in list(self._lists.items()):
             end = at + pace.take(now, len(self._lines) - at, client.peer)
             out += [(client.peer, self._value(i) if i >= 0 else self._hash_value()) for i in range(at, end)]
@@ -147,7 +147,7 @@ class ParameterService(Service):
     def _done(self, answer: Answer, client: Client, name: str) -> Outgoing:
         if not answer.accepted:
             return [(client.peer, message) for message in self._refuse(client, name, OUT_OF_RANGE)]
-        self._told[name] = self._parameters[name]
+        self._sent[name] = self._parameters[name]
         return [(None, self._value(self._index[name]))]
 
     def _refuse(self, client: Client, name: str, code: int) -> list[Message]:

@@ -15,7 +15,7 @@ _BY_NOSE = (_BODY_NED, _BODY_OFFSET, _BODY_FRD)  # velocities are along and acro
 _POSITION, _VELOCITY, _ACCELERATION, _FORCE, _YAW, _TURN = 0b111, 0b111 << 3, 0b111 << 6, 1 << 9, 1 << 10, 1 << 11
 _NO_RATES, _NO_THRUST, _NO_ATTITUDE = 0b111, 1 << 6, 1 << 7
 
-Wanted = OffboardAttitude | OffboardVelocity | OffboardPosition
+OffboardSetpoint = OffboardAttitude | OffboardVelocity | OffboardPosition
 
 
 def sticks(message: Message) -> Sticks:
@@ -41,7 +41,7 @@ def attitude(message: Message) -> OffboardAttitude:
     return OffboardAttitude(rates=rates, thrust=message.thrust)
 
 
-def local(message: Message, view: View) -> Wanted:
+def local(message: Message, view: View) -> OffboardSetpoint:
     """The set-point of SET_POSITION_TARGET_LOCAL_NED; a position goes before a velocity.  Raises InputError."""
     frame = message.coordinate_frame
     if frame not in (LOCAL_NED, _OFFSET_NED, *_BY_NOSE):
@@ -60,7 +60,7 @@ def local(message: Message, view: View) -> Wanted:
     return _velocity(message, nose, yaw)
 
 
-def world(message: Message, view: View) -> Wanted:
+def world(message: Message, view: View) -> OffboardSetpoint:
     """The set-point of SET_POSITION_TARGET_GLOBAL_INT.  Raises InputError."""
     frame = message.coordinate_frame
     if frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):

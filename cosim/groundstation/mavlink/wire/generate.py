@@ -31,7 +31,7 @@ def generate(folder: Path) -> Path:
     except ImportError as error:
         raise GenerateError(f"the MAVLink messages cannot be made: {error}") from error
     bundled = Path(pymavlink.__file__).parent / "dialects" / "v20"
-    said = io.StringIO()
+    output = io.StringIO()
     with tempfile.TemporaryDirectory(prefix="hexjet-messages-") as name:
         work = Path(name)
         for source in (*(bundled / f"{name}.xml" for name in BUNDLED), SOURCE):
@@ -39,12 +39,12 @@ def generate(folder: Path) -> Path:
         made = work / TARGET
         options = mavgen.Opts(str(made), wire_protocol="2.0", language="Python3", validate=False)
         try:
-            with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
                 done = mavgen.mavgen(options, [str(work / SOURCE.name)])
         except SystemExit as error:  # how mavgen gives up
-            raise GenerateError(f"mavgen ended with {error.code}: {said.getvalue()[-300:]}") from error
+            raise GenerateError(f"mavgen ended with {error.code}: {output.getvalue()[-300:]}") from error
         if not done or not made.exists():
-            raise GenerateError(f"mavgen refused {SOURCE.name}: {said.getvalue()[-300:]}")
+            raise GenerateError(f"mavgen refused {SOURCE.name}: {output.getvalue()[-300:]}")
         text = made.read_text(encoding="utf-8")
     target = folder / TARGET
     target.write_text(_HEAD + text, encoding="utf-8")

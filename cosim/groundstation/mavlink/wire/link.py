@@ -73,7 +73,7 @@ class Link:
         self._ids = (system, component)
         self._signing = signing
         self._made = 0
-        self._said: dict[str, tuple[int, float]] = {}  # of what has been said: how many, when
+        self._complaints: dict[str, tuple[int, float]] = {}  # of what has been said: how many, when
         self._selector = selectors.DefaultSelector()
         self._channels: list[Channel] = []
         self._stop = threading.Event()
@@ -181,10 +181,10 @@ class Link:
     def _complain(self, now: float) -> None:
         counts = {reason: self.refused[reason] for reason in _LOUD} | dict(self.failures)
         for reason, count in counts.items():
-            told, when = self._said.get(reason, (0, -inf))
-            if count > told and now - when >= _COMPLAIN:
-                self._said[reason] = count, now
-                self.say(f"{_LOUD.get(reason, reason)}: {count - told}")
+            reported, when = self._complaints.get(reason, (0, -inf))
+            if count > reported and now - when >= _COMPLAIN:
+                self._complaints[reason] = count, now
+                self.say(f"{_LOUD.get(reason, reason)}: {count - reported}")
 
     def _rung(self, mask: int) -> None:
         with contextlib.suppress(OSError):
