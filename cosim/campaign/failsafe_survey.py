@@ -464,12 +464,6 @@ def write(result: Failsafes, folder: Path) -> Path:
 
     Raises InputError if they cannot be written.
     """
-    import json
-
-    import tomli_w
-
-    from cosim.control.autopilot.requests import to_dict
-
     table = folder / "failsafes.csv"
     flights = folder / "flights"
     try:
@@ -481,17 +475,28 @@ def write(result: Failsafes, folder: Path) -> Path:
             for flight in result.flights:
                 name = file_name(flight.row)
                 lines.writerow([*(getattr(flight.row, column) for column in names), f"flights/{name}.toml"])
-                requests = [
-                    {"step": entry.step, "sender": entry.sender} | to_dict(entry.request) for entry in flight.entries
-                ]
-                text = "".join(json.dumps(line, allow_nan=False) + "\n" for line in requests)
-                (flights / f"{name}.jsonl").write_text(text, encoding="utf-8")
-                stated = flight.scenario.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
-                stated |= {"name": name, "requests": f"{name}.jsonl"}
-                (flights / f"{name}.toml").write_text(tomli_w.dumps(stated), encoding="utf-8")
+                write_flight(flights, name, flight.scenario, flight.entries)
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror or error}") from error
     return table
+
+
+def write_flight(folder: Path, name: str, scenario: Scenario, entries: Sequence[Entry]) -> Path:
+    """What ``hexjet fly`` flies again: the scenario, and beside it what was asked in it.  Raises OSError."""
+    import json
+
+    import tomli_w
+
+    from cosim.control.autopilot.requests import to_dict
+
+    requests = [{"step": entry.step, "sender": entry.sender} | to_dict(entry.request) for entry in entries]
+    text = "".join(json.dumps(line, allow_nan=False) + "\n" for line in requests)
+    (folder / f"{name}.jsonl").write_text(text, encoding="utf-8")
+    stated = scenario.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    stated |= {"name": name, "requests": f"{name}.jsonl"}
+    path = folder / f"{name}.toml"
+    path.write_text(tomli_w.dumps(stated), encoding="utf-8")
+    return path
 
 
 def file_name(row: Row) -> str:

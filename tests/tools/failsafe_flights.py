@@ -1,7 +1,8 @@
-"""Flights in which a failsafe acts, to the ground."""
+"""Flights in which a failsafe acts, to the ground; and the same flights again, bit for bit."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from pilot_flights import Asked
@@ -9,29 +10,77 @@ from pilot_flights import Asked
 from cosim.campaign import failsafe_survey as table
 from cosim.campaign.fault_survey import step_of
 from cosim.control.autopilot import requests as rq
+from cosim.flight import fly
+from cosim.results.autopilot.request_log import Entry
+from cosim.results.columns import flown_by, log_columns
+from cosim.results.digest import DigestSink, log_digest
+from cosim.results.recorder import Recorder
+from cosim.results.run import Run
 from cosim.simulation.build import build
 from cosim.simulation.with_autopilot import with_autopilot
+from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
 
 
-class Flight(Asked):
-    """A hover in still air over the ground, with an autopilot that is asked things."""
+def again(scenario: Path, digest: str) -> Run:
+    """Fly what a file states, and hold every number of every sample against the flight of before."""
+    run = fly(Scenario.load(str(scenario)))
+    assert "otherwise" not in run.reason
+    assert log_digest(run.log) == digest
+    return run
 
-    def __init__(self, aircraft: str = "hexjet", height: float = 3.0, **changes: Any) -> None:
+
+def again_of_the_table(flight: table.FailsafeFlight, folder: Path) -> Run:
+    """The same of a flight of the table."""
+    row = flight.row
+    return again(table.write_flight(folder, table.file_name(row), flight.scenario, flight.entries), row.log_sha256)
+
+
+class Flight(Asked):
+    """A hover in still air over the ground, with an autopilot that is asked things.
+
+    ``recorded``: it can be flown :meth:`again`, where nothing but :meth:`fly` steps it.
+    """
+
+    def __init__(
+        self, aircraft: str = "hexjet", height: float = 3.0, *, recorded: bool = False, **changes: Any
+    ) -> None:
         vehicle = load_vehicle(aircraft)[0]
         engine = vehicle.engine or "edf-as-flown"
         scenario = table.scenario_of(aircraft, engine, "smith", step_of(aircraft), height, 0.0).replace(**changes)
         self.simulation = build(scenario)
         self.pilot = with_autopilot(self.simulation, airborne=not scenario.initial.on_ground)
+        self._entries: list[Entry] = []
+        self._digest: DigestSink | None = None
+        if recorded:
+            self._digest = DigestSink(())
+            columns = log_columns(flown_by(self.simulation.vehicle), self.simulation.columns)
+            self._digest.begin(columns)
+            self._recorder = Recorder(self.simulation.dt, self._digest, columns)
         self.ok(rq.SetParameter("SYS_FAILURE_EN", 1.0))
+
+    def ask(self, request: Any) -> rq.Answer:
+        self._entries.append(Entry(self.simulation.k, "test", request, ""))
+        return super().ask(request)
 
     def fly(self, seconds: float, until: Any = None) -> float:
         """Step on; the thrust of the last step, N."""
         thrust = 0.0
         for _ in range(round(seconds / self.simulation.dt)):
-            thrust = sum(self.simulation.step().engines.thrust)
+            sample = self.simulation.step()
+            if self._digest is not None:
+                self._recorder.observe(sample)
+            thrust = sum(sample.engines.thrust)
             assert self.simulation.judge.look(self.simulation.state, 0.0) is None
             if until is not None and until():
                 return thrust
         assert until is None, f"not within {seconds} s: {self.pilot.status}"
         return thrust
+
+    def again(self, folder: Path) -> Run:
+        """The flight so far as a scenario with its requests, flown again bit for bit."""
+        assert self._digest is not None
+        self._recorder.flush()
+        simulation = self.simulation
+        scenario = simulation.scenario.replace(fault=[], duration_s=round(simulation.k * simulation.dt, 9))
+        return again(table.write_flight(folder, "again", scenario, self._entries), self._digest.hexdigest())

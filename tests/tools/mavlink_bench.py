@@ -6,9 +6,11 @@ import random
 import struct
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from cosim.control.autopilot.requests import Answer, Request, Result
+from cosim.groundstation.mavlink.services.logs import Log, OnDisk
 from cosim.groundstation.mavlink.services.service import Client
 from cosim.groundstation.mavlink.wire.dialect import mav, pack
 from cosim.groundstation.mavlink.wire.frames import Parser, Sender
@@ -132,3 +134,16 @@ def as_int(value: float) -> int:
 
 def refuse(text: str, result: Result = Result.DENIED) -> Answer:
     return Answer(False, result, text)
+
+
+class ReadyShelf:
+    """A shelf whose logs are there, for a LogService."""
+
+    making = looking = False
+
+    def __init__(self, *paths: Path) -> None:
+        self.logs = [Log(number, path, 1, OnDisk(path)) for number, path in enumerate(paths)]
+
+    def look(self, now: float) -> None: ...
+
+    def work(self, now: float) -> None: ...

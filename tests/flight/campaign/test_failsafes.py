@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from command_tools import Hexjet
-from failsafe_flights import Flight
+from failsafe_flights import Flight, again, again_of_the_table
 from places import DOCS
 from stated_figures import stated
 
@@ -19,13 +19,11 @@ from cosim.campaign import failsafe_survey as table
 from cosim.campaign.fault_survey import controllers_for, step_of
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import LandedState, Mode
-from cosim.flight import fly
-from cosim.results.digest import log_digest
 from cosim.results.report import marks
-from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import aircraft_names, load_vehicle
 
 HEXJETS = ("hexjet", "hexjet-p220")
+AT_REST = 0.1  # of the speed that it had: nine tenths of it is gone when it touches
 LOST_WITHOUT_ONE = (
     "trijet",
     "jetwing",
@@ -38,7 +36,7 @@ def case(name: str) -> table.Case:
 
 def flown(
     name: str, aircraft: str = "hexjet", height: float = 3.0, wind: float = 0.0, speed: float = 0.0
-) -> table.FlightTable:
+) -> table.FailsafeFlight:
     vehicle = load_vehicle(aircraft)[0]
     engine, step = vehicle.engine or "edf-as-flown", step_of(aircraft)
     controller = "smith" if "smith" in controllers_for(aircraft, engine, step) else "baseline"
@@ -49,17 +47,36 @@ def flown(
 # --- sensors -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("aircraft", HEXJETS)
-@pytest.mark.parametrize(("height", "wind"), [(3.0, 0.0), (10.0, 5.0), (30.0, 10.0)])
-def test_losing_the_gnss_lands(aircraft: str, height: float, wind: float) -> None:
-    """It crashed at 2.3 to 17 m/s: the climb rate was the receiver's and stood still with it."""
-    row = flown("GNSS lost", aircraft, height, wind).row
+@pytest.mark.parametrize(
+    ("aircraft", "height", "wind", "speed"),
+    [
+        ("hexjet", 3.0, 0.0, 5.0),
+        ("hexjet-p220", 3.0, 0.0, 0.0),
+        ("hexjet-p220", 3.0, 0.0, 5.0),
+        *(
+            ("hexjet", height, 0.0, speed)
+            for height in (3.0, 10.0, 30.0)
+            for speed in (0.0, 5.0)
+            if height + speed != 8.0
+        ),
+        ("hexjet", 15.0, 0.0, 5.0),
+        *(("hexjet-p220", height, 0.0, speed) for height in (10.0, 30.0) for speed in (0.0, 5.0)),
+        *((aircraft, 10.0, 5.0, 0.0) for aircraft in HEXJETS),
+        *((aircraft, 30.0, 10.0, 0.0) for aircraft in HEXJETS),
+    ],
+)
+def test_losing_the_gnss_lands(aircraft: str, height: float, wind: float, speed: float, tmp_path: Path) -> None:
+    """It crashed at 2.3 to 17 m/s, holding and at 5 m/s: the climb rate was the receiver's and stood still with it."""
+    one = flown("GNSS lost", aircraft, height, wind, speed)
+    row = one.row
     assert (row.verdict, row.reason) == ("landed", "position lost")
     # the last metres are flown at the landing's rate; more than that is what the legs touch with in wind
     vehicle = load_vehicle(aircraft)[0]
     assert row.touchdown_m_s < 2.0 * vehicle.control.pilot.land_m_s  # type: ignore[union-attr]
+    assert row.sideways_m_s < AT_REST * speed if speed else row.sideways_m_s < table.trip_speed(vehicle)
     # a jet's rotor has not quite run down after ten seconds
     assert row.thrust_n < 1e-3 * vehicle.mass_kg * GRAVITY
+    again_of_the_table(one, tmp_path)
 
 
 @pytest.mark.parametrize("aircraft", table.TABLED)
@@ -68,7 +85,7 @@ def test_losing_the_gnss_at_speed_stops_and_lands(aircraft: str) -> None:
     vehicle = load_vehicle(aircraft)[0]
     row = flown("GNSS lost", aircraft, 30.0 if aircraft == "hexjet-100" else 10.0, 0.0, 5.0).row
     assert (row.verdict, row.reason) == ("landed", "position lost")
-    assert row.sideways_m_s < 0.3 < table.trip_speed(vehicle)
+    assert row.sideways_m_s < AT_REST * 5.0 < table.trip_speed(vehicle)
     # more than a second, in fixes 0.1 s apart, until it is noticed; then the way in which the set-point stops
     pilot = vehicle.control.pilot
     assert pilot is not None
@@ -123,19 +140,23 @@ def test_what_touches_faster_sideways_has_not_landed(monkeypatch: pytest.MonkeyP
         ("GNSS and gyro lost", "hexjet", 3.0, 0.0),
     ],
 )
-def test_every_sensor_lands_alone_and_with_the_gnss(name: str, aircraft: str, height: float, wind: float) -> None:
+def test_every_sensor_lands_alone_and_with_the_gnss(
+    name: str, aircraft: str, height: float, wind: float, tmp_path: Path
+) -> None:
     """Each once, over vehicles, heights and winds; the page has them all."""
-    row = flown(name, aircraft, height, wind).row
+    one = flown(name, aircraft, height, wind)
+    row = one.row
     vehicle = load_vehicle(aircraft)[0]
     assert row.verdict == "landed"
     assert row.reason in name or row.reason == "position lost"
     assert row.touchdown_m_s < 2.0 * vehicle.control.pilot.land_m_s  # type: ignore[union-attr]
     assert row.thrust_n < 1e-3 * vehicle.mass_kg * GRAVITY
+    again_of_the_table(one, tmp_path)
 
 
-def test_nothing_disarms_in_the_air_whatever_the_sensors_say() -> None:
+def test_nothing_disarms_in_the_air_whatever_the_sensors_say(tmp_path: Path) -> None:
     """GNSS and barometer stopped in a climb: where it thought to feel the ground it was at 67 m, and disarmed."""
-    with Flight(height=10.0) as flight:
+    with Flight(height=10.0, recorded=True) as flight:
         flight.ok(rq.Goto(altitude=30.0))
         flight.fly(4.0)
         for sensor in ("gnss", "barometer"):
@@ -143,26 +164,30 @@ def test_nothing_disarms_in_the_air_whatever_the_sensors_say() -> None:
         flight.fly(120.0, lambda: not flight.pilot.armed or flight.simulation.state.on_ground)
         assert flight.pilot.armed
         assert flight.simulation.state.on_ground
+        flight.again(tmp_path)
 
 
 # --- engines -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("jet", range(1, 7))
-def test_with_any_engine_lost_the_landing_is_recognised_and_everything_is_off(jet: int) -> None:
+def test_with_any_engine_lost_the_landing_is_recognised_and_everything_is_off(jet: int, tmp_path: Path) -> None:
     """Half of them stood armed for ever, the others gave 31 N disarmed: idle went through the plan."""
-    row = flown(f"engine {jet} out", height=10.0).row
+    one = flown(f"engine {jet} out", height=10.0)
+    row = one.row
     assert (row.verdict, row.reason) == ("landed", f"engine {jet} failed")
     assert row.touchdown_m_s < 1.0
     assert row.thrust_n == 0.0
     assert row.drift_m < 2.0
+    again_of_the_table(one, tmp_path)
 
 
 @pytest.mark.parametrize("jet", range(1, 7))
 @pytest.mark.parametrize("aircraft", ["hexjet-p220", "hexjet-100"])
-def test_a_full_scale_vehicle_lands_with_any_engine_lost_and_knows_it(aircraft: str, jet: int) -> None:
+def test_a_full_scale_vehicle_lands_with_any_engine_lost_and_knows_it(aircraft: str, jet: int, tmp_path: Path) -> None:
     """It stood on running engines and slid 70 to 360 m, or was lost in the air; from 10 m it hit the ground at 4.4 m/s."""
-    row = flown(f"engine {jet} out", aircraft, 10.0).row
+    one = flown(f"engine {jet} out", aircraft, 10.0)
+    row = one.row
     vehicle = load_vehicle(aircraft)[0]
     assert (row.verdict, row.reason) == ("landed", f"engine {jet} failed")
     assert row.touchdown_m_s < vehicle.limits.touchdown_m_s
@@ -170,6 +195,7 @@ def test_a_full_scale_vehicle_lands_with_any_engine_lost_and_knows_it(aircraft: 
     assert row.drift_m < 9.3
     # jets that have not quite run down
     assert row.thrust_n < 1e-3 * vehicle.mass_kg * GRAVITY
+    again_of_the_table(one, tmp_path)
 
 
 def test_who_drifts_when_it_touches_does_not_trip() -> None:
@@ -246,10 +272,12 @@ def test_what_is_left_of_a_jet_ten_seconds_later_is_its_rotor_running_down() -> 
 @pytest.mark.parametrize(
     ("aircraft", "height", "lost"), [("hexjet", 3.0, False), ("hexjet", 3.0, True), ("hexjet-p220", 10.0, True)]
 )
-def test_neither_hold_nor_disarm_takes_off_from_where_it_has_landed(aircraft: str, height: float, lost: bool) -> None:
+def test_neither_hold_nor_disarm_takes_off_from_where_it_has_landed(
+    aircraft: str, height: float, lost: bool, tmp_path: Path
+) -> None:
     """HOLD, which a pause is, while the legs touch and the thrust is still there: it flew up a metre."""
     for request in (rq.Hold(), rq.Disarm()):
-        with Flight(aircraft, height) as flight:
+        with Flight(aircraft, height, recorded=True) as flight:
             flight.fly(1.0)
             if lost:
                 flight.ok(rq.InjectFault("flame_out", (2,)))
@@ -259,12 +287,13 @@ def test_neither_hold_nor_disarm_takes_off_from_where_it_has_landed(aircraft: st
             flight.ok(request)
             heights = []
             for _ in range(round(2.0 / flight.simulation.dt)):
-                flight.simulation.step()
+                flight.fly(flight.simulation.dt)
                 heights.append(flight.simulation.state.altitude)
             # jets that speed up when the legs touch push on for half a second, whatever is asked: a hop of a decimetre
             assert max(heights) < heights[0] + (0.1 if aircraft == "hexjet" else 0.2)
             assert flight.pilot.landed is LandedState.ON_GROUND
             assert flight.pilot.armed is (not isinstance(request, rq.Disarm))
+            flight.again(tmp_path)
 
 
 def test_a_leg_switch_that_is_stuck_neither_disarms_nor_stops_a_take_off() -> None:
@@ -312,20 +341,61 @@ def test_a_leg_switch_that_sticks_in_the_air_takes_no_thrust_away(aircraft: str)
 @pytest.mark.parametrize(
     ("wind", "turbulence", "furthest"), [(5.0, 0, 3.0), (8.0, 3, 6.0)], ids=["steady", "with turbulence"]
 )
-def test_a_full_scale_vehicle_holds_in_wind(wind: float, turbulence: int, furthest: float) -> None:
+def test_a_full_scale_vehicle_holds_in_wind(wind: float, turbulence: int, furthest: float, tmp_path: Path) -> None:
     """Blown off while it learns a wind that it begins in, by 8.4 and 15.9 m once; back within a waypoint's radius."""
     environment = {
         "wind_ned_m_s": [0.0, wind, 0.0], "turbulence_wind_m_s": wind if turbulence else 0.0,
         "turbulence_severity": turbulence,
     }  # fmt: skip
     away = []
-    with Flight("hexjet-p220", 10.0, environment=environment) as flight:
+    with Flight("hexjet-p220", 10.0, environment=environment, recorded=True) as flight:
         for _ in range(300):
             flight.fly(0.1)
             away.append(hypot(*flight.simulation.state.position[:2]))
             assert abs(flight.simulation.state.altitude - 10.0) < table.HELD_HEIGHT_M
+        flight.again(tmp_path)
     assert max(away) < furthest
     assert max(away[200:]) < table.HELD_M
+
+
+@pytest.mark.parametrize("aircraft", HEXJETS)
+def test_hold_and_land_are_flown_the_same_wherever_home_is(aircraft: str, tmp_path: Path) -> None:
+    """It climbed to a metre above a home at 60 m, crept upwards when HOLD was asked for again and again, and touched
+    at twice the speed where home was below the ground."""
+    with Flight(aircraft, 10.0, recorded=True) as flight:
+        state = lambda: flight.simulation.state  # noqa: E731
+        flight.fly(1.0)
+        flight.ok(rq.Goto(2.0, 0.0))
+        flight.fly(2.0)
+        flight.ok(rq.SetHome(0.0, 0.0, 60.0))
+        for _ in range(450):
+            flight.ok(rq.Hold())
+            flight.fly(0.02)
+            assert abs(state().altitude - 10.0) < 0.15
+        assert flight.pilot.mode is Mode.HOLD
+        flight.ok(rq.SetHome(0.0, 0.0, -30.0), rq.Land())
+        sinking: list[float] = []
+        flight.fly(60.0, lambda: sinking.append(state().velocity[2]) or state().on_ground)
+        land = flight.simulation.vehicle.control.pilot.land_m_s  # type: ignore[union-attr]
+        assert sinking[-2] < 1.4 * land
+        flight.again(tmp_path)
+
+
+@pytest.mark.parametrize("yaw", [1.0, 0.0], ids=["all axes", "no yaw"])
+def test_a_minute_of_full_reversals_keeps_the_full_scale_vehicle(yaw: float, tmp_path: Path) -> None:
+    """Roll and pitch from stop to stop every quarter of a second leaned it past 80 deg after 13 to 59 s."""
+    with Flight("hexjet-p220", 30.0, recorded=True) as flight:
+        most = flight.simulation.vehicle.control.pilot.stick_lean_rad  # type: ignore[union-attr]
+        flight.ok(rq.Sticks(0.0, 0.0, 0.0, 0.5), rq.SetMode("ALTCTL"))
+        for quarter in range(248):
+            s = 1.0 if quarter % 2 else -1.0
+            flight.ok(rq.Sticks(s, s, yaw * s, 0.5))
+            flight.fly(0.25)
+            roll, pitch, _ = flight.simulation.state.euler
+            assert hypot(roll, pitch) < 1.2 * most
+            assert abs(flight.simulation.state.altitude - 30.0) < 1.0
+        assert flight.pilot.mode is Mode.ALTCTL
+        flight.again(tmp_path)
 
 
 # --- the table -----------------------------------------------------------------------------------------------------
@@ -370,14 +440,10 @@ def test_a_flight_of_the_table_is_the_pages_and_flies_again_bit_for_bit(
     aircraft: str, name: str, height: float, wind: float, tmp_path: Path
 ) -> None:
     one = flown(name, aircraft, height, wind, 5.0 if (aircraft, name) == ("quadrotor", "GNSS lost") else 0.0)
-    if one.row.verdict != "holds":
-        assert cell_of_the_page(aircraft, one.row) == table.cell(one.row)
+    assert cell_of_the_page(aircraft, one.row) == table.cell(one.row)
     table.write(table.Failsafes(aircraft, "", "smith", 2.0, 2.0, [one]), tmp_path)
-    run = fly(Scenario.load(str(tmp_path / "flights" / f"{table.file_name(one.row)}.toml")))
+    run = again(tmp_path / "flights" / f"{table.file_name(one.row)}.toml", one.row.log_sha256)
     assert run.outcome == {"crashed": "crashed", "lost": "diverged"}.get(one.row.verdict, "completed")
-    assert "otherwise" not in run.reason
-    # every number of every sample
-    assert log_digest(run.log) == one.row.log_sha256
     if not isnan(one.row.touchdown_m_s):
         down, ground = run.log["velocity_down_m_s"], run.log["on_ground"]
         touches = [float(v) for v, (a, b) in zip(down, itertools.pairwise(ground), strict=False) if b > a]

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 from flights import exported
+from mavlink_bench import ReadyShelf
+from mavlink_tools import Bench
 from pyulog import ULog
 
 from cosim import Run, Scenario, fly
 from cosim.base.errors import InputError
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.requests import Answer, Result
+from cosim.groundstation.mavlink.services.logs import LogService, Shelf
+from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.session import waiting_scenario
 from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.autopilot.request_log import REQUESTS, RequestLog
@@ -215,3 +220,25 @@ def test_so_is_a_log_of_a_long_flight_on_turbines(tmp_path: Path) -> None:
     fixed = 8_000
     assert (tmp_path / "long.ulg").stat().st_size < fixed + 22_500 * seconds
     assert not ULog(str(tmp_path / "long.ulg")).file_corruption
+    got, took = downloaded(tmp_path / "long.ulg")
+    assert got == (tmp_path / "long.ulg").read_bytes()
+    assert took < 0.1 * seconds
+
+
+def downloaded(path: Path) -> tuple[bytes, float]:
+    """A vehicle's log as a station gets it, part by part as MAVSDK asks, beside all telemetry; s on the link's clock."""
+    bench = Bench(services=[LogService(cast(Shelf, ReadyShelf(path)))])
+    desk, size, whole = bench.station(), path.stat().st_size, 512 * 90
+    parts: dict[int, bytes] = {}
+    begun = bench.time
+    for start in range(0, size, whole):
+        end = min(start + whole, size)
+        desk.send(mav.MAVLink_log_request_data_message(1, 1, 0, start, end - start))
+        while sum(map(len, parts.values())) < end:
+            assert bench.time - begun < 60.0
+            bench.step(0.01, every=0.01)
+            parts |= {part.ofs: bytes(part.data[: part.count]) for part in desk.named("LOG_DATA")}
+            desk.got.clear()
+    took = bench.time - begun
+    bench.close()
+    return b"".join(parts[at] for at in sorted(parts)), took

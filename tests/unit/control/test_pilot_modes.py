@@ -461,6 +461,28 @@ def test_a_fence_that_was_taken_over_acts_again() -> None:
     assert w.pilot.mode is Mode.HOLD
 
 
+def test_a_fence_that_was_taken_over_by_stick_acts_again() -> None:
+    """A pilot may fly it back; who does not, or goes on outwards, has it taken away again."""
+    w = world("air")
+    w.ok(rq.SetParameter("HJ_FENCE_ALT", 50.0))
+    w.seconds(1.0, altitude=55.0)
+    assert w.pilot.mode is Mode.RTL
+
+    def by_stick(tenths: int, **changes: float) -> Mode:
+        for tenth in range(tenths):
+            w.ok(STICKS)
+            w.seconds(0.1, **({} if tenth else changes))
+        return w.pilot.mode
+
+    w.ok(STICKS)
+    w.ok(rq.SetMode("POSCTL"))
+    assert by_stick(95) is Mode.POSCTL
+    assert by_stick(10) is Mode.RTL
+    w.ok(rq.SetMode("POSCTL"))
+    assert by_stick(10) is Mode.POSCTL
+    assert by_stick(2, altitude=57.5) is Mode.RTL
+
+
 @pytest.mark.parametrize(("action", "mode"), [(0, Mode.HOLD), (1, Mode.HOLD), (2, Mode.RTL), (3, Mode.LAND)])
 def test_link_loss_does_what_its_parameter_says_after_its_delay(action: int, mode: Mode) -> None:
     w = world("air")

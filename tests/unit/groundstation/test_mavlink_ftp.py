@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mavlink_bench import Bench, Station
+from mavlink_bench import Bench, ReadyShelf, Station
 from patience import PATIENCE
 from pyulog import ULog
 
@@ -30,7 +30,6 @@ from cosim.groundstation.mavlink.services.ftp import (
 from cosim.groundstation.mavlink.services.logs import (
     FIRST_LOGS,
     LogService,
-    OnDisk,
     Shelf,
     finished_runs,
 )
@@ -460,30 +459,19 @@ def test_no_runs_is_a_list_of_none(tmp_path: Path) -> None:
         shelf.close()
 
 
-class Ready:
-    """A shelf whose logs are there."""
-
-    making = looking = False
-
-    def __init__(self, tmp_path: Path, *sizes: int) -> None:
-        from cosim.groundstation.mavlink.services.logs import Log
-
-        self.logs = []
-        for number, size in enumerate(sizes):
-            path = tmp_path / f"{number}.ulg"
-            path.write_bytes(bytes(i * 7 % 251 for i in range(size)))
-            self.logs.append(Log(number, path, 1, OnDisk(path)))
-
-    def look(self, now: float) -> None: ...
-
-    def work(self, now: float) -> None: ...
+def ready(tmp_path: Path, *sizes: int) -> Any:
+    """A shelf of logs that are there, of so many bytes each."""
+    paths = [tmp_path / f"{number}.ulg" for number in range(len(sizes))]
+    for path, size in zip(paths, sizes, strict=True):
+        path.write_bytes(bytes(i * 7 % 251 for i in range(size)))
+    return ReadyShelf(*paths)
 
 
 @pytest.mark.parametrize("size", [1, 89, 90, 91, 180, 900, 46080, 50_000])
 def test_a_log_that_is_asked_for_without_an_end_has_one(tmp_path: Path, size: int) -> None:
     """MAVProxy asks for 4 GiB and stops at a part that is not full."""
-    shelf = Ready(tmp_path, size)
-    station = Bench(LogService(shelf)).station()  # type: ignore[arg-type]
+    shelf = ready(tmp_path, size)
+    station = Bench(LogService(shelf)).station()
     station.send("LOG_REQUEST_DATA", *TO, 0, 0, 0xFFFFFFFF)
     station.bench.tick(2.0)
     parts = station.take("LOG_DATA")
@@ -494,7 +482,7 @@ def test_a_log_that_is_asked_for_without_an_end_has_one(tmp_path: Path, size: in
 
 
 def test_only_what_is_asked_for_is_sent_and_an_end_ends_it(tmp_path: Path) -> None:
-    station = Bench(LogService(Ready(tmp_path, 50_000))).station()  # type: ignore[arg-type]
+    station = Bench(LogService(ready(tmp_path, 50_000))).station()
     station.send("LOG_REQUEST_DATA", *TO, 0, 900, 180)
     station.bench.tick(0.1)
     assert [(p.ofs, p.count) for p in station.take("LOG_DATA")] == [(900, 90), (990, 90)]
@@ -518,7 +506,7 @@ def test_only_what_is_asked_for_is_sent_and_an_end_ends_it(tmp_path: Path) -> No
     ],
 )
 def test_parts_that_are_not_there_are_empty(tmp_path: Path, number: int, offset: int, count: int, answers: int) -> None:
-    station = Bench(LogService(Ready(tmp_path, 1000))).station()  # type: ignore[arg-type]
+    station = Bench(LogService(ready(tmp_path, 1000))).station()
     station.send("LOG_REQUEST_DATA", *TO, number, offset, count)
     station.bench.tick(0.1)
     parts = station.take("LOG_DATA")
@@ -527,7 +515,7 @@ def test_parts_that_are_not_there_are_empty(tmp_path: Path, number: int, offset:
 
 
 def test_a_log_that_vanishes_ends(tmp_path: Path) -> None:
-    station = Bench(LogService(Ready(tmp_path, 50_000))).station()  # type: ignore[arg-type]
+    station = Bench(LogService(ready(tmp_path, 50_000))).station()
     (tmp_path / "0.ulg").unlink()
     station.send("LOG_REQUEST_DATA", *TO, 0, 0, 50_000)
     station.bench.tick(0.1)
@@ -535,7 +523,7 @@ def test_a_log_that_vanishes_ends(tmp_path: Path) -> None:
 
 
 def test_erase_erases_nothing_and_requests_are_bounded(tmp_path: Path) -> None:
-    service = LogService(Ready(tmp_path, 50_000))  # type: ignore[arg-type]
+    service = LogService(ready(tmp_path, 50_000))
     bench = Bench(service)
     for component in range(100):
         station = bench.station(9, component)
