@@ -12,7 +12,7 @@ from cosim.campaign.fault_survey import step_of
 from cosim.control.autopilot import requests as rq
 from cosim.flight import fly
 from cosim.results.autopilot.request_log import Entry
-from cosim.results.columns import flown_by, log_columns
+from cosim.results.columns import log_columns, logged_vehicle
 from cosim.results.digest import DigestSink, log_digest
 from cosim.results.recorder import Recorder
 from cosim.results.run import Run
@@ -54,7 +54,7 @@ class Flight(Asked):
         self._digest: DigestSink | None = None
         if recorded:
             self._digest = DigestSink(())
-            columns = log_columns(flown_by(self.simulation.vehicle), self.simulation.columns)
+            columns = log_columns(logged_vehicle(self.simulation.vehicle), self.simulation.columns)
             self._digest.begin(columns)
             self._recorder = Recorder(self.simulation.dt, self._digest, columns)
         self.ok(rq.SetParameter("SYS_FAILURE_EN", 1.0))
