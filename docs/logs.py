@@ -27,7 +27,7 @@ from known_logs import Flaws, Log, Truth, closed_loops  # noqa: E402
 
 from cosim.base.errors import InputError  # noqa: E402
 from cosim.design.logged.identify_log import identify_log  # noqa: E402
-from cosim.results.logs import Channel, FlightLog, Wanted  # noqa: E402
+from cosim.results.logs import Channel, FlightLog, LogSignals  # noqa: E402
 from cosim.results.report.marks import table, write_marks  # noqa: E402
 
 PAGE, MARK = ROOT / "docs" / "identify-logs.md", "coverage"
@@ -72,7 +72,7 @@ def one(log: Log, kind: Kind) -> Row | None:
     flight = FlightLog(Path("known"), "table", {name: Channel(log.times, each) for name, each in signals.items()})
     what = "roll" if truth.lags else "engine:1"
     try:
-        found = identify_log(flight, what, Wanted("u", "y", "r"), longest_delay=LONGEST, **kind.told)
+        found = identify_log(flight, what, LogSignals("u", "y", "r"), longest_delay=LONGEST, **kind.told)
     except InputError:
         return None
     delay, low, high = (value / truth.step - truth.delay_samples for value in (found.chosen.delay, *found.delay_bounds))

@@ -179,7 +179,7 @@ def _identify_log(
     from cosim.design.logged.identify_log import identify_log
     from cosim.design.logged.result import write
     from cosim.flight import new_folder
-    from cosim.results.logs import Wanted, wanted
+    from cosim.results.logs import LogSignals, signals_of
 
     if (axis is None) == (number is None):
         raise InputError("identify log: say --axis roll, pitch or yaw, or --engine N")
@@ -187,11 +187,11 @@ def _identify_log(
         raise InputError("--lags 0: an axis has one at least")
     what = axis or f"engine:{number}"
     if command_text and output_text:
-        chosen = Wanted(command_text, output_text, setpoint_text or "", "command", "rad/s" if axis else "output")
+        chosen = LogSignals(command_text, output_text, setpoint_text or "", "command", "rad/s" if axis else "output")
     elif command_text or output_text:
         raise InputError("--command and --output: both or none")
     else:
-        chosen = wanted(log, what)
+        chosen = signals_of(log, what)
         chosen = chosen._replace(setpoint=setpoint_text or chosen.setpoint)
     identified = identify_log(
         log,

@@ -15,7 +15,7 @@ from cosim.base.errors import InputError
 from cosim.design.identify.fit import Model
 from cosim.design.logged.pem import Estimate, Form, Problem, identify
 from cosim.design.logged.stretches import Prepared, halves, prepare
-from cosim.results.logs import Channel, FlightLog, Wanted
+from cosim.results.logs import Channel, FlightLog, LogSignals
 from cosim.spec.vehicle import RateModel
 
 LONGEST_DELAY_S = 0.4  # looked for; four times that of the Hex-Jet's engines
@@ -55,7 +55,7 @@ class LogIdentification:
     path: Path
     kind: str
     what: str
-    wanted: Wanted
+    signals: LogSignals
     prepared: Prepared
     problem: Problem
     estimates: tuple[Estimate, ...]
@@ -90,7 +90,7 @@ class LogIdentification:
         """As a predictor reads it."""
         low, high = self.delay_bounds
         return self.model(step).discrete(
-            f"identified from {self.path.name} ({self.kind}): {self.wanted.command} to {self.wanted.output}, "
+            f"identified from {self.path.name} ({self.kind}): {self.signals.command} to {self.signals.output}, "
             f"{self.prepared.seconds:.1f} s, {self.chosen.form.label}, delay {1e3 * low:.1f} to {1e3 * high:.1f} ms"
         )
 
@@ -101,7 +101,7 @@ class LogIdentification:
             "kind": self.kind,
             "what": self.what,
             "engine": self.engine,
-            **self.wanted._asdict(),
+            **self.signals._asdict(),
             "seconds": self.prepared.seconds,
             "stretches_s": [[s.start, s.start + s.seconds] for s in self.prepared.by_stamps],
             "working_step_s": self.prepared.working_step,
@@ -110,7 +110,7 @@ class LogIdentification:
             "clocks": {"command": _clock(self.prepared.command), "output": _clock(self.prepared.output)},
             "delay_s": self.chosen.delay,
             "delay_bounds_95_s": list(self.delay_bounds),
-            "estimates": [estimate_dict(each, self.prepared.working_step) for each in self.estimates],
+            "estimates": [estimate_dict(estimate, self.prepared.working_step) for estimate in self.estimates],
             "checks": [check._asdict() | {"failed": check.failed} for check in self.checks],
             "tells_most_hz": list(self.band_hz),
             "discrete": self.rate_model(step).model_dump(),
@@ -126,7 +126,7 @@ def estimate_dict(estimate: Estimate, sample: float) -> dict[str, Any]:
     return {
         "form": estimate.form.label,
         "gain": estimate.gain,
-        **{name: float(each) for name, each in zip(estimate.form.names, estimate.x, strict=True)},
+        **{name: float(value) for name, value in zip(estimate.form.names, estimate.x, strict=True)},
         "delay_bounds_95_s": [low, high] if bounded else None,
         "delay_samples": estimate.delay / sample,
         "standard_deviations": {
@@ -147,7 +147,7 @@ def estimate_dict(estimate: Estimate, sample: float) -> dict[str, Any]:
 def identify_log(
     log: FlightLog,
     what: str,
-    wanted: Wanted,
+    signals: LogSignals,
     *,
     longest_delay: float = LONGEST_DELAY_S,
     step: float | None = None,
@@ -161,15 +161,15 @@ def identify_log(
     ``lags`` is the number of lags beside the pole (an axis: 1 or more); the better of two forms by Akaike's criterion
     where it is None.  Raises InputError where the log does not tell, which says why.
     """
-    command, output = log.signal(wanted.command), log.signal(wanted.output)
+    command, output = log.signal(signals.command), log.signal(signals.output)
     prepared = prepare(command, output, longest_delay, step, begin, end)
     engine = what.startswith("engine")
     problem, estimates, clock = _estimated(prepared, engine, dict(hold or {}), lags)
     chosen = estimates[0]
-    where = f"{log.path}: {wanted.command} to {wanted.output}"
+    where = f"{log.path}: {signals.command} to {signals.output}"
     _refuse(problem, estimates, prepared, where)
     notes = [*log.remarks, *prepared.notes, *_doubts(chosen, problem)]
-    checks = _checks(problem, chosen, log.signal(wanted.setpoint) if wanted.setpoint else None)
+    checks = _checks(problem, chosen, log.signal(signals.setpoint) if signals.setpoint else None)
     if _misfit(problem, chosen, checks[1]):
         raise InputError(
             f"{where}: no model of this form fits: {100.0 * checks[1].share:.0f} % of what is left over still follows "
@@ -182,7 +182,7 @@ def identify_log(
         log.path,
         log.kind,
         what,
-        wanted,
+        signals,
         prepared,
         problem,
         tuple(estimates),
@@ -211,15 +211,15 @@ def _estimated(
         if second.loss / second.count < first.loss / first.count:
             problem, clock = other, "even clock"
     if lags is not None:
-        found = [problem.bounded(problem.fit(Form(engine, lags), hold))]
+        estimates = [problem.bounded(problem.fit(Form(engine, lags), hold))]
     else:
-        found = identify(problem, engine, hold)
-    return problem, [problem.robust(each) for each in found], clock
+        estimates = identify(problem, engine, hold)
+    return problem, [problem.robust(estimate) for estimate in estimates], clock
 
 
 def bounds(estimates: Sequence[Estimate]) -> tuple[float, float]:
     """Bounds of the delay by the richest form: it holds the others, so that no data refute it."""
-    return max(estimates, key=lambda each: each.form.lags).delay_bounds
+    return max(estimates, key=lambda estimate: estimate.form.lags).delay_bounds
 
 
 def _refuse(problem: Problem, estimates: Sequence[Estimate], prepared: Prepared, where: str) -> None:
@@ -246,9 +246,9 @@ def _refuse(problem: Problem, estimates: Sequence[Estimate], prepared: Prepared,
 
 
 def _doubts(chosen: Estimate, problem: Problem) -> list[str]:
-    said = []
+    doubts = []
     if chosen.gain < 0.0:
-        said.append("the gain is negative: the output moves against the command")
+        doubts.append("the gain is negative: the output moves against the command")
     parts = halves(problem.stretches)
     if parts is not None and "delay_s" not in chosen.held:
         try:
@@ -259,18 +259,18 @@ def _doubts(chosen: Estimate, problem: Problem) -> list[str]:
                 for part in parts
             ]
         except (np.linalg.LinAlgError, ValueError):
-            return said
+            return doubts
         for name, values in (
-            ("the gain", [(each.gain, each.gain_deviation) for each in ends]),
-            ("the sum of delay and lags", [each.all_delay for each in ends]),
+            ("the gain", [(half.gain, half.gain_deviation) for half in ends]),
+            ("the sum of delay and lags", [half.all_delay for half in ends]),
         ):
             (a, sa), (b, sb) = values
             if abs(a - b) > APART * np.hypot(sa, sb) > 0.0:
-                said.append(
+                doubts.append(
                     f"{name} is not the same in the first half ({a:.4g}) and the second ({b:.4g}): "
                     "what flew changed, and the bounds are too narrow"
                 )
-    return said
+    return doubts
 
 
 def _fixed(estimate: Estimate) -> list[int]:
@@ -294,13 +294,13 @@ def _checks(problem: Problem, estimate: Estimate, setpoint: Channel | None) -> l
         if together.any():
             r = float(value[lag:] @ value[:-lag]) / power
             total += r * r * count * count / max(int(together.sum()), 1)
-    found = [Check("residuals: white", float(chi2.sf(total, lags)), total / count)]
+    checks = [Check("residuals: white", float(chi2.sf(total, lags)), total / count)]
     spread = max(1, round(TEST_S / TEST_LAGS / problem.working_step))
     command = _on_blocks(problem, None)
-    found.append(_against("residuals: free of the command", white, use, command, spread))
+    checks.append(_against("residuals: free of the command", white, use, command, spread))
     if setpoint is not None:
-        found.append(_against("residuals: free of the set-point", white, use, _on_blocks(problem, setpoint), spread))
-    return found
+        checks.append(_against("residuals: free of the set-point", white, use, _on_blocks(problem, setpoint), spread))
+    return checks
 
 
 def _on_blocks(problem: Problem, channel: Channel | None) -> Array:
@@ -395,12 +395,12 @@ def information(estimate: Estimate, hertz: Array, step: float) -> Array:
 
 def _band(estimate: Estimate, step: float) -> tuple[float, float]:
     hertz = np.geomspace(0.02, 0.45 / step, 400)
-    told = information(estimate, hertz, step)
-    peak = int(np.argmax(told))
+    density = information(estimate, hertz, step)
+    peak = int(np.argmax(density))
     low = high = peak
-    while low > 0 and told[low - 1] >= NARROW * told[peak]:
+    while low > 0 and density[low - 1] >= NARROW * density[peak]:
         low -= 1
-    while high < len(told) - 1 and told[high + 1] >= NARROW * told[peak]:
+    while high < len(density) - 1 and density[high + 1] >= NARROW * density[peak]:
         high += 1
     return float(hertz[low]), float(hertz[high])
 

@@ -271,20 +271,20 @@ class Problem:
         arx = self._arx()
         plain = np.zeros(len(arx))
         plain[0] = -_DIFFERENCE
-        found = [(x, arx) for x in self._starts(form, arx)[:_TRIED]]
+        starts = [(x, arx) for x in self._starts(form, arx)[:_TRIED]]
         kept = []
         for x in self._starts(form, plain):
             x[list(held)] = list(held.values())
             kept.append(self._newton(form, x, self._linear(form, x, plain), plain, list(held), noise=False))
         kept.sort(key=lambda estimate: estimate.loss)
-        found += [(estimate.x, plain) for estimate in kept[:_TRIED]]
-        return found
+        starts += [(estimate.x, plain) for estimate in kept[:_TRIED]]
+        return starts
 
     def _starts(self, form: Form, ar: Array) -> list[Array]:
         """The best first, one for each lag."""
         use = self.equations(len(ar))
         output = _whitened(self.output, ar)[use]
-        found: list[tuple[float, Array]] = []
+        starts: list[tuple[float, Array]] = []
         delays = np.arange(0.0, self.longest_delay + 0.5 * self.working_step, max(self.working_step, 1e-3))
         for lag in _START_LAGS:
             lag_s = min(lag * self.working_step, 0.5 * LONGEST_LAG_S)
@@ -301,9 +301,9 @@ class Problem:
                 power = float(answer @ answer)
                 won.append(float(answer @ left) ** 2 / power if power > 0.0 else 0.0)
             best = int(np.argmax(won))
-            found.append((won[best], np.array([rate, *lags, delays[best]])))
-        found.sort(key=lambda start: -start[0])
-        return [x for _, x in found]
+            starts.append((won[best], np.array([rate, *lags, delays[best]])))
+        starts.sort(key=lambda start: -start[0])
+        return [x for _, x in starts]
 
     def _arx(self, order: int = 12) -> Array:
         """A of ``A y = B u + e`` with as many terms of B as the longest delay has samples."""
@@ -601,16 +601,16 @@ def identify(problem: Problem, engine: bool, keep: dict[str, float] | None = Non
     The bounds of the delay are of the best, and of the richest: which holds the others, and no data refute it.
     """
     fewest = 0 if engine else 1
-    found: list[Estimate] = []
+    estimates: list[Estimate] = []
     for lags in range(fewest, fewest + most):
-        found.append(problem.fit(Form(engine, lags), keep, found[-1] if found else None))
-    richest = problem.bounded(found.pop())
+        estimates.append(problem.fit(Form(engine, lags), keep, estimates[-1] if estimates else None))
+    richest = problem.bounded(estimates.pop())
     ends = [richest.delay_bounds]
-    for each in found:  # a form that is not refuted is the richest one with a lag of nothing, which Newton only nears
-        if "delay_s" not in each.held and each.deviance < richest.deviance + MIXED_95:
-            ends.append(problem.bounded(each, richest.deviance).delay_bounds)
+    for simpler in estimates:  # one that is not refuted is the richest with a lag of nothing, which Newton only nears
+        if "delay_s" not in simpler.held and simpler.deviance < richest.deviance + MIXED_95:
+            ends.append(problem.bounded(simpler, richest.deviance).delay_bounds)
     richest = replace(richest, delay_bounds=(min(low for low, _ in ends), max(high for _, high in ends)))
-    return sorted([*map(problem.bounded, found), richest], key=lambda estimate: estimate.aic)
+    return sorted([*map(problem.bounded, estimates), richest], key=lambda estimate: estimate.aic)
 
 
 # ---- small things

@@ -22,7 +22,7 @@ TEMPLATE = Path(__file__).parent / "templates" / "logged.html"
 _MOST = 4000  # points a curve
 
 
-def write(found: LogIdentification, folder: Path, step: float, family: str) -> dict[str, Path]:
+def write(result: LogIdentification, folder: Path, step: float, family: str) -> dict[str, Path]:
     """Write ``identification.json``, ``report.html`` and, of an axis, ``model.toml`` for a control step of ``step``.
 
     ``family`` is the engine under which an axis' model is filed.  Raises FlightError if a file cannot be written.
@@ -30,14 +30,14 @@ def write(found: LogIdentification, folder: Path, step: float, family: str) -> d
     import tomli_w
 
     paths = {"json": folder / "identification.json"}
-    texts = {"json": json.dumps(found.to_dict(step), indent=2, allow_nan=False) + "\n"}
-    if not found.engine:
+    texts = {"json": json.dumps(result.to_dict(step), indent=2, allow_nan=False) + "\n"}
+    if not result.engine:
         paths["model"] = folder / "model.toml"
-        table = {"identified": {family: {found.what: found.rate_model(step).model_dump()}}}
+        table = {"identified": {family: {result.what: result.rate_model(step).model_dump()}}}
         texts["model"] = tomli_w.dumps(table)
-    if found.engine and found.wanted.output_unit == "N":
+    if result.engine and result.signals.output_unit == "N":
         paths["engine"] = folder / "engine.toml"
-        texts["engine"] = tomli_w.dumps(engine_table(found))
+        texts["engine"] = tomli_w.dumps(engine_table(result))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, path in paths.items():
@@ -50,30 +50,30 @@ def write(found: LogIdentification, folder: Path, step: float, family: str) -> d
     render(
         TEMPLATE,
         paths["report"],
-        {"signals": _signals(found), "tells": _tells(found)},
-        found=found,
-        columns=[each.form.label for each in found.estimates],
-        rows=rows(found),
-        summary=summary(found),
+        {"signals": _signals(result), "tells": _tells(result)},
+        result=result,
+        columns=[estimate.form.label for estimate in result.estimates],
+        rows=rows(result),
+        summary=summary(result),
     )
     return paths
 
 
-def engine_table(found: LogIdentification) -> dict[str, object]:
+def engine_table(result: LogIdentification) -> dict[str, object]:
     """A mapping file: the library's first-order engine (a lag behind a whole delay) with what was identified.
 
     Its internal step is 4 ms, which the delay is rounded to; the shorter lag of two is added to the delay, which is
     what low frequencies see of it.
     """
     step = ENGINE_STEP_S
-    x = found.chosen.x
+    x = result.chosen.x
     *shorter, slowest = sorted([1.0 / float(x[0]), *map(float, x[1:-1])])
     delay, pole = float(x[-1]) + sum(shorter), float(np.exp(-step / slowest))
     return {
         "fmu": "engine.fmu",
-        "title": f"Engine identified from {found.path.name}",
+        "title": f"Engine identified from {result.path.name}",
         "parameters": {
-            "gain": found.chosen.gain * (1.0 - pole),
+            "gain": result.chosen.gain * (1.0 - pole),
             "pole": pole,
             "delay_samples": round(delay / step),
             "newton_per_unit": 1.0,
@@ -81,60 +81,67 @@ def engine_table(found: LogIdentification) -> dict[str, object]:
     }
 
 
-def summary(found: LogIdentification) -> str:
+def summary(result: LogIdentification) -> str:
     """The log and what of it was used, in a line."""
-    output, prepared = found.prepared.output, found.prepared
+    output, prepared = result.prepared.output, result.prepared
     clock = f"{1.0 / output.step:.4g} Hz"
     if np.isfinite(output.jitter) and output.jitter > 0.005:
         clock += f", jitter {100.0 * output.jitter:.0f} % of a sample"
     if output.lost > 0.0:
         clock += f", {100.0 * output.lost:.2g} % lost"
     return (
-        f"{found.path.name} ({found.kind}): {found.wanted.command} to {found.wanted.output}; {prepared.seconds:.1f} s "
-        f"used, output at {clock}; working step {1e3 * prepared.working_step:.3g} ms, times by {found.clock}"
+        f"{result.path.name} ({result.kind}): {result.signals.command} to {result.signals.output}; "
+        f"{prepared.seconds:.1f} s used, output at {clock}; working step {1e3 * prepared.working_step:.3g} ms, times by {result.clock}"
     )
 
 
-def rows(found: LogIdentification) -> list[list[str]]:
+def rows(result: LogIdentification) -> list[list[str]]:
     """The forms side by side, one row a quantity, each with its 95 % bounds."""
     made: list[list[str]] = []
-    unit = f"{found.wanted.output_unit} per {found.wanted.command_unit}"
+    unit = f"{result.signals.output_unit} per {result.signals.command_unit}"
     gain = (
         f"gain at rest, {unit}"
-        if found.engine
-        else f"gain, {found.wanted.output_unit}/s per {found.wanted.command_unit}"
+        if result.engine
+        else f"gain, {result.signals.output_unit}/s per {result.signals.command_unit}"
     )
-    made.append([gain, *(_about(each.gain, each.gain_deviation) for each in found.estimates)])
-    names = sorted({name for each in found.estimates for name in each.form.names if name != "delay_s"}, key=_place)
+    made.append([gain, *(_about(estimate.gain, estimate.gain_deviation) for estimate in result.estimates)])
+    names = sorted(
+        {name for estimate in result.estimates for name in estimate.form.names if name != "delay_s"}, key=_place
+    )
     for name in names:
         cells = []
-        for each in found.estimates:
-            if name not in each.form.names:
+        for estimate in result.estimates:
+            if name not in estimate.form.names:
                 cells.append("")
                 continue
-            i = each.form.names.index(name)
-            value, deviation = float(each.x[i]), each.deviation(i)
-            if name == "rate_1_s" and found.engine:
-                cells.append(_held(each, name, _about(1e3 / value, 1e3 * deviation / value**2)))
+            i = estimate.form.names.index(name)
+            value, deviation = float(estimate.x[i]), estimate.deviation(i)
+            if name == "rate_1_s" and result.engine:
+                cells.append(_held(estimate, name, _about(1e3 / value, 1e3 * deviation / value**2)))
             elif name == "rate_1_s":
-                cells.append(_held(each, name, _about(value, deviation) if deviation > 0.0 else "0 (at its limit)"))
+                cells.append(_held(estimate, name, _about(value, deviation) if deviation > 0.0 else "0 (at its limit)"))
             else:
-                cells.append(_held(each, name, _about(1e3 * value, 1e3 * deviation)))
-        titles = {"rate_1_s": "time constant, ms" if found.engine else "slow pole, 1/s", "lag_s": "lag, ms"}
-        if found.engine:
+                cells.append(_held(estimate, name, _about(1e3 * value, 1e3 * deviation)))
+        titles = {"rate_1_s": "time constant, ms" if result.engine else "slow pole, 1/s", "lag_s": "lag, ms"}
+        if result.engine:
             titles["lag_s"] = "second lag, ms"
         made.append([titles.get(name, "further lag, ms"), *cells])
-    made.append(["delay, ms", *(_delay(each) for each in found.estimates)])
-    low, high = found.delay_bounds
-    if len(found.estimates) > 1:
+    made.append(["delay, ms", *(_delay(estimate) for estimate in result.estimates)])
+    low, high = result.delay_bounds
+    if len(result.estimates) > 1:
         allowing = f"{1e3 * low:.4g} to {1e3 * high:.4g}"
-        made.append(["its bounds, by the richest form, ms", allowing, *[""] * (len(found.estimates) - 1)])
+        made.append(["its bounds, by the richest form, ms", allowing, *[""] * (len(result.estimates) - 1)])
     made.append(
-        ["delay and lags together, ms", *(_about(1e3 * v, 1e3 * s) for v, s in (e.all_delay for e in found.estimates))]
+        [
+            "delay and lags together, ms",
+            *(_about(1e3 * v, 1e3 * s) for v, s in (e.all_delay for e in result.estimates)),
+        ]
     )
-    best = min(each.aic for each in found.estimates)
-    made.append(["Akaike's criterion, above the best", *(f"{each.aic - best:.1f}" for each in found.estimates)])
-    made.append(["order of the noise", *(f"{each.order}" for each in found.estimates)])
+    best = min(estimate.aic for estimate in result.estimates)
+    made.append(
+        ["Akaike's criterion, above the best", *(f"{estimate.aic - best:.1f}" for estimate in result.estimates)]
+    )
+    made.append(["order of the noise", *(f"{estimate.order}" for estimate in result.estimates)])
     return made
 
 
@@ -163,9 +170,9 @@ def _delay(estimate: Estimate) -> str:
 # ---- figures
 
 
-def _signals(found: LogIdentification) -> dict[str, Any]:
+def _signals(result: LogIdentification) -> dict[str, Any]:
     """Command, measured output and what the model makes of the command, over time; and the residuals."""
-    problem, estimate = found.problem, found.chosen
+    problem, estimate = result.problem, result.chosen
     whole = problem.simulated(estimate)
     white, use = problem.residuals(estimate)
     data: list[dict[str, Any]] = []
@@ -186,19 +193,21 @@ def _signals(found: LogIdentification) -> dict[str, Any]:
             trace("residuals, made white", MAGENTA, times, left, 2, **named, **dots),
         ]
         row += stretch.blocks + problem.gap
-    titles = (found.wanted.command_unit, found.wanted.output_unit, found.wanted.output_unit)
+    titles = (result.signals.command_unit, result.signals.output_unit, result.signals.output_unit)
     layout = panels(660, "time [s]", titles, log=False, domains=((0.72, 1.0), (0.3, 0.68), (0.0, 0.24)))
     return {"data": data, "layout": layout | HOVER}
 
 
-def _tells(found: LogIdentification) -> dict[str, Any]:
+def _tells(result: LogIdentification) -> dict[str, Any]:
     """Coherence, and what a command of each frequency would tell of the delay."""
-    hertz, value = found.coherence
-    grid = np.geomspace(0.05, 0.45 / found.problem.working_step, 300)
-    told = information(found.chosen, grid, found.problem.working_step)
+    hertz, value = result.coherence
+    grid = np.geomspace(0.05, 0.45 / result.problem.working_step, 300)
+    density = information(result.chosen, grid, result.problem.working_step)
     data = [
         trace("coherence of command and output", GREEN, hertz, value),
-        trace("what a command tells of the delay, over its most", BLUE, grid, told / told.max(), 1, showlegend=True),
+        trace(
+            "what a command tells of the delay, over its most", BLUE, grid, density / density.max(), 1, showlegend=True
+        ),
     ]
     layout = panels(440, "frequency [Hz]", ("1", "1"), log=True, domains=((0.55, 1.0), (0.0, 0.45)))
     return {"data": data, "layout": layout | HOVER}

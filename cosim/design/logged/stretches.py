@@ -211,7 +211,7 @@ def _unbroken(output: Array, command: Array, clocks: tuple[Clock, Clock]) -> lis
 def _moving(command: Channel, spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     """The parts of the spans in which the command moves, less the edges towards rest."""
     size = float(np.std(command.values))
-    found = []
+    stretches = []
     if not size > 0.0:
         return []
     for begin, end in spans:
@@ -228,9 +228,9 @@ def _moving(command: Channel, spans: Sequence[tuple[float, float]]) -> list[tupl
             elif not yes and first is not None:
                 low = edges[first] + (EDGE_S if first > 0 else 0.0)
                 high = min(edges[n - 1] + IDLE_S - EDGE_S, end) if n < len(edges) else end
-                found.append((float(low), float(high)))
+                stretches.append((float(low), float(high)))
                 first = None
-    return found
+    return stretches
 
 
 def _bridged(moving: list[bool], most: int) -> list[bool]:

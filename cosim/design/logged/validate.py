@@ -17,7 +17,7 @@ from cosim.design.identify.fit import Model as Continuous
 from cosim.design.logged.pem import Form, Problem
 from cosim.design.logged.stretches import prepare
 from cosim.design.panels import HOVER, beneath, panels, trace
-from cosim.results.logs import FlightLog, Wanted, wanted
+from cosim.results.logs import FlightLog, LogSignals, signals_of
 from cosim.results.report.flight_figures import BLUE, GREY, ORANGE
 from cosim.results.report.page import render
 from cosim.spec.vehicle import RateModel, read_models
@@ -34,7 +34,7 @@ class Stated:
 
     path: Path
     what: str
-    wanted: Wanted
+    signals: LogSignals
     form: Form
     x: Array
     gain: float
@@ -63,7 +63,7 @@ class Validation:
             "model": str(self.model.path),
             "log": str(self.log),
             "what": self.model.what,
-            **self.model.wanted._asdict(),
+            **self.model.signals._asdict(),
             "seconds": self.seconds,
             "fit": self.fit,
             "nrmse": self.nrmse,
@@ -88,7 +88,7 @@ def read_model(path: Path, axis: str | None = None) -> Stated:
         data = json.loads(file.read_text(encoding="utf-8"))
         best = data["estimates"][0]
         form = Form(bool(data["engine"]), sum(name.startswith("lag") and name.endswith("_s") for name in best))
-        wants = Wanted(*(str(data[name]) for name in Wanted._fields))
+        wants = LogSignals(*(str(data[name]) for name in LogSignals._fields))
         x = np.array([float(best[name]) for name in form.names])
         return Stated(file, str(data["what"]), wants, form, x, float(best["gain"]))
     except OSError as error:
@@ -102,28 +102,29 @@ def read_model(path: Path, axis: str | None = None) -> Stated:
 
 def _of_model_file(file: Path, axis: str | None) -> Stated:
     """From z back to the continuous form; the file does not say which channels of a log it is of."""
-    found = [
+    stated = [
         (name, RateModel.model_validate(model))
         for models in read_models(file).values()
         for name, model in models.items()
         if axis in (None, name)
     ]
-    if len(found) != 1:
-        raise InputError(f"{file}: {len(found)} models{f' of {axis}' if axis else ''}; say --axis of one that is there")
-    what, model = found[0]
+    if len(stated) != 1:
+        of = f" of {axis}" if axis else ""
+        raise InputError(f"{file}: {len(stated)} models{of}; say --axis of one that is there")
+    what, model = stated[0]
     step = model.sample_time_s
     if model.pole_pairs or model.zero_pairs or not all(0.0 < pole <= 1.0 for pole in model.poles):
         raise InputError(f"{file}: {what}: {OTHER_FORM}")
     rate, *fast = sorted(-np.log(pole) / step for pole in model.poles)
-    if not all(each > 0.0 for each in fast) or not fast:
+    if not all(pole > 0.0 for pole in fast) or not fast:
         raise InputError(f"{file}: {what}: {OTHER_FORM}")
-    lags = tuple(float(1.0 / each) for each in fast)
+    lags = tuple(float(1.0 / pole) for pole in fast)
     unit = Continuous(1.0, float(rate), lags, model.delay_samples, step).discrete("")
     gain = model.gain / unit.gain
     if len(unit.zeros) != len(model.zeros) or not np.allclose(unit.zeros, sorted(model.zeros), rtol=1e-3, atol=1e-3):
         raise InputError(f"{file}: {what}: {OTHER_FORM}")
     x = np.array([rate, *lags, model.delay_samples * step])
-    return Stated(file, what, Wanted("", ""), Form(False, len(lags)), x, float(gain))
+    return Stated(file, what, LogSignals("", ""), Form(False, len(lags)), x, float(gain))
 
 
 def validate(model: Stated, log: FlightLog, begin: float | None = None, end: float | None = None) -> Validation:
@@ -131,10 +132,10 @@ def validate(model: Stated, log: FlightLog, begin: float | None = None, end: flo
 
     Raises InputError where the log has not the model's channels, or no stretch that can be used.
     """
-    chosen = model.wanted
+    chosen = model.signals
     if not (log.has(chosen.command) and log.has(chosen.output)):
-        chosen = wanted(log, model.what)
-        model = replace(model, wanted=chosen)
+        chosen = signals_of(log, model.what)
+        model = replace(model, signals=chosen)
     longest = max(2.0 * float(model.x[-1]), 0.1)
     prepared = prepare(log.signal(chosen.command), log.signal(chosen.output), longest, None, begin, end)
     problems = [Problem([stretch], prepared.working_step, longest, gap=0) for stretch in prepared.by_stamps]
@@ -144,7 +145,7 @@ def validate(model: Stated, log: FlightLog, begin: float | None = None, end: flo
         times, answer = stretch.averaged(stretch.times)[use], _simulated(problem, model, model.x)
         signals.append((stretch.start + times, stretch.commanded(times), problem.output[use], answer[use]))
     fits = [(output, answer) for _, _, output, answer in signals]
-    measured = np.concatenate([each - each.mean() for each, _ in fits])
+    measured = np.concatenate([output - output.mean() for output, _ in fits])
     error = np.concatenate([output - answer for output, answer in fits])
     size = float(np.std(measured))
     if not size > 0.0:
@@ -203,31 +204,31 @@ def _correlation(errors: Sequence[Array], lag: int) -> float:
     return sum(float(e[lag:] @ e[:-lag]) for e in long) / power if power > 0.0 else 0.0
 
 
-def rows(found: Validation) -> list[tuple[str, str]]:
+def rows(validation: Validation) -> list[tuple[str, str]]:
     """What the table says."""
     made = [
-        ("fit of the simulation (1: perfect, 0: no better than its mean)", f"{found.fit:.3f}"),
-        ("NRMSE, over the output's standard deviation", f"{found.nrmse:.3f}"),
-        ("Theil's U (0: perfect, 1: useless)", f"{found.theil:.3f}"),
-        (f"fit of the change over {AHEAD_S:g} s", f"{found.ahead:.3f}"),
+        ("fit of the simulation (1: perfect, 0: no better than its mean)", f"{validation.fit:.3f}"),
+        ("NRMSE, over the output's standard deviation", f"{validation.nrmse:.3f}"),
+        ("Theil's U (0: perfect, 1: useless)", f"{validation.theil:.3f}"),
+        (f"fit of the change over {AHEAD_S:g} s", f"{validation.ahead:.3f}"),
     ]
-    if np.isfinite(found.autocorrelation):
-        made.append((f"autocorrelation of the error after {AHEAD_S:g} s", f"{found.autocorrelation:.2f}"))
-    made.append(("a delay that fits better by, ms", f"{1e3 * found.delay_off:+.1f}"))
+    if np.isfinite(validation.autocorrelation):
+        made.append((f"autocorrelation of the error after {AHEAD_S:g} s", f"{validation.autocorrelation:.2f}"))
+    made.append(("a delay that fits better by, ms", f"{1e3 * validation.delay_off:+.1f}"))
     return made
 
 
-def write(found: Validation, folder: Path) -> dict[str, Path]:
+def write(validation: Validation, folder: Path) -> dict[str, Path]:
     """Write ``validation.json`` and ``report.html``.  Raises FlightError if a file cannot be written."""
     paths = {"json": folder / "validation.json", "report": folder / "report.html"}
-    write_files({paths["json"]: json.dumps(found.to_dict(), indent=2) + "\n"})
-    render(TEMPLATE, paths["report"], {"signals": _figure(found)}, found=found, rows=rows(found))
+    write_files({paths["json"]: json.dumps(validation.to_dict(), indent=2) + "\n"})
+    render(TEMPLATE, paths["report"], {"signals": _figure(validation)}, validation=validation, rows=rows(validation))
     return paths
 
 
-def _figure(found: Validation) -> dict[str, Any]:
+def _figure(validation: Validation) -> dict[str, Any]:
     data = []
-    for n, (times, command, output, model) in enumerate(found.signals):
+    for n, (times, command, output, model) in enumerate(validation.signals):
         every, named = slice(None, None, max(1, len(times) // _MOST)), {"showlegend": n == 0}
         for name, colour, values, panel, how in (
             ("command", GREY, command, 0, {}),
@@ -235,6 +236,6 @@ def _figure(found: Validation) -> dict[str, Any]:
             ("model", BLUE, model, 1, {}),
         ):
             data.append(trace(name, colour, times[every], values[every], panel, **named, **how))
-    titles = (found.model.wanted.command_unit, found.model.wanted.output_unit)
+    titles = (validation.model.signals.command_unit, validation.model.signals.output_unit)
     layout = panels(520, "time [s]", titles, log=False, domains=((0.7, 1.0), (0.0, 0.65)))
     return {"data": data, "layout": layout | HOVER}

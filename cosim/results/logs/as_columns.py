@@ -11,7 +11,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES, MOST_JETS
 from cosim.results.columns import COLUMNS, RATES
 from cosim.results.logs.flight_log import Channel, FlightLog
-from cosim.results.logs.read import wanted
+from cosim.results.logs.read import signals_of
 from cosim.results.recorder import MemoryLog
 from cosim.results.tables import TIME
 
@@ -40,54 +40,54 @@ def as_columns(log: FlightLog) -> tuple[MemoryLog, tuple[str, ...]]:
     Slower ones hold their values, NaN before the first.  Times count from its first row.  Raises InputError where it
     has none.
     """
-    found = _found(log)
-    if not found:
+    columns = _matching(log)
+    if not columns:
         raise InputError(f"{log.path}: the {log.kind} log has no rates, attitude, position or throttles that are known")
-    clock = max(found.values(), key=lambda channel: len(channel.times)).times
+    clock = max(columns.values(), key=lambda channel: len(channel.times)).times
     clock = clock[np.concatenate([[True], np.diff(clock) > 0.0])] if len(clock) else clock
     if len(clock) < 2 or not np.all(np.isfinite(clock)) or not np.all(np.diff(clock) > 0.0):
         raise InputError(f"{log.path}: its time does not grow from row to row")
-    rows = [clock - clock[0], *(_held(channel, clock) for channel in found.values())]
-    remarks = [f"{log.kind}: {len(found)} columns of a flight of ours are in it", *log.remarks]
-    if found.keys() & _SUMS.keys() and not any(_TRUTH in name for name in log.channels):
+    rows = [clock - clock[0], *(_held(channel, clock) for channel in columns.values())]
+    remarks = [f"{log.kind}: {len(columns)} columns of a flight of ours are in it", *log.remarks]
+    if columns.keys() & _SUMS.keys() and not any(_TRUTH in name for name in log.channels):
         remarks.append(ESTIMATED)
     if clock[0] != 0.0:
         remarks.append(f"times count from its first row, {clock[0]:.3f} s of its clock")
-    names = (TIME, *found)
+    names = (TIME, *columns)
     described = tuple(column for column in COLUMNS if column.name in names)
     return MemoryLog([np.stack(rows)], names, described), tuple(remarks)
 
 
-def _found(log: FlightLog) -> dict[str, Channel]:
-    found: dict[str, Channel] = {}
+def _matching(log: FlightLog) -> dict[str, Channel]:
+    columns: dict[str, Channel] = {}
     for axis, rate in zip(AXES, RATES, strict=True):
         try:
-            meant = wanted(log, axis)
+            signals = signals_of(log, axis)
         except InputError:
             continue
         sign = -1.0 if log.kind in LEFT_AND_UP and axis != "roll" else 1.0
-        for what, signal in (("measured", meant.output), ("setpoint", meant.setpoint)):
+        for what, signal in (("measured", signals.output), ("setpoint", signals.setpoint)):
             if signal:
                 channel = log.signal(signal)
-                found[f"rate_{rate}_{what}_rad_s"] = channel._replace(values=sign * channel.values)
-    true, told = (log.has(_ATTITUDE.format(suffix, 3)) for suffix in (_TRUTH, ""))
-    for there, suffix, name in ((true, _TRUTH, "{}_rad"), (told, "", "{}_measured_rad" if true else "{}_rad")):
+                columns[f"rate_{rate}_{what}_rad_s"] = channel._replace(values=sign * channel.values)
+    true, estimated = (log.has(_ATTITUDE.format(suffix, 3)) for suffix in (_TRUTH, ""))
+    for there, suffix, name in ((true, _TRUTH, "{}_rad"), (estimated, "", "{}_measured_rad" if true else "{}_rad")):
         if there:
             parts = [log.channels[_ATTITUDE.format(suffix, n)] for n in range(4)]
             for axis, values in zip(AXES, _euler(*(part.values for part in parts)), strict=True):
-                found[name.format(axis)] = Channel(parts[0].times, values)
+                columns[name.format(axis)] = Channel(parts[0].times, values)
     for name, choices in _SUMS.items():
-        text = next((each for each in choices if log.has(each)), None)
-        if text is not None and name not in found:
-            found[name] = _wrapped(log.signal(text)) if name.endswith("_rad") else log.signal(text)
+        text = next((choice for choice in choices if log.has(choice)), None)
+        if text is not None and name not in columns:
+            columns[name] = _wrapped(log.signal(text)) if name.endswith("_rad") else log.signal(text)
     for jet in range(1, MOST_JETS + 1):
         throttle, thrust = f"actuator_motors.control[{jet - 1}]", f"hexjet_thrust.newton[{jet - 1}]"
         if log.has(throttle) and np.isfinite(log.channels[throttle].values).any():
-            found[f"throttle_{jet}"] = log.channels[throttle]
+            columns[f"throttle_{jet}"] = log.channels[throttle]
         if log.has(thrust) and log.has(throttle) and np.isfinite(log.channels[thrust].values).any():
             # of ours, which has it in the row of the step at whose end the engine has it, as our columns do
-            found[f"thrust_{jet}_N"] = log.channels[thrust]._replace(times=log.channels[throttle].times)
-    return found
+            columns[f"thrust_{jet}_N"] = log.channels[thrust]._replace(times=log.channels[throttle].times)
+    return columns
 
 
 def _held(channel: Channel, clock: Array) -> Array:

@@ -36,7 +36,7 @@ _MASK = (1 << 32) - 1
 _NAME = re.compile(r"(.*)\[(\d+)\]$")
 
 
-def is_one(head: bytes) -> bool:
+def recognises(head: bytes) -> bool:
     """Whether a file begins so."""
     return head.startswith(MARKER)
 
@@ -63,8 +63,8 @@ def read(path: Path, number: int | None = None) -> FlightLog:
         how = "the longest" if number is None else "as asked"
         remarks.append(f"the file holds {len(begins)} logs; number {chosen + 1} is read, {how}; FILE:N reads another")
     if frames.refused or frames.unusable:
-        said = f"{frames.refused} frames are damaged and were passed over"
-        remarks.append(f"{said}, with {frames.unusable} that build on them" if frames.unusable else said)
+        damage = f"{frames.refused} frames are damaged and were passed over"
+        remarks.append(f"{damage}, with {frames.unusable} that build on them" if frames.unusable else damage)
     if not frames.ended:
         remarks.append("the log has no end: it was cut short, or the power went")
     return FlightLog(path, "Betaflight blackbox", _channels(head, frames), tuple(remarks), frames.events)
@@ -123,12 +123,12 @@ def _head(path: Path, data: bytes, at: int, end: int) -> tuple[Head, int]:
 def _layout(path: Path, stated: dict[str, str], kind: str, names: Sequence[str]) -> Layout:
     def numbers(what: str, of: str = kind) -> list[int]:
         try:
-            found = [int(text) for text in stated.get(f"Field {of} {what}", "").split(",")]
+            codes = [int(text) for text in stated.get(f"Field {of} {what}", "").split(",")]
         except ValueError:
-            found = []
-        if len(found) != len(names):
+            codes = []
+        if len(codes) != len(names):
             raise InputError(f"{path}: the head of the blackbox log is damaged: {kind} frames have no {what} each")
-        return found
+        return codes
 
     encodings = numbers("encoding")
     unknown = sorted({code for code in encodings if code != TAG8 and code not in WIDTH})
@@ -415,10 +415,10 @@ class _Frames:
         data = self.data
         kind = data[at]
         at += 1
-        said, resumed, ended = "", None, False
+        text, resumed, ended = "", None, False
         if kind == 0:
             _, at = _unsigned(data, at)
-            said = "sync beep"
+            text = "sync beep"
         elif kind in AUTOTUNE:
             at += AUTOTUNE[kind]
         elif kind == 13:
@@ -427,27 +427,27 @@ class _Frames:
                 at += 5
             else:
                 _, at = _signed(data, at + 1)
-            said = f"adjustment {function & 0x7F}"
+            text = f"adjustment {function & 0x7F}"
         elif kind == 14:
             count, at = _unsigned(data, at)
             time, at = _unsigned(data, at)
-            resumed, said = (count, time), "logging goes on"
+            resumed, text = (count, time), "logging goes on"
         elif kind == 15:
             reason, at = _unsigned(data, at)
-            said = f"disarmed, reason {reason}"
+            text = f"disarmed, reason {reason}"
         elif kind == 30:
             flags, at = _unsigned(data, at)
             _, at = _unsigned(data, at)
-            said = f"flight mode flags {flags}"
+            text = f"flight mode flags {flags}"
         elif kind == END_EVENT and data.startswith(END, at):
-            ended, said = True, "end of log"
+            ended, text = True, "end of log"
         else:
             return at, None
 
         def done() -> None:
             self.place = resumed or self.place
             self.ended = ended
-            self.events += [(1e-6 * (resumed[1] if resumed else self.time), said)] if said else []
+            self.events += [(1e-6 * (resumed[1] if resumed else self.time), text)] if text else []
 
         return at, done
 

@@ -30,7 +30,7 @@ _SIZES = {
 }
 
 
-def is_one(head: bytes) -> bool:
+def recognises(head: bytes) -> bool:
     """Whether a file begins so."""
     return len(head) >= 5 and head[0] == MAGIC and struct.unpack("<H", head[1:3])[0] in (1, 2)
 
@@ -80,7 +80,7 @@ def _rows(
     data: bytes, at: int, end: int, kinds: dict[int, tuple[str, np.dtype[np.void]]]
 ) -> tuple[dict[int, list[np.ndarray]], int]:
     """The events by kind, each run of one kind in one piece, and how many bytes at the end are none."""
-    found: dict[int, list[np.ndarray]] = {}
+    events: dict[int, list[np.ndarray]] = {}
     reach = 64  # events looked at together; more after a long run of one kind
     while at + 2 <= end:
         (number,) = struct.unpack_from("<H", data, at)
@@ -94,9 +94,9 @@ def _rows(
         other = np.flatnonzero(table["event"] != number)
         part = table[: int(other[0])] if other.size else table
         reach = 64 if other.size else 2 * reach
-        found.setdefault(number, []).append(part)
+        events.setdefault(number, []).append(part)
         at += len(part) * layout.itemsize
-    return found, end - at
+    return events, end - at
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:

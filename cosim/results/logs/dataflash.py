@@ -26,7 +26,7 @@ TYPES = {
 INSTANCES = ("I", "Instance")
 
 
-def is_one(head: bytes) -> bool:
+def recognises(head: bytes) -> bool:
     """Whether a file begins so."""
     return head.startswith(HEAD + bytes([FMT]))
 

@@ -25,7 +25,7 @@ class Channel(NamedTuple):
     unit: str = ""
 
 
-class Wanted(NamedTuple):
+class LogSignals(NamedTuple):
     """What to look at in a log: sums of channels, as :meth:`FlightLog.signal` takes them."""
 
     command: str
@@ -97,14 +97,14 @@ def numbers(values: Any) -> Array:
 
 def terms(text: str) -> list[tuple[float, str]]:
     """The factors and names of a sum.  Raises InputError for what is none."""
-    found, at = [], 0
+    summands, at = [], 0
     while at < len(text.rstrip()):
         match = _TERM.match(text, at)
         if match is None or (at > 0 and match.group(1) is None):
             raise InputError(f"{text!r}: is no sum of channels, such as m1 + m2 - 0.5*m3 (blanks around + and -)")
         sign, factor, name = match.groups()
-        found.append(((-1.0 if sign == "-" else 1.0) * (float(factor) if factor else 1.0), name))
+        summands.append(((-1.0 if sign == "-" else 1.0) * (float(factor) if factor else 1.0), name))
         at = match.end()
-    if not found:
+    if not summands:
         raise InputError("a channel, or a sum of channels, is needed")
-    return found
+    return summands

@@ -8,7 +8,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.results.columns import RATES
 from cosim.results.logs import blackbox, crazyflie, dataflash, table, ulog
-from cosim.results.logs.flight_log import FlightLog, Wanted
+from cosim.results.logs.flight_log import FlightLog, LogSignals
 
 KINDS = (
     "a run's folder, .ulg (ULog), .bin (ArduPilot DataFlash), .bbl or .bfl (Betaflight blackbox), "
@@ -17,24 +17,24 @@ KINDS = (
 
 
 _READERS = (
-    (ulog.is_one, ulog.read),
-    (dataflash.is_one, dataflash.read),
-    (crazyflie.is_one, crazyflie.read),
-    (blackbox.is_one, blackbox.read),
+    (ulog.recognises, ulog.read),
+    (dataflash.recognises, dataflash.read),
+    (crazyflie.recognises, crazyflie.read),
+    (blackbox.recognises, blackbox.read),
 )
 
 
 def is_flight_log(path: Path) -> bool:
     """Whether a file begins as the log of a flight controller that can be read; ``FILE:N`` as its file does."""
     try:
-        with _one_of(path)[0].open("rb") as file:
+        with _file_and_number(path)[0].open("rb") as file:
             head = file.read(64)
     except OSError:
         return False
-    return any(is_one(head) for is_one, _ in _READERS)
+    return any(recognises(head) for recognises, _ in _READERS)
 
 
-def _one_of(path: Path) -> tuple[Path, int | None]:
+def _file_and_number(path: Path) -> tuple[Path, int | None]:
     """The file, and the number of the log in it where the name says one."""
     name, _, digits = str(path).rpartition(":")
     if name and digits.isdigit() and not path.exists() and Path(name).is_file():
@@ -48,7 +48,7 @@ def read_flight_log(path: Path, time: str | None = None, time_unit: str = "s") -
     ``time`` and ``time_unit`` are a table's.  ``FILE:N`` is log number N of a file that holds several, as Betaflight's
     do.  Raises InputError for what is no log or cannot be read.
     """
-    path, number = _one_of(path)
+    path, number = _file_and_number(path)
     if path.is_dir():
         return table.read_run(path)
     try:
@@ -59,18 +59,18 @@ def read_flight_log(path: Path, time: str | None = None, time_unit: str = "s") -
     if not head:
         raise InputError(f"{path}: the file is empty")
     if number is not None:
-        if blackbox.is_one(head):
+        if blackbox.recognises(head):
             return blackbox.read(path, number)
         raise InputError(f"{path}: holds one log; {path}:{number} is for a blackbox file of several")
-    for is_one, read in _READERS:
-        if is_one(head):
+    for recognises, read in _READERS:
+        if recognises(head):
             return read(path)
     if path.suffix.lower() in (".csv", ".parquet"):
         return table.read_table(path, time, time_unit)
     raise InputError(f"{path}: no log that is known; allowed: {KINDS}")
 
 
-def wanted(log: FlightLog, what: str) -> Wanted:
+def signals_of(log: FlightLog, what: str) -> LogSignals:
     """What of this log is ``roll``, ``pitch``, ``yaw`` or ``engine:N``, as far as its kind tells.
 
     Raises InputError where it does not.
@@ -87,7 +87,7 @@ def wanted(log: FlightLog, what: str) -> Wanted:
     raise InputError(f"{log.path}: it has no {what}; say --command and --output, or log one of: {needed}")
 
 
-def _axis(n: int) -> list[Wanted]:
+def _axis(n: int) -> list[LogSignals]:
     axis, rate = AXES[n], RATES[n]
     letter = "RPY"[n]
     gyro = "XYZ"[n]
@@ -95,38 +95,40 @@ def _axis(n: int) -> list[Wanted]:
     yaw = "motor.m1 - motor.m2 + motor.m3 - motor.m4"
     pids = " + ".join(f"axis{part}[{n}]" for part in "PIDF")
     return [
-        Wanted(
+        LogSignals(
             f"torque_{axis} + disturbance_torque_{axis} - refused_{axis}",
             f"rate_{rate}_measured_rad_s",
             f"rate_{rate}_setpoint_rad_s",
             "throttle" if axis == "roll" else "rad",
         ),
-        Wanted(
+        LogSignals(
             f"hexjet_control.torque[{n}] + hexjet_disturbance.torque[{n}] - hexjet_control.refused[{n}]",
             f"vehicle_angular_velocity.xyz[{n}]",
             f"vehicle_rates_setpoint.{axis}",
             "throttle" if axis == "roll" else "rad",
         ),
-        Wanted(
+        LogSignals(
             f"vehicle_torque_setpoint.xyz[{n}]", f"vehicle_angular_velocity.xyz[{n}]", f"vehicle_rates_setpoint.{axis}"
         ),
-        Wanted(f"vehicle_torque_setpoint.xyz[{n}]", f"sensor_combined.gyro_rad[{n}]", f"vehicle_rates_setpoint.{axis}"),
-        Wanted(f"RATE.{letter}Out", f"deg(RATE.{letter})", f"deg(RATE.{letter}Des)"),
-        Wanted(f"RATE.{letter}Out", f"IMU[0].Gyr{gyro}", f"deg(RATE.{letter}Des)"),
-        Wanted(f"axisSum[{n}]", f"deg(gyroADC[{n}])", f"deg(setpoint[{n}])"),
-        Wanted(pids, f"deg(gyroADC[{n}])", f"deg(setpoint[{n}])"),
-        Wanted(pids.rsplit(" + ", 1)[0], f"deg(gyroADC[{n}])", f"deg(setpoint[{n}])"),
-        Wanted((*motors, yaw)[n], f"deg(gyro.{'xyz'[n]})", "", "PWM counts"),
+        LogSignals(
+            f"vehicle_torque_setpoint.xyz[{n}]", f"sensor_combined.gyro_rad[{n}]", f"vehicle_rates_setpoint.{axis}"
+        ),
+        LogSignals(f"RATE.{letter}Out", f"deg(RATE.{letter})", f"deg(RATE.{letter}Des)"),
+        LogSignals(f"RATE.{letter}Out", f"IMU[0].Gyr{gyro}", f"deg(RATE.{letter}Des)"),
+        LogSignals(f"axisSum[{n}]", f"deg(gyroADC[{n}])", f"deg(setpoint[{n}])"),
+        LogSignals(pids, f"deg(gyroADC[{n}])", f"deg(setpoint[{n}])"),
+        LogSignals(pids.rsplit(" + ", 1)[0], f"deg(gyroADC[{n}])", f"deg(setpoint[{n}])"),
+        LogSignals((*motors, yaw)[n], f"deg(gyro.{'xyz'[n]})", "", "PWM counts"),
     ]
 
 
-def _engine(n: int) -> list[Wanted]:
+def _engine(n: int) -> list[LogSignals]:
     motors = " + ".join(f"square(motor.m{n})" for n in (1, 2, 3, 4))  # thrust goes with the square of the speed
     return [
-        Wanted(f"throttle_{n}", f"thrust_{n}_N", "", "throttle", "N"),
-        Wanted(f"actuator_motors.control[{n - 1}]", f"hexjet_thrust.newton[{n - 1}]", "", "throttle", "N"),
-        Wanted(f"actuator_motors.control[{n - 1}]", f"esc_status.esc[{n - 1}].esc_rpm", "", "throttle", "rpm"),
-        Wanted(f"RCOU.C{n}", f"ESC[{n - 1}].RPM", "", "us", "rpm"),
-        Wanted(f"motor[{n - 1}]", f"eRPM[{n - 1}]", "", "motor counts", "eRPM/100"),
-        Wanted(motors, "acc.z", "", "PWM counts squared, of all four", "g"),
+        LogSignals(f"throttle_{n}", f"thrust_{n}_N", "", "throttle", "N"),
+        LogSignals(f"actuator_motors.control[{n - 1}]", f"hexjet_thrust.newton[{n - 1}]", "", "throttle", "N"),
+        LogSignals(f"actuator_motors.control[{n - 1}]", f"esc_status.esc[{n - 1}].esc_rpm", "", "throttle", "rpm"),
+        LogSignals(f"RCOU.C{n}", f"ESC[{n - 1}].RPM", "", "us", "rpm"),
+        LogSignals(f"motor[{n - 1}]", f"eRPM[{n - 1}]", "", "motor counts", "eRPM/100"),
+        LogSignals(motors, "acc.z", "", "PWM counts squared, of all four", "g"),
     ]

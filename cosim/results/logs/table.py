@@ -28,7 +28,7 @@ def numbers_with_time(path: Path, name: str | None = None) -> tuple[dict[str, Ar
     columns, left_out = read_numbers(path)
     if name is not None and name not in columns:
         raise InputError(f"{path}: no column {name!r} of numbers; {nearest(name, columns)}")
-    time = name or next((each for each in TIMES if each in columns), None)
+    time = name or next((candidate for candidate in TIMES if candidate in columns), None)
     if time is None:
         raise InputError(f"{path}: no column of time; allowed: {', '.join(TIMES)}, in seconds")
     return columns, time, left_out

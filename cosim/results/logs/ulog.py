@@ -15,7 +15,7 @@ from cosim.base.storage.files import one_line
 from cosim.results.logs.flight_log import Channel, FlightLog, numbers
 
 
-def is_one(head: bytes) -> bool:
+def recognises(head: bytes) -> bool:
     """Whether a file begins so."""
     return head.startswith(b"ULog\x01\x12\x35")
 
@@ -32,9 +32,9 @@ def read(path: Path) -> FlightLog:
         if error.name != "pyulog":
             raise
         raise InputError("a ULog needs pyulog, which is not installed: pip install 'hexjet-cosim[logs]'") from None
-    said = io.StringIO()
+    output = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said), path.open("rb") as file:
+        with contextlib.redirect_stdout(output), path.open("rb") as file:
             log = ULog(file)
     except Exception as error:  # what the library raises for a file that is wrong is of no one kind
         raise InputError(f"{path}: cannot be read as ULog: {one_line(error)}") from error
@@ -55,7 +55,7 @@ def read(path: Path) -> FlightLog:
     if not channels:
         raise InputError(f"{path}: the ULog holds no data: it was cut short before the first message, or damaged")
     remarks = [f"left out, having no time: {', '.join(untimed)}"] if untimed else []
-    if log.file_corruption or said.getvalue().strip():
+    if log.file_corruption or output.getvalue().strip():
         remarks.append("parts of the file are damaged and were passed over")
     if log.dropouts:
         lost = 1e-3 * sum(dropout.duration for dropout in log.dropouts)

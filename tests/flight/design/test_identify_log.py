@@ -17,11 +17,11 @@ from cosim.design.logged.identify_log import LogIdentification, identify_log
 from cosim.design.logged.pem import CHI2_95, MIXED_95
 from cosim.design.logged.stretches import WORKING_STEP_S
 from cosim.design.logged.validate import Stated, read_model, validate
-from cosim.results.logs import Channel, FlightLog, Wanted, read_flight_log, wanted
+from cosim.results.logs import Channel, FlightLog, LogSignals, read_flight_log, signals_of
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "flight-logs"
 ENGINES = Path(__file__).parents[3] / "engines"
-WANTED = Wanted("u", "y", "r")
+WANTED = LogSignals("u", "y", "r")
 TRUTH = Truth()
 
 
@@ -87,7 +87,7 @@ def test_an_own_flights_engine_comes_out_of_its_run_and_its_ulog(hexjet: Hexjet,
     assert hexjet("export", "flown", "--to", "csv", "--out", "flown.csv").status == 0
     for name, near in (("flown", 1e-6), ("flown.csv", 1e-6), ("flown.ulg", 0.01)):
         log = read_flight_log(tmp_path / name)
-        result = identify_log(log, "engine:1", wanted(log, "engine:1"), longest_delay=0.2, lags=0)
+        result = identify_log(log, "engine:1", signals_of(log, "engine:1"), longest_delay=0.2, lags=0)
         model = result.model(0.004)
         assert model.delay_samples == pytest.approx(stated["delay_samples"]["start"], abs=near)
         assert np.exp(-0.004 * result.chosen.x[0]) == pytest.approx(stated["pole"]["start"], abs=1e-3 * near)
@@ -105,9 +105,9 @@ def test_a_form_that_leaves_the_command_in_what_is_left_over_is_refused() -> Non
         flight = flight_log(log, output=output)
         if echo:
             with pytest.raises(InputError, match=r"no model of this form fits: \d+ % of what is left over"):
-                identify_log(flight, "engine:1", Wanted("u", "y"), longest_delay=0.3, lags=0)
+                identify_log(flight, "engine:1", LogSignals("u", "y"), longest_delay=0.3, lags=0)
         else:
-            identify_log(flight, "engine:1", Wanted("u", "y"), longest_delay=0.3, lags=0)
+            identify_log(flight, "engine:1", LogSignals("u", "y"), longest_delay=0.3, lags=0)
 
 
 def test_wrong_stamps_are_told_from_jitter() -> None:
@@ -211,7 +211,7 @@ def test_two_real_flights_of_one_vehicle_predict_each_other() -> None:
     if not DATA.is_dir():
         pytest.skip("the shared flight logs are not here")
     read = [read_flight_log(DATA / f"crazyflie-log{n}.cfusdlog") for n in (10, 16)]
-    both = [identify_log(each, "engine:1", wanted(each, "engine:1"), longest_delay=0.1, lags=0) for each in read]
+    both = [identify_log(each, "engine:1", signals_of(each, "engine:1"), longest_delay=0.1, lags=0) for each in read]
     delays = [each.chosen.delay_bounds for each in both]
     gains, lags, sums = [], [], []
     for chosen in (each.chosen for each in both):
@@ -230,7 +230,7 @@ def test_two_real_flights_of_one_vehicle_predict_each_other() -> None:
         cells = [" to ".join(format(unit * end, form) for end in pair) for pair in pairs]
         assert f"| {name} | {cells[0]} | {cells[1]} |" in page
     for model, other in ((both[0], read[1]), (both[1], read[0])):
-        stated = Stated(Path("model"), "engine:1", model.wanted, model.chosen.form, model.chosen.x, model.chosen.gain)
+        stated = Stated(Path("model"), "engine:1", model.signals, model.chosen.form, model.chosen.x, model.chosen.gain)
         assert validate(stated, other).fit > 0.75
 
 

@@ -9,7 +9,7 @@ from known_logs import Truth, closed_loops
 
 from cosim.base.errors import InputError
 from cosim.design.logged.identify_log import identify_log
-from cosim.results.logs import FlightLog, read_flight_log, wanted
+from cosim.results.logs import FlightLog, read_flight_log, signals_of
 
 ROWS = 400
 
@@ -175,7 +175,7 @@ def test_a_flight_of_known_truth_comes_out_of_the_format(tmp_path: Path) -> None
     assert all(isinstance(f, Field) for f in fields)
     writer = Writer(fields=fields, every=1, of=1, fine=True)  # rows are lost: only whole frames can be put one by one
     found = read(tmp_path, whole(rows, writer))
-    chosen = wanted(found, "roll")
+    chosen = signals_of(found, "roll")
     assert (chosen.command, chosen.setpoint) == ("axisSum[0]", "deg(setpoint[0])")
     result = identify_log(found, "roll", chosen, longest_delay=0.3, lags=1)
     low, high = result.delay_bounds

@@ -10,7 +10,7 @@ from flights import STEP, exported, samples, scenario, setup
 
 from cosim.base.errors import InputError
 from cosim.results.export.csv_file import export_csv
-from cosim.results.logs import FlightLog, is_flight_log, read_flight_log, wanted
+from cosim.results.logs import FlightLog, is_flight_log, read_flight_log, signals_of
 from cosim.results.logs.as_columns import ESTIMATED, as_columns
 from cosim.results.logs.flight_log import Channel, terms
 from cosim.results.run import begin_run, open_run
@@ -104,8 +104,8 @@ def test_dataflash_is_read_as_the_autopilots_own_reader_does(tmp_path: Path) -> 
         np.testing.assert_allclose(log.channels[name].times, 1e-6 * np.array(stamps), atol=1e-9)
     reader.filehandle.close()
     assert log.events == [(pytest.approx(5e-6), "ArduCopter V4.6")]
-    assert wanted(log, "roll").command == "RATE.ROut"
-    np.testing.assert_allclose(log.signal(wanted(log, "roll").output).values, np.radians(2.0 * WAVE), rtol=1e-6)
+    assert signals_of(log, "roll").command == "RATE.ROut"
+    np.testing.assert_allclose(log.signal(signals_of(log, "roll").output).values, np.radians(2.0 * WAVE), rtol=1e-6)
 
 
 @pytest.mark.parametrize("version", [1, 2])
@@ -124,14 +124,14 @@ def test_a_ulog_of_ours_is_read_as_the_run(doublet: Path, tmp_path: Path) -> Non
     exported(doublet, tmp_path / "flight.ulg")
     run, ulog = read_flight_log(doublet), read_flight_log(tmp_path / "flight.ulg")
     for axis in ("roll", "pitch", "yaw"):
-        ours, theirs = wanted(run, axis), wanted(ulog, axis)
+        ours, theirs = signals_of(run, axis), signals_of(ulog, axis)
         for name in ("command", "output", "setpoint"):
             one, other = run.signal(getattr(ours, name)), ulog.signal(getattr(theirs, name))
             np.testing.assert_allclose(other.times, one.times, atol=1e-6)
             np.testing.assert_allclose(other.values, one.values, rtol=1e-6, atol=1e-8)
-    assert wanted(ulog, "engine:2").output == "hexjet_thrust.newton[1]"
+    assert signals_of(ulog, "engine:2").output == "hexjet_thrust.newton[1]"
     for log in (run, ulog):  # the engine has it at the end of the step
-        engine = wanted(log, "engine:2")
+        engine = signals_of(log, "engine:2")
         shift = log.signal(engine.output).times - log.signal(engine.command).times
         np.testing.assert_allclose(shift, STEP, atol=2e-6)
 
