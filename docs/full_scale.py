@@ -21,9 +21,10 @@ import numpy as np
 
 from cosim import Scenario, fly
 from cosim.base.runtime.threads import one_thread
-from cosim.base.storage.toml import read_toml
+from cosim.base.storage.files import write_files
+from cosim.base.storage.toml import read_toml, toml_text
 from cosim.design.controller_file import read_controller
-from cosim.design.controller_table import write_controller
+from cosim.design.controller_table import controller_table
 from cosim.design.design import design
 from cosim.design.tune import NOISE_SHARE, Requirements
 from cosim.results.report.marks import check_marks, table, write_marks
@@ -106,7 +107,8 @@ def plainly(out: Path) -> None:
     """A controller without a lead and without a predictor, into the folder if it is not there."""
     path, need = file_of(PLAIN, out), Requirements(min_bandwidth_hz=LEAST_PLAIN_HZ)
     if not path.is_file():
-        write_controller(design("p220", AIRCRAFT, controller="baseline", need=need, lead=False, scheduled=False), path)
+        made = design("p220", AIRCRAFT, controller="baseline", need=need, lead=False, scheduled=False)
+        write_files({path: toml_text(controller_table(made))})
 
 
 def file_of(name: str, out: Path) -> Path:

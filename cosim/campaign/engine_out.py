@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.base.storage.files import finite, write_records
+from cosim.base.storage.files import finite, write_files, write_records
+from cosim.base.storage.toml import toml_text
 from cosim.campaign.fault_survey import (
     HEIGHT_M,
     SETTLED_S,
@@ -26,9 +27,18 @@ from cosim.campaign.fault_survey import (
 )
 from cosim.campaign.workers.tasks import in_order
 from cosim.design.controller_file import ControllerFile, purpose_of, read_controller
+from cosim.design.controller_table import controller_table
+from cosim.design.design import design
+from cosim.design.tune import Requirements
+from cosim.engine import EngineBank, engine_names, load_engine
+from cosim.engine.wrappers import EngineChain
+from cosim.flight import fly
 from cosim.results.report.marks import check_marks, table, write_marks
-from cosim.spec.scenario import Scenario
+from cosim.simulation.build import build, opposites
+from cosim.simulation.engine_reference import engine_reference
+from cosim.spec.scenario import FlameOut, Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_name, load_vehicle
+from cosim.vehicle.parts.servo import TiltServo
 
 if TYPE_CHECKING:
     from cosim.engine import EngineSpec
@@ -165,10 +175,6 @@ class Courses:
         return self._shut[at]
 
     def _run(self, throttle: Callable[[int], float], out_at: int = -1, shut_at: int = -1) -> list[float]:
-        from cosim.engine import EngineBank
-        from cosim.engine.wrappers import EngineChain
-        from cosim.simulation.engine_reference import engine_reference
-        from cosim.spec.scenario import FlameOut
 
         spec = self._spec
         courses = []
@@ -269,7 +275,6 @@ def next_or(values: Sequence[float], k: int) -> float:
 
 def _upright(vehicle: Vehicle, after: int) -> list[float]:
     """The share of its thrust that a bank keeps upright, tilted as far and as fast as its servo goes."""
-    from cosim.vehicle.parts.servo import TiltServo
 
     if vehicle.servo is None:
         return [1.0]
@@ -289,7 +294,6 @@ def _damping(vehicle: Vehicle) -> float:
 
 def opposite_of(vehicle: Vehicle, jet: int) -> int:
     """The jet, from 1, across the centre of gravity."""
-    from cosim.simulation.build import opposites
 
     return opposites(vehicle)[jet - 1] + 1
 
@@ -328,7 +332,6 @@ def engine_out(
     for another aircraft, is designed and written to ``ENGINE-AIRCRAFT.toml`` there.
     Raises InputError for an unknown name or a file that cannot be read.
     """
-    from cosim.engine import engine_names
 
     aircraft = aircraft or AIRCRAFT
     engines = engines or [name for name in engine_names() if name not in NOT_A_JET]
@@ -358,7 +361,6 @@ def engine_out(
 
 def unfit(aircraft: str, engine: str) -> str:
     """Why an engine cannot carry an aircraft, empty if it can.  Raises InputError for an unknown name."""
-    from cosim.engine import load_engine
 
     vehicle, _ = load_vehicle(aircraft)
     spec = load_engine(engine, {}, STEP_S)
@@ -377,10 +379,6 @@ def unfit(aircraft: str, engine: str) -> str:
 
 def _controller(aircraft: str, engine: str, designs: Path, say: Say) -> ControllerFile | str:
     """The engine's design for the aircraft, or why there is none."""
-    from cosim.design.controller_table import write_controller
-    from cosim.design.design import design
-    from cosim.design.tune import Requirements
-
     name = Path(engine).name
     for path in (designs / f"{name}.toml", designs / f"{name}-{aircraft_name(aircraft)}.toml"):
         if path.is_file():
@@ -394,7 +392,7 @@ def _controller(aircraft: str, engine: str, designs: Path, say: Say) -> Controll
     path = designs / f"{name}-{aircraft_name(aircraft)}.toml"
     try:
         designs.mkdir(parents=True, exist_ok=True)
-        write_controller(designed, path)
+        write_files({path: toml_text(controller_table(designed))})
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     return read_controller(path, aircraft)
@@ -423,8 +421,6 @@ def _scenario(aircraft: str, engine: str, file: ControllerFile, jet: int, means:
 
 
 def _fly(task: tuple[Scenario, int, Means]) -> Flight:
-    from cosim.flight import fly
-    from cosim.simulation.build import build
 
     scenario, jet, means = task
     run = fly(scenario)
@@ -464,7 +460,6 @@ def _fly(task: tuple[Scenario, int, Means]) -> Flight:
 
 def _levers(scenario: Scenario) -> Lever:
     """What a middle engine out asks for, from the bound alone."""
-    from cosim.simulation.build import build
 
     with build(scenario) as simulation:
         whole = roller(simulation)

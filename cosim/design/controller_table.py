@@ -4,27 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import isfinite
-from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
-from cosim.base.storage.files import write_files
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.controller_file import AxisRecord, LevelRecord, Purpose
 from cosim.design.design import Assessment, Design
 from cosim.design.loop.channel import Channel
 from cosim.spec.vehicle import RateModel
-
-
-def write_controller(design: Design, path: Path) -> None:
-    """Write the controller file of a design.
-
-    Raises FlightError if it cannot be written, InputError where no design was found.
-    """
-    import tomli_w
-
-    write_files({path: tomli_w.dumps(controller_table(design))})
 
 
 def controller_table(design: Design) -> dict[str, Any]:

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.signals import AXES
-from cosim.base.storage.files import finite
-from cosim.design.controller_table import controller_table, write_controller
+from cosim.base.storage.files import finite, write_files
+from cosim.base.storage.toml import toml_text
+from cosim.design.controller_table import controller_table
 from cosim.design.design import (
     WITH_LEAD,
     Assessment,
@@ -19,6 +20,7 @@ from cosim.design.design import (
 )
 from cosim.design.figures import design_figures
 from cosim.design.loop.firmware import Firmware
+from cosim.flight import new_folder
 from cosim.results.report.page import render
 from cosim.spec.vehicle import EngineLead
 
@@ -32,14 +34,13 @@ def write(design: Design, out: Path | None) -> dict[str, Path]:
 
     Raises FlightError if a file cannot be written.
     """
-    from cosim.flight import new_folder
 
     name = f"{design.vehicle.name}-{design.engine.name}"
     file = out if out is not None else new_folder(Path("runs"), f"design-{name}") / "controller.toml"
     paths = {}
     file.parent.mkdir(parents=True, exist_ok=True)
     if design.ok:
-        write_controller(design, file)
+        write_files({file: toml_text(controller_table(design))})
         paths["controller"] = file
     paths["report"] = file.with_suffix(".html") if out is not None else file.parent / PAGE
     render(

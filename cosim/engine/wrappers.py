@@ -215,7 +215,7 @@ class EngineChain:
         self._forget()
         held = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * len(self._laws)
         self._line = deque([held] * self._delay)
-        return self._other(self.bank.reset(throttle, ambient))
+        return self._delivered(self.bank.reset(throttle, ambient))
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
         """Thrust and reports at the end of step ``k``.  Raises EngineError."""
@@ -229,15 +229,7 @@ class EngineChain:
         if self._delay:
             self._line.append(throttle)
             throttle = self._line.popleft()
-        output = self._other(self.bank.step(k, throttle, ambient))
-        return self._delivered(output) if self._cut or self._effects else output
-
-    def _other(self, output: EngineOutput) -> EngineOutput:
-        """With the thrust of the engines that fly, where the bank's are those that are known."""
-        if self._factors is None:
-            return output
-        thrust = [factor * newton for factor, newton in zip(self._factors, output.thrust, strict=True)]
-        return self._changed(output, thrust, output.spool_speed, output.fuel_flow)
+        return self._delivered(self.bank.step(k, throttle, ambient))
 
     def _changed(self, output: EngineOutput, thrust: Sequence[float], speed: PerJet, flow: PerJet) -> EngineOutput:
         """With another thrust; what an engine does beside its thrust goes with that."""
@@ -249,7 +241,12 @@ class EngineChain:
         return EngineOutput(tuple(thrust), speed, output.exhaust_temperature, flow, forward, right, torque)
 
     def _delivered(self, output: EngineOutput) -> EngineOutput:
-        """Behind faults and switches."""
+        """With the thrust of the engines that fly, where the bank's are those that are known, and behind faults."""
+        if self._factors is not None:
+            known = [factor * newton for factor, newton in zip(self._factors, output.thrust, strict=True)]
+            output = self._changed(output, known, output.spool_speed, output.fuel_flow)
+        if not (self._cut or self._effects):
+            return output
         thrust, speed, flow = list(output.thrust), list(output.spool_speed), list(output.fuel_flow)
         for i, _, effect in self._effects:
             thrust[i], speed[i] = effect.deliver(thrust[i], speed[i])

@@ -39,7 +39,7 @@ from cosim.control.autopilot.requests import (
 )
 from cosim.control.autopilot.status import Status
 from cosim.flight import record, reserve_folder, with_page
-from cosim.groundstation.exchange import Exchange, Facts, GroundRequest, Restart, Shutdown, Snapshot
+from cosim.groundstation.exchange import Exchange, Facts, Restart, Shutdown, Snapshot
 from cosim.groundstation.parameter_store import ParameterStore
 from cosim.results.autopilot.autopilot_record import PilotRecord
 from cosim.results.autopilot.request_log import REQUESTS, RequestLog
@@ -151,7 +151,7 @@ class Session:
         except BaseException:
             simulation.close()
             raise
-        return _Flight(simulation, pilot, facts, Pace(simulation.dt, self.factor))
+        return _Flight(simulation, pilot, facts, Pace(simulation.dt, self.factor), self.exchange)
 
     def _folder(self, number: int) -> Path:
         """The run's folder, made, so that what is wrong with it is said before anybody connects."""
@@ -176,11 +176,11 @@ class Session:
         self._keeper.restore(flight.put)
         self._begun(flight.facts)
         exchange.say(Severity.INFO, f"flight {flight.facts.number}: {flight.facts.vehicle.name}")
-        flight.publish(exchange, None, None)
+        flight.publish(None, None)
         with steady():
             begin = time.perf_counter()
             try:
-                observers: list[Observer] = [recording, flight.noting, _Publisher(flight, exchange)]
+                observers: list[Observer] = [recording, flight.noting, _Publisher(flight)]
                 observers += simulation.brought.observers
                 ending = simulation.run(observers, flight.pace, lambda k: self._between(flight, k))
                 simulation.brought.over()
@@ -193,7 +193,7 @@ class Session:
         else:
             exchange.say(Severity.CRITICAL, f"{ending.outcome}: {ending.reason}"[:200], simulation.k)
             exchange.say(Severity.NOTICE, "the flight is over; reboot the vehicle for a new one", simulation.k)
-        flight.publish(exchange, None, ending)
+        flight.publish(None, ending)
         self.runs.append(flight.finish(ending, wall, self._report))
         return ending
 
@@ -209,9 +209,15 @@ class Session:
                 break
             until = until or time.perf_counter() + _REQUEST_TIME
             for waiting in taken:
-                answer = self._answer(flight, waiting.sender, waiting.request, k)
-                if isinstance(waiting.request, (MissionUpload, MissionClear)):
-                    flight.publish(self.exchange, None, None)  # who has the answer may read the mission back
+                request = waiting.request
+                if isinstance(request, (Restart, Shutdown)):
+                    answer = self._refuse_or_leave(flight, request, waiting.sender)
+                else:
+                    answer = flight.ask(waiting.sender, request, k)
+                if isinstance(request, SetParameter) and answer.accepted:
+                    self._keeper.keep(flight.pilot.parameters.changed())
+                elif isinstance(request, (MissionUpload, MissionClear)):
+                    flight.publish(None, None)  # who has the answer may read the mission back
                 waiting.answer(answer)
             if time.perf_counter() > until:
                 break
@@ -219,21 +225,12 @@ class Session:
             return Ending("completed", "a restart was asked for")
         return None
 
-    def _answer(self, flight: _Flight, sender: str, request: GroundRequest, k: int) -> Answer:
-        if isinstance(request, (Restart, Shutdown)):
+    def _refuse_or_leave(self, flight: _Flight, request: Restart | Shutdown, sender: str) -> Answer:
+        if flight.pilot.armed:
             what = "restart" if isinstance(request, Restart) else "shutdown"
-            if flight.pilot.armed:
-                return Answer(False, Result.TEMPORARILY_REJECTED, f"{what} refused: it is armed")
-            self._leave(request, sender)
-            return Answer(True, Result.ACCEPTED, "")
-        if isinstance(request, Sticks) and (holder := flight.hands.others(sender, k)):
-            if flight.hands.first_time():
-                self.exchange.say(Severity.WARNING, f"sticks of {sender} not taken: {holder} flies", k)
-            return Answer(False, Result.TEMPORARILY_REJECTED, f"sticks refused: {holder} flies")
-        answer = flight.ask(sender, request, k)
-        if isinstance(request, SetParameter) and answer.accepted:
-            self._keeper.keep(flight.pilot.parameters.changed())
-        return answer
+            return Answer(False, Result.TEMPORARILY_REJECTED, f"{what} refused: it is armed")
+        self._leave(request, sender)
+        return Answer(True, Result.ACCEPTED, "")
 
     def _leave(self, request: Restart | Shutdown, sender: str) -> None:
         if isinstance(request, Restart):
@@ -255,7 +252,7 @@ class Session:
                     self._leave(waiting.request, waiting.sender)
                     answer = Answer(True, Result.ACCEPTED, "")
                 waiting.answer(answer)
-            flight.publish(exchange, None, ending)
+            flight.publish(None, ending)
             time.sleep(_OVER_EVERY)
 
 
@@ -290,6 +287,7 @@ class _Flight:
     pilot: Autopilot
     facts: Facts
     pace: Pace
+    exchange: Exchange
     recording: Recording | None = None
     log: RequestLog | None = None
     noting: PilotRecord | None = None
@@ -308,8 +306,12 @@ class _Flight:
         return self.recording
 
     def ask(self, sender: str, request: Request, k: int) -> Answer:
-        """Put a request to the pilot and write it down.  Raises FlightError if that fails."""
+        """Put a request to the pilot, sticks of who has them alone, and write it down.  Raises FlightError."""
         assert self.log is not None
+        if isinstance(request, Sticks) and (holder := self.hands.others(sender, k)):
+            if self.hands.first_time():
+                self.exchange.say(Severity.WARNING, f"sticks of {sender} not taken: {holder} flies", k)
+            return Answer(False, Result.TEMPORARILY_REJECTED, f"sticks refused: {holder} flies")
         answer = self.pilot.handle(request, k)
         self.log.write(k, sender, request, answer)
         return answer
@@ -320,8 +322,9 @@ class _Flight:
         if not answer.accepted:
             raise InputError(answer.text)
 
-    def publish(self, exchange: Exchange, sample: Sample | None, ending: Ending | None) -> None:
+    def publish(self, sample: Sample | None, ending: Ending | None) -> None:
         """Let everybody see how things stand."""
+        exchange = self.exchange
         self.last_message = pass_on(self.pilot, exchange, self.last_message)
         self.sample = sample or self.sample
         simulation, status = self.simulation, self.pilot.status
@@ -362,8 +365,8 @@ class _Flight:
 class _Publisher:
     """An observer that publishes, not more often than anybody looks, and says when deadlines are missed."""
 
-    def __init__(self, flight: _Flight, exchange: Exchange) -> None:
-        self._flight, self._exchange = flight, exchange
+    def __init__(self, flight: _Flight) -> None:
+        self._flight = flight
         self._last = self._warned = time.monotonic()
         self._missed = 0
 
@@ -372,7 +375,7 @@ class _Publisher:
         if now - self._last < _PUBLISH_EVERY:
             return
         self._last = now
-        self._flight.publish(self._exchange, sample, None)
+        self._flight.publish(sample, None)
         if now - self._warned >= _WARN_EVERY:
             self._warned = now
             self._warn()
@@ -382,7 +385,7 @@ class _Publisher:
         missed = report.missed - self._missed
         self._missed = report.missed
         if missed:
-            self._exchange.say(
+            self._flight.exchange.say(
                 Severity.WARNING,
                 f"{missed} deadlines missed in {_WARN_EVERY:g} s, latest by {1e3 * report.worst:.1f} ms",
                 self._flight.simulation.k,

@@ -104,6 +104,13 @@ def _copy(table: Any) -> Any:
     return [_copy(value) for value in table] if isinstance(table, list) else table
 
 
+def toml_text(table: Mapping[str, Any], multiline: bool = False) -> str:
+    """A table as TOML; ``multiline``: texts with line ends over several lines."""
+    import tomli_w
+
+    return tomli_w.dumps(table, multiline_strings=multiline)
+
+
 def validate(model: type[M], data: Mapping[str, Any], where: str) -> M:
     """Turn a TOML table into ``model``; ``where`` names its source in the error.
 

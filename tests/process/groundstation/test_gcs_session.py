@@ -349,7 +349,7 @@ def test_of_two_who_hold_sticks_the_first_flies_until_it_lets_go(tmp_path: Path)
     seconds = round(1.0 / flight.simulation.dt)
 
     def taken(sender: str, sticks: rq.Sticks, k: int) -> bool:
-        return session._answer(flight, sender, sticks, k).accepted
+        return flight.ask(sender, sticks, k).accepted
 
     for k in range(0, seconds, seconds // 10):
         assert taken("255/190", full, k)
@@ -361,7 +361,7 @@ def test_of_two_who_hold_sticks_the_first_flies_until_it_lets_go(tmp_path: Path)
     assert taken("254/190", centred, last + seconds // 2 + 1)
     assert not taken("255/190", full, last + seconds // 2 + 2)
     assert flight.pilot._remote.sticks == centred
-    flight.publish(session.exchange, None, None)
+    flight.publish(None, None)
     assert [message.text for message in session.exchange.messages] == [
         *("sticks of 254/190 not taken: 255/190 flies", "sticks of 255/190 not taken: 254/190 flies"),
     ]
