@@ -12,7 +12,7 @@ from typing import Any
 
 from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.protocols import Observer
-from cosim.base.storage.toml import read_toml
+from cosim.base.storage.toml import read_toml, toml_text
 from cosim.control.cascade import Cascade
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import EngineSpec, engine_names, load_engine
@@ -254,8 +254,6 @@ def copied_aircraft(
     stated = simulation.vehicle.model_dump(mode="json", exclude_none=True)
     if not is_own(scenario.aircraft):
         return scenario.aircraft, stated, engine_files(specs, files)
-    import tomli_w
-
     _, folder = scenario.resolved_vehicle()
     table, own = as_read(scenario.aircraft, scenario.folder), dict[str, Path | bytes]()
     model = simulation.vehicle.model
@@ -271,7 +269,7 @@ def copied_aircraft(
     names = engine_files(specs, files)
     called = {(spec.mapping or spec.path).resolve(): names[id(spec)] for spec in specs}
     table, stated = (_with_engines(aircraft_table, folder, called) for aircraft_table in (table, stated))
-    files[VEHICLE] = tomli_w.dumps(_written(table)).encode()
+    files[VEHICLE] = toml_text(_written(table)).encode()
     return VEHICLE, stated, names
 
 
@@ -296,8 +294,6 @@ def copied_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) 
     Its files begin with its name.  Raises InputError as :func:`cosim.spec.vehicle.load_vehicle`, for its engine, and
     where another file has the name of one of them.
     """
-    import tomli_w
-
     vehicle, place = load_vehicle(aircraft, folder=folder)
     table, own = as_read(aircraft, folder), dict[str, Path | bytes]()
     if vehicle.model is not None:
@@ -312,7 +308,7 @@ def copied_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) 
     }
     names = engine_files(list(specs.values()), files)
     table = _with_engines(table, place, {source: names[id(spec)] for source, spec in specs.items()})
-    own[f"{vehicle.name}-{VEHICLE}"] = tomli_w.dumps(_written(table)).encode()
+    own[f"{vehicle.name}-{VEHICLE}"] = toml_text(_written(table)).encode()
     for name in own:
         if name in files:
             raise InputError(f"aircraft {vehicle.name}: another file has the name {name!r}")
@@ -399,9 +395,7 @@ def _mapping(path: Path, archive: str) -> Path | bytes:
         stated["parameters"] = find_source(str(path)).mapping.parameters
     elif stated["fmu"] == archive:
         return path
-    import tomli_w
-
-    return tomli_w.dumps(stated | {"fmu": archive}).encode()
+    return toml_text(stated | {"fmu": archive}).encode()
 
 
 def _setup(simulation: Simulation) -> Setup:

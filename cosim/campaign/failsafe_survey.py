@@ -9,6 +9,7 @@ up.
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from math import atan2, hypot, inf, isnan, nan, radians, sqrt
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.storage.files import finite
+from cosim.base.storage.toml import toml_text
 from cosim.campaign.fault_survey import Say, controllers_for, step_of
 from cosim.campaign.workers.tasks import in_order
 from cosim.control.autopilot.modes import LandedState, Mode
@@ -30,10 +32,16 @@ from cosim.control.autopilot.requests import (
     SetMode,
     SetParameter,
     Sticks,
+    to_dict,
 )
 from cosim.control.predictors.registry import BASELINE, SMITH
 from cosim.results.autopilot.request_log import Entry
+from cosim.results.columns import log_columns, logged_vehicle
+from cosim.results.digest import DigestSink
+from cosim.results.recorder import Recorder
 from cosim.results.report import marks
+from cosim.simulation.build import build
+from cosim.simulation.with_autopilot import with_autopilot
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_seen_from, engine_of, load_vehicle
 
@@ -263,8 +271,6 @@ def _plan(
     winds: Sequence[float],
     speed: float,
 ) -> _Plan:
-    from cosim.simulation.build import build
-    from cosim.simulation.with_autopilot import with_autopilot
 
     aircraft = aircraft_seen_from(aircraft, Path())
     vehicle, _ = load_vehicle(aircraft)
@@ -315,11 +321,6 @@ def scenario_of(aircraft: str, engine: str, controller: str, step: float, height
 
 def fly_case(task: tuple[Case, Start, Scenario]) -> FailsafeFlight:
     """One flight, in this process."""
-    from cosim.results.columns import log_columns, logged_vehicle
-    from cosim.results.digest import DigestSink
-    from cosim.results.recorder import Recorder
-    from cosim.simulation.build import build
-    from cosim.simulation.with_autopilot import with_autopilot
 
     case, start, scenario = task
     with build(scenario) as simulation:
@@ -483,19 +484,13 @@ def write(result: Failsafes, folder: Path) -> Path:
 
 def write_flight(folder: Path, name: str, scenario: Scenario, entries: Sequence[Entry]) -> Path:
     """What ``hexjet fly`` flies again: the scenario, and beside it what was asked in it.  Raises OSError."""
-    import json
-
-    import tomli_w
-
-    from cosim.control.autopilot.requests import to_dict
-
     requests = [{"step": entry.step, "sender": entry.sender} | to_dict(entry.request) for entry in entries]
     text = "".join(json.dumps(line, allow_nan=False) + "\n" for line in requests)
     (folder / f"{name}.jsonl").write_text(text, encoding="utf-8")
     stated = scenario.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
     stated |= {"name": name, "requests": f"{name}.jsonl"}
     path = folder / f"{name}.toml"
-    path.write_text(tomli_w.dumps(stated), encoding="utf-8")
+    path.write_text(toml_text(stated), encoding="utf-8")
     return path
 
 

@@ -23,11 +23,14 @@ from cosim.base.storage.toml import merge
 from cosim.campaign.workers.tasks import in_order
 from cosim.control.allocation.reallocation import Attainable, attainable_sets
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
-from cosim.flight import copied_controller
+from cosim.design.controller_file import differences, read_controller
+from cosim.engine import load_engine
+from cosim.flight import copied_controller, fly
 from cosim.results.columns import jets_in
 from cosim.results.metrics import wrap
 from cosim.results.report.marks import table, write_marks
 from cosim.results.report.page import render
+from cosim.simulation.build import build
 from cosim.spec.controller_name import is_design, label
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, load_vehicle
@@ -180,7 +183,6 @@ def cases(vehicle: Vehicle) -> list[Case]:
 
 def controllers_for(aircraft: str, engine: str, step: float) -> list[str]:
     """Of those that are compared, the ones whose model the vehicle has with this engine."""
-    from cosim.engine import load_engine
 
     vehicle, _ = load_vehicle(aircraft)
     family = load_engine(engine, {}, step).family
@@ -203,8 +205,6 @@ def survival(
     ``engine`` None is the one that the aircraft is made for; ``say`` is told what was flown, how many are, of how many.
     Raises InputError for an unknown kind, aircraft, engine or controller.
     """
-    from cosim.design.controller_file import differences
-    from cosim.simulation.build import build
 
     aircraft = aircraft_seen_from(aircraft, Path())
     vehicle, _ = load_vehicle(aircraft)
@@ -292,7 +292,6 @@ def scenario_of(case: Case, start: str, controller: str, aircraft: str, engine: 
 
 def _designed(path: Path, aircraft: str, step: float) -> tuple[str, dict[str, Any]]:
     """The built-in controller and the gains of a file of hexjet design."""
-    from cosim.design.controller_file import read_controller
 
     file = read_controller(path, aircraft)
     file.check_step(path, step)
@@ -300,7 +299,6 @@ def _designed(path: Path, aircraft: str, step: float) -> tuple[str, dict[str, An
 
 
 def _fly(flight: tuple[Case, str, str, Scenario]) -> Row:
-    from cosim.flight import fly
 
     case, start, controller, scenario = flight
     run = fly(scenario)
@@ -322,7 +320,6 @@ def _fly(flight: tuple[Case, str, str, Scenario]) -> Row:
 
 def _scan(task: tuple[str, str, str, str, str, float]) -> Limit:
     """Fly along a grid until the vehicle is lost; the fault is jet 1's."""
-    from cosim.flight import fly
 
     quantity, start, controller, aircraft, engine, step = task
     reached: dict[Verdict, list[float]] = {"held": [], "airborne": []}

@@ -13,7 +13,7 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.storage.files import write_whole
-from cosim.base.storage.toml import read_toml
+from cosim.base.storage.toml import read_toml, toml_text
 from cosim.campaign.study.distributions import Vary
 from cosim.campaign.study.keys import with_values
 from cosim.campaign.study.study import Study
@@ -42,12 +42,10 @@ class Frozen:
 
     def write(self, folder: Path) -> None:
         """Put the files into place, the study last: a folder that has it has them all.  Raises OSError."""
-        import tomli_w
-
         for name, content in self.files.items():
             write_whole(folder / name, content)
-        write_whole(folder / SCENARIO, tomli_w.dumps(self.scenario).encode())
-        write_whole(folder / STUDY, tomli_w.dumps(self.study, multiline_strings=True).encode())
+        write_whole(folder / SCENARIO, toml_text(self.scenario).encode())
+        write_whole(folder / STUDY, toml_text(self.study, multiline=True).encode())
 
     def differences(self, folder: Path) -> Iterator[str]:
         """What this study states otherwise than the one in ``folder``, a line each, the study itself first."""

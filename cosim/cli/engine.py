@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from cosim.base.errors import InputError
-from cosim.cli.console import terminal
+from cosim.cli.console import part_progress, terminal
 from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, offer_to_compile
 
 if TYPE_CHECKING:
@@ -83,7 +83,6 @@ def fmu_survey(
     """
     from dataclasses import asdict
 
-    from cosim.cli.console import part_progress
     from cosim.design.survey import COLUMNS, FAULT, MARK, add_to_page, rows_of, survey
     from cosim.results.report.marks import check_marks, table
 

@@ -19,6 +19,7 @@ from cosim.base.storage.toml import (
 )
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.tune import Requirements
+from cosim.engine import load_engine
 from cosim.spec.scenario import Scenario, find_scenario
 from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_names, aircraft_seen_from, load_vehicle
 
@@ -153,7 +154,6 @@ def with_controller(
 
 def differences(scenario: Scenario, path: Path) -> list[str]:
     """In which ways a flight is not what its controller file was designed for."""
-    from cosim.engine import load_engine
 
     file = validate(ControllerFile, read_toml(path), str(path))
     made = file.design

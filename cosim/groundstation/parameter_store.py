@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from cosim.base.errors import InputError
-from cosim.base.storage.toml import read_toml
+from cosim.base.storage.files import one_line, write_whole
+from cosim.base.storage.toml import read_toml, toml_text
 
 _FORMAT = 1
 _HEAD = "# What differs from the defaults; written by hexjet gcs.\n"
@@ -76,12 +77,9 @@ class ParameterStore:
         values = {**{n: v for n, v in self._refused.items() if n not in changed}, **changed}
         if values == self._written or (not values and not self.path.exists()):
             return
-        import tomli_w
-
-        from cosim.base.storage.files import one_line, write_whole
 
         numbers = {name: values[name] for name in sorted(values)}
-        text = _HEAD + tomli_w.dumps({"format": _FORMAT, "vehicle": self._vehicle, "parameters": numbers})
+        text = _HEAD + toml_text({"format": _FORMAT, "vehicle": self._vehicle, "parameters": numbers})
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._put_aside()

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cosim.base.storage.toml import toml_text
 from cosim.design.loop.frequency import margins
 from cosim.paper import numbers
 from cosim.paper.experiments import (
@@ -218,7 +219,5 @@ def _digits(value: float, digits: int) -> float:
 
 def write(frozen: Frozen, path: Path = FILE) -> None:
     """Freeze a calibration."""
-    import tomli_w
-
     head = "# Made by cosim.paper.calibration.calibrate(); do not edit.  Units are in the class Calibration.\n\n"
-    path.write_text(head + tomli_w.dumps(frozen.model_dump()), encoding="utf-8")
+    path.write_text(head + toml_text(frozen.model_dump()), encoding="utf-8")

@@ -20,7 +20,10 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import write_whole
 from cosim.base.storage.paths import data_folder
+from cosim.base.storage.toml import toml_text
 from cosim.campaign.workers.tasks import as_finished
+from cosim.design.identify import identify_axis, identify_engine
+from cosim.design.identify.fit import fit
 from cosim.flight import fly
 from cosim.paper import numbers
 from cosim.paper.beyond import Reach, turbojet_plant
@@ -155,13 +158,11 @@ def fly_turbojet(reach: Reach) -> TurbojetFlight:
 
 def write_scenarios(folder: Path) -> None:
     """Every flown experiment as a scenario file, to be flown and changed on its own: ``hexjet fly FILE``."""
-    import tomli_w
-
     folder.mkdir(parents=True, exist_ok=True)
     frozen = load().parameters
     for experiment in flight_experiments():
         made = scenario(experiment, frozen)
-        text = tomli_w.dumps(made.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
+        text = toml_text(made.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
         write_whole(folder / f"{experiment.name}.toml", text)
 
 
@@ -242,8 +243,6 @@ def fly_offset(controller: str) -> Offset:
 
 def identify() -> Identified:
     """The paper's identified models, as this program's own identification finds them on FMUs and in flight."""
-    from cosim.design.identify import identify_axis, identify_engine
-    from cosim.design.identify.fit import fit
 
     values: dict[str, float] = {}
     responses = {}

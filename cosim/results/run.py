@@ -25,7 +25,7 @@ from cosim.base.constants import Outcome
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Column
 from cosim.base.storage.files import locked, write_whole
-from cosim.base.storage.toml import Vector
+from cosim.base.storage.toml import Vector, toml_text
 from cosim.results.arrow import (
     ParquetLog,
     StreamSink,
@@ -637,9 +637,7 @@ def _refuse_if_used(folder: Path, files: Mapping[str, Path | bytes]) -> None:
 
 
 def scenario_toml(scenario: Scenario) -> bytes:
-    import tomli_w
-
-    return tomli_w.dumps(scenario.model_dump(mode="json", exclude_none=True)).encode()
+    return toml_text(scenario.model_dump(mode="json", exclude_none=True)).encode()
 
 
 def _json(summary: Summary) -> str:

@@ -11,10 +11,14 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import one_line, write_whole
+from cosim.base.storage.toml import toml_text
 from cosim.campaign.analysis.summary import SUCCESS, missing, places
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.campaign.folder import CASES, SCENARIO
+from cosim.campaign.study.plan import scenario_of
+from cosim.flight import resolve
 from cosim.results.report.flight_figures import run_colour
+from cosim.simulation.build import build
 
 if TYPE_CHECKING:
     from cosim.campaign.store import Campaign
@@ -125,7 +129,6 @@ def write_case(campaign: Campaign, row: int) -> tuple[str, str]:
     cannot be written.
     """
     from cosim.campaign.run import flight_of
-    from cosim.campaign.study.plan import scenario_of
 
     stated = ("flight", "draw", "controller", "seed", *(vary.key for vary in campaign.study.vary))
     try:
@@ -142,10 +145,6 @@ def write_flight(scenario: Scenario, folder: Path, name: str) -> str:
     Where files go along with it it has a folder of its own.  Raises InputError or FlightError if it cannot be built or
     written.
     """
-    import tomli_w
-
-    from cosim.flight import resolve
-    from cosim.simulation.build import build
 
     with build(scenario) as simulation:
         resolved, files = resolve(simulation)
@@ -153,7 +152,7 @@ def write_flight(scenario: Scenario, folder: Path, name: str) -> str:
     path = folder / place
     for beside, content in files.items():
         _write(path.with_name(beside), content)
-    _write(path, tomli_w.dumps(resolved.model_dump(mode="json", exclude_none=True)).encode())
+    _write(path, toml_text(resolved.model_dump(mode="json", exclude_none=True)).encode())
     return place.as_posix()
 
 

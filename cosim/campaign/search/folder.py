@@ -16,7 +16,7 @@ from typing import Any
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import locked, one_line, write_whole
-from cosim.base.storage.toml import read_toml
+from cosim.base.storage.toml import read_toml, toml_text
 from cosim.campaign.folder import Frozen, freeze
 from cosim.campaign.folder import load as load_study
 from cosim.campaign.search.page import write_page
@@ -176,12 +176,10 @@ def _begun(out: Path, frozen: Frozen, plan: Plan, resume: bool) -> bool:
 
 
 def _begin(out: Path, frozen: Frozen, plan: Plan) -> None:
-    import tomli_w
-
     (out / STUDY).mkdir(parents=True)
     frozen.write(out / STUDY)
     (out / JOURNAL).touch()
-    write_whole(out / QUESTION, tomli_w.dumps(question(plan)))  # the last: a folder that has it has all
+    write_whole(out / QUESTION, toml_text(question(plan)))  # the last: a folder that has it has all
 
 
 def _cases(result: SearchResult, prober: Prober, folder: Path) -> Iterator[Case]:

@@ -24,6 +24,9 @@ from pydantic.fields import FieldInfo
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import merge, split_key
 from cosim.control.predictors.registry import PREDICTORS
+from cosim.engine import engine_names
+from cosim.engine.fmu.ports import INTEGERS
+from cosim.engine.spec import find_source
 from cosim.simulation.controllers.source import find
 from cosim.simulation.controllers.source import names as own_controllers
 from cosim.spec.controller_name import is_design
@@ -334,7 +337,6 @@ def _scenario_keys(scenario: Scenario, name: str, field: FieldInfo) -> Iterator[
 
 
 def _names(name: str) -> list[str]:
-    from cosim.engine import engine_names
 
     if name == "controller":
         return [*PREDICTORS, *(own for own, _ in own_controllers())]
@@ -462,14 +464,12 @@ def unit_of(path: str) -> str:
 
 def _archive(scenario: Scenario, engine: str) -> Archive:
     """An engine's archive; a file is seen from the scenario's folder."""
-    from cosim.engine.spec import find_source
 
     return find_source(str(scenario.folder / engine) if is_file(engine) else engine).archive
 
 
 def _parameters(path: str, archive: Archive, given: Mapping[str, float]) -> Iterator[Key]:
     """The parameters that an engine declares and the simulation does not set itself."""
-    from cosim.engine.fmu.ports import INTEGERS
 
     start = archive.ports["start"].variable.name if "start" in archive.ports else None
     for variable in archive.parameters:
@@ -494,7 +494,6 @@ def _declared(name: str, unit: str | None) -> str:
 
 def _station_keys(scenario: Scenario, jets: int) -> Iterator[Key]:
     """What may stand at each station instead of the scenario's engine."""
-    from cosim.engine import engine_names
 
     names = tuple(engine_names())
     for number in range(1, jets + 1):

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, overload
 
+from cosim.campaign.study.draws import draws
 from cosim.campaign.study.keys import Value, with_values
 from cosim.campaign.study.study import Study
 from cosim.spec.controller_name import file_name, seen_from
@@ -60,7 +61,6 @@ class _Flights(Sequence[Flight]):
 
 def flights(study: Study) -> Sequence[Flight]:
     """Every flight of ``study``, in the order in which they are flown."""
-    from cosim.campaign.study.draws import draws
 
     return _Flights(draws(study), controllers(study))
 

@@ -17,13 +17,7 @@ from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.storage.files import write_whole
 from cosim.base.storage.paths import data_folder, files_in
-from cosim.base.storage.toml import (
-    Model,
-    read_toml,
-    set_path,
-    split_key,
-    validate,
-)
+from cosim.base.storage.toml import Model, read_toml, set_path, split_key, toml_text, validate
 from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.distributions import Vary, parse_vary
 from cosim.campaign.study.keys import (
@@ -34,6 +28,7 @@ from cosim.campaign.study.keys import (
     with_values,
 )
 from cosim.campaign.study.values import check_vary
+from cosim.results.metrics import metric_names
 from cosim.simulation.brought import metrics_of
 from cosim.simulation.controllers.source import find
 from cosim.spec.controller_name import is_design, seen_from
@@ -199,9 +194,7 @@ class Study(Model):
 
     def save(self, path: Path) -> None:
         """Write the study as TOML.  Raises FlightError if that fails."""
-        import tomli_w
-
-        write_whole(path, tomli_w.dumps(self.table(), multiline_strings=True), FlightError)
+        write_whole(path, toml_text(self.table(), multiline=True), FlightError)
 
     @classmethod
     def load(cls, name: str | Path) -> Study:
@@ -289,7 +282,6 @@ def check(study: Study, where: str) -> None:
 
     Raises InputError: one line with the key, the value and what is allowed.
     """
-    from cosim.results.metrics import metric_names
 
     for name in study.controllers:
         if not is_design(name):

@@ -15,6 +15,7 @@ import numpy as np
 
 from cosim.base.arrays import Array, Complex
 from cosim.base.storage.files import write_files
+from cosim.base.storage.toml import toml_text
 from cosim.design.identify.result import (
     Identification,
     equations,
@@ -46,8 +47,6 @@ def write(identification: Identification, folder: Path) -> dict[str, Path]:
 
     Raises FlightError if a file cannot be written.
     """
-    import tomli_w
-
     paths = {"json": folder / "identification.json", "response": folder / "response.csv"}
     texts = {
         "json": json.dumps(identification.to_dict(), indent=2, allow_nan=False) + "\n",
@@ -55,7 +54,7 @@ def write(identification: Identification, folder: Path) -> dict[str, Path]:
     }
     if identification.kind == "axis":
         paths["model"] = folder / "model.toml"
-        texts["model"] = tomli_w.dumps(identification.model_table())
+        texts["model"] = toml_text(identification.model_table())
     write_files({path: texts[name] for name, path in paths.items()})
     paths["report"] = folder / "report.html"
     write_page(identification, paths["report"])

@@ -11,6 +11,7 @@ import numpy as np
 
 from cosim.base.errors import FlightError
 from cosim.base.storage.paths import data_folder
+from cosim.base.storage.toml import toml_text
 from cosim.design.logged.identify_log import LogIdentification, information
 from cosim.design.logged.pem import Estimate
 from cosim.design.panels import HOVER, beneath, panels, trace
@@ -27,17 +28,15 @@ def write(result: LogIdentification, folder: Path, step: float, family: str) -> 
 
     ``family`` is the engine under which an axis' model is filed.  Raises FlightError if a file cannot be written.
     """
-    import tomli_w
-
     paths = {"json": folder / "identification.json"}
     texts = {"json": json.dumps(result.to_dict(step), indent=2, allow_nan=False) + "\n"}
     if not result.engine:
         paths["model"] = folder / "model.toml"
         table = {"identified": {family: {result.what: result.rate_model(step).model_dump()}}}
-        texts["model"] = tomli_w.dumps(table)
+        texts["model"] = toml_text(table)
     if result.engine and result.signals.output_unit == "N":
         paths["engine"] = folder / "engine.toml"
-        texts["engine"] = tomli_w.dumps(engine_table(result))
+        texts["engine"] = toml_text(engine_table(result))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, path in paths.items():
