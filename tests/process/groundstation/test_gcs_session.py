@@ -12,6 +12,7 @@ import threading
 import time
 import tomllib
 from collections.abc import Callable, Iterator
+from math import hypot
 from pathlib import Path
 from typing import Any
 
@@ -369,6 +370,36 @@ def test_of_two_who_hold_sticks_the_first_flies_until_it_lets_go(tmp_path: Path)
     # what was not taken is not flown again either
     senders = [entry.sender for entry in read_requests(tmp_path / "run" / REQUESTS)]
     assert senders == ["255/190"] * 10 + ["254/190"]
+
+
+def test_a_second_stations_full_sticks_move_nobody(tmp_path: Path) -> None:
+    """They came last in every step, and the vehicle flew off at 4 m/s."""
+    session = Session(Scenario.load("hover").replace(name="gcs"), Exchange(), out=tmp_path / "run", report=False)
+    flight = session._next
+    assert flight is not None
+    flight.begin()
+    simulation, pilot, speeds = flight.simulation, flight.pilot, []
+
+    def fly(seconds: float, until: Callable[[], bool] = lambda: False) -> None:
+        for _ in range(round(seconds / simulation.dt)):
+            if simulation.k % 25 == 0:
+                flight.ask("255/190", rq.Sticks(0.0, 0.0, 0.0, 0.5), simulation.k)
+                flight.ask("254/190", rq.Sticks(1.0, 1.0, 1.0, 1.0), simulation.k)
+            simulation.step()
+            if pilot.mode is Mode.POSCTL:
+                speeds.append(hypot(*simulation.state.velocity[:2]))
+            if until():
+                return
+
+    fly(1.1)
+    assert flight.ask("255/190", rq.Arm(), simulation.k).accepted
+    assert flight.ask("255/190", rq.Takeoff(3.0), simulation.k).accepted
+    fly(30.0, lambda: pilot.mode is Mode.HOLD)
+    assert flight.ask("255/190", rq.SetMode("POSCTL"), simulation.k).accepted
+    fly(4.0)
+    assert pilot.mode is Mode.POSCTL
+    assert max(speeds) < 0.5
+    flight.close()
 
 
 def test_the_scenario_is_as_at_the_start(toured: Run) -> None:
