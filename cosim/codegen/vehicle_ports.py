@@ -29,7 +29,8 @@ from cosim.base.signals import (
     PerJet,
     Unallocated,
 )
-from cosim.engine.fmu.ports import AMBIENT, OUTPUTS, Air
+from cosim.engine.fmu.air import Air
+from cosim.engine.fmu.port_kinds import AMBIENT, OUTPUTS
 from cosim.simulation.build import build
 from cosim.simulation.script.commander import Commander
 from cosim.spec.scenario import EngineFault, Scenario

@@ -4,7 +4,7 @@ The only package that imports FMPy, and only where it is needed, because that im
 """
 
 from cosim.engine.bank import EngineBank
-from cosim.engine.fmu.ports import Air
+from cosim.engine.fmu.air import Air
 from cosim.engine.isolated import IsolatedBank
 from cosim.engine.qualify.check import CheckReport, check_fmu, limits_of
 from cosim.engine.qualify.load import load_engine

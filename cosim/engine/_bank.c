@@ -33,7 +33,7 @@ typedef int (*Update3)(void *, bool *, bool *, bool *, bool *, bool *, double *)
 
 enum { OK = 0, WARNING = 1, DISCARD = 2 };
 
-/* The ports, in the order of cosim.engine.fmu.ports.INPUTS and OUTPUTS; BASE are given, the others follow from them. */
+/* The ports, in the order of cosim.engine.fmu.port_kinds, INPUTS and OUTPUTS; BASE are given, the others follow from them. */
 enum { THROTTLE, PRESSURE, TEMPERATURE, AIR_SPEED, BASE, ALTITUDE = BASE, MACH, DENSITY, TOTAL_PRESSURE,
        TOTAL_TEMPERATURE, INPUTS };
 enum { THRUST, OUTPUTS = 7 };
@@ -168,7 +168,7 @@ static int get_block(const Engine *e, const Block *b)
     return status;
 }
 
-/* The same air in other words: cosim.engine.fmu.ports.Air.derived, whose constants these are. */
+/* The same air in other words: cosim.engine.fmu.air.Air.derived, whose constants these are. */
 static void derive(double port[INPUTS])
 {
     const double gamma = 1.4, gas = 287.05287, gravity = 9.80665, p0 = 101325.0, t0 = 288.15, lapse = 0.0065;

@@ -9,8 +9,9 @@ import cosim.engine._bank as _bank
 from cosim.base.errors import EngineError
 from cosim.base.protocols import Column
 from cosim.base.signals import Ambient, EngineOutput, PerJet
+from cosim.engine.fmu.air import Air
 from cosim.engine.fmu.instance import FmuInstance, InstanceError
-from cosim.engine.fmu.ports import AMBIENT, ASIDE, Air
+from cosim.engine.fmu.port_kinds import AMBIENT, ASIDE
 from cosim.engine.fmu.starting import Ignition, StartError
 from cosim.engine.fmu.unpacked import Unpacked, unpack
 from cosim.engine.response import ResponseError, settle

@@ -24,7 +24,7 @@ from cosim.base.protocols import Column
 from cosim.base.runtime.processes import reap
 from cosim.base.signals import Ambient, EngineOutput, PerJet
 from cosim.engine.bank import EngineBank, logged_columns
-from cosim.engine.fmu.ports import AMBIENT
+from cosim.engine.fmu.port_kinds import AMBIENT
 from cosim.engine.spec import EngineSpec
 
 HANG_S = 4.0  # for one step of all engines; chosen by us: a thousand control steps

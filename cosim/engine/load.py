@@ -5,18 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from cosim.base.errors import InputError, nearest
+from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.instance import InstanceError
-from cosim.engine.fmu.ports import (
-    AMBIENT,
-    STANDARD_AIR,
-    Air,
-    PortError,
-    Variable,
-    is_mapping,
-    is_several,
-    members_of,
-)
+from cosim.engine.fmu.mapping import is_mapping
+from cosim.engine.fmu.port_kinds import AMBIENT
+from cosim.engine.fmu.ports import PortError, is_several, members_of
 from cosim.engine.fmu.starting import CONSTANTS
+from cosim.engine.fmu.variables import Variable
 from cosim.engine.measure import Measured, measure_once
 from cosim.engine.response import ResponseError, window_for
 from cosim.engine.rundown import OWN, FlameOutLaw, law_of
@@ -42,7 +37,7 @@ def load_unchecked(
     """Find, validate and measure an engine that will be stepped by ``step`` seconds.
 
     The engine is an FMI 2.0 or 3.0 co-simulation FMU, by its name in the library, by path, or by the path of a mapping
-    file; see ``cosim.engine.fmu.ports`` for how its ports are found.
+    file; see ``cosim.engine.fmu.mapping`` for it, ``ports`` for how its ports are found.
 
     What is ``measured`` already is taken as it is; ``foreign`` measures an engine that is not of the library, from what
     is asked for and the air, where this process should not.

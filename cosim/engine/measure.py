@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import cosim.engine._bank as _bank
 from cosim.base.storage.cache import Memory
+from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive
 from cosim.engine.fmu.instance import InstanceError
-from cosim.engine.fmu.ports import STANDARD_AIR, Air
 from cosim.engine.fmu.starting import Setting
 from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.response import (

@@ -15,19 +15,11 @@ from cosim.base.errors import InputError, nearest
 from cosim.base.storage.cache import Memory
 from cosim.base.storage.paths import data_folder
 from cosim.engine import build
+from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive, read_archive
-from cosim.engine.fmu.ports import (
-    INTEGERS,
-    STANDARD_AIR,
-    Air,
-    MappingFile,
-    Port,
-    PortMap,
-    Variable,
-    is_mapping,
-    read_mapping,
-)
+from cosim.engine.fmu.mapping import MappingFile, PortMap, is_mapping, read_mapping
 from cosim.engine.fmu.starting import Setting
+from cosim.engine.fmu.variables import INTEGERS, Port, Variable
 from cosim.engine.response import NO_CHANGE, Curve, Small, rising
 from cosim.engine.rundown import FlameOutLaw
 from cosim.engine.ssp.parameter_set import read_parameter_set

@@ -39,7 +39,7 @@ from cosim.engine import (
     IsolatedBank,
     load_engine,
 )
-from cosim.engine.fmu.ports import ASIDE
+from cosim.engine.fmu.port_kinds import ASIDE
 from cosim.engine.wrappers import EngineChain
 from cosim.simulation.brought import bring
 from cosim.simulation.controllers.deadline import Deadline

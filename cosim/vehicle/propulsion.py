@@ -45,7 +45,7 @@ class Propulsion:
     """Everything between the actuators' commands and the airframe; a part that the vehicle has not is None.
 
     ``jets`` as they stand on the vehicle that flies; ``air()``: static pressure [Pa] and temperature [K] where it is.
-    ``aside``: of each engine what it gives beside its thrust (:data:`cosim.engine.fmu.ports.ASIDE`); empty: none does.
+    ``aside``: of each engine what it gives beside its thrust, of ``ASIDE`` in :mod:`cosim.engine.fmu.port_kinds`.
     An engine that gives a torque has no other reaction: ``reaction_m`` of its jet does not act.
     After a step ``output``, ``tilt``, ``fuel`` and ``spool_moment`` say what the parts did over it; ``momentum`` of the
     rotors (kg m^2/s, body) and ``burnt`` (kg, of a full tank) are the airframe's to carry.

@@ -25,7 +25,7 @@ from cosim.base.errors import InputError
 from cosim.base.storage.toml import merge, split_key
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import engine_names
-from cosim.engine.fmu.ports import INTEGERS
+from cosim.engine.fmu.variables import INTEGERS
 from cosim.engine.spec import find_source
 from cosim.simulation.controllers.source import find
 from cosim.simulation.controllers.source import names as own_controllers

@@ -90,7 +90,8 @@ def summary(result: LogIdentification) -> str:
         clock += f", {100.0 * output.lost:.2g} % lost"
     return (
         f"{result.path.name} ({result.kind}): {result.signals.command} to {result.signals.output}; "
-        f"{prepared.seconds:.1f} s used, output at {clock}; working step {1e3 * prepared.working_step:.3g} ms, times by {result.clock}"
+        f"{prepared.seconds:.1f} s used, output at {clock}; working step {1e3 * prepared.working_step:.3g} ms, "
+        f"times by {result.clock}"
     )
 
 

@@ -26,18 +26,12 @@ from cosim.engine.fmu.container import (
     read_bytes,
 )
 from cosim.engine.fmu.description import describe
-from cosim.engine.fmu.ports import (
-    INTEGERS,
-    REALS,
-    SPEEDS,
-    Port,
-    PortError,
-    PortMap,
-    Variable,
-    find_engines,
-)
+from cosim.engine.fmu.mapping import PortMap
+from cosim.engine.fmu.port_kinds import SPEEDS
+from cosim.engine.fmu.ports import PortError, find_engines
 from cosim.engine.fmu.starting import Setting, Starting, starting
 from cosim.engine.fmu.units import Unit
+from cosim.engine.fmu.variables import INTEGERS, REALS, Port, Variable
 
 TYPES = {*REALS, *INTEGERS, "Boolean", "Enumeration"}
 LARGEST_ARRAY = 10_000  # elements that are listed one by one

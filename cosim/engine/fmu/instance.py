@@ -15,18 +15,12 @@ from statistics import fmean
 from typing import Any, Literal
 
 import cosim.engine._bank as _bank
+from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive, InputClock
 from cosim.engine.fmu.container import one_line
-from cosim.engine.fmu.ports import (
-    BASE,
-    INPUTS,
-    OUTPUTS,
-    REALS,
-    STANDARD_AIR,
-    Air,
-    Variable,
-)
+from cosim.engine.fmu.port_kinds import BASE, INPUTS, OUTPUTS
 from cosim.engine.fmu.starting import Ignition, Setting, StartError
+from cosim.engine.fmu.variables import REALS, Variable
 
 STATUS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
 DISCARD = 2

@@ -20,7 +20,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from cosim.engine.fmu.ports import CONDITION, INTEGERS, REALS, Held, Port, PortError, PortMap, Variable
+from cosim.engine.fmu.mapping import CONDITION, Held, PortMap
+from cosim.engine.fmu.ports import PortError
+from cosim.engine.fmu.variables import INTEGERS, REALS, Port, Variable
 
 Setting = tuple[Variable, float]
 

@@ -37,7 +37,8 @@ from cosim.base.storage.toml import read_toml
 from cosim.engine.fmu.archive import platform_folder
 from cosim.engine.fmu.container import DAMAGE, UnusableError, fmi_of, one_line, open_archive, parse, read_bytes
 from cosim.engine.fmu.description import describe
-from cosim.engine.fmu.ports import INTEGERS, REALS, plain
+from cosim.engine.fmu.ports import plain
+from cosim.engine.fmu.variables import INTEGERS, REALS
 
 MAPPING = ".fmu.toml"
 _SERVE = "import sys; from cosim.engine.make.controller_fmu import serve; serve(sys.argv[1])"

@@ -19,17 +19,13 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
+from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive, named_ports
 from cosim.engine.fmu.container import DAMAGE
-from cosim.engine.fmu.ports import (
-    KINDS,
-    STANDARD_AIR,
-    Air,
-    Port,
-    Variable,
-    plain,
-)
+from cosim.engine.fmu.port_kinds import KINDS
+from cosim.engine.fmu.ports import plain
 from cosim.engine.fmu.unpacked import unpack
+from cosim.engine.fmu.variables import Port, Variable
 from cosim.engine.measure import Measured, measure_once
 from cosim.engine.qualify.remembered import cache_folder, misbehaves, remember_misbehaviour, write
 from cosim.engine.qualify.supervisor import READ, STARTED, Apart, Limits, run_apart

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from cosim.engine.fmu.ports import STANDARD_AIR, Air
+from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.load import load_unchecked
 from cosim.engine.measure import Measured
 from cosim.engine.qualify.check import measure_apart, measure_unjudged

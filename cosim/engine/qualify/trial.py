@@ -22,10 +22,10 @@ import cosim.engine._bank as _bank
 from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import EngineOutput
 from cosim.engine.bank import EngineBank
+from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import libraries_of, validate
 from cosim.engine.fmu.description import is_blemish
 from cosim.engine.fmu.instance import FmuInstance, InstanceError
-from cosim.engine.fmu.ports import STANDARD_AIR, Air
 from cosim.engine.fmu.unpacked import contents, unpack
 from cosim.engine.load import load_unchecked
 from cosim.engine.measure import Measured, measure

@@ -27,9 +27,11 @@ from cosim.engine.fmu.archive import (
     read_once,
 )
 from cosim.engine.fmu.container import UnusableError, need_harmless_xml, open_archive
-from cosim.engine.fmu.ports import PortError, PortMap, Variable, find_engines, is_several
+from cosim.engine.fmu.mapping import PortMap
+from cosim.engine.fmu.ports import PortError, find_engines, is_several
 from cosim.engine.fmu.starting import Setting, starting
 from cosim.engine.fmu.units import Unit
+from cosim.engine.fmu.variables import Variable
 from cosim.engine.ssp.structure import STRUCTURE, Node, Structure, Value, conversion, order, origin, read_structure
 from cosim.engine.ssp.structure import Path as At
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from cosim.engine.fmu.archive import Archive, System
 from cosim.engine.fmu.instance import STATUS, FmuInstance, InstanceError
-from cosim.engine.fmu.ports import INTEGERS, Variable
+from cosim.engine.fmu.variables import INTEGERS, Variable
 
 _OK, _WARNING, _ERROR = 0, 1, 3
 _DOUBLES = ("Real", "Float64")

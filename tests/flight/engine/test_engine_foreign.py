@@ -46,9 +46,9 @@ from cosim.codegen.vehicle_ports import Parts
 from cosim.control.autopilot import requests as rq
 from cosim.design.survey import FLIES, MARK, NONE, REFUSED, UNFIT, judged
 from cosim.engine import EngineBank, EngineSpec, load_engine
+from cosim.engine.fmu.air import Air
 from cosim.engine.fmu.archive import read_archive, validate
 from cosim.engine.fmu.description import is_blemish
-from cosim.engine.fmu.ports import Air
 from cosim.engine.make.compile import compile_archive, needs_compiling
 from cosim.engine.response import flat_notes
 from cosim.results.digest import log_digest

@@ -25,7 +25,7 @@ from cosim.codegen.ssp import write_ssp
 from cosim.codegen.vehicle import export_vehicle
 from cosim.codegen.vehicle_ports import Flight, Parts
 from cosim.codegen.vehicle_process import other_versions
-from cosim.engine.fmu.ports import AMBIENT
+from cosim.engine.fmu.port_kinds import AMBIENT
 from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.spec.scenario import Scenario

@@ -26,7 +26,7 @@ from cosim.cli.main import main
 from cosim.cli.options import load_scenario
 from cosim.engine import EngineBank, build_engines, check_fmu, load_engine
 from cosim.engine.fmu import container
-from cosim.engine.fmu.ports import STANDARD_AIR, Air
+from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.qualify import check
 from cosim.engine.qualify.supervisor import Limits
 from cosim.simulation.build import build

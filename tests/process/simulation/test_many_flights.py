@@ -33,8 +33,8 @@ from cosim.base.storage.scratch import scratch
 from cosim.engine import build_engines, load_engine
 from cosim.engine import measure as engine_measure
 from cosim.engine.fmu import archive, unpacked
+from cosim.engine.fmu.air import STANDARD_AIR
 from cosim.engine.fmu.archive import library_of
-from cosim.engine.fmu.ports import STANDARD_AIR
 from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.measure import Measured
 from cosim.engine.qualify import check

@@ -28,16 +28,9 @@ from cosim.engine import (
 )
 from cosim.engine.fmu.archive import read_archive
 from cosim.engine.fmu.instance import FmuInstance
-from cosim.engine.fmu.ports import (
-    INPUTS,
-    KINDS,
-    OUTPUTS,
-    PortMap,
-    Variable,
-    find_ports,
-    plain,
-    without_unit,
-)
+from cosim.engine.fmu.mapping import PortMap
+from cosim.engine.fmu.port_kinds import INPUTS, KINDS, OUTPUTS
+from cosim.engine.fmu.ports import find_ports, plain, without_unit
 from cosim.engine.fmu.units import (
     ANGULAR_SPEED,
     FORCE,
@@ -53,6 +46,7 @@ from cosim.engine.fmu.units import (
     by_name,
     to_si,
 )
+from cosim.engine.fmu.variables import Variable
 
 POUND_FORCE = 4.4482216152605  # N, exact: 0.45359237 * 9.80665
 LAG = 0.05  # s, of every engine in this file

@@ -1,0 +1,264 @@
+"""The mapping file: what its author states about an FMU's ports.
+
+Of these only ``fmu`` is needed; ports that are not stated are found (:mod:`cosim.engine.fmu.ports`)::
+
+    fmu = "their.fmu"
+    [ports]
+    throttle = "PLA"          # an element of an array as "levers[1]"; "" leaves a port unconnected
+    thrust = "Fn"             # ["F1", "F2"] or "F*": the FMU holds several engines, and serves as many stations
+    [units]
+    thrust = "lbf"            # only where the FMU declares none or the wrong one
+    [range]
+    throttle = [20.0, 100.0]  # what 0 and 1 are, in the FMU's own unit
+    [scale]
+    thrust = -1.0             # the port is so many times the variable
+    [parameters]
+    gain = 1.0
+    [inputs]                  # inputs that are held: numbers, true or false, the name of an enumeration's item
+    fuel_valve = 1.0
+    [start]                   # what is done with every instance before anything else: see cosim.engine.fmu.starting
+    sequence = [{ set = { ignition = true }, until = "N1 > 30000", at_most_s = 60.0 }]
+    [rest]
+    thrust = 0.2              # N, peak to peak: a thrust that moves no more stands still
+    [rotor]
+    inertia_kg_m2 = 2.0e-4
+    [flame_out]               # without a port run; electric = true for a fan
+    thrust_left = 0.4
+    run_down_s = 1.2
+    exponent = 2.6
+    relight_s = 13.0
+    [log]                     # further outputs, in the flight's log under names of one's own
+    shaft_torque_Nm = "tau"
+    [ledger]
+    delay_s = 0.1             # of the thrust behind the throttle, if known
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import isfinite
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, field_validator, model_validator
+
+from cosim.base.errors import InputError
+from cosim.base.storage.toml import Model, NotNegative, Positive, read_toml, validate
+from cosim.engine.fmu.port_kinds import KINDS
+from cosim.engine.fmu.units import by_name
+from cosim.engine.rundown import FlameOutLaw, law_of
+
+LONGEST_START_S = 600.0  # of one stage: chosen by us; a turbojet is at idle within two minutes
+CONDITION = re.compile(r"\s*(\S+)\s*(>=|<=|>|<)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*")
+VariableName = str | list[str]  # a variable's name; several, or one with a * for a number: an engine each
+
+
+class _Ports(Model):
+    throttle: VariableName | None = None
+    thrust: VariableName | None = None
+    ambient_pressure: VariableName | None = None
+    ambient_temperature: VariableName | None = None
+    air_speed: VariableName | None = None
+    altitude: VariableName | None = None
+    mach: VariableName | None = None
+    density: VariableName | None = None
+    total_pressure: VariableName | None = None
+    total_temperature: VariableName | None = None
+    run: VariableName | None = None
+    ram_drag: VariableName | None = None
+    spool_speed: VariableName | None = None
+    exhaust_temperature: VariableName | None = None
+    fuel_flow: VariableName | None = None
+    force_forward: VariableName | None = None
+    force_right: VariableName | None = None
+    torque: VariableName | None = None
+    start: VariableName | None = None
+
+
+class _Units(Model):
+    throttle: str | None = None
+    thrust: str | None = None
+    ambient_pressure: str | None = None
+    ambient_temperature: str | None = None
+    air_speed: str | None = None
+    altitude: str | None = None
+    mach: str | None = None
+    density: str | None = None
+    total_pressure: str | None = None
+    total_temperature: str | None = None
+    ram_drag: str | None = None
+    spool_speed: str | None = None
+    exhaust_temperature: str | None = None
+    fuel_flow: str | None = None
+    force_forward: str | None = None
+    force_right: str | None = None
+    torque: str | None = None
+
+
+class _Scale(Model):
+    thrust: float | None = None
+    ambient_pressure: float | None = None
+    ambient_temperature: float | None = None
+    air_speed: float | None = None
+    altitude: float | None = None
+    ram_drag: float | None = None
+    spool_speed: float | None = None
+    fuel_flow: float | None = None
+    force_forward: float | None = None
+    force_right: float | None = None
+    torque: float | None = None
+
+    @field_validator("*")
+    @classmethod
+    def _not_nothing(cls, value: float | None) -> float | None:
+        if value is not None and (value == 0.0 or not isfinite(value)):
+            raise ValueError("must be a finite number other than 0")
+        return value
+
+
+class _Range(Model):
+    throttle: tuple[float, float] | None = None
+
+
+class _Rotor(Model):
+    inertia_kg_m2: NotNegative = 0.0
+
+
+class _FlameOut(Model):
+    electric: Literal[True] | None = None
+    thrust_left: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    run_down_s: Positive | None = None
+    exponent: Positive | None = None
+    relight_s: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one_or_the_other(self) -> _FlameOut:
+        stated = [self.thrust_left, self.run_down_s, self.exponent, self.relight_s]
+        if self.electric and any(value is not None for value in stated):
+            raise ValueError("electric = true stands alone")
+        if not self.electric and None in stated:
+            raise ValueError("state thrust_left, run_down_s, exponent and relight_s, or electric = true")
+        return self
+
+    def law(self) -> FlameOutLaw:
+        return law_of(self.model_dump(exclude_none=True))
+
+
+def flat(table: object) -> object:
+    """``emf.k = 1`` in TOML is a table ``emf``; what it means here is the dotted name that Modelica gives."""
+    if not isinstance(table, dict):
+        return table
+    values: dict[str, object] = {}
+    for name, value in table.items():
+        inner = flat(value)
+        values |= {f"{name}.{rest}": v for rest, v in inner.items()} if isinstance(inner, dict) else {name: value}
+    return values
+
+
+Held = bool | float | str  # of an input: a number, true or false, or the name of an enumeration's item
+
+
+class _Stage(Model):
+    set: Annotated[dict[str, Held], BeforeValidator(flat)] = Field(default_factory=dict)
+    throttle: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    for_s: Positive | None = None
+    until: str | None = None
+    at_most_s: Annotated[float, Field(gt=0.0, le=LONGEST_START_S)] | None = None
+
+    @model_validator(mode="after")
+    def _ends(self) -> _Stage:
+        if (self.for_s is None) == (self.until is None):
+            raise ValueError("say how it ends: for_s = 5.0, or until = 'output > number'")
+        if self.until is not None and CONDITION.fullmatch(self.until) is None:
+            raise ValueError("until is an output, one of > < >= <=, and a number: until = 'N1 > 30000'")
+        return self
+
+
+class _Start(Model):
+    sequence: list[_Stage] = Field(default_factory=list)
+    warm_up_s: Annotated[float, Field(ge=0.0, le=LONGEST_START_S)] = 0.0
+
+
+class _Rest(Model):
+    thrust: NotNegative = 0.0
+
+
+class _Ledger(Model):
+    delay_s: NotNegative | None = None
+
+
+class MappingFile(Model):
+    """A mapping file, as its author wrote it."""
+
+    fmu: str = Field(min_length=1)
+    title: str = ""
+    isolated: bool | None = None  # flown in a process of its own; None: where a check found that it needs one
+    ports: _Ports = _Ports()
+    units: _Units = _Units()
+    range: _Range = _Range()
+    scale: _Scale = _Scale()
+    parameters: Annotated[dict[str, float], BeforeValidator(flat)] = Field(default_factory=dict)
+    inputs: Annotated[dict[str, Held], BeforeValidator(flat)] = Field(default_factory=dict)
+    start: _Start = _Start()
+    rest: _Rest = _Rest()
+    rotor: _Rotor = _Rotor()
+    flame_out: _FlameOut | None = None
+    ledger: _Ledger = _Ledger()
+    log: Annotated[dict[str, VariableName], BeforeValidator(flat)] = Field(default_factory=dict)  # column: output
+    parameter_set: str | None = Field(default=None, min_length=1)  # a file (SSV) beside it; [parameters] go before it
+
+
+@dataclass(frozen=True)
+class PortMap:
+    """What is stated about an FMU's ports; everything else is found."""
+
+    ports: Mapping[str, VariableName] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    throttle_range: tuple[float, float] | None = None
+    search: bool = True  # look for the ports that are not stated
+    scale: Mapping[str, float] = field(default_factory=dict)  # the port is so many times the variable
+    inputs: Mapping[str, Held] = field(default_factory=dict)  # that are held
+    start: _Start = field(default_factory=_Start)
+    rest_n: float = 0.0  # N, peak to peak, within which a thrust stands still
+
+
+def is_mapping(path: Path) -> bool:
+    """Whether a path looks like a mapping file."""
+    return path.suffix.lower() == ".toml"
+
+
+def read_mapping(path: Path) -> tuple[MappingFile, Path, PortMap]:
+    """A mapping file, the archive it speaks of, and what it states about the ports.
+
+    Raises InputError: one line with file, key and what is allowed.
+    """
+    data = read_toml(path)
+    if "fmu" not in data:
+        raise InputError(f'{path}: has no key fmu; a mapping file names its archive: fmu = "their.fmu"')
+    file = validate(MappingFile, data, str(path))
+    limits = file.range.throttle
+    if limits and limits[0] == limits[1]:
+        raise InputError(f"{path}: range.throttle = {list(limits)}: what 0 and 1 are must differ")
+    for port, unit in _stated(file.units).items():
+        quantity = KINDS[port].quantity
+        if port != "throttle" and by_name(unit, quantity) is None:
+            raise InputError(f"{path}: units.{port} = {unit!r}: allowed: {', '.join(quantity.units)}")
+    return (
+        file,
+        path.parent / file.fmu,
+        PortMap(
+            _stated(file.ports),
+            _stated(file.units),
+            limits,
+            scale=_stated(file.scale),
+            inputs=file.inputs,
+            start=file.start,
+            rest_n=file.rest.thrust,
+        ),
+    )
+
+
+def _stated(table: Model) -> dict[str, Any]:
+    return {name: value for name, value in table.model_dump().items() if value is not None}

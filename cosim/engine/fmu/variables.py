@@ -1,0 +1,64 @@
+"""What an FMU declares, and what of it is an engine's port."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import floor, inf
+
+from cosim.engine.fmu.units import Unit
+
+REALS = ("Real", "Float64", "Float32")
+INTEGERS = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
+LEVERS = (*REALS, *INTEGERS)
+SWITCHES = (*REALS, "Boolean", *INTEGERS)
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One scalar variable of an FMU, or one element of an array; ``start`` is None where none is stated."""
+
+    name: str
+    type: str  # FMI's name of the type
+    reference: int
+    unit: str | None
+    min: float | None
+    max: float | None
+    start: float | None
+    description: str
+    causality: str = ""
+    variability: str = ""
+    base: Unit | None = None  # what the description says of the unit
+    items: tuple[tuple[str, int], ...] = ()  # of an enumeration
+    index: int = 0  # in the array, counted from 0 in the order in which FMI passes it
+    starts: tuple[float, ...] = (0.0,)  # of the whole array, 0 where none is stated
+    clocks: tuple[int, ...] = ()  # FMI 3.0: references of the clocks at whose ticks alone it may be set
+
+    @property
+    def is_array(self) -> bool:
+        """Whether setting it means setting other elements too."""
+        return len(self.starts) > 1
+
+
+@dataclass(frozen=True)
+class Port:
+    """A variable of an FMU as the co-simulation sees it: ``canonical = scale * value + offset``.
+
+    The other way round it is ``value = gain * canonical + bias``, limited to ``low .. high``: both ways are kept, so
+    that the ends of a range are met exactly.
+    """
+
+    variable: Variable
+    scale: float = 1.0
+    offset: float = 0.0
+    gain: float = 1.0
+    bias: float = 0.0
+    low: float = field(default=-inf, repr=False)
+    high: float = field(default=inf, repr=False)
+
+    def value(self, canonical: float) -> float:
+        """What the FMU is given, as the C loop computes it."""
+        value = self.gain * canonical
+        if self.bias != 0.0:
+            value += self.bias
+        value = min(max(value, self.low), self.high)
+        return float(floor(value + 0.5)) if self.variable.type in INTEGERS else value
