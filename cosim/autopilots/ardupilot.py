@@ -16,7 +16,7 @@ from time import monotonic
 from cosim.autopilots.lockstep import LOCAL, STICKS_S, Answer, Counts, Frame, Program, Sticks, Waiting, listen, pulse
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
-from cosim.base.limits import clamp
+from cosim.base.limits import clamp, clip
 from cosim.spec.vehicle import Vehicle
 
 PORT, RC_PORT, APART = 9002, 5501, 10
@@ -144,7 +144,7 @@ class ArduPilot:
 
     def _answer(self, pulses: tuple[int, ...]) -> Answer:
         jets = self._jets
-        throttle = tuple([min(max((pulse - 1000.0) / 1000.0, 0.0), 1.0) for pulse in pulses[:jets]])
+        throttle = tuple([clip((pulse - 1000.0) / 1000.0, 0.0, 1.0) for pulse in pulses[:jets]])
         tilt = (0.0, 0.0)
         if self._range:
             left, right = (
@@ -173,7 +173,7 @@ def _pulses(frame: Frame) -> list[int]:
     sticks = [
         pulse(roll),
         pulse(-pitch),  # stick forward, a lower pulse, is nose down
-        round(1000.0 + 1000.0 * min(max(throttle, 0.0), 1.0)),
+        round(1000.0 + 1000.0 * clip(throttle, 0.0, 1.0)),
         pulse(yaw),
     ]
     return [*sticks, 1500, 1500, 2000 if armed else 1000, *[1500] * 9]

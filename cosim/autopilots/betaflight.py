@@ -34,7 +34,7 @@ from cosim.autopilots.lockstep import (
     stated_program,
 )
 from cosim.base.errors import FlightError, InputError
-from cosim.base.limits import clamp
+from cosim.base.limits import clamp, clip
 from cosim.base.signals import AXES, Vector3
 from cosim.base.storage.scratch import scratch
 from cosim.spec.vehicle import Jet, Vehicle
@@ -245,7 +245,7 @@ class Betaflight:
         if motors != self._motors:
             raise FlightError(f"betaflight drives {motors} motors, and was told of {self._motors}")
         driven = [(value - 1000.0) / 1000.0 for value in raw[:motors]]
-        throttle = tuple([min(max(value, 0.0), 1.0) for value in driven[: self._jets]])
+        throttle = tuple([clip(value, 0.0, 1.0) for value in driven[: self._jets]])
         armed = min(throttle) > 0.5 * self.idle
         return Answer(throttle, self._tilts(driven) if armed and self._range else (0.0, 0.0), armed)
 
@@ -258,7 +258,7 @@ class Betaflight:
 
     def _channels(self, frame: Frame) -> list[int]:
         roll, pitch, yaw, throttle, armed = frame.sticks
-        share = min(max((throttle - self.idle) / (1.0 - self.idle), 0.0), 1.0)
+        share = clip((throttle - self.idle) / (1.0 - self.idle), 0.0, 1.0)
         low = 1010.0  # min_check, below which it is no throttle
         middle = [pulse(roll), pulse(pitch), round(low + (2000.0 - low) * share) if armed and share else 1000]
         switch = 2000 if armed else 1000

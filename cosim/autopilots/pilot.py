@@ -7,6 +7,7 @@ from math import pi
 from cosim.autopilots.lockstep import Sticks
 from cosim.base.errors import FlightError
 from cosim.base.frames import to_euler
+from cosim.base.limits import clip
 from cosim.base.signals import Command, Measured, PerJet, Unallocated
 from cosim.control.altitude import AltitudeController
 from cosim.control.belief import Belief
@@ -59,5 +60,5 @@ class Pilot:
         return self._still >= self._wait
 
     def _throttle(self, share: float) -> float:
-        throttle: PerJet = self._map.throttle((min(max(share, 0.0), 1.0),) * self._jets)
+        throttle: PerJet = self._map.throttle((clip(share, 0.0, 1.0),) * self._jets)
         return sum(throttle) / len(throttle)

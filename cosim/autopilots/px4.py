@@ -30,7 +30,7 @@ from cosim.autopilots.lockstep import (
 )
 from cosim.base.errors import FlightError
 from cosim.base.geodesy import Geodesy
-from cosim.base.limits import clamp
+from cosim.base.limits import clamp, clip
 from cosim.base.signals import Vector3
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.atmosphere import standard_air
@@ -143,7 +143,7 @@ class Px4:
 
     def _answer(self, values: tuple[float, ...]) -> Answer:
         controls, armed = values[2:18], bool(int(values[18]) & _ARMED)
-        throttle = tuple([clamp(max(value, 0.0), 1.0) for value in controls[: self._jets]])
+        throttle = tuple([clip(value, 0.0, 1.0) for value in controls[: self._jets]])
         if not self._range:
             return Answer(throttle, (0.0, 0.0), armed)
         left, right = (self._range * clamp(value, 1.0) for value in controls[self._jets : self._jets + 2])
@@ -233,7 +233,7 @@ class Px4:
         pulses = [
             pulse(roll),
             pulse(pitch),  # PX4: a higher pulse is forward
-            round(1000.0 + 1000.0 * min(max(throttle, 0.0), 1.0)),
+            round(1000.0 + 1000.0 * clip(throttle, 0.0, 1.0)),
             pulse(yaw),
             2000 if armed else 1000,
         ]

@@ -33,7 +33,7 @@ def adapter_texts(form: Form, labels: Labels, autopilot: str, worth: Vector3) ->
         raise InputError(f"autopilot {autopilot!r}: allowed: {', '.join(AUTOPILOTS)}")
     thrust = form["thrust"]
     curve = None if thrust["identity"] else _curve(thrust)
-    told = common(form, labels) | {
+    values = common(form, labels) | {
         "autopilot": _TITLES[autopilot],
         "tilts": form["allocation"]["kind"] == "tilt",
         "inverse": form["allocation"]["inverse"],
@@ -50,8 +50,8 @@ def adapter_texts(form: Form, labels: Labels, autopilot: str, worth: Vector3) ->
     }
     n = labels.name
     rates = {f"{n}_rates.h": "adapters/rates.h", f"{n}_rates.c": "adapters/rates.c"}
-    shared = controller_texts(form, labels, single=True) | written(rates, told)
-    return _MADE[autopilot](n, shared, told)
+    shared = controller_texts(form, labels, single=True) | written(rates, values)
+    return _MADE[autopilot](n, shared, values)
 
 
 def _curve(thrust: Mapping[str, Any]) -> int:
@@ -59,31 +59,31 @@ def _curve(thrust: Mapping[str, Any]) -> int:
     return int(thrust["mapped"][0]["curve"] if thrust["reference"] is None else thrust["reference"])
 
 
-def _betaflight(n: str, shared: Mapping[str, str], told: Mapping[str, Any]) -> dict[str, str]:
+def _betaflight(n: str, shared: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
     """One patch with everything in it, and how it is applied."""
     own = {f"{n}_betaflight.h": "adapters/betaflight.h", f"{n}_betaflight.c": "adapters/betaflight.c"}
-    files = dict(shared) | written(own, told)
+    files = dict(shared) | written(own, values)
     sources = sorted(name for name in files if name.endswith(".c"))
-    patch = written({"": "adapters/betaflight.patch"}, dict(told) | {"sources": sources})[""]
+    patch = written({"": "adapters/betaflight.patch"}, dict(values) | {"sources": sources})[""]
     for name, text in sorted(files.items()):
         lines = text.splitlines()
         patch += f"--- /dev/null\n+++ b/src/main/flight/{name}\n@@ -0,0 +1,{len(lines)} @@\n"
         patch += "".join(f"+{line}\n" for line in lines)
-    readme = written({"README.md": "adapters/betaflight.md"}, told)
+    readme = written({"README.md": "adapters/betaflight.md"}, values)
     return {f"{n}-betaflight.patch": patch} | readme
 
 
-def _ardupilot(n: str, shared: Mapping[str, str], told: Mapping[str, Any]) -> dict[str, str]:
+def _ardupilot(n: str, shared: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
     """A backend of ``AC_CustomControl``, as files for its folder."""
-    name = f"AC_CustomControl_{told['Class']}"
+    name = f"AC_CustomControl_{values['Class']}"
     own = {f"{name}.h": "adapters/ardupilot.h", f"{name}.cpp": "adapters/ardupilot.cpp"}
-    files = dict(shared) | written(own, told)
+    files = dict(shared) | written(own, values)
     return {f"AC_CustomControl/{file}": text for file, text in files.items()} | written(
-        {"README.md": "adapters/ardupilot.md"}, told
+        {"README.md": "adapters/ardupilot.md"}, values
     )
 
 
-def _px4(n: str, shared: Mapping[str, str], told: Mapping[str, Any]) -> dict[str, str]:
+def _px4(n: str, shared: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
     """A folder as ``EXTERNAL_MODULES_LOCATION`` wants it, with one module."""
     sources = [f"{n}_px4.cpp", *sorted(name for name in shared if name.endswith(".c"))]
     own = {
@@ -91,9 +91,9 @@ def _px4(n: str, shared: Mapping[str, str], told: Mapping[str, Any]) -> dict[str
         "CMakeLists.txt": "adapters/px4_module.txt",
         "Kconfig": "adapters/px4_kconfig.txt",
     }
-    module = dict(shared) | written(own, dict(told) | {"sources": sources})
+    module = dict(shared) | written(own, dict(values) | {"sources": sources})
     around = {"src/CMakeLists.txt": "adapters/px4_list.txt", "README.md": "adapters/px4.md"}
-    return {f"src/modules/{n}/{file}": text for file, text in module.items()} | written(around, told)
+    return {f"src/modules/{n}/{file}": text for file, text in module.items()} | written(around, values)
 
 
 _MADE: dict[str, Callable[[str, Mapping[str, str], Mapping[str, Any]], dict[str, str]]] = {

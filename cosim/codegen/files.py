@@ -54,7 +54,7 @@ class Labels:
 def texts(form: Form, vectors: Vectors, labels: Labels) -> dict[str, str]:
     """Every C file by its name."""
     n = labels.name
-    told = {
+    values = {
         "columns": [*INPUTS, *output_names(form["jets"])],
         "inputs": len(INPUTS),
         "rows": [[repr(x) for x in row] for row in vectors.rows],
@@ -63,7 +63,7 @@ def texts(form: Form, vectors: Vectors, labels: Labels) -> dict[str, str]:
         "on_ground": vectors.on_ground,
     }
     test = {f"{n}_vectors.h": "vectors.h", f"{n}_vectors.c": "vectors.c", f"test_{n}.c": "test.c"}
-    return controller_texts(form, labels) | written(test, common(form, labels) | told)
+    return controller_texts(form, labels) | written(test, common(form, labels) | values)
 
 
 def controller_texts(form: Form, labels: Labels, single: bool = False) -> dict[str, str]:
@@ -92,10 +92,10 @@ def common(form: Form, labels: Labels) -> dict[str, Any]:
     }
 
 
-def written(files: Mapping[str, str], told: Mapping[str, Any]) -> dict[str, str]:
+def written(files: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
     """Files by their names, of templates by theirs."""
     environment = _environment()
-    return {name: environment.get_template(template).render(**told) for name, template in files.items()}
+    return {name: environment.get_template(template).render(**values) for name, template in files.items()}
 
 
 def render(template: str, **values: Any) -> str:

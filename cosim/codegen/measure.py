@@ -50,8 +50,8 @@ def measure(folder: Path, name: str) -> Measured | None:
         return None
     first = _run([cc, "--version"]).stdout.splitlines()
     with tempfile.TemporaryDirectory(prefix="hexjet-export-") as made:
-        double = _flown(cc, folder, name, Path(made, "double"))
-        single = _flown(cc, folder, name, Path(made, "single"), f"-D{name.upper()}_FLOAT")
+        double = _measured_run(cc, folder, name, Path(made, "double"))
+        single = _measured_run(cc, folder, name, Path(made, "single"), f"-D{name.upper()}_FLOAT")
         stack, code = _static(cc, folder, name, Path(made))
     other, _, _ = _figures(double.stdout)
     _, throttle, tilt = _figures(single.stdout)
@@ -75,7 +75,7 @@ def sources(name: str) -> list[str]:
     return [f"test_{name}.c", f"{name}.c", f"{name}_parameters.c", f"{name}_vectors.c"]
 
 
-def _flown(cc: str, folder: Path, name: str, program: Path, *more: str) -> subprocess.CompletedProcess[str]:
+def _measured_run(cc: str, folder: Path, name: str, program: Path, *more: str) -> subprocess.CompletedProcess[str]:
     files = [str(folder / source) for source in sources(name)]
     _compiled([cc, *FLAGS, "-O2", *more, "-o", str(program), *files, "-lm"], folder)
     return _run([str(program), "time"])

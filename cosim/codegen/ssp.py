@@ -54,7 +54,7 @@ def write_ssp(flight: Flight, vehicle: Path, target: Path, fmi: int, seconds: fl
                 connections.append(("vehicle", f"{name}_{jet}", f"engine_{jet}", inner, port.gain, port.bias))
             else:
                 connections.append((f"engine_{jet}", inner, "vehicle", f"{name}_{jet}", port.scale, port.offset))
-    ours = {each.name: "input" for each in flight.inputs} | {each.name: "output" for each in flight.outputs}
+    ours = {number.name: "input" for number in flight.inputs} | {number.name: "output" for number in flight.outputs}
     _component(elements, "vehicle", vehicle.name, ours, {})
     listed = _sub(system, "ssd:Connections")
     for first, output, second, into, factor, offset in connections:
@@ -98,11 +98,11 @@ def _archive(spec: EngineSpec, fmi: int) -> Path:
 
 def _joined(spec: EngineSpec) -> Mapping[str, Port]:
     """The ports that are connected, by our name."""
-    wanted = ("throttle", "run", *AMBIENT, *REPORTS)
+    connected = ("throttle", "run", *AMBIENT, *REPORTS)
     return {
         name: port
         for name, port in spec.archive.ports.items()
-        if name in wanted and port.variable.type in REALS and not port.variable.is_array
+        if name in connected and port.variable.type in REALS and not port.variable.is_array
     }
 
 

@@ -94,7 +94,7 @@ class Listening:
         answer = self._inner.update(command, measured, injected, engines)
         if self._inner.lost or (answer.off and engines is not EngineState.OFF):
             raise InputError("the flight loses an engine, and plans around lost engines are not exported")
-        told = (
+        row = (
             *command.attitude,
             command.altitude,
             *(command.rate or ZERO3),
@@ -120,7 +120,7 @@ class Listening:
             shown.allocated,
             *(1.0 if jet in answer.off else 0.0 for jet in range(len(answer.throttle))),
         )
-        self._vectors.rows.append((*told, *given))
+        self._vectors.rows.append((*row, *given))
         return answer
 
     def watch(self, engines: EngineOutput, burnt: float) -> PerJet:

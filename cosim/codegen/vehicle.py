@@ -106,8 +106,8 @@ def _resources(flight: Flight, parts: Parts) -> Mapping[str, bytes]:
         "versions": versions(),
         "engines_inside": parts.engines,
         "controller_inside": parts.controller,
-        "inputs": [each.name for each in flight.inputs],
-        "outputs": [each.name for each in flight.outputs],
+        "inputs": [number.name for number in flight.inputs],
+        "outputs": [number.name for number in flight.outputs],
     }
     return held | {
         f"{FLIGHT}/scenario.toml": scenario_toml(resolved),
@@ -131,13 +131,15 @@ def _as_engine(flight: Flight, labels: Labels) -> Engine:
             "Of the sensors' noise and the turbulence",
         )
     ]
-    for each in flight.inputs:
+    for number in flight.inputs:
         variables.append(
-            Variable(each.name, len(variables) + 1, "input", False, each.unit, None, None, each.start, each.text)
+            Variable(
+                number.name, len(variables) + 1, "input", False, number.unit, None, None, number.start, number.text
+            )
         )
-    for each in flight.outputs:
+    for number in flight.outputs:
         variables.append(
-            Variable(each.name, len(variables) + 1, "output", False, each.unit, None, None, None, each.text)
+            Variable(number.name, len(variables) + 1, "output", False, number.unit, None, None, None, number.text)
         )
     return Engine(
         name=labels.name,

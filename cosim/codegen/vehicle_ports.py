@@ -108,7 +108,7 @@ class Flight:
         self.inputs = tuple(self._inputs())
         self._groups = tuple(self._list_outputs())
         self.outputs = tuple(number for group in self._groups for number in group.numbers)
-        self.given: dict[str, float] = {each.name: each.start for each in self.inputs}
+        self.given: dict[str, float] = {number.name: number.start for number in self.inputs}
         # everything that the blocks outside are in place of is built, and measured: what they are told is the same
         if parts.engines:
             simulation.propulsion.engines.bank = _Heard(bank, self)
@@ -184,7 +184,7 @@ class Flight:
             throttles = [Number(f"throttle_{jet}", "1", f"Told to the engine of jet {jet}") for jet in self.numbers]
             yield Group(throttles, lambda: self.throttle)
         else:
-            yield from self._asked()
+            yield from self._commanded()
         if simulation.vehicle.servo is not None:
             sides = [Number(f"servo_{side}", "rad", f"Where the {side} servo stands") for side in ("left", "right")]
             yield Group(sides, lambda: propulsion.tilt)
@@ -200,7 +200,7 @@ class Flight:
         yield from self._state()
         yield from self._measured()
 
-    def _asked(self) -> Iterator[Group]:
+    def _commanded(self) -> Iterator[Group]:
         """What the scenario asks for, for a controller outside."""
         yield Group(_angles("_setpoint", "rad", "Attitude asked for"), lambda: self.command.attitude)
         height = Number("altitude_setpoint", "m", "Height above the ground asked for")
@@ -287,7 +287,7 @@ class _Heard:
         self.wants_ambient = inner.wants_ambient
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
-        self._flight.throttle = _each(throttle, self._flight.jets)
+        self._flight.throttle = _per_jet(throttle, self._flight.jets)
         return self._inner.reset(throttle, ambient)
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
@@ -309,7 +309,7 @@ class _EnginesOutside:
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
         flight = self._flight
-        flight.throttle, flight.run = _each(throttle, flight.jets), [1.0] * flight.jets
+        flight.throttle, flight.run = _per_jet(throttle, flight.jets), [1.0] * flight.jets
         return flight.reports()
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
@@ -408,7 +408,7 @@ def _unit_of(vehicle: Vehicle, number: int) -> str:
     return "rad" if number < len(vehicle.hinges) else "1"
 
 
-def _each(throttle: float | Sequence[float], jets: int) -> PerJet:
+def _per_jet(throttle: float | Sequence[float], jets: int) -> PerJet:
     return tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * jets
 
 

@@ -20,11 +20,11 @@ FLIGHT = "flight"  # the folder with the scenario and its files
 ANY_VERSION = "HEXJET_ANY_VERSION"
 
 
-class _AgainError(Exception):
+class _RestartError(Exception):
     """The importer starts the flight anew."""
 
 
-class _GoneError(Exception):
+class _DisconnectedError(Exception):
     """The importer is no longer there."""
 
 
@@ -40,7 +40,7 @@ class _Socket:
         while len(data) < frame.size:
             more = os.read(self._file, frame.size - len(data))
             if not more:
-                raise _GoneError
+                raise _DisconnectedError
             data += more
         values: tuple[float, ...] = frame.unpack(data)
         return values
@@ -50,7 +50,7 @@ class _Socket:
             while data:
                 data = data[os.write(self._file, data) :]
         except OSError:
-            raise _GoneError from None
+            raise _DisconnectedError from None
 
     def refuse(self, error: object) -> None:
         """Say why it cannot go on."""
@@ -88,8 +88,8 @@ class _Server:
         self._parts = Parts(made["engines_inside"], made["controller_inside"])
         self._scenario = Scenario.read(folder / FLIGHT / "scenario.toml")
         self._flight = self._built(self._scenario.seed)
-        inputs = [each.name for each in self._flight.inputs]
-        outputs = [each.name for each in self._flight.outputs]
+        inputs = [number.name for number in self._flight.inputs]
+        outputs = [number.name for number in self._flight.outputs]
         if (inputs, outputs) != (made["inputs"], made["outputs"]):
             raise InputError("this vehicle was made with other inputs and outputs; export it anew")
         self._inputs = inputs
@@ -113,21 +113,21 @@ class _Server:
         self._listen()
 
     def _listen(self) -> None:
-        """What the importer wants next.  Raises _AgainError for a start, _GoneError."""
+        """What the importer wants next.  Raises _RestartError for a start, _DisconnectedError."""
         request, count, seed, *given = self._socket.receive(self._in)
         self._owing = True
         self._flight.given.update(zip(self._inputs, given, strict=True))
         self._left = round(count)
         if request == START:
-            self._wanted, self._left = round(seed), 0
-            raise _AgainError
+            self._requested_seed, self._left = round(seed), 0
+            raise _RestartError
 
     def _start(self) -> None:
         """To ``t = 0``, with the inputs and parameters that stand."""
-        if self._wanted != self._seed:
+        if self._requested_seed != self._seed:
             given = self._flight.given
             self._flight.close()
-            self._flight = self._built(self._wanted)
+            self._flight = self._built(self._requested_seed)
             self._flight.given.update(given)
         self._flight.simulation.reset()
 
@@ -156,10 +156,10 @@ class _Server:
                 if flying:
                     self._fly()
                 self._listen()
-            except _AgainError:
+            except _RestartError:
                 flying = True
                 continue
-            except _GoneError:
+            except _DisconnectedError:
                 self._flight.close()
                 return
             except (EngineError, FlightError, InputError) as error:
@@ -174,7 +174,7 @@ def main(folder: str) -> int:
     socket = _Socket()
     try:
         server = _Server(socket, Path(folder))
-    except _GoneError:
+    except _DisconnectedError:
         return 0
     except Exception as error:
         socket.refuse(error)
@@ -182,7 +182,7 @@ def main(folder: str) -> int:
     socket.send(struct.pack("=d", 0.0))
     try:
         server.serve()
-    except _GoneError:
+    except _DisconnectedError:
         pass
     except Exception as error:
         socket.refuse(f"{type(error).__name__}: {error}")

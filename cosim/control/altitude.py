@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from cosim.base.constants import GRAVITY
-from cosim.base.limits import clamp
+from cosim.base.limits import clamp, clip
 from cosim.base.signals import Command, Measured, Unallocated
 from cosim.control.bumpless import Fade
 from cosim.control.lead import Lead
@@ -91,8 +91,7 @@ class AltitudeController:
 
     def climb(self, off: float) -> float:
         """The climb rate that is asked for [m/s] so many metres below where it is to be."""
-        climb = self._position * off
-        return self._up if climb > self._up else (self._down if climb < self._down else climb)
+        return clip(self._position * off, self._down, self._up)
 
     def _led(self, lead: Lead, throttle: float, unallocated: float) -> float:
         """Behind the lead, which finds the engines settled when height control begins."""

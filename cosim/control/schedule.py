@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from math import exp
 from typing import NamedTuple
 
+from cosim.base.limits import clip
 from cosim.spec.vehicle import (
     EngineLead,
     Leads,
@@ -68,8 +69,7 @@ class GainSchedule:
         return self.at(level)
 
     def _bounded(self, share: float) -> float:
-        low, high = self._shares[0], self._shares[-1]
-        return low if share < low else (high if share > high else share)
+        return clip(share, self._shares[0], self._shares[-1])
 
     def at(self, share: float) -> Scheduled:
         """What acts at a level."""

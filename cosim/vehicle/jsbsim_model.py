@@ -189,18 +189,18 @@ def complete(root: ET.Element, vehicle: Vehicle, model: Path) -> bool:
             before = [list(root).index(part) for earlier in _PARTS[:at] for part in root.findall(earlier)]
             part = ET.Element(tag, {"name": "constants"} if tag == "flight_control" else {})
             root.insert(max(before, default=len(root.findall("fileheader")) - 1) + 1, part)
-    _metrics(_one(root, "metrics"))
-    _mass_balance(_one(root, "mass_balance"), model)
+    _metrics(_child(root, "metrics"))
+    _mass_balance(_child(root, "mass_balance"), model)
     _shift(root)
-    _contacts(_one(root, "ground_reactions"), vehicle, model)
-    _forces(_one(root, "external_reactions"), len(vehicle.jets))
+    _contacts(_child(root, "ground_reactions"), vehicle, model)
+    _forces(_child(root, "external_reactions"), len(vehicle.jets))
     if root.find("propulsion/engine") is not None:
         raise InputError(f"{model}: propulsion/engine: engines are FMUs here, named by the scenario; leave it out")
     stated = {element.text or "" for element in root.findall("flight_control/property")}
     own = root.find("aerodynamics/axis") is not None and not any(name.startswith("aero/drag-area-") for name in stated)
-    aerodynamics = _one(root, "aerodynamics")
+    aerodynamics = _child(root, "aerodynamics")
     if not own and root.find("aerodynamics/axis") is None:
-        _drag(_one(root, "flight_control"), aerodynamics)
+        _drag(_child(root, "flight_control"), aerodynamics)
     for name in ("ROLL", "PITCH", "YAW"):
         _named(aerodynamics, "axis", name)
     if {axis.get("name") for axis in aerodynamics.findall("axis")} <= {"ROLL", "PITCH", "YAW"}:
@@ -208,7 +208,7 @@ def complete(root: ET.Element, vehicle: Vehicle, model: Path) -> bool:
     return own
 
 
-def _one(root: ET.Element, tag: str) -> ET.Element:
+def _child(root: ET.Element, tag: str) -> ET.Element:
     element = root.find(tag)
     assert element is not None, tag
     return element
@@ -260,10 +260,10 @@ def _mass_balance(masses: ET.Element, model: Path) -> None:
 
 def _shift(root: ET.Element) -> None:
     """Put the origin of every place in the model at its centre of gravity, and what is felt there."""
-    cg = _one(root, "mass_balance/location[@name='CG']")
+    cg = _child(root, "mass_balance/location[@name='CG']")
     unit = _INCHES[cg.get("unit", "IN").upper()]
     origin = [float(cg.findtext(axis) or 0.0) * unit for axis in "xyz"]
-    felt = [_one(root, f"metrics/location[@name='{name}']") for name in ("EYEPOINT", "VRP")]
+    felt = [_child(root, f"metrics/location[@name='{name}']") for name in ("EYEPOINT", "VRP")]
     if not any(origin) and not any(float(element.text or 0.0) for location in felt for element in location):
         return
     for location in root.iter("location"):

@@ -152,8 +152,8 @@ class Propulsion:
         ambient = self.ambient(state, state.wind if k else self._wind) if self.engines.wants_ambient else None
         output = self.output = self.engines.step(k, actuation.throttle, ambient)
         if self.servos:
-            asked = actuation.tilt
-            self.tilt = tuple([servo.update(asked[i]) for i, servo in enumerate(self.servos)])
+            commanded = actuation.tilt
+            self.tilt = tuple([servo.update(commanded[i]) for i, servo in enumerate(self.servos)])
         tilt = self.tilt
         if self.tank is not None:
             self._burn(self.tank, output.fuel_flow)

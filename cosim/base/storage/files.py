@@ -94,5 +94,5 @@ def lock(file: int) -> bool:
 
 def one_line(error: BaseException) -> str:
     """An error in one line; of a failed system call, what the system said."""
-    said = getattr(error, "strerror", None) or (str(error).splitlines() or [type(error).__name__])[0]
-    return str(said).rpartition("Detail: [errno ")[2].rpartition("] ")[2] if "Detail: [errno " in said else str(said)
+    text = getattr(error, "strerror", None) or (str(error).splitlines() or [type(error).__name__])[0]
+    return str(text).rpartition("Detail: [errno ")[2].rpartition("] ")[2] if "Detail: [errno " in text else str(text)

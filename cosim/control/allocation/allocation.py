@@ -16,7 +16,7 @@ from math import inf
 from typing import Any, Final
 
 from cosim.base.errors import InputError
-from cosim.base.limits import clamp
+from cosim.base.limits import clamp, clip
 from cosim.base.signals import (
     AXES,
     NO_JETS,
@@ -110,7 +110,7 @@ class TiltAllocator:
         r = clamp(roll, half)
         spread = r if r >= 0.0 else -r
         least, most = low + spread, high - spread
-        c = least if collective < least else (most if collective > most else collective)
+        c = clip(collective, least, most)
         left, right = c + r, c - r
 
         share = (c + self._idle) / self._hover_thrust
@@ -141,7 +141,7 @@ class TiltAllocator:
         """With engines lost: the same order of what is kept, the throttles from the plan's weights."""
         low, high = self._low, self._high
         least_roll, most_roll = plan.roll_range
-        r = least_roll if roll < least_roll else (most_roll if roll > most_roll else roll)
+        r = clip(roll, least_roll, most_roll)
         trims, rolls, ups, frees = plan.trim, plan.roll, plan.up, plan.free
         jets = range(len(trims))
         at_roll = [trims[i] + r * rolls[i] for i in jets]
@@ -156,7 +156,7 @@ class TiltAllocator:
             least, most = (bottom if bottom > least else least), (top if top < most else most)
         up = collective - plan.centre
         # rounding may leave the two apart by nothing
-        above = least if up < least else (most if up > most else up)
+        above = clip(up, least, most)
         lifted = [at_roll[i] + above * ups[i] for i in jets]
         missing = up - above if up > most else 0.0
         extra = self._extra = self._beyond(plan, lifted, missing)
@@ -164,7 +164,7 @@ class TiltAllocator:
             lifted = [lifted[i] + extra * plan.boost[i] for i in jets]
         # what fits is refused exactly nothing
         c = collective if up >= least and extra == missing else plan.centre + above + extra
-        throttle = tuple([_between(low, lifted[i], high) if frees[i] else at_roll[i] for i in jets])
+        throttle = tuple([clip(lifted[i], low, high) if frees[i] else at_roll[i] for i in jets])
 
         share = max(LEAST_SHARE, (c + self._idle) / self._hover_thrust)
         constant, per_up, per_roll, per_boost = plan.pitch
@@ -253,17 +253,13 @@ class RotorAllocator:
         span = abs(r) + abs(p) + abs(y)
         least, most = low + span, high - span
         # rounding may leave the two apart by nothing
-        c = least if collective < least else (most if collective > most else collective)
+        c = clip(collective, least, most)
         return Actuation(
             tuple([min(high, max(low, c + a * r + b * p + d * y)) for a, b, d in self.signs]),
             (0.0, 0.0),
             Unallocated(roll - r, pitch - p, yaw - y, collective - c),
             NO_JETS,
         )
-
-
-def _between(low: float, value: float, high: float) -> float:
-    return low if value < low else (high if value > high else value)
 
 
 def _sign(value: float) -> float:

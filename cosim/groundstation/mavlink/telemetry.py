@@ -116,17 +116,17 @@ class View:
         return self.about.geodesy.ground + self.altitude
 
 
-def clamp(value: float, least: int, most: int) -> int:
+def to_field(value: float, least: int, most: int) -> int:
     """Rounded into what a field can hold; NaN becomes 0."""
     return 0 if isnan(value) else round(min(max(value, least), most))
 
 
 def e7(angle_deg: float) -> int:
-    return clamp(angle_deg * 1e7, -I32, I32)
+    return to_field(angle_deg * 1e7, -I32, I32)
 
 
 def mm(metres: float) -> int:
-    return clamp(metres * 1e3, -I32, I32)
+    return to_field(metres * 1e3, -I32, I32)
 
 
 def heartbeat(v: View) -> list[Message]:
@@ -158,7 +158,7 @@ def sys_status(v: View) -> list[Message]:
     return [
         mav.MAVLink_sys_status_message(
             present, enabled, health,
-            0 if load is None else clamp(load * 1000.0, 0, 1000),
+            0 if load is None else to_field(load * 1000.0, 0, 1000),
             U16, -1, _percent(v) if battery else -1, 0, 0, 0, 0, 0, 0,
         )
     ]  # fmt: skip
@@ -184,7 +184,7 @@ def _unhealthy(v: View) -> int:
 
 def _percent(v: View) -> int:
     remaining = v.status.remaining
-    return -1 if remaining is None else clamp(100.0 * remaining, 0, 100)
+    return -1 if remaining is None else to_field(100.0 * remaining, 0, 100)
 
 
 def system_time(v: View) -> list[Message]:
@@ -196,14 +196,14 @@ def gps_raw_int(v: View) -> list[Message]:
     north, east, down = v.measured.position
     lat, lon, metres = about.geodesy.to_geodetic(north, east, -down)
     fixed = v.status.positioned
-    speed = clamp(hypot(vn, ve) * 100.0, 0, U16 - 1) if fixed else U16
-    course = clamp(degrees(_heading(vn, ve)) * 100.0, 0, 35999) if fixed else U16
+    speed = to_field(hypot(vn, ve) * 100.0, 0, U16 - 1) if fixed else U16
+    course = to_field(degrees(_heading(vn, ve)) * 100.0, 0, 35999) if fixed else U16
     height = mm(metres)
     return [
         mav.MAVLink_gps_raw_int_message(
             v.us, 3 if fixed else 1, e7(lat), e7(lon), height, U16, U16, speed, course, U8, height,
-            clamp(about.position_noise * 1e3, 0, I32), clamp(about.position_noise * 1e3, 0, I32),
-            clamp(about.velocity_noise * 1e3, 0, I32), 0, 0,
+            to_field(about.position_noise * 1e3, 0, I32), to_field(about.position_noise * 1e3, 0, I32),
+            to_field(about.velocity_noise * 1e3, 0, I32), 0, 0,
         )
     ]  # fmt: skip
 
@@ -229,8 +229,8 @@ def local_position_ned(v: View) -> list[Message]:
 
 def global_position_int(v: View) -> list[Message]:
     vn, ve = v.status.fix.velocity
-    speeds = (clamp(speed * 100.0, -I16, I16) for speed in (vn, ve, v.seen.velocity[2]))
-    heading = clamp(degrees(v.euler[2]) % 360.0 * 100.0, 0, 35999)
+    speeds = (to_field(speed * 100.0, -I16, I16) for speed in (vn, ve, v.seen.velocity[2]))
+    heading = to_field(degrees(v.euler[2]) % 360.0 * 100.0, 0, 35999)
     lat, lon = v.place
     return [
         mav.MAVLink_global_position_int_message(
@@ -245,14 +245,14 @@ def servo_output_raw(v: View) -> list[Message]:
     actuation, reach = v.sample.actuation, v.about.tilt_range
     pulses = [0] * 16
     for i, throttle in enumerate(actuation.throttle[: v.about.jets]):
-        pulses[i] = clamp(1000.0 + 1000.0 * throttle, 0, U16)
+        pulses[i] = to_field(1000.0 + 1000.0 * throttle, 0, U16)
     first = max(6, v.about.jets)
     if v.about.ranges:
         for i, share in enumerate(_shares(actuation.tilt, v.about.ranges)[: len(pulses) - first]):
-            pulses[first + i] = clamp(1500.0 + 500.0 * share, 0, U16)
+            pulses[first + i] = to_field(1500.0 + 500.0 * share, 0, U16)
     else:
         for i, tilt in enumerate(actuation.tilt[: len(pulses) - first]):
-            pulses[first + i] = 0 if isnan(reach) else clamp(1500.0 + 500.0 * tilt / reach, 0, U16)
+            pulses[first + i] = 0 if isnan(reach) else to_field(1500.0 + 500.0 * tilt / reach, 0, U16)
     return [mav.MAVLink_servo_output_raw_message(v.us & U32, 0, *pulses)]
 
 
@@ -278,8 +278,8 @@ def _shares(tilt: PerServo, ranges: tuple[tuple[float, float], ...]) -> list[flo
 
 
 def vfr_hud(v: View) -> list[Message]:
-    heading = clamp(degrees(v.euler[2]) % 360.0, 0, 360) % 360
-    throttle = clamp(100.0 * v.sample.control.collective, 0, 100)
+    heading = to_field(degrees(v.euler[2]) % 360.0, 0, 360) % 360
+    throttle = to_field(100.0 * v.sample.control.collective, 0, 100)
     speed = hypot(*v.status.fix.velocity)
     # nothing on board measures the speed through the air
     return [mav.MAVLink_vfr_hud_message(nan, speed, heading, throttle, v.sea_level, -v.seen.velocity[2])]
@@ -345,7 +345,7 @@ def fuel_status(v: View) -> list[Message]:
     left = min(1.0, max(0.0, fuel / full))
     flow = sum(flow for flow in v.sample.engines.fuel_flow[: v.about.jets])
     capacity, rate = (mass / KEROSENE * 1e6 for mass in (full, flow))
-    percent = clamp(100.0 * left, 0, 100)
+    percent = to_field(100.0 * left, 0, 100)
     return [
         mav.MAVLink_fuel_status_message(
             0, capacity, (1.0 - left) * capacity, left * capacity, percent, rate, nan, _LIQUID
@@ -529,7 +529,7 @@ def esc_status(v: View) -> list[Message]:
     unknown = [nan] * 4
     return [
         mav.MAVLink_esc_status_message(
-            first, v.us, [clamp(speed, -I32, I32) for speed in _four(rpm, first, 0.0)], unknown, unknown
+            first, v.us, [to_field(speed, -I32, I32) for speed in _four(rpm, first, 0.0)], unknown, unknown
         )
         for first in _engines(v)
     ]
@@ -643,9 +643,9 @@ def hil_state_quaternion(v: View) -> list[Message]:
     """The truth of the simulation."""
     state = v.sample.state
     lat, lon, height = v.about.geodesy.to_geodetic(*state.position[:2], state.altitude)
-    speeds = [clamp(speed * 100.0, -I16, I16) for speed in state.velocity]
-    air = clamp(100.0 * hypot(*(a - b for a, b in zip(state.velocity, state.wind, strict=True))), 0, U16)
-    force = [clamp(value / GRAVITY * 1e3, -I16, I16) for value in state.specific_force]
+    speeds = [to_field(speed * 100.0, -I16, I16) for speed in state.velocity]
+    air = to_field(100.0 * hypot(*(a - b for a, b in zip(state.velocity, state.wind, strict=True))), 0, U16)
+    force = [to_field(value / GRAVITY * 1e3, -I16, I16) for value in state.specific_force]
     return [
         mav.MAVLink_hil_state_quaternion_message(
             v.us, state.attitude, *state.rate, e7(lat), e7(lon), mm(height),

@@ -17,7 +17,7 @@ from typing import Any, Final
 from cosim.base._records import within
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
-from cosim.base.limits import clamp
+from cosim.base.limits import clamp, clip
 from cosim.base.protocols import Applied, Column, Diagnostics, EngineState
 from cosim.base.signals import (
     ALL_WELL,
@@ -279,7 +279,7 @@ class GuardedController:
         tilt: PerServo | None = None
         if self._ends:
             asked = named.numbers(tilts, self._servos, "tilts: update")
-            tilt = tuple([min(max(asked[i], least), most) for i, (least, most) in enumerate(self._ends)])
+            tilt = tuple([clip(asked[i], least, most) for i, (least, most) in enumerate(self._ends)])
         else:
             tilt = within(tilts, 2, -self._range, self._range)
             if tilt is None:
@@ -298,7 +298,7 @@ class GuardedController:
         for name, value in zip(self._names, throttle, strict=True):
             if not -_ROUNDING <= value <= 1.0 + _ROUNDING:
                 raise self._named.error(f"{name} = {value:g}: must be from 0 to 1")
-        return tuple([min(max(value, 0.0), 1.0) for value in throttle])
+        return tuple([clip(value, 0.0, 1.0) for value in throttle])
 
     def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
         """What the engines report goes into what the next update is told."""

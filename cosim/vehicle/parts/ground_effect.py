@@ -48,8 +48,8 @@ class GroundJets:
         if lift <= 0.0:
             return forces, (0.0, 0.0, 0.0)
         loss = lift * lift_loss(state.altitude - self._below, self._planform, self._jet)
-        loss_each = loss / len(forces)
-        return [(x, y, z + loss_each) for x, y, z in forces], (-self._mean_y * loss, self._mean_x * loss, 0.0)
+        share = loss / len(forces)
+        return [(x, y, z + share) for x, y, z in forces], (-self._mean_y * loss, self._mean_x * loss, 0.0)
 
     def rise(self, altitude: float) -> float:
         """K by which intakes are warmer than the air with the centre of gravity ``altitude`` [m] above the ground.

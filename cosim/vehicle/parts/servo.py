@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import exp
 
-from cosim.base.limits import clamp
+from cosim.base.limits import clamp, clip
 from cosim.spec.vehicle import Hinge, Servo, Surface
 
 
@@ -49,9 +49,6 @@ class TiltServo:
             if self._at is None:
                 return self.angle
             command = self._at
-        low, high = self._low, self._high
-        target = high if command > high else (low if command < low else command)
-        move = self._share * (target - self.angle)
-        most = self._most
-        self.angle += clamp(move, most)
+        target = clip(command, self._low, self._high)
+        self.angle += clamp(self._share * (target - self.angle), self._most)
         return self.angle

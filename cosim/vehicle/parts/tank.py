@@ -34,9 +34,9 @@ class Tank:
     def burn(self, flows: PerJet) -> bool:
         """Burn ``flows`` [kg/s], one per engine, for one step; whether anything was burnt."""
         flow = 0.0
-        for each in flows:
-            if each > 0.0:  # NaN is not
-                flow += each
+        for rate in flows:
+            if rate > 0.0:  # NaN is not
+                flow += rate
         used = flow * self._step
         if not used or self.empty:
             return False
