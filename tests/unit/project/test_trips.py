@@ -37,7 +37,8 @@ BEFORE = {
         cli:design make:design make:_axes make:_axis tune:tune tune:excess tune:Box.tuning result:write file:write_controller
         file:controller_table""",
 }  # fmt: skip
-# Whom nobody on the way calls: a part of the way begins there, after what was made beforehand or has waited for its turn.
+# Whom nobody on the way calls by name: a part of the way begins there, after what was made beforehand or has waited for
+# its turn; a request's answer is found by the request's type.
 FIRST = {
     "cosim/spec/scenario/commands.py:StepCommand",
     "cosim/simulation/script/commander.py:pulse",
@@ -49,6 +50,7 @@ FIRST = {
     "cosim/groundstation/mavlink/wire/peer.py:Peer.feed",
     "cosim/groundstation/mavlink/wire/link.py:Link.take",
     "cosim/groundstation/session.py:Session._between",
+    "cosim/control/autopilot/answers.py:Answers._set_mode",
     "cosim/groundstation/exchange.py:Port.collect",
     "cosim/campaign/study/options.py:open_study",
     "cosim/campaign/study/draws.py:inverse",

@@ -1,0 +1,146 @@
+"""Which mode flies, whether the vehicle stands or flies, and every change of either."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cosim.base.protocols import Report
+from cosim.control.autopilot.arming import Arming
+from cosim.control.autopilot.estimation.estimates import Estimates
+from cosim.control.autopilot.failsafes import Watch
+from cosim.control.autopilot.guidance.course import Course, Places
+from cosim.control.autopilot.guidance.envelope import Envelope
+from cosim.control.autopilot.manoeuvres.circle import Circle
+from cosim.control.autopilot.manoeuvres.ground import Landing, TakeOff
+from cosim.control.autopilot.manoeuvres.homeward import Homeward
+from cosim.control.autopilot.manoeuvres.mission_flight import MissionFlight
+from cosim.control.autopilot.manoeuvres.remote import Remote
+from cosim.control.autopilot.modes import Home, LandedState, Mode, Severity
+from cosim.control.autopilot.parameters import HOLD, LAND, RETURN, Parameters
+from cosim.control.autopilot.status import Messages
+from cosim.control.autopilot.tuning import Live
+
+_DOES = {Mode.HOLD: "holding", Mode.RTL: "returning", Mode.LAND: "landing"}  # failsafes, the more careful the later
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Those who know, each with a state of its own."""
+
+    parameters: Parameters
+    live: Live
+    estimates: Estimates
+    envelope: Envelope
+    places: Places
+    course: Course
+    watch: Watch
+    remote: Remote
+    arming: Arming
+    take_off: TakeOff
+    landing: Landing
+    homeward: Homeward
+    circle: Circle
+    mission: MissionFlight
+
+
+class FlightState:
+    """Mode and landed state, why a failsafe acts, and what was said; of step ``k``, with the ``report`` of it."""
+
+    def __init__(self, parts: Parts, airborne: bool) -> None:
+        self._estimates, self._places, self._course = parts.estimates, parts.places, parts.course
+        self._remote, self._arming, self._take_off = parts.remote, parts.arming, parts.take_off
+        self._landing, self._homeward, self._mission = parts.landing, parts.homeward, parts.mission
+        self._airborne = airborne
+        self.reset()
+
+    def reset(self) -> None:
+        """As at the start."""
+        self.mode = Mode.HOLD
+        self.landed = LandedState.IN_AIR if self._airborne else LandedState.ON_GROUND
+        self.failsafe = ""
+        self.messages = Messages()
+        self.k = -1
+        self.report = Report(not self._airborne, 0.0)
+
+    def refusals(self) -> tuple[str, ...]:
+        """Every reason for which arming would be refused now."""
+        return self._arming.refusals(self.mode, self.landed, self.report, self.k)
+
+    def enter(self, mode: Mode, k: int) -> None:
+        """Another mode, or the same from its beginning."""
+        if mode is not self.mode:
+            self.say(Severity.INFO, f"mode {mode.value}", k)
+        self.mode = mode
+        self.failsafe = ""
+        self._landing.abort()
+        self._take_off.reset()
+        self._homeward.reset()
+        self._mission.abort()
+        self._course.aim(None, None, None)
+        if self.landed is LandedState.LANDING:
+            self.landed = LandedState.IN_AIR
+
+    def hold_here(self, k: int) -> None:
+        """HOLD at the place and the height that it has come to."""
+        place, height = self._course.place, self._course.height
+        self.enter(Mode.HOLD, k)
+        self._course.aim(place, height, None)
+
+    def stand(self, k: int) -> None:
+        """It has come to stand, armed."""
+        self.landed = LandedState.ON_GROUND
+        self._arming.stand(k)
+        self._landing.collective = None
+        self._course.guide.reset()
+        if self._arming.flew:
+            if self.mode is Mode.MISSION:
+                self._mission.advance(flying=False)
+            self.say(Severity.INFO, "landed", k)
+
+    def stand_down(self, k: int, text: str) -> None:
+        """It stands, disarmed."""
+        self._arming.disarm()
+        self.landed = LandedState.ON_GROUND
+        self._landing.abort()
+        if self.mode in (Mode.TAKEOFF, Mode.LAND, Mode.RTL, Mode.MISSION):
+            self.enter(Mode.HOLD, k)
+        self.failsafe = ""
+        self.say(Severity.INFO, text, k)
+
+    def shut_off(self, k: int) -> None:
+        """The engines are off, wherever it is."""
+        self._arming.shut_off()
+        self._landing.collective = None
+        self.say(Severity.CRITICAL, "engines shut off", k)
+
+    def fail_safe(self, action: int, reason: str) -> None:
+        """Do what a parameter says, unless something at least as careful is being done."""
+        self.failsafe = reason
+        if action == RETURN and self._places.home is None:
+            action = LAND
+        mode = {HOLD: Mode.HOLD, RETURN: Mode.RTL, LAND: Mode.LAND}.get(action)
+        careful = list(_DOES)
+        rank = careful.index(self.mode) if self.mode in careful else -1
+        if mode is None or rank >= careful.index(mode):
+            self.say(Severity.WARNING, reason, self.k)
+            return
+        self.enter(mode, self.k)
+        self.failsafe = reason
+        self.say(Severity.CRITICAL, f"{reason}: {_DOES[mode]}", self.k)
+
+    def home_here(self) -> None:
+        """Home is where it is."""
+        self._places.home = Home(*self._estimates.fix.position, self._estimates.altitude)
+
+    def flying(self) -> bool:
+        """In the air, or on its way there."""
+        return self.landed is not LandedState.ON_GROUND
+
+    def stands(self) -> bool:
+        """On the ground by more than the switch's word, whatever the engines do."""
+        taking_off = self.landed is LandedState.TAKING_OFF
+        return not self.flying() or (self._landing.unlifted if taking_off else self._landing.weighs)
+
+    def say(self, severity: Severity, text: str, k: int) -> None:
+        """A line for the people on the ground."""
+        self.messages.say(k, severity, text)
