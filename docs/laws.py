@@ -19,6 +19,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from law_loop import LawLoop, both, tune
 
 from cosim import InputError, Scenario, fly
 from cosim.base.protocols import Parameter, RateLoop
@@ -26,7 +27,6 @@ from cosim.campaign import open_campaign
 from cosim.campaign.analysis.summary import places, shares
 from cosim.campaign.analysis.table import FlightTable, read
 from cosim.design import design as make
-from cosim.design.law_loop import LawLoop, both, tune
 from cosim.design.loop.channel import Actuator, Channel, channels
 from cosim.design.tune import NOISE_SHARE
 from cosim.engine import load_engine

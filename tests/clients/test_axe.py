@@ -5,7 +5,6 @@ None asks anything of another machine, complains, or is wider than a phone.
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 import pytest
 from flights import samples, scenario, setup
 from patience import PATIENCE
-from places import ROOT
+from places import script
 from shelves import shelf
 
 from cosim.flight import with_page
@@ -37,12 +36,7 @@ def axe() -> str:
 @pytest.fixture(scope="module")
 def pages() -> ModuleType:
     """What makes the documentation's pictures: it knows every page and how it is made."""
-    spec = importlib.util.spec_from_file_location("page_pictures", ROOT / "docs" / "page_pictures.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script("page_pictures")
 
 
 @contextmanager

@@ -1,6 +1,9 @@
 """Where the project's files are, for the tests."""
 
+import sys
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 TESTS = Path(__file__).resolve().parents[1]
 TOOLS = TESTS / "tools"  # what tests share; on the path of every test
@@ -14,3 +17,13 @@ def file_of(name: str) -> Path:
     """The file of that name among the tests, in whatever folder it is."""
     (path,) = TESTS.rglob(name)
     return path
+
+
+def script(name: str) -> ModuleType:
+    """docs/NAME.py, which is no module of the package, with those that it imports from beside it."""
+    beside = str(DOCS)
+    sys.path.append(beside)
+    try:
+        return import_module(name)
+    finally:
+        sys.path.remove(beside)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from importlib.util import module_from_spec, spec_from_file_location
 from math import exp, inf
 from typing import Any
 
 import control
 import numpy as np
 import pytest
-from places import DESIGNS
+from places import DESIGNS, script
 from state_space import Body, Loop, first_order
 from stored_designs import LINEAR, small_step, stored
 
@@ -49,17 +48,7 @@ BURNING = [name for name in NAMES if stored(name)["design"].get("levels")]
 GRAVITY = 9.80665
 
 
-def _page() -> Any:
-    """docs/designs.py, which is no module of the package."""
-    spec = spec_from_file_location("designs_page", DESIGNS.parent.parent / "docs" / "designs.py")
-    assert spec is not None
-    assert spec.loader is not None
-    page = module_from_spec(spec)
-    spec.loader.exec_module(page)
-    return page
-
-
-PAGE = _page()
+PAGE = script("designs")
 
 
 @lru_cache

@@ -14,13 +14,12 @@ import tarfile
 import tomllib
 import zipfile
 from importlib import import_module
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
 import pytest
 from command_tools import Hexjet
-from places import ROOT
+from places import ROOT, script
 
 from cosim.base.compiled import (
     MODULES,
@@ -228,12 +227,7 @@ OPTIONAL = {
 @pytest.fixture(scope="module")
 def packages() -> Any:
     """docs/packages.py."""
-    spec = spec_from_file_location("packages_page", ROOT / "docs" / "packages.py")
-    assert spec is not None
-    assert spec.loader is not None
-    page = module_from_spec(spec)
-    spec.loader.exec_module(page)
-    return page
+    return script("packages")
 
 
 def test_the_package_imports_what_it_asks_for(packages: Any) -> None:

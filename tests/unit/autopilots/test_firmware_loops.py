@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from places import script
 
 from cosim.autopilots.betaflight import gains_of, units
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
 from cosim.cli.controllers.design import design
 from cosim.design.design import assess
-from cosim.design.law_loop import LawLoop
 from cosim.design.loop.channel import Actuator, Channel, channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import lags
@@ -26,6 +26,8 @@ from cosim.design.tune import Requirements, settle
 from cosim.engine import load_engine
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import RateGains, Vehicle, load_vehicle
+
+LawLoop = script("law_loop").LawLoop
 
 STEP = 0.004
 GAINS = RateGains(p=0.0105, i=0.0133, d=0.00086, d_filter_s=1.0 / (2.0 * pi * 21.0), integral_limit=1.0)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import ast
 import re
 import shlex
-from importlib.util import find_spec, module_from_spec, spec_from_file_location
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 import pytest
-from places import ROOT
+from places import ROOT, script
 
 from cosim.campaign import folder
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
@@ -144,12 +144,7 @@ def test_the_python_on_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyP
 @pytest.fixture(scope="module")
 def writer() -> Any:
     """docs/studies.py."""
-    spec = spec_from_file_location("studies_page", ROOT / "docs" / "studies.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script("studies")
 
 
 def of(

@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from places import ROOT
+from places import ROOT, script
 from scipy.linalg import expm
 from scipy.optimize import lsq_linear
 from stated_figures import last_digit, rows, stated
 
 from cosim import InputError, Scenario, fly
 from cosim.base.protocols import Parameter
+from cosim.base.signals import Unallocated, Vector3
 from cosim.campaign.study.study import Study
 from cosim.control.belief import Belief
 from cosim.control.laws.adrc import AdrcAxis
@@ -29,7 +30,6 @@ from cosim.control.laws.mpc import MpcAxis
 from cosim.control.laws.px4 import ACCELERATION_HZ, FADES, LowPass, Px4Axis
 from cosim.control.predictors.linear import model_response
 from cosim.control.rate import RateController
-from cosim.design.law_loop import BuiltIn, LawLoop
 from cosim.design.loop.channel import Actuator, Channel, channels
 from cosim.design.loop.closed_loop import WINDOW, ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import lags
@@ -38,6 +38,7 @@ from cosim.engine import EngineSpec, load_engine
 from cosim.simulation.build import belief_of, build, predictors
 from cosim.spec.vehicle import Vehicle
 
+LawLoop = script("law_loop").LawLoop
 PAGE = "docs/laws.md"
 TITLES = {
     "pid": "PID",
@@ -56,6 +57,19 @@ DOUBLET = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude"
 ROLL = Scenario.load("roll-doublet").replace(duration_s=0.6, command=[DOUBLET], expect=[])
 with (ROOT / "pyproject.toml").open("rb") as file:
     LAWS: dict[str, str] = tomllib.load(file)["project"]["entry-points"]["hexjet.controllers"]
+
+
+class BuiltIn:
+    """The built-in rate loop as one from outside."""
+
+    def __init__(self, rate: RateController) -> None:
+        self._rate = rate
+
+    def reset(self) -> None:
+        self._rate.reset()
+
+    def update(self, setpoint: Vector3, measured: Vector3, applied: Vector3) -> Vector3:
+        return self._rate.update(setpoint, measured, Unallocated())
 
 
 @cache

@@ -22,9 +22,8 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 from cosim.base.protocols import RateLoop
-from cosim.base.signals import AXES, Unallocated, Vector3
+from cosim.base.signals import AXES, Vector3
 from cosim.control.predictors.linear import cascade
-from cosim.control.rate import RateController
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.closed_loop import WINDOW
 from cosim.design.tune import SEED, STEP_RAD, UNSTABLE
@@ -37,19 +36,6 @@ FAR = 0.5  # square of missing it, beyond which nothing else is looked at
 POPULATION, GENERATIONS, ROUNDS = 5, 24, 60  # of the search
 QUARTER = 0.25
 POINTS = 1 << 16  # of the upper half of the unit circle
-
-
-class BuiltIn:
-    """The built-in rate loop as one from outside."""
-
-    def __init__(self, rate: RateController) -> None:
-        self._rate = rate
-
-    def reset(self) -> None:
-        self._rate.reset()
-
-    def update(self, setpoint: Vector3, measured: Vector3, applied: Vector3) -> Vector3:
-        return self._rate.update(setpoint, measured, Unallocated())
 
 
 def _alone(value: float, index: int) -> Vector3:
