@@ -28,6 +28,7 @@ from cosim.autopilots.lockstep import (
     pulse,
     waits,
 )
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError
 from cosim.base.geodesy import Geodesy
 from cosim.base.limits import clamp, clip
@@ -257,7 +258,7 @@ class Px4:
         latitude, longitude, height = self._place.to_geodetic(true.position[0], true.position[1], true.altitude)
         cm = [round(clamp(1e2 * value, 32767.0)) for value in true.velocity]
         air = round(min(1e2 * hypot(*(v - w for v, w in zip(true.velocity, true.wind, strict=True))), 65535.0))
-        mg = [round(clamp(1e3 * value / 9.80665, 32767.0)) for value in true.specific_force]
+        mg = [round(clamp(1e3 * value / GRAVITY, 32767.0)) for value in true.specific_force]
         return self._writer.frame(
             hil.HIL_STATE_QUATERNION, now, *true.attitude, *true.rate, round(1e7 * latitude), round(1e7 * longitude),
             round(1e3 * height), *cm, air, air, *mg,

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+from cosim.autopilots.block import AutopilotBlock
 from cosim.base import protocols
 from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.cluster import DaskWorkers
 from cosim.campaign.workers.flight_row import Row
 from cosim.campaign.workers.local import LocalWorkers
+from cosim.codegen.vehicle_ports import _ControllerOutside, _EnginesOutside, _PilotOutside
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
+from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.cascade import Cascade
+from cosim.control.laws.axis import RateLaw
 from cosim.control.predictors.smith import FilteredSmithPredictor, NoPredictor, SmithPredictor
 from cosim.control.predictors.state import ModalPredictor, StatePredictor
 from cosim.engine import EngineBank
+from cosim.engine.isolated import IsolatedBank
 from cosim.results import metrics
+from cosim.results.autopilot.autopilot_record import PilotRecord
 from cosim.results.recorder import Recorder
 from cosim.results.run import Recording
+from cosim.simulation.brought import Watching, WindTable
+from cosim.simulation.controllers.guard import GuardedController, GuardedPredictor
 from cosim.simulation.script.disturber import Disturber
 from cosim.simulation.with_places import PlacePilot
 from cosim.vehicle.sensors import FaultySensors, SensorSuite
@@ -24,21 +32,21 @@ from cosim.vehicle.sensors import FaultySensors, SensorSuite
 METRICS: list[protocols.Metric] = [metrics.flight_metrics]
 
 
-def controller(block: Cascade) -> protocols.Controller:
+def controller(block: Cascade | GuardedController | _ControllerOutside) -> protocols.Controller:
     return block
 
 
 def predictor(
-    block: NoPredictor | SmithPredictor | FilteredSmithPredictor | StatePredictor | ModalPredictor,
+    block: GuardedPredictor | NoPredictor | SmithPredictor | FilteredSmithPredictor | StatePredictor | ModalPredictor,
 ) -> protocols.Predictor:
     return block
 
 
-def allocator(block: TiltAllocator | RotorAllocator) -> protocols.Allocator:
+def allocator(block: TiltAllocator | RotorAllocator | EffectivenessAllocator) -> protocols.Allocator:
     return block
 
 
-def engines(block: EngineBank) -> protocols.Engines:
+def engines(block: EngineBank | IsolatedBank | _EnginesOutside) -> protocols.Engines:
     return block
 
 
@@ -50,13 +58,25 @@ def disturbances(block: Disturber) -> protocols.Disturbances:
     return block
 
 
-def pilot(block: PlacePilot | Autopilot) -> protocols.Pilot:
+def pilot(block: PlacePilot | Autopilot | _PilotOutside) -> protocols.Pilot:
     return block
 
 
-def observer(block: Recorder | Recording) -> protocols.Observer:
+def observer(block: Recorder | Recording | PilotRecord | Watching) -> protocols.Observer:
     return block
 
 
 def workers(block: LocalWorkers | DaskWorkers) -> protocols.Workers[Study, Flight, Row]:
+    return block
+
+
+def rate_loop(block: RateLaw) -> protocols.RateLoop:
+    return block
+
+
+def whole_controller(block: AutopilotBlock) -> protocols.WholeController:
+    return block
+
+
+def wind(block: WindTable) -> protocols.Wind:
     return block

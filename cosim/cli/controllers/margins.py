@@ -13,7 +13,7 @@ from cosim.cli.console import output_to_stderr, part_progress, terminal
 from cosim.cli.options import DONE, Number, example, load_scenario, offer_to_compile, warn_of_blemishes
 
 if TYPE_CHECKING:
-    from cosim.design.measured import Margins
+    from cosim.design.measured import MeasuredMargins
 
 
 @click.command(epilog=example("hexjet margins --controller mine.py:Mine --axis roll"))
@@ -90,7 +90,7 @@ def margins(
     return DONE
 
 
-def print_margins(margins: Margins, paths: dict[str, Path]) -> None:
+def print_margins(margins: MeasuredMargins, paths: dict[str, Path]) -> None:
     """A table an axis, what is to be said about it, and where the page is."""
     from rich import box
     from rich.table import Table

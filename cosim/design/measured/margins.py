@@ -55,7 +55,7 @@ class AxisMargins:
 
 
 @dataclass(frozen=True)
-class Margins:
+class MeasuredMargins:
     """Of one controller on one vehicle."""
 
     scenario: Scenario
@@ -122,7 +122,7 @@ def measure_margins(
     period_s: float | None = None,
     periods: int = PERIODS,
     say: Say = lambda text: None,
-) -> Margins:
+) -> MeasuredMargins:
     """Break the loop of each axis at the plant's input while the vehicle holds still, and measure it.
 
     Parameters
@@ -147,7 +147,7 @@ def measure_margins(
 
     Returns
     -------
-    Margins
+    MeasuredMargins
         Of every axis, with 95 % bounds, and as computed where the controller is built in.
 
     Raises
@@ -181,7 +181,7 @@ def measure_margins(
     for axis in axes:
         asked = _Asked(scenario, own, axis, taps[axis], amplitude, from_hz, to_hz, period_s, periods, say)
         by_axis[axis] = asked.measure(None if isinstance(known, str) else known[axis])
-    return Margins(scenario, own, by_axis, known if isinstance(known, str) else "")
+    return MeasuredMargins(scenario, own, by_axis, known if isinstance(known, str) else "")
 
 
 @dataclass(frozen=True)

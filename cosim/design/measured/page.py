@@ -13,7 +13,7 @@ import numpy as np
 from cosim.base.storage.files import write_files
 from cosim.design.figures import FAR
 from cosim.design.measured.estimate import TINY
-from cosim.design.measured.margins import AxisMargins, Margins
+from cosim.design.measured.margins import AxisMargins, MeasuredMargins
 from cosim.design.panels import Figure, beneath, panels, trace
 from cosim.results.report.flight_figures import BLUE, GREY, ORANGE, RED
 from cosim.results.report.page import render
@@ -60,7 +60,7 @@ def heading(measured: AxisMargins) -> str:
     )
 
 
-def write(margins: Margins, folder: Path) -> dict[str, Path]:
+def write(margins: MeasuredMargins, folder: Path) -> dict[str, Path]:
     """Write ``margins.json``, ``response.csv`` and ``report.html``.  Raises FlightError if a file cannot be written."""
     paths = {"json": folder / "margins.json", "response": folder / "response.csv", "report": folder / "report.html"}
     data = json.dumps(margins.to_dict(), indent=2, allow_nan=False) + "\n"
@@ -77,7 +77,7 @@ def write(margins: Margins, folder: Path) -> dict[str, Path]:
     return paths
 
 
-def _csv(margins: Margins) -> str:
+def _csv(margins: MeasuredMargins) -> str:
     lines = [
         "axis,frequency_hz,loop_real,loop_imaginary,sensitivity_real,sensitivity_imaginary,sensitivity_spread,coherence"
     ]

@@ -215,7 +215,13 @@ class Scenario(Model):
         return any(not isinstance(fault, (ServoJam, SensorBias, SensorDropout)) for fault in self.fault)
 
     def after_the_end(self) -> list[str]:
-        """What begins when the flight has ended, so that the flight says nothing about it."""
+        """What begins when the flight has ended, so that the flight says nothing about it.
+
+        Returns
+        -------
+        list[str]
+            A line each: which entry, when it begins, when the flight ends.
+        """
         return [
             f"{kind}.{number} begins at {entry.start_s:g} s and the flight ends at {self.duration_s:g} s"
             for kind, entries in (("command", self.command), ("disturbance", self.disturbance), ("fault", self.fault))
