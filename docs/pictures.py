@@ -9,8 +9,8 @@ import matplotlib as mpl
 import numpy as np
 
 from cosim import Scenario, fly
-from cosim.paper.beyond import ROBUST
 from cosim.paper.experiments import COMPARED
+from cosim.paper.extensions import ROBUST
 from cosim.paper.report.figures import COLOURS, NAMES, SHORT
 from cosim.paper.reproduce import reproduce
 from cosim.paper.result import Reproduction

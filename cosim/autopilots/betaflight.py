@@ -47,7 +47,7 @@ _STICKS = struct.Struct("<d16H")
 _RAW = struct.Struct("<H2x16f")
 _READY = b"HJREADY\0"
 _CONSOLE_S = 20.0  # chosen by us: until its console answers, on a busy machine
-_LIVES = 3  # chosen by us: to be configured in; its console's threads share buffers without a lock, and it may hang
+_CONFIGURE_TRIES = 3  # chosen by us: its console's threads share buffers without a lock, and it may hang
 _NEUTRAL = 1500
 # What would change the gains in flight is off, so that they are those designed: more P and I while the throttle
 # moves, less of all at high throttle, more D in quick turns, less I while the rate set-point moves, which an attitude
@@ -194,13 +194,13 @@ class Betaflight:
         shim = str(clock())
         ports = {"LD_PRELOAD": shim, "HEXJET_PORT": str(self._port)}
         log = self._folder / "betaflight.log"
-        for life in range(_LIVES):
+        for life in range(_CONFIGURE_TRIES):
             first = Program([str(self._binary)], self._folder, log, ports)
             try:
                 configure(first, self._port + CONSOLE, self.settings, self._folder / "console.txt")
                 break
             except UnansweredError:
-                if first.ended or life == _LIVES - 1:
+                if first.ended or life == _CONFIGURE_TRIES - 1:
                     raise
             finally:
                 first.close()

@@ -19,10 +19,10 @@ from cosim.base.geodesy import Geodesy
 from cosim.base.signals import Vector3
 from cosim.spec.scenario import Scenario
 
-LOCKS = 32_760  # the first of the ports that stand for a number; chosen by us, nobody's
-MOST = 250  # numbers: as many instances as hexjet sitl takes
+INSTANCE_PORTS = 32_760  # the first of the ports that stand for a number; chosen by us, nobody's
+MOST_INSTANCES = 250  # numbers: as many instances as hexjet sitl takes
 VARIABLES = {"px4": "PX4_SITL", "ardupilot": "ARDUPILOT_SITL"}  # of the environment: a program that nobody states
-APART = 20  # ports of Betaflight from one instance to the next: fourteen are one's
+PORTS_APART = 20  # ports of Betaflight from one instance to the next: fourteen are one's
 
 
 @dataclass(frozen=True)
@@ -76,20 +76,20 @@ class PreparedAutopilot:
 
 @contextmanager
 def own_instance() -> Iterator[int]:
-    """A number from 1 to :data:`MOST`, this process's until the end; 0 is left to ``hexjet sitl``.
+    """A number from 1 to :data:`MOST_INSTANCES`, this process's until the end; 0 is left to ``hexjet sitl``.
 
     It is held by a bound port, so that it is free again whatever becomes of the process.  Raises FlightError where all
     are taken.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:
-        for number in range(1, MOST + 1):
+        for number in range(1, MOST_INSTANCES + 1):
             try:
-                held.bind((LOCAL, LOCKS + number))
+                held.bind((LOCAL, INSTANCE_PORTS + number))
             except OSError:
                 continue
             yield number
             return
-    raise FlightError(f"{MOST} autopilots fly on this machine already")
+    raise FlightError(f"{MOST_INSTANCES} autopilots fly on this machine already")
 
 
 def find_program(name: str, binary: Path | None) -> Path | None:
@@ -132,7 +132,7 @@ def _betaflight(
         *setup.lines,
     ]
     outside = None if rates is None else outside_rates(rates, betaflight.outside_gain(vehicle))
-    port = betaflight.PORT + APART * setup.instance if setup.port is None else setup.port
+    port = betaflight.PORT + PORTS_APART * setup.instance if setup.port is None else setup.port
     ground = scenario.environment.ground_m
     autopilot = betaflight.Betaflight(program, folder, vehicle, scenario.step_s, lines, port, setup.limit_s, ground)
     details = {"gains": setup.gains, "console": autopilot.settings}

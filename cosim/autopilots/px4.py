@@ -43,8 +43,8 @@ _IMU, _MAG, _BARO = 7 | 56, 448, 6656  # fields_updated
 _MAG_EVERY, _BARO_EVERY = 0.008, 0.02  # s
 _ARMED = 128  # of mode
 _START_S = 60.0  # until it connects; a start on a busy machine
-_PATIENCE = 64  # bytes that are no MAVLink, after which what is connected is no PX4
-_SECOND = 16  # frames between looks at who else connects
+_MOST_NOISE = 64  # bytes that are no MAVLink, after which what is connected is no PX4
+_LOOK_EVERY = 16  # frames between looks at who else connects
 _BOOT_WAIT = 0.02  # s of the clock for an answer before there was one
 
 
@@ -110,7 +110,7 @@ class Px4:
         counts.frames += 1
         booting = counts.answers == 0
         waiting = Waiting("px4", _BOOT_WAIT if booting else self.limit, self._program)
-        if booting or counts.frames % _SECOND == 0:
+        if booting or counts.frames % _LOOK_EVERY == 0:
             self._refuse_second()
         looked = booting  # not before the first answer, which is all that most frames take
         while True:
@@ -177,7 +177,7 @@ class Px4:
         if not data:
             raise self._closed()
         messages = self._reader.feed(data)
-        if self._reader.noise >= _PATIENCE and not self._reader.frames:
+        if self._reader.noise >= _MOST_NOISE and not self._reader.frames:
             raise FlightError(f"what is connected to px4's port speaks no MAVLink: it said {data[:16]!r}")
         return [values for kind, values in messages if kind is hil.HIL_ACTUATOR_CONTROLS]
 

@@ -30,8 +30,8 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen_from
 
 HEIGHT_M, FLIGHT_S = 10.0, 5.0
-ALIKE = 1e-9  # how well JSBSim and r x F must agree, of the larger one: rounding
-LIFT = 1.15  # thrust over weight with less than which height and attitude fight for thrust; chosen by us
+FORCE_TOLERANCE = 1e-9  # how well JSBSim and r x F must agree, of the larger one: rounding
+LEAST_LIFT = 1.15  # thrust over weight with less than which height and attitude fight for thrust; chosen by us
 HEIGHT_ERROR_M, LEAN_DEG = 1.0, 10.0  # in a calm hover; chosen by us
 # the radius of gyration about an axis over the farthest part from it: of a thin ring 1, of a dense core little
 GYRATION = (0.05, 1.0)
@@ -170,7 +170,7 @@ def _forces(simulation: Simulation) -> Line:
             expected = np.concatenate(layout.wrench(thrusts, angles))
             worst = max(worst, float(np.max(np.abs(np.concatenate([force, moment]) - expected))) / thrust)
     text = f"JSBSim and r x F differ by {worst:.1e} of a jet's thrust, hinges at zero and at the ends of their ranges"
-    return Line("forces", text, "" if worst <= ALIKE else f"more than {ALIKE:g}")
+    return Line("forces", text, "" if worst <= FORCE_TOLERANCE else f"more than {FORCE_TOLERANCE:g}")
 
 
 def _masses(simulation: Simulation) -> Line:
@@ -229,7 +229,8 @@ def _lift(whole: Authority) -> Line:
         return Line(
             "hover", text, "it does not lift off" if whole.lift_at_most < 1.0 else "no balance was found that lifts it"
         )
-    return Line("hover", text, "" if whole.lift >= LIFT else f"less than {LIFT:g}: height and attitude fight for it")
+    fault = "" if whole.lift >= LEAST_LIFT else f"less than {LEAST_LIFT:g}: height and attitude fight for it"
+    return Line("hover", text, fault)
 
 
 def _axes(authority: Sequence[Authority], inertia: Vector3) -> list[Line]:

@@ -15,7 +15,7 @@ from cosim.results.report.svg import begun, ended, text
 from cosim.spec.vehicle import Vehicle
 
 DIRECTIONS = 24  # in which a section is looked at, the axes and the diagonals among them
-OPEN = 0.02  # of a moment, by which its bound is above it where that is drawn; a line is as wide
+BOUND_GAP = 0.02  # of a moment, by which its bound is above it where that is drawn; a line is as wide
 VIEW, MARGIN, TITLE = 300.0, 58.0, 44.0  # px
 Corners = list[tuple[float, float]]
 SECTIONS = ((0, 1), (0, 2), (1, 2))  # axes to the right and upwards
@@ -80,7 +80,7 @@ def _section(reach: Reach, right: int, up: int, directions: int = DIRECTIONS) ->
             return []
         return [(size * cos(angle), size * sin(angle)) for size, angle in zip(ends, angles, strict=True)]
 
-    far = any(size.most - size.least > OPEN * abs(size.most) for size in sizes)
+    far = any(size.most - size.least > BOUND_GAP * abs(size.most) for size in sizes)
     return corners([size.least for size in sizes]), corners([size.most for size in sizes]) if far else []
 
 

@@ -74,7 +74,7 @@ class Bound:
 
 
 @dataclass(frozen=True)
-class Fall:
+class HeightLoss:
     """The least height that was to be lost [m], the fastest sinking on the way, and that with which a given height [m]
     was fallen, 0 where it was not [m/s]."""
 
@@ -105,7 +105,7 @@ class Flight:
 
 
 @dataclass(frozen=True)
-class Left:
+class SkippedFlight:
     """A combination that is not flown, and why."""
 
     aircraft: str
@@ -118,7 +118,7 @@ class EngineOut:
     """The whole table."""
 
     flights: list[Flight]
-    left: list[Left]
+    left: list[SkippedFlight]
     levers: list[Lever]
 
     def to_dict(self) -> dict[str, Any]:
@@ -152,7 +152,7 @@ LATE_S = 0.1  # about what a monitor that reads the spool needs
 # ---- the bound
 
 
-class Courses:
+class ThrustCourses:
     """The fastest that an engine's thrust can rise, fall and vanish from hover, by stepping the engine itself [N].
 
     An engine whose thrust at every later time grows with every throttle before cannot leave the strip between what
@@ -191,11 +191,11 @@ class Courses:
 
 
 @dataclass(frozen=True)
-class Roller:
+class RollAxis:
     """What turns a vehicle about its rolling axis, and how it may be changed."""
 
     vehicle: Vehicle
-    courses: Courses
+    courses: ThrustCourses
     hover: float  # N, of a jet
     inertia: float = 1.0  # over that of the vehicle
 
@@ -244,7 +244,7 @@ class Roller:
                 break
         return Bound(float("inf"), (k + 1) * STEP_S)
 
-    def least_fall(self, after: int = 0, height: float = inf) -> Fall:
+    def least_fall(self, after: int = 0, height: float = inf) -> HeightLoss:
         """What no throttles avoid of a fall with one jet out and another, the opposite one, shut off with it.
 
         ``m v' = m g - sum T_i`` with the four others at full throttle from that instant on, or from step ``after``,
@@ -260,7 +260,7 @@ class Roller:
             before = sink
             sink += STEP_S * (GRAVITY - thrust / self.vehicle.mass_kg)
             if sink < 0.0:
-                return Fall(lost, fastest, touch)
+                return HeightLoss(lost, fastest, touch)
             above = lost < height
             lost += 0.5 * STEP_S * (before + sink)
             fastest = max(fastest, sink)
@@ -298,7 +298,7 @@ def opposite_of(vehicle: Vehicle, jet: int) -> int:
     return opposites(vehicle)[jet - 1] + 1
 
 
-def courses_of(simulation: Simulation, share: float, seconds: float = FOLLOWED_S) -> Courses:
+def courses_of(simulation: Simulation, share: float, seconds: float = FOLLOWED_S) -> ThrustCourses:
     """Of the engines of a built flight, all alike, from a ``share`` of their range of thrust on."""
     limits = simulation.vehicle.control.allocation
     count = len(simulation.vehicle.jets)
@@ -306,14 +306,14 @@ def courses_of(simulation: Simulation, share: float, seconds: float = FOLLOWED_S
         simulation.cascade.thrust_map.throttle((level,) * count)[0]
         for level in (share, limits.throttle_min, limits.throttle_max)
     )
-    return Courses(simulation.engine, hover, least, most, round(seconds / STEP_S))
+    return ThrustCourses(simulation.engine, hover, least, most, round(seconds / STEP_S))
 
 
-def roller(simulation: Simulation, seconds: float = FOLLOWED_S) -> Roller:
+def roller(simulation: Simulation, seconds: float = FOLLOWED_S) -> RollAxis:
     """For the vehicle of a built flight, all of whose engines are alike; ``seconds``: how long they are followed."""
     vehicle = simulation.vehicle
     courses = courses_of(simulation, simulation.cascade.allocator.hover, seconds)
-    return Roller(vehicle, courses, vehicle.mass_kg * GRAVITY / len(vehicle.jets))
+    return RollAxis(vehicle, courses, vehicle.mass_kg * GRAVITY / len(vehicle.jets))
 
 
 # ---- the flights
@@ -343,7 +343,7 @@ def engine_out(
         for engine in engines:
             chosen = unfit(vehicle, engine) or _controller(vehicle, engine, designs, say)
             if isinstance(chosen, str):
-                left.append(Left(vehicle, engine, chosen))
+                left.append(SkippedFlight(vehicle, engine, chosen))
                 continue
             flights = [
                 (_scenario(vehicle, engine, chosen, jet, means), jet, means)
@@ -485,15 +485,15 @@ def _levers(scenario: Scenario) -> Lever:
     )
 
 
-def _half(simulation: Simulation, whole: Roller) -> Roller | None:
+def _half(simulation: Simulation, whole: RollAxis) -> RollAxis | None:
     """Half the mass and inertia on the same engines; None where these cannot go so low."""
     share = simulation.cascade.thrust_map.share(0.5 * whole.hover)
     if share <= simulation.vehicle.control.allocation.throttle_min:
         return None
-    return Roller(simulation.vehicle, courses_of(simulation, share), 0.5 * whole.hover, 0.5)
+    return RollAxis(simulation.vehicle, courses_of(simulation, share), 0.5 * whole.hover, 0.5)
 
 
-def _inertia_for(whole: Roller, jet: int, limit: float) -> float:
+def _inertia_for(whole: RollAxis, jet: int, limit: float) -> float:
     """The factor of J_xx, from 1, at which the bound is ``limit`` [deg], to 1 %."""
     low, high = 1.0, 32.0
     if whole.least_lean(jet).lean_deg <= limit:

@@ -341,7 +341,7 @@ def fly_case(task: tuple[Case, Start, Scenario]) -> FailsafeFlight:
             begin += round(MOVING_S / dt)
             while simulation.k < begin:
                 recorder.observe(simulation.step())
-        place = Held(pilot, simulation, start.speed)
+        place = HoldTarget(pilot, simulation, start.speed)
         _ask(pilot, case.name, case.calls, begin)
         entries += [Entry(begin, "table", request, "") for request in case.calls]
         touchdown = sideways = after = thrust = nan
@@ -414,7 +414,7 @@ def _ask(pilot: Autopilot, name: str, requests: Sequence[Request], k: int) -> No
             raise InputError(f"{name}: {type(request).__name__} is refused before step {k}: {answer.text}")
 
 
-class Held:
+class HoldTarget:
     """The place and the height that a vehicle is to hold from now on: those of its set-point, or where that stops.
 
     A set-point at speed v stops within v^2/2a + v a/2j, with the acceleration a and the jerk j that it is allowed.
@@ -502,7 +502,7 @@ def file_name(row: Row) -> str:
 
 
 @dataclass(frozen=True)
-class Summed:
+class FailsafeSummary:
     """One failsafe in one wind and at one speed, all heights together."""
 
     failsafe: str
@@ -514,7 +514,7 @@ class Summed:
     thrust_n: float  # the most; NaN: none was disarmed
 
 
-def summary(result: Failsafes) -> list[Summed]:
+def summary(result: Failsafes) -> list[FailsafeSummary]:
     """For each failsafe, wind and speed what became of it at all heights."""
     table = []
     for name, wind, speed in dict.fromkeys((row.failsafe, row.wind_m_s, row.speed_m_s) for row in result.rows):
@@ -536,7 +536,7 @@ def summary(result: Failsafes) -> list[Summed]:
                 [row.thrust_n for row in rows],
             )
         )
-        table.append(Summed(name, wind, speed, ends, down, sideways, thrust))
+        table.append(FailsafeSummary(name, wind, speed, ends, down, sideways, thrust))
     return table
 
 

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 Verdict = Literal["held", "airborne", "lost"]
 Say = Callable[[str, int, int], None]
 
-WHOLE = "controller"  # a level: all of the cascade, the engine monitor with it
+WHOLE_CONTROLLER = "controller"  # a level: all of the cascade, the engine monitor with it
 STARTS = ("hover", "roll")
 TEMPLATE = Path(__file__).parent / "templates" / "survival.html"
 ROLL_DEG = 10.0
@@ -124,7 +124,7 @@ class Survival:
     @property
     def unwatched(self) -> list[str]:
         """The controllers with which no monitor watches the engines: they have to see to it themselves."""
-        return [own.label for own in self.own if own.level == WHOLE]
+        return [own.label for own in self.own if own.level == WHOLE_CONTROLLER]
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""

@@ -29,7 +29,7 @@ from cosim.spec.vehicle import is_file, is_own
 
 STUDY, SCENARIO = "study.toml", "scenario.toml"
 FLIGHTS, JOURNAL, REPORT, CASES = "flights", "flights.jsonl", "report.html", "cases"
-OWN = (STUDY, SCENARIO, FLIGHTS, JOURNAL, REPORT, CASES)
+OWN_FILES = (STUDY, SCENARIO, FLIGHTS, JOURNAL, REPORT, CASES)
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def freeze(study: Study) -> Frozen:
         controllers=controllers,
         vary=[vary.model_copy(update={"values": _values(base, vary, sources)}) for vary in study.vary],
     )
-    own = next((name for name in sources if name in OWN), None)
+    own = next((name for name in sources if name in OWN_FILES), None)
     if own is not None:
         raise InputError(f"scenario {base.name}: a file named {own!r} cannot be copied into a campaign's folder")
     files = {name: source if isinstance(source, bytes) else _read(source) for name, source in sources.items()}

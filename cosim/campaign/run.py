@@ -135,7 +135,7 @@ def kept(store: Store) -> str:
 
 
 @dataclass(frozen=True)
-class Again:
+class RepeatedFlight:
     """A flight of a campaign flown again: its run, and what is not as it was, a line each."""
 
     number: int
@@ -156,7 +156,7 @@ class Again:
         return "the same, bit for bit" if self.same else "not the same"
 
 
-def fly_again(campaign: Campaign, number: int, out: Path | str | None = None, **options: Any) -> Again:
+def fly_again(campaign: Campaign, number: int, out: Path | str | None = None, **options: Any) -> RepeatedFlight:
     """Fly one finished flight of a campaign again, recorded in full, from what its row states.
 
     ``out`` and ``options`` are those of :func:`cosim.fly`.  Raises InputError if the flight is not finished, or cannot
@@ -175,8 +175,9 @@ def fly_again(campaign: Campaign, number: int, out: Path | str | None = None, **
             raise FlightError(f"flight {number} cannot be flown, as the first time: {error}") from error
         raise
     if row["log_sha256"] is None:
-        return Again(number, run, [f"{row['outcome']}, {row['reason']}"], False)
-    return Again(number, run, [] if log_digest(run.log) == row["log_sha256"] else list(_otherwise(row, run)), True)
+        return RepeatedFlight(number, run, [f"{row['outcome']}, {row['reason']}"], False)
+    differences = [] if log_digest(run.log) == row["log_sha256"] else list(_otherwise(row, run))
+    return RepeatedFlight(number, run, differences, True)
 
 
 def flight_of(study: Study, row: Row) -> Flight:

@@ -23,7 +23,7 @@ from cosim.base.storage.files import lock, one_line
 from cosim.campaign.folder import (
     FLIGHTS,
     JOURNAL,
-    OWN,
+    OWN_FILES,
     SCENARIO,
     STUDY,
     Frozen,
@@ -110,7 +110,7 @@ class Store:
 
         Raises InputError if it holds anything of one, or cannot be written to; nothing is changed then.
         """
-        held = next((name for name in OWN if (folder / name).exists()), None)
+        held = next((name for name in OWN_FILES if (folder / name).exists()), None)
         if held is not None:
             what = f"already holds a campaign ({held})" if is_campaign(folder) else f"already holds {held}"
             more = "; --resume goes on with it" if is_campaign(folder) else "; choose another folder"

@@ -62,7 +62,7 @@ class Vectors:
     rows: list[tuple[float, ...]] = field(default_factory=list)
 
 
-class Listening:
+class RecordingController:
     """A controller that flies as the one inside it, and writes down what that is told and what it answers."""
 
     def __init__(self, inner: Controller, vectors: Vectors) -> None:
@@ -139,7 +139,7 @@ def record(simulation: Simulation) -> Vectors:
     if simulation.starting:
         raise InputError("the flight starts its engines on the way, which is not exported; leave engine_start out")
     vectors = Vectors()
-    simulation.controller = Listening(simulation.controller, vectors)
+    simulation.controller = RecordingController(simulation.controller, vectors)
     simulation.reset()
     ending = simulation.run()
     if ending.outcome == "failed":

@@ -15,7 +15,7 @@ from cosim.base.storage.paths import data_folder
 from cosim.codegen.files import TEMPLATES, Labels
 from cosim.codegen.ssp import write_ssp
 from cosim.codegen.vehicle_ports import Flight, Parts
-from cosim.codegen.vehicle_process import FLIGHT, MADE
+from cosim.codegen.vehicle_process import FLIGHT, MANIFEST
 from cosim.engine.build import FMI_VERSIONS, BuildError, Engine, Variable, archive_path, build_one
 from cosim.flight import resolve
 from cosim.results.run import scenario_toml, versions
@@ -111,7 +111,7 @@ def _resources(flight: Flight, parts: Parts) -> Mapping[str, bytes]:
     }
     return held | {
         f"{FLIGHT}/scenario.toml": scenario_toml(resolved),
-        MADE: json.dumps(made, indent=1).encode() + b"\n",
+        MANIFEST: json.dumps(made, indent=1).encode() + b"\n",
         "python.txt": f"{sys.executable}\n".encode(),
     }
 

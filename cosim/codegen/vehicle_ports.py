@@ -111,7 +111,7 @@ class Flight:
         self.given: dict[str, float] = {number.name: number.start for number in self.inputs}
         # everything that the blocks outside are in place of is built, and measured: what they are told is the same
         if parts.engines:
-            simulation.propulsion.engines.bank = _Heard(bank, self)
+            simulation.propulsion.engines.bank = _ObservedEngines(bank, self)
         else:
             bank.close()
             simulation.propulsion.engines.bank = _EnginesOutside(self, bank.wants_ambient)
@@ -279,7 +279,7 @@ class Flight:
         self.simulation.close()
 
 
-class _Heard:
+class _ObservedEngines:
     """The engines inside, whose throttles are shown."""
 
     def __init__(self, inner: Engines, flight: Flight) -> None:

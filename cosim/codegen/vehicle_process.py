@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 START, STEP = 0.0, 1.0
-MADE = "vehicle.json"  # what the archive says of itself, beside the flight
+MANIFEST = "vehicle.json"  # what the archive says of itself, beside the flight
 FLIGHT = "flight"  # the folder with the scenario and its files
 ANY_VERSION = "HEXJET_ANY_VERSION"
 
@@ -78,7 +78,7 @@ class _Server:
         from cosim.spec.scenario import Scenario
 
         self._socket = socket
-        made: dict[str, Any] = json.loads((folder / MADE).read_text(encoding="utf-8"))
+        made: dict[str, Any] = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
         others = other_versions(made["versions"], versions())
         if others and not os.environ.get(ANY_VERSION):
             raise InputError(

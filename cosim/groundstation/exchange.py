@@ -67,7 +67,7 @@ def ignore_answer(answer: Answer) -> None:
     """For whom no answer is needed."""
 
 
-class Facts(NamedTuple):
+class SessionInfo(NamedTuple):
     """What does not change during one flight."""
 
     number: int  # flights of this session, from 1
@@ -85,7 +85,7 @@ class Snapshot(NamedTuple):
     """The flight after one step."""
 
     published: float  # s, of the exchange's clock
-    facts: Facts
+    facts: SessionInfo
     k: int  # steps done; the state is that of k dt
     time: float  # k dt [s]
     sample: Sample | None  # the step that led here; None before the first

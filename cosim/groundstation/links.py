@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot.modes import Severity
-from cosim.groundstation.exchange import Exchange, Facts, Port, Restart, Shutdown
-from cosim.groundstation.mavlink.about import About, Personality
+from cosim.groundstation.exchange import Exchange, Port, Restart, SessionInfo, Shutdown
+from cosim.groundstation.mavlink.about import Personality, VehicleInfo
 from cosim.groundstation.mavlink.services.ftp import Bytes, File, FileService
-from cosim.groundstation.mavlink.services.logs import LOG_FOLDER, LogService, Shelf, finished_runs
+from cosim.groundstation.mavlink.services.logs import LOG_FOLDER, LogService, LogStore, finished_runs
 from cosim.groundstation.mavlink.services.metadata import Metadata
 from cosim.groundstation.mavlink.services.missions import MissionService
 from cosim.groundstation.mavlink.services.params import ParameterService
@@ -22,12 +22,12 @@ from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.signing import Signing, read_key
 from cosim.groundstation.mavlink.wire.tlog import Log
 from cosim.groundstation.mavlink.wire.transports import endpoint
-from cosim.groundstation.session import Onlookers
+from cosim.groundstation.session import ReadOnlyObserver
 from cosim.results.autopilot.request_log import REQUESTS
 from cosim.results.run import TELEMETRY
 
 if TYPE_CHECKING:
-    from cosim.groundstation.onlooker import Onlooker
+    from cosim.groundstation.foxglove_feed import FoxgloveFeed
 
 
 class Links:
@@ -61,10 +61,10 @@ class Links:
         self.link = Link(self.endpoints, system, signing=signing)
         self.link.tell = lambda text: self.exchange.say(Severity.WARNING, text)
         self._page = None
-        self._foxglove: Onlooker | None = None
+        self._foxglove: FoxgloveFeed | None = None
         self._vehicle: Vehicle | None = None
         self._parameters: ParameterService | None = None
-        self._shelf: Shelf | None = None
+        self._shelf: LogStore | None = None
         self._folder: Path | None = None
         try:
             if web is not None:
@@ -73,9 +73,9 @@ class Links:
                 self._page = WebServer(self.exchange, web)
                 self._page.start()
             if foxglove is not None:
-                from cosim.groundstation.onlooker import Onlooker, address
+                from cosim.groundstation.foxglove_feed import FoxgloveFeed, address
 
-                self._foxglove = Onlooker(self.exchange, *address(foxglove, public))
+                self._foxglove = FoxgloveFeed(self.exchange, *address(foxglove, public))
                 self._foxglove.start()
         except BaseException:
             self.close()
@@ -115,7 +115,7 @@ class Links:
             "failures": dict(link.failures),
         }
 
-    def begin(self, facts: Facts) -> None:
+    def begin(self, facts: SessionInfo) -> None:
         """A flight begins: its telemetry goes to its folder."""
         self._folder = facts.folder
         if facts.folder is not None and facts.folder.is_dir():
@@ -131,9 +131,9 @@ class Links:
         if self._shelf is not None:
             self._shelf.renew()
 
-    def onlookers(self) -> Onlookers:
+    def read_only(self) -> ReadOnlyObserver:
         """Lets a flight that nobody can change be watched on these links."""
-        return Onlookers(self.exchange, self.begin)
+        return ReadOnlyObserver(self.exchange, self.begin)
 
     def close(self) -> None:
         """Close everything; may be called twice."""
@@ -157,7 +157,7 @@ class Links:
     ) -> None:
         self.close()
 
-    def _start(self, facts: Facts) -> None:
+    def _start(self, facts: SessionInfo) -> None:
         about = about_of(facts, self._personality, self.system)
         vehicle = self._vehicle = Vehicle(about, self._port, self.link, endings=(Restart(), Shutdown()))
         page = self._page
@@ -165,7 +165,7 @@ class Links:
             vehicle.pages = lambda: page.clients
         self._parameters = ParameterService(facts.parameters, self._port.ask, self._personality)
         metadata = Metadata(facts.parameters, about.name, about.version)
-        shelf = self._shelf = Shelf(self._runs)
+        shelf = self._shelf = LogStore(self._runs)
 
         files = Files({path: Bytes(data) for path, data in metadata.files.items()}, shelf)
         exchange = self.exchange
@@ -194,7 +194,7 @@ class Links:
 class Files(Mapping[str, File]):
     """What can be read over MAVLink: descriptions, and the logs, which are made once somebody asks for one of them."""
 
-    def __init__(self, ready: Mapping[str, File], shelf: Shelf) -> None:
+    def __init__(self, ready: Mapping[str, File], shelf: LogStore) -> None:
         self._ready, self._shelf = ready, shelf
 
     def __getitem__(self, path: str) -> File:
@@ -210,10 +210,10 @@ class Files(Mapping[str, File]):
         return len(self._ready) + len(self._shelf.files())
 
 
-def about_of(facts: Facts, personality: Personality, system: int = 1) -> About:
+def about_of(facts: SessionInfo, personality: Personality, system: int = 1) -> VehicleInfo:
     """What the telemetry needs to know of a vehicle."""
     vehicle, sensors = facts.vehicle, facts.vehicle.sensors
-    return About(
+    return VehicleInfo(
         facts.geodesy,
         len(vehicle.jets),
         vehicle.name,

@@ -39,7 +39,7 @@ from cosim.control.autopilot.requests import (
 )
 from cosim.control.autopilot.status import Status
 from cosim.flight import record, reserve_folder, with_page
-from cosim.groundstation.exchange import Exchange, Facts, Restart, Shutdown, Snapshot
+from cosim.groundstation.exchange import Exchange, Restart, SessionInfo, Shutdown, Snapshot
 from cosim.groundstation.parameter_store import ParameterStore
 from cosim.results.autopilot.autopilot_record import PilotRecord
 from cosim.results.autopilot.request_log import REQUESTS, RequestLog
@@ -84,7 +84,7 @@ class Session:
         parameters: Path | None = None,
         duration: float | None = None,
         report: bool = True,
-        begun: Callable[[Facts], None] = lambda facts: None,
+        begun: Callable[[SessionInfo], None] = lambda facts: None,
         over: Callable[[], None] = lambda: None,
     ) -> None:
         self.scenario = waiting_scenario(scenario, duration)
@@ -95,14 +95,16 @@ class Session:
         self._out = out
         self._report = report
         self._begun, self._over = begun, over
-        self._keeper = _Keeper(parameters, vehicle_key(scenario), lambda text: exchange.say(Severity.WARNING, text))
+        self._parameters = _ParameterWriter(
+            parameters, vehicle_key(scenario), lambda text: exchange.say(Severity.WARNING, text)
+        )
         self._stopping = ""
         self._restart = False
         self._numbered = 1  # of the last folder beside ``out``
         self._next: _Flight | None = self._build()  # what is wrong with the input is said before any link opens
 
     @property
-    def facts(self) -> Facts:
+    def facts(self) -> SessionInfo:
         """Of the flight that is flown or about to be."""
         assert self._next is not None
         return self._next.facts
@@ -110,7 +112,7 @@ class Session:
     @property
     def parameters(self) -> Path | None:
         """Where parameters are kept."""
-        return self._keeper.path
+        return self._parameters.path
 
     def stop(self, why: str) -> None:
         """End the session after the present step; from any thread, and from a signal handler."""
@@ -121,7 +123,7 @@ class Session:
         try:
             return self._fly_on()
         finally:
-            self._keeper.close()
+            self._parameters.close()
 
     def _fly_on(self) -> list[Run]:
         while True:
@@ -147,7 +149,7 @@ class Session:
         simulation = build(self.scenario)
         try:
             pilot = with_autopilot(simulation)
-            facts = facts_of(simulation, number, pilot.parameters, self._folder(number), self.factor)
+            facts = session_info(simulation, number, pilot.parameters, self._folder(number), self.factor)
         except BaseException:
             simulation.close()
             raise
@@ -173,7 +175,7 @@ class Session:
         while flight.facts.number > 1 and (late := exchange.take(1)):  # meant for the flight before
             for waiting in late:
                 waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "a new flight begins"))
-        self._keeper.restore(flight.put)
+        self._parameters.restore(flight.put)
         self._begun(flight.facts)
         exchange.say(Severity.INFO, f"flight {flight.facts.number}: {flight.facts.vehicle.name}")
         flight.publish(None, None)
@@ -215,7 +217,7 @@ class Session:
                 else:
                     answer = flight.ask(waiting.sender, request, k)
                 if isinstance(request, SetParameter) and answer.accepted:
-                    self._keeper.keep(flight.pilot.parameters.changed())
+                    self._parameters.keep(flight.pilot.parameters.changed())
                 elif isinstance(request, (MissionUpload, MissionClear)):
                     flight.publish(None, None)  # who has the answer may read the mission back
                 waiting.answer(answer)
@@ -256,7 +258,7 @@ class Session:
             time.sleep(_OVER_EVERY)
 
 
-class _Hands:
+class _StickOwner:
     """Whose sticks count: those of who had them first, until they are let go; as PX4 chooses between its sources."""
 
     def __init__(self, parameters: Parameters, step: float) -> None:
@@ -285,7 +287,7 @@ class _Flight:
 
     simulation: Simulation
     pilot: Autopilot
-    facts: Facts
+    facts: SessionInfo
     pace: Pace
     exchange: Exchange
     recording: Recording | None = None
@@ -295,7 +297,7 @@ class _Flight:
     last_message: int = 0  # messages of the pilot that have been passed on
 
     def __post_init__(self) -> None:
-        self.hands = _Hands(self.pilot.parameters, self.simulation.dt)
+        self.hands = _StickOwner(self.pilot.parameters, self.simulation.dt)
 
     def begin(self) -> Recording:
         """Make the run's folder.  Raises InputError if it is not usable."""
@@ -392,7 +394,7 @@ class _Publisher:
             )
 
 
-class _Keeper:
+class _ParameterWriter:
     """Writes parameters to their file in a thread of its own: a disk may take longer than a step.
 
     ``path`` None: they are kept for the session alone.  Raises InputError for a file that cannot be used.
@@ -443,26 +445,26 @@ class _Keeper:
                 self._complain(f"parameters not saved: {error}")
 
 
-class Onlookers:
+class ReadOnlyObserver:
     """Lets a flight that follows a script, or a recorded one, be watched; whoever asks something of it is refused."""
 
-    def __init__(self, exchange: Exchange, begun: Callable[[Facts], None] = lambda facts: None) -> None:
+    def __init__(self, exchange: Exchange, begun: Callable[[SessionInfo], None] = lambda facts: None) -> None:
         self._exchange = exchange
         self._begun = begun
 
-    def __call__(self, simulation: Simulation, pace: Pace, folder: Path | None, factor: float | None) -> _Onlooker:
+    def __call__(self, simulation: Simulation, pace: Pace, folder: Path | None, factor: float | None) -> _ReadOnly:
         pilot = simulation.pilot if isinstance(simulation.pilot, Autopilot) else None
         parameters = pilot.parameters if pilot else _parameters(simulation)
-        facts = facts_of(simulation, 1, parameters, folder, factor)
+        facts = session_info(simulation, 1, parameters, folder, factor)
         self._begun(facts)
-        return _Onlooker(simulation, pilot, facts, pace, self._exchange)
+        return _ReadOnly(simulation, pilot, facts, pace, self._exchange)
 
 
-class _Onlooker:
+class _ReadOnly:
     """Publishes a flight that nobody can change."""
 
     def __init__(
-        self, simulation: Simulation, pilot: Autopilot | None, facts: Facts, pace: Pace, exchange: Exchange
+        self, simulation: Simulation, pilot: Autopilot | None, facts: SessionInfo, pace: Pace, exchange: Exchange
     ) -> None:
         self._simulation, self._pilot, self._facts, self._pace = simulation, pilot, facts, pace
         self._exchange = exchange
@@ -488,7 +490,7 @@ class _Onlooker:
 
 def snapshot_of(
     simulation: Simulation,
-    facts: Facts,
+    facts: SessionInfo,
     sample: Sample | None,
     status: Status,
     pace: PaceReport,
@@ -573,15 +575,15 @@ def place_at(text: str) -> dict[str, float]:
     return {"latitude_deg": latitude, "longitude_deg": longitude}
 
 
-def facts_of(
+def session_info(
     simulation: Simulation, number: int, parameters: Parameters, folder: Path | None, factor: float | None
-) -> Facts:
+) -> SessionInfo:
     """What there is to know of a flight before its first step."""
     place = simulation.scenario.environment
     geodesy = Geodesy(place.latitude_deg, place.longitude_deg, place.ground_m)
     stations = tuple(simulation.stations)
     scenario, vehicle, own = simulation.scenario, simulation.vehicle, simulation.columns
-    return Facts(number, scenario, vehicle, stations, geodesy, parameters, folder, factor, own)
+    return SessionInfo(number, scenario, vehicle, stations, geodesy, parameters, folder, factor, own)
 
 
 def vehicle_key(scenario: Scenario) -> str:

@@ -25,8 +25,8 @@ from cosim.paper.experiments import (
 from cosim.paper.frozen import (
     FILE,
     Calibration,
+    FittedNumber,
     Frozen,
-    Used,
 )
 from cosim.paper.linear import STATE_AS_PRINTED
 from cosim.paper.loops import (
@@ -156,13 +156,15 @@ def calibrate(start: Calibration = START, say: Callable[[str], None] = lambda li
     Parameters are rounded to four digits, the doublet's length to whole steps, so that the file says all there is.
     """
     parameters = start
-    used: list[Used] = []
+    used: list[FittedNumber] = []
     for stage in STAGES:
         say(stage.name)
         parameters = _fit(stage, parameters)
         answers = stage.answers(parameters)
         used += [
-            Used(key=key, paper=numbers.value(key), ours=_digits(answers[key], 6), scale=scale, stage=stage.name)
+            FittedNumber(
+                key=key, paper=numbers.value(key), ours=_digits(answers[key], 6), scale=scale, stage=stage.name
+            )
             for key, scale in stage.targets.items()
         ]
     return Frozen(parameters=parameters, used=used)

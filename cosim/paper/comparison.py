@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict
 
 from cosim.base.signals import AXES
 from cosim.design.loop.frequency import margins
-from cosim.paper import beyond, numbers
+from cosim.paper import extensions, numbers
 from cosim.paper.claims import (
     ClaimRow,
     Condition,
@@ -93,12 +93,12 @@ class LinearPart:
     evidence: Evidence
     sweeps: dict[str, Sweep]  # measured in the loop
     conditions: list[Condition]
-    maps: list[beyond.RobustnessMap]
-    delays: dict[tuple[str, str], list[beyond.DelayPoint]]
-    offsets: list[beyond.Offset]
+    maps: list[extensions.RobustnessMap]
+    delays: dict[tuple[str, str], list[extensions.DelayPoint]]
+    offsets: list[extensions.Offset]
     smith_offset: float  # rad, closed form
     noise: dict[tuple[str, str], float | None]
-    turbojet: list[beyond.Reach]
+    turbojet: list[extensions.Reach]
 
 
 def linear_part(say: Callable[[str], None] = lambda stage: None) -> LinearPart:
@@ -120,12 +120,12 @@ def linear_part(say: Callable[[str], None] = lambda stage: None) -> LinearPart:
     say("what would make it true")
     answers = conditions(calibration)
     say("robustness maps")
-    maps = beyond.robustness_maps(calibration)
+    maps = extensions.robustness_maps(calibration)
     say("delay sweep")
-    delays = beyond.delay_sweep(calibration)
+    delays = extensions.delay_sweep(calibration)
     say("constant disturbance and noise")
-    offsets = beyond.constant_disturbance(calibration)
-    noise = beyond.noise_gains(calibration)
+    offsets = extensions.constant_disturbance(calibration)
+    noise = extensions.noise_gains(calibration)
     say("true turbojet")
     return LinearPart(
         frozen=frozen,
@@ -136,9 +136,9 @@ def linear_part(say: Callable[[str], None] = lambda stage: None) -> LinearPart:
         maps=maps,
         delays=delays,
         offsets=offsets,
-        smith_offset=beyond.smith_offset(calibration),
+        smith_offset=extensions.smith_offset(calibration),
         noise=noise,
-        turbojet=beyond.turbojet(calibration),
+        turbojet=extensions.turbojet(calibration),
     )
 
 

@@ -37,7 +37,7 @@ class Calibration(BaseModel):
     disturbance_observer_rad_s: float = 40.0
 
 
-class Used(Model):
+class FittedNumber(Model):
     """A printed number that the calibration was fitted to, and what came of it."""
 
     key: str
@@ -51,7 +51,7 @@ class Frozen(Model):
     """The file: unknowns, the numbers that were used, and how they were met."""
 
     parameters: Calibration
-    used: list[Used]
+    used: list[FittedNumber]
 
 
 def load(path: Path = FILE) -> Frozen:

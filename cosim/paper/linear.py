@@ -113,7 +113,7 @@ def predictor(controller: str) -> PredictorSpec:
     return PREDICTORS[controller]
 
 
-class _Summed:
+class _WithDisturbance:
     """A predictor that sees the command with the disturbance in it: the tap lies behind the place where it enters."""
 
     def __init__(self, predictor: Predictor) -> None:
@@ -141,7 +141,7 @@ def simulate(
     ``y_k+1 = plant(z^-d (u_k + w_k))``; ``phi_k+1 = phi_k + T/2 (y_k + y_k+1)``; the gyro adds white noise to ``y``.
     Ends early once the rate is beyond ``LARGEST``.
     """
-    tap = _Summed(predictor(axis.controller).predictor(axis.model, axis.tuning))
+    tap = _WithDisturbance(predictor(axis.controller).predictor(axis.model, axis.tuning))
     rate_loop = RateAxis(axis.gains, tap, axis.step)
     line = DelayLine(axis.delay_samples)
     plant = _plant(axis.plant)

@@ -26,7 +26,6 @@ from cosim.design.identify import identify_axis, identify_engine
 from cosim.design.identify.fit import fit
 from cosim.flight import fly
 from cosim.paper import numbers
-from cosim.paper.beyond import Reach, turbojet_plant
 from cosim.paper.claims import Evidence, claim_rows
 from cosim.paper.comparison import (
     LinearPart,
@@ -42,6 +41,7 @@ from cosim.paper.experiments import (
     experiments,
     quadrotor_axis,
 )
+from cosim.paper.extensions import Reach, turbojet_plant
 from cosim.paper.flight import flight, scenario
 from cosim.paper.frozen import load
 from cosim.paper.linear import STATE_AS_PRINTED

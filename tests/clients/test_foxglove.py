@@ -19,7 +19,7 @@ from cosim.base.errors import InputError
 from cosim.base.frames import to_euler
 from cosim.control.autopilot.modes import Severity
 from cosim.groundstation.exchange import Exchange
-from cosim.groundstation.onlooker import Onlooker, address
+from cosim.groundstation.foxglove_feed import FoxgloveFeed, address
 from cosim.groundstation.session import Session
 from cosim.results.export.mcap_file import SUBJECTS
 from cosim.spec.scenario import Scenario
@@ -37,12 +37,12 @@ def test_channels_pose_scene_and_words_of_a_flight(tmp_path: Path) -> None:
     exchange = Exchange()
     scenario = Scenario.load("hover").replace(name="gcs", engine="edf-as-flown", controller="smith")
     session = Session(scenario, exchange, factor=1.0, out=tmp_path / "run", report=False)
-    onlooker = Onlooker(exchange, "127.0.0.1", 0)
-    onlooker.start()
+    feed = FoxgloveFeed(exchange, "127.0.0.1", 0)
+    feed.start()
     flight = threading.Thread(target=session.run)
     flight.start()
     try:
-        with connect(onlooker.url, subprotocols=[Subprotocol("foxglove.sdk.v1")], proxy=None) as link:
+        with connect(feed.url, subprotocols=[Subprotocol("foxglove.sdk.v1")], proxy=None) as link:
             channels, seen, wanted = {}, {}, {"/pose": PoseInFrame, "/scene": SceneUpdate, "/log": Log, "/jet": None}
             end = time.monotonic() + PATIENCE
 
@@ -80,8 +80,8 @@ def test_channels_pose_scene_and_words_of_a_flight(tmp_path: Path) -> None:
     finally:
         session.stop("seen")
         flight.join()
-        onlooker.stop()
-        onlooker.stop()
+        feed.stop()
+        feed.stop()
     assert {*SUBJECTS, "/time", "/tf", "/location", "/scene/arrows"} - {"/own"} <= set(channels)
     assert {channels[name]["encoding"] for name in wanted} == {"protobuf"}
     assert channels["/pose"]["schemaName"] == "foxglove.PoseInFrame"
@@ -121,10 +121,10 @@ def test_without_the_sdk_it_says_what_to_install(hexjet: Hexjet, monkeypatch: py
 
 def test_a_port_that_is_taken() -> None:
     pytest.importorskip("foxglove", reason="no Foxglove SDK: pip install foxglove-sdk")
-    first = Onlooker(Exchange(), "127.0.0.1", 0)
+    first = FoxgloveFeed(Exchange(), "127.0.0.1", 0)
     port = int(first.url.rpartition(":")[2])
     try:
         with pytest.raises(InputError, match=f"--foxglove 127.0.0.1:{port}: the port cannot be opened: [^\n]+$"):
-            Onlooker(Exchange(), "127.0.0.1", port)
+            FoxgloveFeed(Exchange(), "127.0.0.1", port)
     finally:
         first.stop()

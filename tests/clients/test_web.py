@@ -28,7 +28,7 @@ from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.control.autopilot.requests import SetParameter
 from cosim.groundstation import session
 from cosim.groundstation.exchange import Exchange, Snapshot
-from cosim.groundstation.session import Session, facts_of
+from cosim.groundstation.session import Session, session_info
 from cosim.groundstation.web import feed, server
 from cosim.groundstation.web.server import WebServer
 from cosim.results.report.page import ASSETS
@@ -392,7 +392,7 @@ def test_the_rows_that_are_told_are_the_log_s(flown: Flown) -> None:
 def test_what_blocks_show_of_their_own_is_told_too(tmp_path: Path) -> None:
     """A mapping file's further output, a law's own numbers: they come last, as in the log."""
     with build(Scenario.load("jetwing-cruise")) as simulation:
-        facts = facts_of(simulation, 1, session._parameters(simulation), tmp_path, 1.0)
+        facts = session_info(simulation, 1, session._parameters(simulation), tmp_path, 1.0)
         sample = simulation.step()
         shown = [column.name for column in simulation.columns]
         assert shown
@@ -468,7 +468,7 @@ def test_what_is_wrong_is_refused_with_one_line(flown: Flown, message: str | byt
 
 def test_a_message_that_is_too_long_ends_the_link(flown: Flown) -> None:
     with flown.page() as page:
-        page.link.send(json.dumps({"request": "Arm", "x": "y" * server.LARGEST}))
+        page.link.send(json.dumps({"request": "Arm", "x": "y" * server.LARGEST_MESSAGE}))
         with pytest.raises(ConnectionClosed) as closed:
             page.next("never")
     assert closed.value.rcvd is not None
@@ -522,7 +522,7 @@ def test_a_page_that_does_not_read_misses_frames_and_holds_up_nobody(
             assert seen < 20_000
         assert flown.web.skipped > skipped
         assert behind.protocol.close_sent is None  # let go by us, before the library's pings found out
-        assert server.WAITING < most < 3 * server.WAITING
+        assert server.SEND_BUFFER < most < 3 * server.SEND_BUFFER
         assert page.ask("Disarm")["accepted"]
 
 

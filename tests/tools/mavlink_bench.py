@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.control.autopilot.requests import Answer, Request, Result
-from cosim.groundstation.mavlink.services.logs import Log, OnDisk
+from cosim.groundstation.mavlink.services.logs import DiskFile, Log
 from cosim.groundstation.mavlink.services.service import Client
 from cosim.groundstation.mavlink.wire.dialect import mav, pack
 from cosim.groundstation.mavlink.wire.frames import Parser, Sender
@@ -142,7 +142,7 @@ class ReadyShelf:
     making = looking = False
 
     def __init__(self, *paths: Path) -> None:
-        self.logs = [Log(number, path, 1, OnDisk(path)) for number, path in enumerate(paths)]
+        self.logs = [Log(number, path, 1, DiskFile(path)) for number, path in enumerate(paths)]
 
     def look(self, now: float) -> None: ...
 

@@ -36,8 +36,8 @@ from cosim.control.autopilot.requests import (
     Takeoff,
 )
 from cosim.control.autopilot.status import Status
-from cosim.groundstation.exchange import Exchange, Facts, Port, Snapshot
-from cosim.groundstation.mavlink.about import About
+from cosim.groundstation.exchange import Exchange, Port, SessionInfo, Snapshot
+from cosim.groundstation.mavlink.about import VehicleInfo
 from cosim.groundstation.mavlink.vehicle import Vehicle
 from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.mavlink.wire.link import Link
@@ -48,7 +48,7 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
 
 GEODESY = Geodesy(22.35, 113.59, 12.0)
-ABOUT = About(
+ABOUT = VehicleInfo(
     GEODESY, jets=6, name="hexjet", version="0.1.0", tilt_range=0.5, full_thrust=(20.0,) * 6, fuel_capacity=2.0,
     position_noise=0.4, velocity_noise=0.05, height_noise=0.1,
 )  # fmt: skip
@@ -96,7 +96,7 @@ def status(**changes: Any) -> Status:
 
 # of roll, pitch and yaw: rates of the model without delay and with it, rad/s, and the delay in steps of 4 ms
 PREDICTING = ((0.7, 0.5, 25.0), (0.8, 0.6, 25.0), (0.9, 0.65, nan))
-FACTS = Facts(1, Scenario.load("hover"), load_vehicle("hexjet")[0], (), GEODESY, Parameters([]), None, 1.0)
+FACTS = SessionInfo(1, Scenario.load("hover"), load_vehicle("hexjet")[0], (), GEODESY, Parameters([]), None, 1.0)
 
 
 def snapshot(sample: Sample, status: Status, diagnostics: Any = PREDICTING, load: float = 0.25) -> Snapshot:
@@ -132,7 +132,7 @@ class Pilot:
 class Bench:
     """Vehicle, exchange and pilot without sockets or threads; time goes on when it is told to."""
 
-    def __init__(self, about: About = ABOUT, signing: Signing | None = None, **more: Any) -> None:
+    def __init__(self, about: VehicleInfo = ABOUT, signing: Signing | None = None, **more: Any) -> None:
         self.time = 100.0
         self.link = Link([], signing=signing, clock=lambda: self.time)
         self.exchange = Exchange(lambda: self.time)

@@ -18,8 +18,8 @@ from cosim.campaign.analysis.summary import places
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.results.wording import Metric
 
-CELL = 15  # flights in a cell of draws, were they spread evenly
-LEAST = 5  # flights in a cell of draws, before its share is shown: with fewer the interval is wider than 60 points
+FLIGHTS_PER_CELL = 15  # flights in a cell of draws, were they spread evenly
+LEAST_PER_CELL = 5  # flights, before a cell's share is shown: with fewer the interval is wider than 60 points
 MAP_KEYS = 6
 MAP_METRICS = 6
 MAP_CELLS = 6000  # over all pairs of keys, for one controller: what a page can hold
@@ -37,7 +37,7 @@ def map_tables(table: FlightTable, keys: Sequence[int], pair: tuple[int, int], c
     pairs = list(combinations(range(len(chosen)), 2))
     sides = [_sides(table, key, max(len(pairs), 1)) for key in chosen]
     metrics = table.metrics[:MAP_METRICS]
-    least = 1 if table.grid else LEAST
+    least = 1 if table.grid else LEAST_PER_CELL
     return {
         "grid": table.grid,
         "least": least,
@@ -69,7 +69,7 @@ def _sides(table: FlightTable, key: KeyColumn, pairs: int) -> tuple[Array, Count
     if key.levels:
         return np.arange(-0.5, len(key.levels)), np.where(known, key.numbers, -1).astype(np.intp)
     flights = max((int(np.sum(table.of(place))) for place in places(table)), default=0)
-    most = int(np.clip(isqrt(flights // CELL), 3, max(16, min(40, isqrt(MAP_CELLS // pairs)))))
+    most = int(np.clip(isqrt(flights // FLIGHTS_PER_CELL), 3, max(16, min(40, isqrt(MAP_CELLS // pairs)))))
     numbers = np.where(known, key.numbers, key.numbers[known][0] if known.any() else 1.0)
     levels = np.unique(numbers)
     scaled, back = (np.log(numbers), np.exp) if key.log else (numbers, np.array)

@@ -21,13 +21,13 @@ from cosim.campaign.folder import Frozen, freeze
 from cosim.campaign.folder import load as load_study
 from cosim.campaign.search.page import write_page
 from cosim.campaign.search.probe import Journal, Point, Prober
-from cosim.campaign.search.result import Case, Searched, question
+from cosim.campaign.search.result import Case, SavedSearch, question
 from cosim.campaign.search.search import (
     Edge,
     Joint,
-    Over,
     Plan,
     SearchResult,
+    SecondKey,
     search,
     why,
 )
@@ -87,9 +87,10 @@ def opened(
     first = study.base().seed if seed is None else seed
     if not 0 <= first <= 2**53 - seeds:
         raise InputError(f"--seed {first}: must be from 0 to {2**53 - seeds}")
+    over_key = study.key(second[0].key) if second else None
     plan = Plan(
         spans=tuple(span(entry, study.key(entry.key), fine.get(entry.key)) for entry in varied),
-        over=Over(study.key(second[0].key), tuple(levels(second[0], study.key(second[0].key)))) if second else None,
+        over=None if over_key is None else SecondKey(over_key, tuple(levels(second[0], over_key))),
         seeds=tuple(range(first, first + seeds)),
         share=share,
         budget=budget,
@@ -130,7 +131,7 @@ def run_search(
     workers: Workers,
     resume: bool = False,
     progress: Callable[[int], None] = lambda flights: None,
-) -> Searched:
+) -> SavedSearch:
     """Search, and leave everything in ``out``; ``progress`` is told how many flights there are so far.
 
     ``resume``: go on with what the folder holds, if it holds anything; nothing is flown twice.
@@ -148,7 +149,7 @@ def run_search(
             shutil.rmtree(out / CASES, ignore_errors=True)  # of a search that was stopped while it flew them
             cases = tuple(_cases(result, prober, out / CASES))
             looked = [(point, prober.verdict(point).breaks) for point in prober.points]
-            searched = Searched(out, result, cases, looked)
+            searched = SavedSearch(out, result, cases, looked)
             _write(searched)
     except OSError as error:
         raise FlightError(f"{out}: {one_line(error)}") from error
@@ -235,6 +236,6 @@ def _more_than_one(joint: Joint) -> bool:
     return sum(value != 0.0 for value in joint.deviations.values()) > 1
 
 
-def _write(searched: Searched) -> None:
+def _write(searched: SavedSearch) -> None:
     write_whole(searched.folder / RESULT, json.dumps(searched.to_dict(), indent=1, allow_nan=False) + "\n")
     write_page(searched, searched.folder / REPORT)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.campaign.search.probe import Point
-from cosim.campaign.search.result import Searched
+from cosim.campaign.search.result import SavedSearch
 from cosim.campaign.search.search import (
     Edge,
     Joint,
@@ -52,7 +52,7 @@ class Row(NamedTuple):
 COLUMNS = ("controller", "key", "at", "from", "holds to", "breaks at", "change", "then")
 
 
-def write_page(searched: Searched, path: Path) -> None:
+def write_page(searched: SavedSearch, path: Path) -> None:
     """Write the page of a search.  Raises FlightError if the file cannot be written."""
     result = searched.result
     columns, rows = table(result)

@@ -30,7 +30,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Searched:
+class SavedSearch:
     """A finished search and its folder."""
 
     folder: Path

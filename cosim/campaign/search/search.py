@@ -38,16 +38,16 @@ from cosim.results.wording import metric
 Side = Literal["up", "down"]
 SIDES: dict[int, Side] = {1: "up", -1: "down"}
 
-RING = 0.1  # of the ranges: how far apart the places of a ray are looked at; chosen by us
-AT_ONCE = 3  # places of a ray, outwards, at a time
-COARSE = 0.02  # of the ranges: to which every ray is bisected
-FINE = 0.005  # the same of the best one
-RANDOM = 8  # directions at a time, as long as nothing that breaks is known
-FURTHEST = 1.25  # times the nearest that breaks: further out a ray is not looked at
+RAY_STEP = 0.1  # of the ranges: how far apart the places of a ray are looked at; chosen by us
+RAY_BATCH = 3  # places of a ray, outwards, at a time
+COARSE_STEP = 0.02  # of the ranges: to which every ray is bisected
+FINE_STEP = 0.005  # the same of the best one
+RANDOM_BATCH = 8  # directions at a time, as long as nothing that breaks is known
+FURTHEST_RATIO = 1.25  # times the nearest that breaks: further out a ray is not looked at
 
 
 @dataclass(frozen=True)
-class Over:
+class SecondKey:
     """A second key, and its values at which the first one is searched."""
 
     key: Key
@@ -59,7 +59,7 @@ class Plan:
     """What is searched: a study says how a flight is made and judged, this where."""
 
     spans: tuple[Span, ...]
-    over: Over | None = None
+    over: SecondKey | None = None
     seeds: tuple[int, ...] = (1,)
     share: float = 0.0  # of the flights of a point that have to break; 0: any of them
     budget: int = 1000  # flights of a search of several keys together, for each controller
@@ -304,9 +304,9 @@ class _Rays:
         """The distance up to which a ray is worth looking at."""
         known = [self.best.distance] if self.best else []
         known += [] if self._single is None else [self._single]
-        return FURTHEST * min(known, default=sqrt(len(self._plan.spans)) / FURTHEST)
+        return FURTHEST_RATIO * min(known, default=sqrt(len(self._plan.spans)) / FURTHEST_RATIO)
 
-    def distances(self, directions: Array, ring: float = RING, gap: float = COARSE) -> Array:
+    def distances(self, directions: Array, ring: float = RAY_STEP, gap: float = COARSE_STEP) -> Array:
         """At which distance each of the directions (a column each) breaks first; the limit where it does not."""
         limit = self.limit
         rays = {
@@ -314,7 +314,7 @@ class _Rays:
             for number, column in enumerate(directions.T)
             if np.linalg.norm(column) > 1e-9
         }
-        walks = {number: outward(ray.places(ring, limit), ray.between(gap), AT_ONCE) for number, ray in rays.items()}
+        walks = {number: outward(ray.places(ring, limit), ray.between(gap), RAY_BATCH) for number, ray in rays.items()}
         scans = side_by_side(
             walks, lambda requests: self._prober.look([rays[number].point(place) for number, place in requests])
         )
@@ -331,7 +331,7 @@ class _Rays:
     def refine(self) -> None:
         """Look closer at the best ray."""
         if self.best is not None:
-            self.distances(self.best.direction[:, None], RING / 2.0, FINE)
+            self.distances(self.best.direction[:, None], RAY_STEP / 2.0, FINE_STEP)
 
 
 def together(plan: Plan, prober: Prober, controller: str, edges: Sequence[Edge]) -> Joint:
@@ -398,7 +398,7 @@ def _evolve(plan: Plan, rays: _Rays) -> None:
         return np.asarray(side * turned / np.linalg.norm(turned, axis=1)[:, None])
 
     while rays.nothing_breaks:
-        rays.distances(anywhere(RANDOM).T)
+        rays.distances(anywhere(RANDOM_BATCH).T)
     axes = [side * row for row, span in zip(np.eye(len(bounds)), plan.spans, strict=True) for side in span.sides]
     known = [] if rays.best is None else [rays.best.direction / np.max(np.abs(rays.best.direction))]
     differential_evolution(
@@ -409,7 +409,7 @@ def _evolve(plan: Plan, rays: _Rays) -> None:
         updating="deferred",
         polish=False,
         tol=0.005,
-        atol=COARSE / 4.0,
+        atol=COARSE_STEP / 4.0,
         maxiter=1000,
         rng=2,
     )

@@ -20,8 +20,8 @@ from cosim.campaign.study.values import (
     whole_bounds,
 )
 
-POINTS = 21  # of a scan over the whole range where nobody says how many; chosen by us
-FINE = 200  # parts of the range to which is bisected where nobody says how far; chosen by us
+SCAN_POINTS = 21  # of a scan over the whole range where nobody says how many; chosen by us
+RESOLUTION = 200  # parts of the range to which is bisected where nobody says how far; chosen by us
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def span(vary: Vary, key: Key, tolerance: float | None) -> Span:
         low,
         high,
         min(max(nominal, low), high),
-        vary.levels or POINTS,
-        tolerance or (1.0 if key.kind == "int" else (high - low) / FINE),
+        vary.levels or SCAN_POINTS,
+        tolerance or (1.0 if key.kind == "int" else (high - low) / RESOLUTION),
         vary.scale == "log",
     )

@@ -85,8 +85,8 @@ NOT_VARIED = (
 )
 OWN_PARAMETERS = "controller_parameters."
 OWN_TUNING = "vehicle.control.predictor.own."
-PLACE = re.compile(r"(?<=\.)\d+(?=\.|$)")
-OFFERED = 4  # names in a message
+LIST_INDEX = re.compile(r"(?<=\.)\d+(?=\.|$)")
+MOST_SUGGESTIONS = 4  # names in a message
 
 
 @dataclass(frozen=True)
@@ -508,10 +508,10 @@ def _station_keys(scenario: Scenario, jets: int) -> Iterator[Key]:
 
 def _nearest(name: str, keys: Iterable[str]) -> str:
     """Which keys were meant: those that end alike, or have its words in their parts."""
-    alike = {PLACE.sub("#", path): path for path in reversed(list(keys))}  # the first of those at different places
+    alike = {LIST_INDEX.sub("#", path): path for path in reversed(list(keys))}  # the first of those at different places
     scored = sorted((-_likeness(name, path), len(path), path) for path in alike.values())
     least = max(0.6, -scored[0][0] - 0.15)
-    close = [path for score, _, path in scored[:OFFERED] if -score >= least]
+    close = [path for score, _, path in scored[:MOST_SUGGESTIONS] if -score >= least]
     if close:
         return f"did you mean {' or '.join([', '.join(close[:-1]), close[-1]] if len(close) > 1 else close)}?"
     return "hexjet sweep SCENARIO --keys lists all of them"

@@ -72,7 +72,7 @@ class DaskWorkers:
         self._frozen: tuple[Study, Frozen] | None = None
         self._cluster: Any = None
         self._client: Any = None
-        self._quiet = _Quiet()
+        self._quiet = _LogFilter()
         try:
             self._client = self._there(address) if address else self._here(count or len(os.sched_getaffinity(0)))
             self._threads = _Threads(self._client)
@@ -407,7 +407,7 @@ def _line(error: BaseException) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
-class _Quiet:
+class _LogFilter:
     """Dask tells of every connection that is lost; here that is told by one line."""
 
     def __init__(self) -> None:

@@ -82,7 +82,7 @@ class LocalWorkers:
         self._end_busy()  # with flights that nobody waits for any more
         limit = time_limit(study) if self._time_limit is None else self._time_limit
         waiting = _Waiting(flights)
-        ahead = _Ahead()
+        ahead = _QueueDepth()
         try:
             while self._hand_out(study, waiting, ahead.flights, limit):
                 yield from self._collect(study, waiting, ahead, limit)
@@ -117,7 +117,7 @@ class LocalWorkers:
             self._processes.append(_Process(self._fly))
             idle += 1
 
-    def _collect(self, study: Study, waiting: _Waiting, ahead: _Ahead, limit: float) -> Iterator[Row]:
+    def _collect(self, study: Study, waiting: _Waiting, ahead: _QueueDepth, limit: float) -> Iterator[Row]:
         """Wait until something happens, and give the rows that came of it."""
         by_connection = {process.connection: process for process in self._processes}
         for connection in wait(list(by_connection), self._patience(limit)):
@@ -196,7 +196,7 @@ class _Waiting:
         return self._losses[flight.number]
 
 
-class _Ahead:
+class _QueueDepth:
     """How many flights wait in a process: none where they are long, so that all processes end together."""
 
     def __init__(self) -> None:

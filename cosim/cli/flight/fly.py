@@ -30,7 +30,7 @@ from cosim.cli.options import (
 if TYPE_CHECKING:
     from cosim.base.protocols import Observer
     from cosim.base.signals import Sample
-    from cosim.campaign.run import Again
+    from cosim.campaign.run import RepeatedFlight
     from cosim.results.run import Run, Summary
     from cosim.spec.scenario import Scenario
 
@@ -165,7 +165,7 @@ def fly(
             from cosim.groundstation.links import Links
 
             with Links(links) as opened:
-                watch = opened.onlookers()
+                watch = opened.read_only()
                 run = fly_scenario(
                     loaded,
                     folder,
@@ -236,7 +236,7 @@ def flight_progress(scenario: Scenario, quiet: bool) -> Iterator[Sequence[Observ
         yield (Watch(),)
 
 
-def print_again(again: Again) -> None:
+def print_again(again: RepeatedFlight) -> None:
     """A flight of a campaign, and whether it is what it was."""
     print_run(again.run)
     console = terminal()

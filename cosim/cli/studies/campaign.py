@@ -25,7 +25,7 @@ from cosim.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from cosim.campaign.search.result import Searched
+    from cosim.campaign.search.result import SavedSearch
     from cosim.campaign.store import Campaign, Tally
     from cosim.campaign.study.keys import Key
 
@@ -289,7 +289,7 @@ def _table(titles: Sequence[str], rows: Sequence[Sequence[str]], numbers: Contai
     return table
 
 
-def print_search(searched: Searched) -> None:
+def print_search(searched: SavedSearch) -> None:
     """Where each controller breaks, when that counts as broken, how closely was looked, and the files."""
     from cosim.campaign.search.page import how_fine, joint_lines
     from cosim.campaign.search.page import table as edges

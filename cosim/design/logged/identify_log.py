@@ -19,17 +19,17 @@ from cosim.results.logs import Channel, FlightLog, LogSignals
 from cosim.spec.vehicle import RateModel
 
 LONGEST_DELAY_S = 0.4  # looked for; four times that of the Hex-Jet's engines
-SHOWN = 30.0  # by which the command must lower the deviance: chance alone gives 10 once in 25 (four parameters)
+LEAST_DEVIANCE_FALL = 30.0  # that the command is worth: chance alone gives 10 once in 25 (four parameters)
 MISFIT = 0.02  # share of the residuals' power that may follow the command; chosen by us
-LEFT = 1e-3  # of what the command explains: less left over is a small misfit, however little noise there is beside it
+SMALL_MISFIT = 1e-3  # of what the command explains: less left over is little, however little noise there is
 NOISELESS = 1e-6  # of the output's standard deviation: residuals below it are rounding, and no test says anything
-DOUBT = 1e-3  # p-value below which a test is said to have failed
+SIGNIFICANCE = 1e-3  # p-value below which a test is said to have failed
 TEST_LAGS = 12  # of the set-point and of the command, that the residuals are tested against
 TEST_S = 0.6  # over which they are spread
-APART = 3.29  # standard deviations by which two halves may differ: p = 0.001
+HALVES_APART = 3.29  # standard deviations by which two halves may differ: p = 0.001
 UNBOUNDED = 0.6  # of the longest delay: a wider interval says nothing
-TARGET = 0.5  # of a sample: half the width of the delay's interval that is asked of a flight
-NARROW = 0.5  # of the greatest information per command: the band that is recommended
+TARGET_WIDTH = 0.5  # of a sample: half the width of the delay's interval that is asked of a flight
+BAND_DROP = 0.5  # of the greatest information per command: the band that is recommended
 
 
 NO_NOISE = "the log has no noise: what is left over is rounding, and its tests and the bounds say nothing"
@@ -45,7 +45,7 @@ class Check(NamedTuple):
     @property
     def failed(self) -> bool:
         """Whether the residuals contradict, by more than chance."""
-        return self.p < DOUBT
+        return self.p < SIGNIFICANCE
 
 
 @dataclass(frozen=True)
@@ -225,10 +225,10 @@ def bounds(estimates: Sequence[Estimate]) -> tuple[float, float]:
 def _refuse(problem: Problem, estimates: Sequence[Estimate], prepared: Prepared, where: str) -> None:
     chosen = estimates[0]
     fall = problem.without_command(chosen) - chosen.deviance
-    if not fall >= SHOWN:
+    if not fall >= LEAST_DEVIANCE_FALL:
         raise InputError(
-            f"{where}: the output does not show the command (it lowers the deviance by {fall:.1f}, {SHOWN:g} are "
-            "needed); fly doublets or a sweep on it, or look at other channels"
+            f"{where}: the output does not show the command (it lowers the deviance by {fall:.1f}, "
+            f"{LEAST_DEVIANCE_FALL:g} are needed); fly doublets or a sweep on it, or look at other channels"
         )
     if "delay_s" in chosen.held:
         return
@@ -265,7 +265,7 @@ def _doubts(chosen: Estimate, problem: Problem) -> list[str]:
             ("the sum of delay and lags", [half.all_delay for half in ends]),
         ):
             (a, sa), (b, sb) = values
-            if abs(a - b) > APART * np.hypot(sa, sb) > 0.0:
+            if abs(a - b) > HALVES_APART * np.hypot(sa, sb) > 0.0:
                 doubts.append(
                     f"{name} is not the same in the first half ({a:.4g}) and the second ({b:.4g}): "
                     "what flew changed, and the bounds are too narrow"
@@ -329,7 +329,7 @@ def _misfit(problem: Problem, chosen: Estimate, command: Check) -> bool:
     if not command.failed or command.share <= MISFIT or not _noisy(problem, chosen):
         return False
     explained = np.exp(problem.without_command(chosen) / chosen.count) * chosen.count - chosen.loss
-    return command.share * chosen.loss > LEFT * float(explained)
+    return command.share * chosen.loss > SMALL_MISFIT * float(explained)
 
 
 def _against(name: str, white: Array, use: NDArray[np.bool_], signal: Array, spread: int) -> Check:
@@ -398,16 +398,16 @@ def _band(estimate: Estimate, step: float) -> tuple[float, float]:
     density = information(estimate, hertz, step)
     peak = int(np.argmax(density))
     low = high = peak
-    while low > 0 and density[low - 1] >= NARROW * density[peak]:
+    while low > 0 and density[low - 1] >= BAND_DROP * density[peak]:
         low -= 1
-    while high < len(density) - 1 and density[high + 1] >= NARROW * density[peak]:
+    while high < len(density) - 1 and density[high + 1] >= BAND_DROP * density[peak]:
         high += 1
     return float(hertz[low]), float(hertz[high])
 
 
 def _advice(estimate: Estimate, ends: tuple[float, float], prepared: Prepared, band: tuple[float, float]) -> list[str]:
     low, high = ends
-    target = TARGET * prepared.working_step
+    target = TARGET_WIDTH * prepared.working_step
     if "delay_s" in estimate.held or high - low <= 2.0 * target:
         return []
     more = 0.5 * (high - low) / target

@@ -39,13 +39,13 @@ LONGEST_LAG_S = 5.0
 FASTEST = 20.0  # 1/s: the slow pole of an axis, at most
 LEAST_BLOCKS = 3  # times the parameters: fewer blocks do not tell a covariance; chosen by us
 _STEPS = 25  # of Gauss and Newton
-_DONE = 1e-6  # relative fall of the sum of squares that ends them: 0.01 of the deviance of 10,000 equations
+_TOLERANCE = 1e-6  # relative fall of the sum of squares that ends them: 0.01 of the deviance of 10,000 equations
 _START_LAGS = (0.5, 2.0, 8.0, 32.0)  # samples, where the search begins
 _START_RATE = 0.3  # 1/s, of an axis
-_TRIED = 2  # starts of each kind that are followed to their end
+_STARTS_FOLLOWED = 2  # starts of each kind that are followed to their end
 _DIFFERENCE = 0.98  # 1 but for a constant, which it would not see
-_NOTHING = 1e-150  # of a column's size: its square would be none
-_KEPT = 8  # answers that are remembered
+_NEGLIGIBLE = 1e-150  # of a column's size: its square would be none
+_CACHE_SIZE = 8  # answers that are remembered
 
 Ints = NDArray[np.int64]
 
@@ -109,7 +109,7 @@ class Stretch:
 
         kept = self._kept[0]
         if pole not in kept:
-            if len(kept) >= _KEPT:
+            if len(kept) >= _CACHE_SIZE:
                 kept.pop(next(iter(kept)))
             states = lfilter([float(_held(pole, self.step))], [1.0, -exp(-pole * self.step)], self.command)
             kept[pole] = np.concatenate([[0.0], states])
@@ -119,7 +119,7 @@ class Stretch:
         """The cell of each sample, less the delay, the time within it, and 0 where that is before the stretch."""
         kept = self._kept[1]
         if delay not in kept:
-            if len(kept) >= _KEPT:
+            if len(kept) >= _CACHE_SIZE:
                 kept.pop(next(iter(kept)))
             late = self.times - delay
             cell = self._cell(late)
@@ -271,13 +271,13 @@ class Problem:
         arx = self._arx()
         plain = np.zeros(len(arx))
         plain[0] = -_DIFFERENCE
-        starts = [(x, arx) for x in self._starts(form, arx)[:_TRIED]]
+        starts = [(x, arx) for x in self._starts(form, arx)[:_STARTS_FOLLOWED]]
         kept = []
         for x in self._starts(form, plain):
             x[list(held)] = list(held.values())
             kept.append(self._newton(form, x, self._linear(form, x, plain), plain, list(held), noise=False))
         kept.sort(key=lambda estimate: estimate.loss)
-        starts += [(estimate.x, plain) for estimate in kept[:_TRIED]]
+        starts += [(estimate.x, plain) for estimate in kept[:_STARTS_FOLLOWED]]
         return starts
 
     def _starts(self, form: Form, ar: Array) -> list[Array]:
@@ -526,7 +526,7 @@ class Problem:
         for _ in range(_STEPS):
             jacobian = self._jacobian(form, x, linear, ar, columns, error, free, use, high)
             size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
-            size[size < _NOTHING] = 1.0
+            size[size < _NEGLIGIBLE] = 1.0
             scaled = jacobian / size
             right = -scaled.T @ white
             if not noise:
@@ -550,7 +550,7 @@ class Problem:
                     damping *= 0.1
                     break
                 damping = max(10.0 * damping, 1e-6)
-            if fell < _DONE:
+            if fell < _TOLERANCE:
                 break
         jacobian = self._jacobian(form, x, linear, ar, columns, error, free, use, high)
         return self._estimate(form, x, linear, ar, loss, int(use.sum()), jacobian, free)
@@ -585,7 +585,7 @@ class Problem:
         within = [n for n, i in enumerate(free) if low[i] < x[i] < high[i]]
         kept = [*within, *range(len(free), jacobian.shape[1])]
         size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
-        size[size < _NOTHING] = 1.0
+        size[size < _NEGLIGIBLE] = 1.0
         scaled = (jacobian / size)[:, kept]
         variance = loss / max(count - len(kept), 1)
         inverse = variance * np.linalg.pinv(scaled.T @ scaled, rcond=1e-13)
@@ -639,6 +639,6 @@ def _whitened(values: Array, ar: Array) -> Array:
 def _least_squares(matrix: Array, right: Array) -> Array:
     """By the normal equations, the columns brought to one size."""
     size = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
-    size[size < _NOTHING] = 1.0
+    size[size < _NEGLIGIBLE] = 1.0
     scaled = matrix / size
     return np.asarray(np.linalg.lstsq(scaled.T @ scaled, scaled.T @ right, rcond=1e-13)[0] / size)

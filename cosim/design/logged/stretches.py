@@ -15,18 +15,18 @@ from cosim.design.logged.pem import Stretch
 from cosim.results.logs import Channel
 
 WORKING_STEP_S = 0.004  # of the house's control steps; samples that come faster are averaged to about this
-GAP = 12  # samples that may be missing in a row; after more a new stretch begins
+MOST_MISSING = 12  # samples that may be missing in a row; after more a new stretch begins
 SETTLE_S = 0.3  # beside the longest delay, before the first output that counts: what was commanded before is not known
 SHORTEST_S = 3.0  # that a stretch must have beyond that, and all of them together
 IDLE_S = 0.5  # windows in which a command moves or does not
 PAUSE_S = 2.0  # for which it may stand still in flight
-IDLE = 1e-3  # of the command's standard deviation: less is no movement
+IDLE_SHARE = 1e-3  # of the command's standard deviation: less is no movement
 EDGE_S = 1.0  # cut off where the command begins or ceases to move: on the ground a vehicle answers otherwise
-LOSSY = 0.005  # share of lost samples from which two are averaged: an equation needs all its predecessors
-UNEVEN = 0.02  # of a sample: less jitter is none
-_LOST = 1.75  # steps between two samples from which some are lost between them
-_ALONE = 4  # samples in a row that jitter may bring nearer to another tick
-REGULAR = 0.35  # of a sample: scatter around an even clock, at most
+LOSSY_SHARE = 0.005  # share of lost samples from which two are averaged: an equation needs all its predecessors
+LEAST_JITTER = 0.02  # of a sample: less jitter is none
+_LOST_STEPS = 1.75  # steps between two samples from which some are lost between them
+_JITTER_RUN = 4  # samples in a row that jitter may bring nearer to another tick
+MOST_JITTER = 0.35  # of a sample: scatter around an even clock, at most
 
 
 class Clock(NamedTuple):
@@ -87,7 +87,7 @@ def prepare(
                 "looked for (--longest-delay): no log of so fast a thing, or of another unit of time"
             )
     factor = max(1, round((WORKING_STEP_S if step is None else step) / sample))
-    if step is None and clocks[1].lost > LOSSY:
+    if step is None and clocks[1].lost > LOSSY_SHARE:
         factor = max(factor, 2)
     working = factor * sample
     lead = longest_delay + SETTLE_S
@@ -105,7 +105,7 @@ def prepare(
     if len(spans) > 1:
         notes.append(f"{len(spans)} stretches, {usable:.1f} s of {high - low:.1f} s")
     even = [_even(channel.times) for channel in (command, output)]
-    uneven = max(np.nan_to_num(clock.jitter) for clock in clocks) > UNEVEN
+    uneven = max(np.nan_to_num(clock.jitter) for clock in clocks) > LEAST_JITTER
     filled = _filled(command)
     shared = 1 if clocks[0].step >= 0.99 * sample and not uneven else 2
     cells = sample / shared
@@ -125,7 +125,7 @@ def clock_of(times: Array) -> Clock:
         return Clock(step, float("nan"), max(0.0, 1.0 - len(times) * step / (float(np.ptp(times)) + step)))
     fitted = float((even[-1] - even[0]) / max(index[-1] - index[0], 1))
     gaps = np.diff(index)
-    short = gaps[(gaps > 1) & (gaps <= GAP)] - 1  # longer ones are breaks, and not lost samples
+    short = gaps[(gaps > 1) & (gaps <= MOST_MISSING)] - 1  # longer ones are breaks, and not lost samples
     return Clock(fitted, float(np.std((times - even) / fitted)), float(short.sum() / (short.sum() + len(times))))
 
 
@@ -164,18 +164,18 @@ def _index(times: Array) -> tuple[NDArray[np.int64], Array | None]:
 
     step, ticks = float(np.median(np.diff(times))), np.arange(len(times))
     apart = np.diff(times) / step
-    lost = np.concatenate([[0.0], np.cumsum(np.where(apart > _LOST, np.rint(apart) - 1.0, 0.0))])
+    lost = np.concatenate([[0.0], np.cumsum(np.where(apart > _LOST_STEPS, np.rint(apart) - 1.0, 0.0))])
     index = ticks + lost.astype(np.int64)
     even = times
     for _ in range(5):
         slope, offset = np.polyfit(index, times - times[0], 1)
         even = times[0] + offset + slope * index
         # a sample that jitter brings nearer to another tick stands alone; after a lost one all stand a tick further
-        further = median_filter(np.rint((times - even) / slope), 2 * _ALONE + 1, mode="nearest")
+        further = median_filter(np.rint((times - even) / slope), 2 * _JITTER_RUN + 1, mode="nearest")
         if not further.any():
             break
         index = ticks + np.maximum.accumulate(index + further.astype(np.int64) - ticks)
-    return (index, even) if slope > 0.0 and np.std(times - even) < REGULAR * slope else (index, None)
+    return (index, even) if slope > 0.0 and np.std(times - even) < MOST_JITTER * slope else (index, None)
 
 
 def _even(times: Array) -> Array | None:
@@ -193,7 +193,7 @@ def _unbroken(output: Array, command: Array, clocks: tuple[Clock, Clock]) -> lis
     """From where to where neither has a gap."""
     edges = []
     for times, clock in ((output, clocks[1]), (command, clocks[0])):
-        wide = np.flatnonzero(np.diff(times) > GAP * clock.step * 1.05)
+        wide = np.flatnonzero(np.diff(times) > MOST_MISSING * clock.step * 1.05)
         if clock is clocks[0] and not np.isfinite(clock.jitter):
             continue  # a command without a clock is written down when it changes
         edges += [(times[i], times[i + 1]) for i in wide]
@@ -219,7 +219,7 @@ def _moving(command: Channel, spans: Sequence[tuple[float, float]]) -> list[tupl
         moving = []
         for at in edges:
             part = command.values[(command.times >= at) & (command.times < at + IDLE_S)]
-            moving.append(bool(part.size) and float(np.ptp(part)) > IDLE * size)
+            moving.append(bool(part.size) and float(np.ptp(part)) > IDLE_SHARE * size)
         first = None
         moving = _bridged(moving, round(PAUSE_S / IDLE_S))
         for n, yes in enumerate([*moving, False]):
@@ -250,7 +250,7 @@ def _filled(command: Channel) -> Channel:
     if even is None:
         return command
     gaps = np.diff(index)
-    lost = [np.arange(1, gap) + index[n] for n, gap in enumerate(gaps) if 1 < gap <= GAP]
+    lost = [np.arange(1, gap) + index[n] for n, gap in enumerate(gaps) if 1 < gap <= MOST_MISSING]
     if not lost:
         return command
     missing = np.concatenate(lost)

@@ -29,7 +29,7 @@ OTHER_FORM = "no held model of a slow pole and lags, which hexjet identify write
 
 
 @dataclass(frozen=True)
-class Stated:
+class StatedModel:
     """A model as a file states it; without channels where that does not."""
 
     path: Path
@@ -44,7 +44,7 @@ class Stated:
 class Validation:
     """How a model answers the commands of a log."""
 
-    model: Stated
+    model: StatedModel
     log: Path
     seconds: float
     step: float
@@ -76,7 +76,7 @@ class Validation:
         }
 
 
-def read_model(path: Path, axis: str | None = None) -> Stated:
+def read_model(path: Path, axis: str | None = None) -> StatedModel:
     """``identification.json`` of ``hexjet identify log``, its folder, or a model file of any ``hexjet identify``.
 
     ``axis`` chooses from a model file of more than one.  Raises InputError.
@@ -90,7 +90,7 @@ def read_model(path: Path, axis: str | None = None) -> Stated:
         form = Form(bool(data["engine"]), sum(name.startswith("lag") and name.endswith("_s") for name in best))
         wants = LogSignals(*(str(data[name]) for name in LogSignals._fields))
         x = np.array([float(best[name]) for name in form.names])
-        return Stated(file, str(data["what"]), wants, form, x, float(best["gain"]))
+        return StatedModel(file, str(data["what"]), wants, form, x, float(best["gain"]))
     except OSError as error:
         raise InputError(f"{file}: {error.strerror or error}") from error
     except (ValueError, KeyError, IndexError, TypeError) as error:
@@ -100,7 +100,7 @@ def read_model(path: Path, axis: str | None = None) -> Stated:
         ) from error
 
 
-def _of_model_file(file: Path, axis: str | None) -> Stated:
+def _of_model_file(file: Path, axis: str | None) -> StatedModel:
     """From z back to the continuous form; the file does not say which channels of a log it is of."""
     stated = [
         (name, RateModel.model_validate(model))
@@ -124,10 +124,10 @@ def _of_model_file(file: Path, axis: str | None) -> Stated:
     if len(unit.zeros) != len(model.zeros) or not np.allclose(unit.zeros, sorted(model.zeros), rtol=1e-3, atol=1e-3):
         raise InputError(f"{file}: {what}: {OTHER_FORM}")
     x = np.array([rate, *lags, model.delay_samples * step])
-    return Stated(file, what, LogSignals("", ""), Form(False, len(lags)), x, float(gain))
+    return StatedModel(file, what, LogSignals("", ""), Form(False, len(lags)), x, float(gain))
 
 
-def validate(model: Stated, log: FlightLog, begin: float | None = None, end: float | None = None) -> Validation:
+def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end: float | None = None) -> Validation:
     """Fly the model with the log's command; each stretch may choose its offset and what was under way at its start.
 
     Raises InputError where the log has not the model's channels, or no stretch that can be used.
@@ -172,7 +172,7 @@ def validate(model: Stated, log: FlightLog, begin: float | None = None, end: flo
     )
 
 
-def _simulated(problem: Problem, model: Stated, x: Array) -> Array:
+def _simulated(problem: Problem, model: StatedModel, x: Array) -> Array:
     """With the stated gain; offset and what was under way as suit the output best."""
     columns = problem.columns(model.form, x)
     answer, others = model.gain * columns[:, 0], columns[:, 1:]
@@ -181,7 +181,7 @@ def _simulated(problem: Problem, model: Stated, x: Array) -> Array:
     return np.asarray(answer + others @ rest)
 
 
-def _better_delay(problems: Sequence[Problem], model: Stated, longest: float) -> float:
+def _better_delay(problems: Sequence[Problem], model: StatedModel, longest: float) -> float:
     """By how much another delay would lower the error of the output's changes from sample to sample."""
     best = (np.inf, 0.0)
     step = problems[0].stretches[0].step

@@ -14,7 +14,7 @@ PERSONALITIES: tuple[Personality, ...] = ("px4", "ardupilot", "generic")
 
 
 @dataclass(frozen=True)
-class About:
+class VehicleInfo:
     """What does not change."""
 
     geodesy: Geodesy

@@ -73,7 +73,7 @@ FROM_STANDARD = {value: mode for mode, value in STANDARD.items()}
 _ADVANCED, _AUTOMATIC = 1, 4
 
 
-class Listed(NamedTuple):
+class ModeLine(NamedTuple):
     """A line of AVAILABLE_MODES; the names are those that QGroundControl uses for PX4."""
 
     mode: Mode
@@ -82,16 +82,16 @@ class Listed(NamedTuple):
 
 
 LIST = (
-    Listed(Mode.MANUAL, "Manual", 0),
-    Listed(Mode.STABILIZED, "Stabilized", 0),
-    Listed(Mode.ALTCTL, "Altitude", 0),
-    Listed(Mode.POSCTL, "Position", 0),
-    Listed(Mode.HOLD, "Hold", _AUTOMATIC),
-    Listed(Mode.TAKEOFF, "Takeoff", _AUTOMATIC),
-    Listed(Mode.LAND, "Land", _AUTOMATIC),
-    Listed(Mode.RTL, "Return", _AUTOMATIC),
-    Listed(Mode.MISSION, "Mission", _AUTOMATIC),
-    Listed(Mode.OFFBOARD, "Offboard", _AUTOMATIC | _ADVANCED),
+    ModeLine(Mode.MANUAL, "Manual", 0),
+    ModeLine(Mode.STABILIZED, "Stabilized", 0),
+    ModeLine(Mode.ALTCTL, "Altitude", 0),
+    ModeLine(Mode.POSCTL, "Position", 0),
+    ModeLine(Mode.HOLD, "Hold", _AUTOMATIC),
+    ModeLine(Mode.TAKEOFF, "Takeoff", _AUTOMATIC),
+    ModeLine(Mode.LAND, "Land", _AUTOMATIC),
+    ModeLine(Mode.RTL, "Return", _AUTOMATIC),
+    ModeLine(Mode.MISSION, "Mission", _AUTOMATIC),
+    ModeLine(Mode.OFFBOARD, "Offboard", _AUTOMATIC | _ADVANCED),
 )
 
 LANDED: dict[LandedState, int] = {  # MAV_LANDED_STATE

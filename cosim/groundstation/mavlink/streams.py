@@ -19,7 +19,7 @@ DEFAULT: dict[int, float] = {number: 1.0 / stream.rate if stream.rate else 0.0 f
 
 
 HEARTBEAT = BY_NAME["HEARTBEAT"].id
-_STEP = 1.1  # by which intervals are stretched, so that they do not change all the time; chosen by us
+_STRETCH = 1.1  # by which intervals are stretched, so that they do not change all the time; chosen by us
 _MOST = 256.0  # chosen by us: what is so rare is no telemetry any more
 _LOOK = 1.0  # s between two looks at what a line carries
 _OVERHEAD = HEADER_2 + CHECKSUM
@@ -67,9 +67,9 @@ class Streams:
         fixed = self.demand(peer, (HEARTBEAT,))
         room = peer.telemetry_rate - fixed
         need = (self.demand(peer) - fixed) / room if room > 0.0 else _MOST
-        steps = ceil(log(max(need, 1.0), _STEP) - 1e-9)
-        stretch = min(_MOST, _STEP**steps)
-        if stretch > peer.stretch or stretch * _STEP < peer.stretch or (steps == 0 and peer.stretch > 1.0):
+        steps = ceil(log(max(need, 1.0), _STRETCH) - 1e-9)
+        stretch = min(_MOST, _STRETCH**steps)
+        if stretch > peer.stretch or stretch * _STRETCH < peer.stretch or (steps == 0 and peer.stretch > 1.0):
             peer.stretch = stretch
             for number in BY_ID:  # what has just been sent is not due again because it comes more seldom
                 if every := interval(peer, number):

@@ -16,7 +16,7 @@ from cosim.base.signals import PerServo, Vector3
 from cosim.control.autopilot.modes import Home, LandedState, Mode
 from cosim.control.autopilot.status import Status
 from cosim.groundstation.exchange import Snapshot
-from cosim.groundstation.mavlink.about import About
+from cosim.groundstation.mavlink.about import VehicleInfo
 from cosim.groundstation.mavlink.modes import AUTOPILOT, LANDED, LIST, STANDARD, base_mode, custom_mode, vehicle_type
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
 
@@ -70,7 +70,7 @@ class Since:
 class View:
     """A snapshot with what several messages need of it, computed once."""
 
-    def __init__(self, about: About, snapshot: Snapshot, since: Since) -> None:
+    def __init__(self, about: VehicleInfo, snapshot: Snapshot, since: Since) -> None:
         assert snapshot.sample is not None
         self.about = about
         self.snapshot = snapshot
@@ -475,7 +475,7 @@ def available_modes(v: View) -> list[Message]:
     return [mode_line(v.about, index) for index in range(1, len(LIST) + 1)]
 
 
-def mode_line(about: About, index: int) -> Message:
+def mode_line(about: VehicleInfo, index: int) -> Message:
     """AVAILABLE_MODES of one mode, counted from 1."""
     mode, name, properties = LIST[index - 1]
     number = custom_mode(mode, about.personality)

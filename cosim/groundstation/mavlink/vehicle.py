@@ -15,7 +15,7 @@ from cosim.base.errors import InputError
 from cosim.control.autopilot.modes import Severity
 from cosim.control.autopilot.requests import Answer, Arm, LinkBack, LinkLost, Request, Result, SetMode
 from cosim.groundstation.exchange import Port, Snapshot
-from cosim.groundstation.mavlink.about import About
+from cosim.groundstation.mavlink.about import VehicleInfo
 from cosim.groundstation.mavlink.modes import from_custom
 from cosim.groundstation.mavlink.services import commands, setpoints
 from cosim.groundstation.mavlink.services.commands import OF_RESULT, Ack, Context, Order, Plan
@@ -94,7 +94,7 @@ class Vehicle:
 
     def __init__(
         self,
-        about: About,
+        about: VehicleInfo,
         port: Port,
         link: Link,
         services: Sequence[Service] = (),

@@ -15,7 +15,7 @@ from cosim.base.protocols import EngineState
 from cosim.base.signals import Sample
 from cosim.control.autopilot.modes import DIRECT, Home, Message, Mode
 from cosim.control.autopilot.parameters import Parameters
-from cosim.groundstation.exchange import Facts, Snapshot
+from cosim.groundstation.exchange import SessionInfo, Snapshot
 from cosim.results.columns import log_columns, logged_vehicle
 from cosim.results.recorder import OneRow
 from cosim.results.report.signals_data import shape
@@ -29,7 +29,7 @@ _DIGITS = 6  # of a column's number, chosen by us: a strip has a thousand pixels
 _TELLING = 4  # digits after the point; a tenth of a millimetre, and less than any sensor here tells
 
 
-def flight(facts: Facts) -> dict[str, Any]:
+def flight(facts: SessionInfo) -> dict[str, Any]:
     """What does not change during a flight."""
     scenario, vehicle = facts.scenario, facts.vehicle
     return {
@@ -74,7 +74,7 @@ class Rows:
         self._flight = 0
         self._row = OneRow()
 
-    def __call__(self, facts: Facts, sample: Sample | None) -> list[float | None]:
+    def __call__(self, facts: SessionInfo, sample: Sample | None) -> list[float | None]:
         """One number a column, to so many digits as a screen shows; empty before the first step."""
         if sample is None:
             return []
@@ -113,7 +113,7 @@ def state(snapshot: Snapshot) -> dict[str, Any]:
     }
 
 
-def jets(facts: Facts, sample: Sample, off: bool) -> list[dict[str, Any]]:
+def jets(facts: SessionInfo, sample: Sample, off: bool) -> list[dict[str, Any]]:
     """Each engine: what it is asked for, what it gives, and what it says of itself; ``off``: all are shut off.
 
     The thrust asked for is the steady one at the throttle asked for, from the engine's static curve.

@@ -47,12 +47,12 @@ from cosim.results.report.page import ASSETS, SCENE, THREE
 
 # Chosen by us, with the reason.
 FRAMES_1_S = 20  # smooth to the eye, a tenth of what a core can send
-LARGEST = 4096  # bytes of a message from a page; the longest that the page sends has 200
+LARGEST_MESSAGE = 4096  # bytes of a message from a page; the longest that the page sends has 200
 RATE_1_S = 80.0  # messages from one page; sticks come 20 times a second
 BURST = 160.0
 CLIENTS = 8  # pages open at once
-WAITING = 64 * 1024  # bytes waiting for a page that does not read: it misses frames; a frame has 2 kB
-KERNEL = 32 * 1024  # bytes waiting for it in the kernel, whose own choice would be seconds of old frames
+SEND_BUFFER = 64 * 1024  # bytes waiting for a page that does not read: it misses frames; a frame has 2 kB
+KERNEL_BUFFER = 32 * 1024  # bytes waiting for it in the kernel, whose own choice would be seconds of old frames
 STUCK_S = 10.0  # after so long without reading the page is let go
 HELLO_S = 5.0  # for the token to arrive
 _STRIP = 4000  # points of the strip chart that may wait: a second at 16 times real time
@@ -117,7 +117,7 @@ class WebServer:
     def start(self) -> None:
         """Serve from now on."""
         listening, self._hosts = listen(self.port, "--web")
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, KERNEL)  # its connections have it from here
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, KERNEL_BUFFER)  # its connections have it from here
         self.port = listening.getsockname()[1]
         self._files = _read(self._token, self._hosts)
         running = threading.Event()
@@ -153,7 +153,7 @@ class WebServer:
             ping_interval=5,
             ping_timeout=STUCK_S,
             close_timeout=1,
-            max_size=LARGEST,
+            max_size=LARGEST_MESSAGE,
             max_queue=4,
             server_header=None,
             logger=quiet_logger("cosim.groundstation.web"),
@@ -348,7 +348,7 @@ class _Page:
 
     def reads(self, connection: ServerConnection, now: float) -> bool:
         """Is little enough waiting for it?"""
-        if connection.transport.get_write_buffer_size() > WAITING:
+        if connection.transport.get_write_buffer_size() > SEND_BUFFER:
             return False
         self.read_at = now
         return True
@@ -385,7 +385,7 @@ def _parsed(text: str | bytes) -> dict[str, Any]:
 
 def _send(connection: ServerConnection, message: dict[str, Any]) -> None:
     """Send without waiting; one that does not read gets nothing, and is let go soon."""
-    if connection.transport.get_write_buffer_size() <= 2 * WAITING:
+    if connection.transport.get_write_buffer_size() <= 2 * SEND_BUFFER:
         broadcast([connection], _dump(message))
 
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from cosim.control.predictors.linear import model_response
 from cosim.paper import numbers
-from cosim.paper.beyond import ROBUST, RobustnessMap
 from cosim.paper.comparison import TITLES
 from cosim.paper.experiments import COMPARED, Result
+from cosim.paper.extensions import ROBUST, RobustnessMap
 from cosim.paper.linear import STATE_AS_PRINTED
 from cosim.paper.loops import Sweep
 from cosim.results.report.flight_figures import (

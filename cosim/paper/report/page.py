@@ -10,9 +10,9 @@ from statistics import median
 from typing import Any
 
 from cosim.paper import numbers
-from cosim.paper.beyond import ROBUST
 from cosim.paper.claims import ClaimRow, Judgement
 from cosim.paper.comparison import Row
+from cosim.paper.extensions import ROBUST
 from cosim.paper.report.figures import FIDELITIES, NAMES, paper_figures
 from cosim.paper.result import COMPARISON, DATA, Reproduction
 from cosim.results.report.page import render

@@ -31,7 +31,7 @@ from cosim.campaign.analysis.sensitivity import (
     rank_interval,
     ranking,
 )
-from cosim.campaign.analysis.stability_map import LEAST, MOST_POINTS, map_tables
+from cosim.campaign.analysis.stability_map import LEAST_PER_CELL, MOST_POINTS, map_tables
 from cosim.campaign.analysis.statistics import (
     Pairs,
     Z,
@@ -543,7 +543,7 @@ def test_the_map_counts_every_flight_once(tmp_path: Path) -> None:
         values = flown.values["roll.overshoot_percent"][inside]
         known = values[np.isfinite(values)]
         if cells["n"][place] == np.sum(inside):
-            expected = pytest.approx(np.median(known), rel=1e-3) if known.size >= LEAST else None
+            expected = pytest.approx(np.median(known), rel=1e-3) if known.size >= LEAST_PER_CELL else None
             assert cells["m"][0][place] == expected
 
 

@@ -17,7 +17,7 @@ from cosim import Run, Scenario, fly
 from cosim.base.errors import InputError
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.requests import Answer, Result
-from cosim.groundstation.mavlink.services.logs import LogService, Shelf
+from cosim.groundstation.mavlink.services.logs import LogService, LogStore
 from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.session import waiting_scenario
 from cosim.results.autopilot.autopilot_record import read_pilot_record
@@ -227,7 +227,7 @@ def test_so_is_a_log_of_a_long_flight_on_turbines(tmp_path: Path) -> None:
 
 def downloaded(path: Path) -> tuple[bytes, float]:
     """A vehicle's log as a station gets it, part by part as MAVSDK asks, beside all telemetry; s on the link's clock."""
-    bench = Bench(services=[LogService(cast(Shelf, ReadyShelf(path)))])
+    bench = Bench(services=[LogService(cast(LogStore, ReadyShelf(path)))])
     desk, size, whole = bench.station(), path.stat().st_size, 512 * 90
     parts: dict[int, bytes] = {}
     begun = bench.time

@@ -16,7 +16,7 @@ from cosim.base.errors import InputError
 from cosim.design.logged.identify_log import LogIdentification, identify_log
 from cosim.design.logged.pem import CHI2_95, MIXED_95
 from cosim.design.logged.stretches import WORKING_STEP_S
-from cosim.design.logged.validate import Stated, read_model, validate
+from cosim.design.logged.validate import StatedModel, read_model, validate
 from cosim.results.logs import Channel, FlightLog, LogSignals, read_flight_log, signals_of
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "flight-logs"
@@ -230,7 +230,9 @@ def test_two_real_flights_of_one_vehicle_predict_each_other() -> None:
         cells = [" to ".join(format(unit * end, form) for end in pair) for pair in pairs]
         assert f"| {name} | {cells[0]} | {cells[1]} |" in page
     for model, other in ((both[0], read[1]), (both[1], read[0])):
-        stated = Stated(Path("model"), "engine:1", model.signals, model.chosen.form, model.chosen.x, model.chosen.gain)
+        stated = StatedModel(
+            Path("model"), "engine:1", model.signals, model.chosen.form, model.chosen.x, model.chosen.gain
+        )
         assert validate(stated, other).fit > 0.75
 
 

@@ -29,8 +29,8 @@ from cosim.campaign.engine_out import (
     SOONER,
     STEP_S,
     TABLES,
-    Courses,
-    Roller,
+    RollAxis,
+    ThrustCourses,
     _fly,
     _scenario,
     courses_of,
@@ -78,7 +78,7 @@ def test_the_bound_of_engines_that_jump_after_a_delay_is_the_double_integrators(
     late = SimpleNamespace(
         up=[hover] * n + [20.0] * (count - n), down=[hover] * n + [1.0] * (count - n), out=[0.0] * count
     )
-    found = Roller(vehicle, late, hover).least_lean(5)  # type: ignore[arg-type]
+    found = RollAxis(vehicle, late, hover).least_lean(5)  # type: ignore[arg-type]
     lever, inertia = 0.15, vehicle.inertia_kg_m2[0]
     a = hover * lever / inertia
     b = (2.0 * 20.0 - 3.0 * 1.0) * lever / inertia
@@ -87,10 +87,10 @@ def test_the_bound_of_engines_that_jump_after_a_delay_is_the_double_integrators(
     assert found.lean_deg == pytest.approx(degrees(exact), rel=0.01)
     assert found.time_s == pytest.approx(t1 + a * t1 / b, abs=STEP_S)
     # half the lean with twice the inertia, and each station the same: only its lever counts
-    assert replace(Roller(vehicle, late, hover), inertia=2.0).least_lean(1).lean_deg == pytest.approx(  # type: ignore[arg-type]
+    assert replace(RollAxis(vehicle, late, hover), inertia=2.0).least_lean(1).lean_deg == pytest.approx(  # type: ignore[arg-type]
         found.lean_deg / 2.0, rel=1e-9
     )
-    assert [Roller(vehicle, late, hover).least_lean(jet).lean_deg for jet in range(1, 7)] == pytest.approx(  # type: ignore[arg-type]
+    assert [RollAxis(vehicle, late, hover).least_lean(jet).lean_deg for jet in range(1, 7)] == pytest.approx(  # type: ignore[arg-type]
         [found.lean_deg] * 6
     )
 
@@ -100,7 +100,7 @@ def test_no_throttles_take_an_engine_out_of_the_strip_of_its_two_extremes(engine
     """What the bound rests on: full and least throttle are the fastest up and down, whatever else is tried."""
     spec = load_engine(engine, {}, STEP_S)
     hover, count = 0.45, 300
-    courses = Courses(spec, hover, 0.05, 1.0, count)
+    courses = ThrustCourses(spec, hover, 0.05, 1.0, count)
     rng = np.random.default_rng(5)
     slack = 1e-6 * spec.curve.thrust[-1]
     for hold in (1, 10, 40):
@@ -231,7 +231,7 @@ def test_a_fall_under_engines_that_jump_is_the_closed_form() -> None:
     courses = SimpleNamespace(
         up=[0.0] * n + [3.0 * hover] * (count - n), out=[0.0] * count, shut=lambda at: [0.0] * count
     )
-    found = Roller(vehicle, courses, hover).least_fall(height=0.08)  # type: ignore[arg-type]
+    found = RollAxis(vehicle, courses, hover).least_fall(height=0.08)  # type: ignore[arg-type]
     sink = GRAVITY * n * STEP_S
     assert found.touch_m_s == pytest.approx((2.0 * GRAVITY * (2.0 * sink**2 / 2.0 / GRAVITY - 0.08)) ** 0.5, rel=0.05)
     assert found.sink_m_s == pytest.approx(sink, rel=1e-9)

@@ -14,8 +14,8 @@ import pytest
 from cosim.base.errors import InputError
 from cosim.design.loop.frequency import margins
 from cosim.paper import (
-    beyond,
     calibration,
+    extensions,
     frozen,
     numbers,
 )
@@ -108,7 +108,7 @@ def test_the_printed_models_imply_what_the_paper_says_of_them() -> None:
     assert np.poly(model.poles) == pytest.approx([1.0, -1.8770, 0.8786], abs=1e-12)
     assert beyond_rest_gain(model.gain, model.zeros, model.poles) == pytest.approx(115.25, abs=0.01)
     assert model.zeros[0] > 1.0
-    assert beyond.integrating_gain(numbers.roll_model()) == pytest.approx(433.0, rel=5e-3)
+    assert extensions.integrating_gain(numbers.roll_model()) == pytest.approx(433.0, rel=5e-3)
 
 
 def beyond_rest_gain(gain: float, zeros: list[float], poles: list[float]) -> float:
@@ -549,9 +549,9 @@ def test_the_figures_of_the_paper_are_redrawn(results: dict[str, Result]) -> Non
 
 def test_smiths_offset_is_the_closed_form_and_the_filtered_one_s_is_none() -> None:
     """After 10 s the slow pole has let go of exp(-0.025 * 10) of the offset; settling adds a percent."""
-    found = {o.controller: o for o in beyond.constant_disturbance(FOUND)}
+    found = {o.controller: o for o in extensions.constant_disturbance(FOUND)}
     fading = exp(10.5 * 250.0 * log(0.9999))
-    assert found["smith"].early == pytest.approx(beyond.smith_offset(FOUND) * fading, rel=0.02)
+    assert found["smith"].early == pytest.approx(extensions.smith_offset(FOUND) * fading, rel=0.02)
     assert abs(found["filtered-smith"].late) < 1e-6
     assert abs(found["state-disturbance"].late) < 1e-6
 
@@ -560,13 +560,13 @@ def test_noise_gain_is_what_a_run_shows() -> None:
     """Against the standard deviation over a long run; one in sqrt(n) of chance, n some thousand independent samples."""
     loop = replace(quadrotor_axis(FOUND, "smith", 5), noise=0.02)
     command = np.array(simulate(loop, 40_000).command)[2000:]
-    assert np.std(command) / 0.02 == pytest.approx(beyond.noise_gain(loop), rel=0.03)
+    assert np.std(command) / 0.02 == pytest.approx(extensions.noise_gain(loop), rel=0.03)
     with pytest.raises(ValueError, match="unstable"):
-        beyond.noise_gain(quadrotor_axis(FOUND, "baseline", 25))
+        extensions.noise_gain(quadrotor_axis(FOUND, "baseline", 25))
 
 
 def test_a_robustness_map_agrees_with_single_loops() -> None:
-    maps = {(m.vehicle, m.controller): m for m in beyond.robustness_maps(FOUND)}
+    maps = {(m.vehicle, m.controller): m for m in extensions.robustness_maps(FOUND)}
     quadrotor = maps["quadrotor", "smith"]
     assert quadrotor.at(1.0, 0) == pytest.approx(
         LoopMap(quadrotor_axis(FOUND, "smith", 10)).peak_sensitivity(1.0, 10), rel=0.01
@@ -583,7 +583,7 @@ def test_the_turbojet_s_plant_is_the_continuous_one() -> None:
     """Against scipy's zero-order hold of the same lags."""
     from scipy.signal import cont2discrete
 
-    truth, model = beyond.turbojet_plant()
+    truth, model = extensions.turbojet_plant()
     jet, edf = (-0.004 / log(pole) for pole in (0.9879, 0.8748))
     rest = -0.004 / log(0.9024) - edf
     gain = 433.1 * (0.01866 / 0.0121) / (0.2554 / 0.1252)  # 433.1 rad/s^2: the continuous form of G(z)

@@ -13,7 +13,7 @@ import pytest
 from command_tools import Hexjet
 
 from cosim.autopilots import betaflight
-from cosim.autopilots.prepare import LOCKS, MOST, own_instance
+from cosim.autopilots.prepare import INSTANCE_PORTS, MOST_INSTANCES, own_instance
 from cosim.base.errors import FlightError, InputError
 from cosim.campaign import fly_again, open_campaign, run_campaign
 from cosim.campaign.study.study import Study
@@ -69,16 +69,16 @@ def test_betaflight_flies_a_study_and_any_flight_of_it_again(tmp_path: Path) -> 
 
 def test_a_number_is_held_and_given_back() -> None:
     with own_instance() as first, own_instance() as second:
-        assert 1 <= first < second <= MOST
+        assert 1 <= first < second <= MOST_INSTANCES
     with own_instance() as third:
         assert third <= first
 
 
 def test_more_than_there_are_numbers_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cosim.autopilots.prepare.MOST", 0)
+    monkeypatch.setattr("cosim.autopilots.prepare.MOST_INSTANCES", 0)
     with pytest.raises(FlightError, match="fly on this machine already"), own_instance():
         pass
-    assert LOCKS + MOST < 65536
+    assert INSTANCE_PORTS + MOST_INSTANCES < 65536
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from cosim.codegen import measure
 from cosim.codegen.export import Exported, export_controller
 from cosim.codegen.files import Labels, texts
 from cosim.codegen.form import form_of, predictor_form
-from cosim.codegen.vectors import INPUTS, Listening, Vectors, output_names, record
+from cosim.codegen.vectors import INPUTS, RecordingController, Vectors, output_names, record
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.flight import fly
 from cosim.simulation.build import build
@@ -69,7 +69,7 @@ def driven(simulation: Simulation, steps: int, seed: int) -> Vectors:
     """The controller with inputs that no flight would have: every branch is gone through, limits included."""
     chance, vectors = random.Random(seed), Vectors()
     vehicle = simulation.vehicle
-    controller = Listening(simulation.controller, vectors)
+    controller = RecordingController(simulation.controller, vectors)
     burnt = 0.1 * vehicle.mass_kg if vehicle.fuel else 0.0
     controller.reset(chance.random() < 0.5, burnt)
     engines, command, size = EngineState.FLY, Command((0.0, 0.0, 0.0), 3.0), 0.01

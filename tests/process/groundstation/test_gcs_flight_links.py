@@ -28,7 +28,7 @@ from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.transports.channel import RETRY, STALL
 from cosim.groundstation.mavlink.wire.transports.endpoint import parse
-from cosim.groundstation.session import facts_of, pass_on, snapshot_of
+from cosim.groundstation.session import pass_on, session_info, snapshot_of
 from cosim.simulation.pacing import PaceReport
 
 LOOK_STEPS = 5  # of flight between two turns of the link's loop
@@ -81,7 +81,7 @@ class Airborne:
         simulation = self.flight.simulation
         self.link = Link([parse(url) for url in urls], clock=lambda: self.now)
         self.exchange = Exchange(lambda: self.now)
-        self.facts = facts_of(simulation, 1, Parameters([]), None, 1.0)
+        self.facts = session_info(simulation, 1, Parameters([]), None, 1.0)
         self.vehicle = Vehicle(about_of(self.facts, "px4"), Port(self.exchange, "mavlink"), self.link)
         self.link.station = self.vehicle
         self.askers: list[Asker] = []

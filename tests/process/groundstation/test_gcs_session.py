@@ -33,7 +33,7 @@ from cosim.groundstation.exchange import (
     Shutdown,
     Snapshot,
 )
-from cosim.groundstation.session import Onlookers, Session, place_at
+from cosim.groundstation.session import ReadOnlyObserver, Session, place_at
 from cosim.results.autopilot.request_log import REQUESTS, RequestLog, read_requests
 from cosim.results.recorder import Log
 from cosim.results.run import Run, open_run
@@ -566,7 +566,7 @@ def test_a_scripted_flight_can_be_watched_but_not_changed(tmp_path: Path) -> Non
     for request in (rq.Land(), rq.SetParameter("HJ_ATT_ROLL", 1.0), Restart()):
         exchange.ask(request, answers.append, "test")
     scenario = Scenario.load("roll-doublet").replace(duration_s=4.0, expect=[])
-    watched = fly(scenario, report=False, watch=Onlookers(exchange))
+    watched = fly(scenario, report=False, watch=ReadOnlyObserver(exchange))
     alone = fly(scenario, report=False)
     assert differing(watched.log, alone.log) == []
     assert [answer.text for answer in answers] == ["this flight follows its script"] * 3

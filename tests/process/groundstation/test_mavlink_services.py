@@ -18,7 +18,7 @@ from patience import stretched
 from cosim.base.geodesy import Geodesy
 from cosim.control.autopilot.requests import ItemKind
 from cosim.groundstation.exchange import Exchange, Port
-from cosim.groundstation.mavlink.about import About
+from cosim.groundstation.mavlink.about import VehicleInfo
 from cosim.groundstation.mavlink.services.ftp import Bytes, FileService
 from cosim.groundstation.mavlink.services.metadata import GENERAL, Metadata
 from cosim.groundstation.mavlink.services.missions import MissionService
@@ -60,7 +60,7 @@ class Flight:
             FileService(lambda: files),
         ]
         self.vehicle = Vehicle(
-            About(PLACE, jets=6), Port(exchange, "mavlink"), self.link, services, self.metadata.on_request
+            VehicleInfo(PLACE, jets=6), Port(exchange, "mavlink"), self.link, services, self.metadata.on_request
         )
         self.link.start(self.vehicle)
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

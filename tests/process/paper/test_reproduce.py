@@ -28,12 +28,6 @@ from cosim.design.loop.frequency import margins
 from cosim.flight import fly
 from cosim.paper import frozen as calibration
 from cosim.paper import reproduce
-from cosim.paper.beyond import (
-    DelayPoint,
-    Offset,
-    Reach,
-    RobustnessMap,
-)
 from cosim.paper.claims import Condition, Evidence, claim_rows
 from cosim.paper.comparison import LinearPart, comparison_rows
 from cosim.paper.experiments import (
@@ -42,6 +36,12 @@ from cosim.paper.experiments import (
     experiments,
     linear,
     quadrotor_axis,
+)
+from cosim.paper.extensions import (
+    DelayPoint,
+    Offset,
+    Reach,
+    RobustnessMap,
 )
 from cosim.paper.loops import (
     gain_at,

@@ -9,7 +9,7 @@ import pytest
 from cosim.autopilots import ardupilot, betaflight, px4
 from cosim.autopilots import prepare as preparation
 from cosim.autopilots.parameters import ardupilot_parameters, parameter_file, px4_outside, px4_parameters
-from cosim.autopilots.prepare import APART, PreparedAutopilot, Setup, find_program, program_of
+from cosim.autopilots.prepare import PORTS_APART, PreparedAutopilot, Setup, find_program, program_of
 from cosim.base.errors import InputError
 from cosim.spec.scenario import Scenario
 
@@ -34,7 +34,7 @@ def test_betaflights_console_has_gains_then_what_is_stated(tmp_path: Path) -> No
     console = [*betaflight.gains_of(vehicle), "set p_roll = 12"]
     assert own.details["gains"] == "vehicle"
     assert own.details["console"][-len(console) :] == console
-    assert own.endpoint == f"UDP port {betaflight.PORT + 3 * APART}"
+    assert own.endpoint == f"UDP port {betaflight.PORT + 3 * PORTS_APART}"
     assert own.rates is None
     stock = prepare("betaflight", HOVER, tmp_path, PROGRAM, Setup(gains="stock", port=2000))
     assert not set(betaflight.gains_of(vehicle)) & set(stock.details["console"])

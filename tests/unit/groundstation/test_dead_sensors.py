@@ -21,7 +21,7 @@ from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.estimation.estimates import LEAN_SURE, SPEED_SURE
 from cosim.control.autopilot.requests import Answer, Result
 from cosim.flight import fly
-from cosim.groundstation.mavlink.about import About
+from cosim.groundstation.mavlink.about import VehicleInfo
 from cosim.groundstation.mavlink.telemetry import STREAMS, Since, View
 from cosim.groundstation.session import waiting_scenario
 from cosim.groundstation.web.feed import state as web_state
@@ -65,7 +65,7 @@ class Flight:
 
     def told(self) -> dict[str, Any]:
         """The first of each message, by name, of what a station would get now."""
-        view = View(About(Geodesy(52.0, 13.0, 0.0), 6), snapshot(self.sample, self.pilot.status), Since())
+        view = View(VehicleInfo(Geodesy(52.0, 13.0, 0.0), 6), snapshot(self.sample, self.pilot.status), Since())
         return {stream.name: found[0] for stream in STREAMS if (found := stream.build(view))}
 
 

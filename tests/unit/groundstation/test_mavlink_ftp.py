@@ -30,7 +30,7 @@ from cosim.groundstation.mavlink.services.ftp import (
 from cosim.groundstation.mavlink.services.logs import (
     FIRST_LOGS,
     LogService,
-    Shelf,
+    LogStore,
     finished_runs,
 )
 from cosim.groundstation.mavlink.services.metadata import Metadata
@@ -362,8 +362,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def shelf(runs: Path) -> Iterator[Shelf]:
-    shelf = Shelf(lambda: finished_runs(runs))
+def shelf(runs: Path) -> Iterator[LogStore]:
+    shelf = LogStore(lambda: finished_runs(runs))
     yield shelf
     shelf.close()
 
@@ -415,7 +415,7 @@ def download(station: Station, number: int, size: int, chunk: int = 512 * 90) ->
 
 @pytest.mark.parametrize("loss", [0.0, 0.2])
 def test_a_run_is_listed_and_downloaded_as_the_ulog_that_export_writes(
-    runs: Path, shelf: Shelf, tmp_path: Path, loss: float
+    runs: Path, shelf: LogStore, tmp_path: Path, loss: float
 ) -> None:
     station = Bench(LogService(shelf), loss=loss).station()
     found = entries(station)
@@ -435,7 +435,7 @@ def test_a_run_is_listed_and_downloaded_as_the_ulog_that_export_writes(
         assert found[number].time_utc > 1.6e9
 
 
-def test_logs_are_files_too(runs: Path, shelf: Shelf) -> None:
+def test_logs_are_files_too(runs: Path, shelf: LogStore) -> None:
     bench = Bench(LogService(shelf), FileService(shelf.files))
     station = bench.station()
     size = entries(station)[0].size
@@ -449,7 +449,7 @@ def test_logs_are_files_too(runs: Path, shelf: Shelf) -> None:
 
 
 def test_no_runs_is_a_list_of_none(tmp_path: Path) -> None:
-    shelf = Shelf(lambda: finished_runs(tmp_path / "nowhere"))
+    shelf = LogStore(lambda: finished_runs(tmp_path / "nowhere"))
     try:
         station = Bench(LogService(shelf)).station()
         station.send("LOG_REQUEST_LIST", *TO, 0, 0xFFFF)
@@ -535,7 +535,7 @@ def test_erase_erases_nothing_and_requests_are_bounded(tmp_path: Path) -> None:
     assert len(service._reads) == 15
 
 
-def look(shelf: Shelf, now: float) -> None:
+def look(shelf: LogStore, now: float) -> None:
     """Let it look for runs, and wait until it has."""
     shelf.look(now)
     while shelf.looking:
@@ -551,7 +551,7 @@ def test_lists_that_are_asked_for_again_and_again_read_no_files_and_hold_up_nobo
         go_on.wait(PATIENCE)
         return []
 
-    shelf = Shelf(slow)
+    shelf = LogStore(slow)
     try:
         station = Bench(LogService(shelf)).station()
         for _ in range(50):
@@ -582,7 +582,7 @@ def test_a_run_that_has_just_been_finished_is_in_the_next_list(tmp_path: Path, d
         go_on.wait(PATIENCE)
         return now
 
-    shelf = Shelf(found)
+    shelf = LogStore(found)
     try:
         shelf.look(0.0)
         assert begun.wait(PATIENCE)
@@ -601,7 +601,7 @@ def test_a_run_that_has_just_been_finished_is_in_the_next_list(tmp_path: Path, d
 
 def test_of_many_runs_the_newest_are_kept_and_numbers_stay(tmp_path: Path) -> None:
     here: list[Path] = [tmp_path / f"run{number}" for number in range(FIRST_LOGS + 5)]
-    shelf = Shelf(lambda: here)
+    shelf = LogStore(lambda: here)
     try:
         look(shelf, 0.0)
         assert [log.run.name for log in shelf.logs] == [f"run{number}" for number in range(5, FIRST_LOGS + 5)]

@@ -33,7 +33,7 @@ from cosim.control.autopilot.requests import (
     SetSpeed,
     Takeoff,
 )
-from cosim.groundstation.mavlink.about import About
+from cosim.groundstation.mavlink.about import VehicleInfo
 from cosim.groundstation.mavlink.modes import CUSTOM, FROM_STANDARD, LIST, UNSUPPORTED, from_custom, from_main_sub
 from cosim.groundstation.mavlink.streams import BY_ID, FASTEST, interval
 from cosim.groundstation.mavlink.telemetry import View, gps_global_origin, mode_line
@@ -99,7 +99,7 @@ class Plan(NamedTuple):
 class Context(NamedTuple):
     """What a command is seen in."""
 
-    about: About
+    about: VehicleInfo
     view: View
     peer: Peer
     requested: Callable[[int], Sequence[Message] | None]  # beside the telemetry; None: not there

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from cosim.groundstation.mavlink.services.service import MAX_CLIENTS, Client, Outgoing, Pace, Peer, Service, crc32
+from cosim.groundstation.mavlink.services.service import MAX_CLIENTS, Client, Outgoing, Peer, RateLimit, Service, crc32
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 
@@ -85,7 +85,7 @@ class _State:
         self.open: OrderedDict[int, File] = OrderedDict()
         self.burst: _Burst | None = None
         self.checksum: _Checksum | None = None
-        self.pace = Pace(RATE, 16)
+        self.pace = RateLimit(RATE, 16)
 
 
 class FileService(Service):

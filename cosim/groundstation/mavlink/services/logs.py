@@ -20,7 +20,7 @@ from pathlib import Path
 from threading import Thread
 
 from cosim.groundstation.mavlink.services.ftp import Bytes, File
-from cosim.groundstation.mavlink.services.service import MAX_CLIENTS, Client, Outgoing, Pace, Peer, Service
+from cosim.groundstation.mavlink.services.service import MAX_CLIENTS, Client, Outgoing, Peer, RateLimit, Service
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 
@@ -40,7 +40,7 @@ export_ulog(*map(pathlib.Path, sys.argv[1:]), rates="px4")  # small enough to co
 """
 
 
-class OnDisk:
+class DiskFile:
     """A file that is read where it is; what cannot be read is missing."""
 
     def __init__(self, path: Path) -> None:
@@ -67,7 +67,7 @@ class Log:
     file: File | None = None
 
 
-class Shelf:
+class LogStore:
     """The logs of the finished runs.
 
     ``runs``: the folders of every finished run, oldest first.  It reads a file of each, so it is called in a thread of
@@ -176,7 +176,7 @@ class LogService(Service):
 
     handles = frozenset({"LOG_REQUEST_LIST", "LOG_REQUEST_DATA", "LOG_REQUEST_END", "LOG_ERASE"})
 
-    def __init__(self, shelf: Shelf) -> None:
+    def __init__(self, shelf: LogStore) -> None:
         self._shelf = shelf
         self._lists: dict[Client, tuple[int, int]] = {}  # the entries that each still waits for
         self._reads: OrderedDict[Client, _Reading] = OrderedDict()
@@ -252,7 +252,7 @@ class LogService(Service):
         old = self._reads.pop(client, None)
         if len(self._reads) >= MAX_CLIENTS:
             self._reads.popitem(last=False)
-        pace = old.pace if old is not None else Pace(RATE, 30)
+        pace = old.pace if old is not None else RateLimit(RATE, 30)
         self._reads[client] = _Reading(message.id, file, message.ofs, min(end, file.size), end > file.size, pace)
         return []
 
@@ -260,7 +260,7 @@ class LogService(Service):
 class _Reading:
     """A part of a log on its way."""
 
-    def __init__(self, number: int, file: File, at: int, end: int, beyond: bool, pace: Pace) -> None:
+    def __init__(self, number: int, file: File, at: int, end: int, beyond: bool, pace: RateLimit) -> None:
         self.number, self.at, self.end, self.beyond, self.pace = number, at, end, beyond, pace
         self._file = file
         self._ahead, self._ahead_at = b"", at  # read from the disk in larger parts
@@ -278,7 +278,7 @@ class _Reading:
 
 def _on_disk(path: Path) -> File:
     try:
-        return OnDisk(path)
+        return DiskFile(path)
     except OSError:
         return Bytes(b"")
 

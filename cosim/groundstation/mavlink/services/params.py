@@ -24,8 +24,8 @@ from cosim.groundstation.mavlink.services.service import (
     Ask,
     Client,
     Outgoing,
-    Pace,
     Peer,
+    RateLimit,
     Service,
     crc32,
     text_of,
@@ -52,7 +52,7 @@ class ParameterService(Service):
     def __init__(self, parameters: Parameters, ask: Ask, personality: Personality = "px4") -> None:
         self._personality = personality
         self._answers = Answers(ask)
-        self._lists: dict[Client, tuple[int, Pace]] = {}  # how far each list has got
+        self._lists: dict[Client, tuple[int, RateLimit]] = {}  # how far each list has got
         self.replace(parameters)
 
     def replace(self, parameters: Parameters) -> None:
@@ -70,7 +70,7 @@ class ParameterService(Service):
         if kind == "PARAM_REQUEST_LIST":
             if client in self._lists or len(self._lists) < MAX_CLIENTS:
                 first = -1 if self._personality == "px4" else 0  # -1: the hash
-                pace = self._lists[client][1] if client in self._lists else Pace(LIST_RATE, LIST_BURST)
+                pace = self._lists[client][1] if client in self._lists else RateLimit(LIST_RATE, LIST_BURST)
                 self._lists[client] = (first, pace)
             return []
         if kind == "PARAM_REQUEST_READ":

@@ -61,7 +61,7 @@ class Service:
         """The peer is gone."""
 
 
-class Pace:
+class RateLimit:
     """How many messages may go out: ``rate`` a second, and not more than ``burst`` at once."""
 
     def __init__(self, rate: float, burst: int) -> None:

@@ -25,7 +25,7 @@ def address(text: str, public: bool) -> tuple[str, int]:
     return host, int(port)
 
 
-class Onlooker:
+class FoxgloveFeed:
     """Shows what the exchange has to Foxglove, from :meth:`start` to :meth:`stop`."""
 
     def __init__(self, exchange: Exchange, host: str, port: int) -> None:
