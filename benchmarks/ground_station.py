@@ -35,7 +35,7 @@ from cosim.groundstation.links import Links, about_of
 from cosim.groundstation.mavlink.vehicle import Vehicle
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 from cosim.groundstation.mavlink.wire.link import Link
-from cosim.groundstation.session import Session, facts_of, scripted_status, snapshot_of
+from cosim.groundstation.session import Session, scripted_status, session_info, snapshot_of
 from cosim.results.report.marks import table, write_marks
 from cosim.simulation.build import build
 from cosim.simulation.pacing import PaceReport
@@ -275,7 +275,7 @@ def line(baud: int) -> tuple[dict[str, float], float, list[float]]:
     with build(Scenario.load("hover").replace(duration_s=SETTLE + COUNT + 1.0)) as simulation:
         link = Link([], clock=lambda: now[0])
         exchange = Exchange(lambda: now[0])
-        facts = facts_of(simulation, 1, Parameters([]), None, 1.0)
+        facts = session_info(simulation, 1, Parameters([]), None, 1.0)
         link.station = vehicle = Vehicle(about_of(facts, "px4"), Port(exchange, "mavlink"), link)
         wire = _Wire(lambda: now[0], link, baud)
         link._channels.append(wire)
