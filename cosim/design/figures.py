@@ -8,13 +8,7 @@ from cosim.base.arrays import Array
 from cosim.design.design import AxisDesign, Design
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.tuning import Tuning
-from cosim.design.panels import Figure, panels, trace
-from cosim.results.report.flight_figures import (
-    BLUE,
-    GREY,
-    ORANGE,
-    RED,
-)
+from cosim.results.report.plot import BLUE, GREY, ORANGE, RED, Figure, panels, trace
 
 POINTS = 1500
 DRAWN = 1500  # points in time

@@ -16,14 +16,7 @@ from cosim.campaign.analysis.sensitivity import Ranking
 from cosim.campaign.analysis.statistics import Share, classes, wilson
 from cosim.campaign.analysis.summary import places
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
-from cosim.results.report.flight_figures import (
-    GREEN,
-    GREY,
-    MAGENTA,
-    ORANGE,
-    RED,
-    run_colour,
-)
+from cosim.results.report.plot import ABOVE, GREEN, GREY, MAGENTA, ORANGE, RED, layout, run_colour
 from cosim.results.wording import Metric
 
 Figure = dict[str, Any]
@@ -318,15 +311,8 @@ def rounded(values: Array, digits: int = 4) -> list[Any]:
 
 
 def _layout(height: int) -> Figure:
-    return {
-        "height": height,
-        "margin": {"l": 60, "r": 14, "t": 36, "b": 52},
-        "hovermode": "closest",
-        "legend": {
-            "orientation": "h",
-            **{"xref": "paper", "yref": "paper", "x": 0, "y": 1, "xanchor": "left", "yanchor": "bottom"},
-        },
-    }
+    legend = {"orientation": "h", "xref": "paper", "yref": "paper", "x": 0, "y": 1, **ABOVE}
+    return layout(height, 60, 14, 36, 52, hovermode="closest", legend=legend)
 
 
 def _names_axis() -> Figure:

@@ -36,8 +36,8 @@ from cosim.campaign.analysis.table import (
 )
 from cosim.campaign.analysis.worst_cases import case_rows
 from cosim.campaign.folder import REPORT
-from cosim.results.report.flight_figures import run_colour
 from cosim.results.report.page import render
+from cosim.results.report.plot import run_colour
 from cosim.results.wording import Metric
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.campaign.folder import CASES, SCENARIO
 from cosim.campaign.study.plan import scenario_of
 from cosim.flight import resolve
-from cosim.results.report.flight_figures import run_colour
+from cosim.results.report.plot import run_colour
 from cosim.simulation.build import build
 
 if TYPE_CHECKING:

@@ -18,13 +18,8 @@ from cosim.campaign.search.search import (
 )
 from cosim.campaign.search.span import Span
 from cosim.campaign.study.keys import Value
-from cosim.results.report.flight_figures import (
-    GREEN,
-    GREY,
-    RED,
-    run_colour,
-)
 from cosim.results.report.page import render
+from cosim.results.report.plot import ABOVE, GREEN, GREY, RED, layout, run_colour
 from cosim.results.run import REPORT, SCENARIO
 from cosim.spec.controller_name import short_name
 
@@ -351,13 +346,8 @@ def _shares(result: SearchResult) -> Figure:
 
 
 def _layout(height: int) -> Figure:
-    return {
-        "height": height,
-        "margin": {"l": 64, "r": 16, "t": 30, "b": 46},
-        "hovermode": "closest",
-        "showlegend": False,
-        "legend": {"orientation": "h", "x": 0, "y": 1.0, "xanchor": "left", "yanchor": "bottom"},
-    }
+    legend = {"orientation": "h", "x": 0, "y": 1.0, **ABOVE}
+    return layout(height, 64, 16, 30, 46, hovermode="closest", showlegend=False, legend=legend)
 
 
 def _title(span: Span) -> str:

@@ -22,14 +22,8 @@ from cosim.design.identify.result import (
     fit_rows,
     rate_response,
 )
-from cosim.results.report.flight_figures import (
-    BLUE,
-    GREEN,
-    GREY,
-    MAGENTA,
-    ORANGE,
-)
 from cosim.results.report.page import render
+from cosim.results.report.plot import BLUE, GREEN, GREY, MAGENTA, ORANGE
 
 Figure = dict[str, Any]
 

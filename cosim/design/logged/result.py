@@ -14,9 +14,8 @@ from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import toml_text
 from cosim.design.logged.identify_log import LogIdentification, information
 from cosim.design.logged.pem import Estimate
-from cosim.design.panels import HOVER, beneath, panels, trace
-from cosim.results.report.flight_figures import BLUE, GREEN, GREY, MAGENTA, ORANGE
 from cosim.results.report.page import render
+from cosim.results.report.plot import BLUE, GREEN, GREY, HOVER, MAGENTA, ORANGE, beneath, panels, trace
 
 ENGINE, ENGINE_STEP_S = "turbojet", 0.004  # the library's first-order engine, and its internal step
 TEMPLATE = Path(__file__).parent / "templates" / "logged.html"

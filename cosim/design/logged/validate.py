@@ -16,10 +16,9 @@ from cosim.base.storage.files import one_line, write_files
 from cosim.design.identify.fit import Model as Continuous
 from cosim.design.logged.pem import Form, Problem
 from cosim.design.logged.stretches import prepare
-from cosim.design.panels import HOVER, beneath, panels, trace
 from cosim.results.logs import FlightLog, LogSignals, signals_of
-from cosim.results.report.flight_figures import BLUE, GREY, ORANGE
 from cosim.results.report.page import render
+from cosim.results.report.plot import BLUE, GREY, HOVER, ORANGE, beneath, panels, trace
 from cosim.spec.vehicle import RateModel, read_models
 
 TEMPLATE = Path(__file__).parent / "templates" / "validated.html"

@@ -14,9 +14,8 @@ from cosim.base.storage.files import write_files
 from cosim.design.figures import FAR
 from cosim.design.measured.estimate import TINY
 from cosim.design.measured.margins import AxisMargins, MeasuredMargins
-from cosim.design.panels import Figure, beneath, panels, trace
-from cosim.results.report.flight_figures import BLUE, GREY, ORANGE, RED
 from cosim.results.report.page import render
+from cosim.results.report.plot import BLUE, GREY, ORANGE, RED, Figure, beneath, panels, trace
 
 TEMPLATE = Path(__file__).parent / "templates" / "margins.html"
 COLUMNS = ("quantity", "measured", "95 % bounds", "computed", "off")

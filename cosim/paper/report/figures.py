@@ -19,14 +19,7 @@ from cosim.paper.experiments import COMPARED, Result
 from cosim.paper.extensions import ROBUST, RobustnessMap
 from cosim.paper.linear import STATE_AS_PRINTED
 from cosim.paper.loops import Sweep
-from cosim.results.report.flight_figures import (
-    BLUE,
-    GREEN,
-    GREY,
-    MAGENTA,
-    ORANGE,
-    RED,
-)
+from cosim.results.report.plot import BLUE, GREEN, GREY, MAGENTA, ORANGE, RED, axis_name, layout, share
 
 if TYPE_CHECKING:
     from cosim.paper.result import Reproduction
@@ -234,14 +227,14 @@ def robustness(maps: Sequence[RobustnessMap], columns: int = 3) -> Figure:
     layout = figure["layout"] | {"hovermode": "closest", "showlegend": False, "annotations": []}
     for number, robustness_map in enumerate(maps):
         row, column = divmod(number, columns)
-        x, y = _name("x", number), _name("y", number)
-        layout[_name("xaxis", number)] = {
-            "domain": _share(column, columns, 0.05, from_top=False),
+        x, y = axis_name("x", number), axis_name("y", number)
+        layout[axis_name("xaxis", number)] = {
+            "domain": share(column, columns, 0.05, from_top=False),
             "anchor": y,
             "title": {"text": "delay error [samples]", "standoff": 4},
         }
-        height = _share(row, rows, 0.3 / rows, from_top=True)
-        layout[_name("yaxis", number)] = {
+        height = share(row, rows, 0.3 / rows, from_top=True)
+        layout[axis_name("yaxis", number)] = {
             "domain": height,
             "anchor": x,
             "type": "log",
@@ -380,10 +373,10 @@ def panels(rows: Sequence[Sequence[Panel]], panel_height: int = 250) -> Figure:
     for row, across in enumerate(rows):
         for column, panel in enumerate(across):
             number = row * columns + column
-            x, y = _name("x", number), _name("y", number)
+            x, y = axis_name("x", number), axis_name("y", number)
             last = row == len(rows) - 1
-            layout[_name("xaxis", number)] = {
-                "domain": _share(column, columns, 0.08, from_top=False),
+            layout[axis_name("xaxis", number)] = {
+                "domain": share(column, columns, 0.08, from_top=False),
                 "anchor": y,
                 "type": "log" if panel.x_log else "linear",
                 **({"title": {"text": panel.x_title}} if last else {"showticklabels": False}),
@@ -391,8 +384,8 @@ def panels(rows: Sequence[Sequence[Panel]], panel_height: int = 250) -> Figure:
                 **({"range": list(panel.x_range)} if panel.x_range else {}),
                 **({"tickvals": [0.5, 1, 2, 5, 10, 20]} if panel.x_log else {}),
             }
-            layout[_name("yaxis", number)] = {
-                "domain": _share(row, len(rows), 0.07, from_top=True),
+            layout[axis_name("yaxis", number)] = {
+                "domain": share(row, len(rows), 0.07, from_top=True),
                 "anchor": x,
                 "title": {"text": panel.y_title},
                 **({"range": list(panel.y_range)} if panel.y_range else {}),
@@ -431,24 +424,9 @@ def _numbers(values: Sequence[float | None] | NDArray[np.float64]) -> Any:
 
 
 def _layout(height: int) -> Figure:
-    return {
-        "height": height,
-        "margin": {"l": 60, "r": 12, "t": 66, "b": 44},
-        "hovermode": "x unified",
-        # above the panels' headings
-        "legend": {"orientation": "h", "x": 0, "y": 1.0 + 22.0 / (height - 110), "yanchor": "bottom"},
-    }
-
-
-def _name(letter: str, number: int) -> str:
-    """Plotly's name of the n-th axis, counted from 0: x, x2, x3."""
-    return letter if number == 0 else f"{letter}{number + 1}"
-
-
-def _share(position: int, count: int, gap: float, *, from_top: bool) -> list[float]:
-    size = (1.0 - gap * (count - 1)) / count
-    low = (count - 1 - position if from_top else position) * (size + gap)
-    return [round(low, 6), round(low + size, 6)]
+    # above the panels' headings
+    legend = {"orientation": "h", "x": 0, "y": 1.0 + 22.0 / (height - 110), "yanchor": "bottom"}
+    return layout(height, 60, 12, 66, 44, hovermode="x unified", legend=legend)
 
 
 def _heading(text: str, x: str, y: str) -> Figure:

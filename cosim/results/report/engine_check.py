@@ -11,8 +11,8 @@ import numpy as np
 from cosim.base.storage.files import write_files
 from cosim.engine.qualify.check import CheckReport
 from cosim.engine.response import NO_CHANGE
-from cosim.results.report.flight_figures import BLUE, ORANGE
 from cosim.results.report.page import TEMPLATES, render
+from cosim.results.report.plot import ABOVE, BLUE, ORANGE, layout
 from cosim.results.run import REPORT
 
 Figure = dict[str, Any]
@@ -83,11 +83,8 @@ def _trace(label: str, colour: str, x: list[float], y: list[float], mode: str) -
 
 
 def _layout(title: str, form: str) -> Figure:
-    return {
-        "height": 360,
-        "margin": {"l": 64, "r": 12, "t": 34, "b": 44},
-        "hovermode": "x unified",
-        "legend": {"orientation": "h", "x": 0, "y": 1, "xanchor": "left", "yanchor": "bottom"},
-        "xaxis": {"title": {"text": title}, "hoverformat": form},
-        "yaxis": {"title": {"text": "thrust [N]"}, "rangemode": "tozero"},
-    }
+    return layout(
+        360, 64, 12, 34, 44, hovermode="x unified", legend={"orientation": "h", "x": 0, "y": 1, **ABOVE},
+        xaxis={"title": {"text": title}, "hoverformat": form},
+        yaxis={"title": {"text": "thrust [N]"}, "rangemode": "tozero"},
+    )  # fmt: skip

@@ -11,8 +11,9 @@ from typing import Any
 from cosim.results.columns import own_columns
 from cosim.results.events import Event, events_of
 from cosim.results.metrics import AxisMetrics
-from cosim.results.report.flight_figures import BLUE, Reader, at_rest, run_figures
+from cosim.results.report.flight_figures import Reader, at_rest, run_figures
 from cosim.results.report.page import TEMPLATES, Flights, render
+from cosim.results.report.plot import BLUE
 from cosim.results.report.signals_data import run_data, vehicle_of
 from cosim.results.run import (
     LOG,

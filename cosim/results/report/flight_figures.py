@@ -20,18 +20,28 @@ from cosim.results.columns import RATES, jets_in, known, own_columns, servos_in,
 from cosim.results.comparison import ComparedFlight, base_of, difference, step_of
 from cosim.results.recorder import Log, MemoryLog
 from cosim.results.report.page import drawn
+from cosim.results.report.plot import (
+    ABOVE,
+    BLUE,
+    GREEN,
+    GREY,
+    MAGENTA,
+    ORANGE,
+    RED,
+    Figure,
+    axis_name,
+    layout,
+    run_colour,
+    share,
+)
 from cosim.results.run import Run, Summary
 from cosim.results.tables import TIME
-
-Figure = dict[str, Any]
 
 MOST_POINTS = 4000  # per trace; more cannot be seen and makes the page slow
 MOST_SHADES = 30  # per figure
 PANEL_PX = 165
 DEG = 180.0 / pi
 
-BLUE, ORANGE, MAGENTA, GREEN, RED, GREY = "#2f7de1", "#f08c00", "#c2339b", "#2f9e44", "#e03131", "#868e96"
-RUN_COLOURS = (ORANGE, BLUE, GREEN, MAGENTA, RED, "#7048e8", "#1098ad", "#a0522d")
 _DASHES = ("solid", "dash", "dot", "dashdot")  # of several runs in one plot
 AT_REST = "thrust_{}_at_rest_N"
 JET_ROWS = ((3, 1), (6, 5), (2, 4))  # front to back, left and right: the Hex-Jet's numbering
@@ -377,11 +387,6 @@ def plot(runs: Run | Sequence[Run], *columns: str) -> Any:
     return drawn({"data": _named_once(data), "layout": _stacked_layout(panels, data)})
 
 
-def run_colour(number: int) -> str:
-    """The colour of the n-th of several runs."""
-    return RUN_COLOURS[number % len(RUN_COLOURS)]
-
-
 # ---- reading
 
 
@@ -572,7 +577,7 @@ def jet_rows(jets_m: Sequence[Sequence[float]]) -> tuple[tuple[int, ...], ...]:
 
 def _line(reader: Reader, panel: Panel, number: int, trace: Trace) -> Figure:
     """A trace in the panel with this number, counted from 0."""
-    return _values(reader, panel.scale * reader.log[trace.column], panel, trace) | {"yaxis": _axis("y", number)}
+    return _values(reader, panel.scale * reader.log[trace.column], panel, trace) | {"yaxis": axis_name("y", number)}
 
 
 def _values(reader: Reader, values: Array, panel: Panel, trace: Trace) -> Figure:
@@ -602,31 +607,25 @@ def _named_once(data: list[Figure]) -> list[Figure]:
 
 
 def _stacked_layout(panels: Sequence[Panel], data: Sequence[Mapping[str, Any]]) -> Figure:
-    layout = _layout(len(panels) * PANEL_PX + 80)
+    made = _layout(len(panels) * PANEL_PX + 80)
     for number, panel in enumerate(panels):
-        low, high = _domain(number, len(panels), gap=0.04)
+        low, high = share(number, len(panels), gap=0.04)
         axis = {"domain": [low, high], "anchor": "x", "title": {"text": f"{panel.title} [{panel.unit}]".lstrip()}}
-        drawn = [trace["y"] for trace in data if trace["yaxis"] == _axis("y", number)]
+        drawn = [trace["y"] for trace in data if trace["yaxis"] == axis_name("y", number)]
         narrow = _span(drawn, panel.least_span)
         if narrow[1] - narrow[0] <= panel.least_span:
             axis["range"] = narrow
-        layout[_axis("yaxis", number)] = axis
-    layout["xaxis"] = _time_axis(data) | {"anchor": _axis("y", len(panels) - 1)}
-    return layout
+        made[axis_name("yaxis", number)] = axis
+    made["xaxis"] = _time_axis(data) | {"anchor": axis_name("y", len(panels) - 1)}
+    return made
 
 
 def _layout(height: int) -> Figure:
-    return {
-        "height": height,
-        "margin": {"l": 64, "r": 12, "t": 40, "b": 44},
-        "hovermode": "x unified",
-        "hoversubplots": "axis",
-        "legend": {
-            "orientation": "h",
-            "traceorder": "normal",
-            **{"xref": "paper", "yref": "paper", "x": 0, "y": 1, "xanchor": "left", "yanchor": "bottom"},
-        },
-    }
+    place = {"xref": "paper", "yref": "paper", "x": 0, "y": 1}
+    return layout(
+        height, 64, 12, 40, 44, hovermode="x unified", hoversubplots="axis",
+        legend={"orientation": "h", "traceorder": "normal", **place, **ABOVE},
+    )  # fmt: skip
 
 
 def _time_axis(data: Sequence[Mapping[str, Any]]) -> Figure:
@@ -636,18 +635,6 @@ def _time_axis(data: Sequence[Mapping[str, Any]]) -> Figure:
         "hoverformat": ".3f",
         "range": [0.0, max([float(end) for end in ends] + [1e-3])],
     }
-
-
-def _axis(letter: str, number: int) -> str:
-    """Plotly's name of the n-th axis, counted from 0: x, x2, x3."""
-    return letter if number == 0 else f"{letter}{number + 1}"
-
-
-def _domain(row: int, rows: int, gap: float) -> tuple[float, float]:
-    """Where the n-th of several panels begins and ends, bottom and top, between 0 and 1."""
-    height = (1.0 - gap * (rows - 1)) / rows
-    low = (rows - 1 - row) * (height + gap)
-    return round(low, 6), round(low + height, 6)
 
 
 def _span(values: Sequence[Array], least: float) -> list[float]:

@@ -21,7 +21,8 @@ from cosim.results.events import (
 from cosim.results.export.ulog import export_ulog
 from cosim.results.recorder import MemoryLog
 from cosim.results.report.flight import write_report
-from cosim.results.report.flight_figures import BLUE, Reader
+from cosim.results.report.flight_figures import Reader
+from cosim.results.report.plot import BLUE
 from cosim.results.report.signals_data import run_data
 from cosim.results.run import Run, open_run
 from cosim.spec.scenario import Scenario

@@ -34,7 +34,6 @@ from cosim.results.report.comparison import compare_report, run_labels
 from cosim.results.report.flight import verdict, write_report
 from cosim.results.report.flight_figures import (
     ATTITUDE,
-    BLUE,
     Reader,
     at_rest,
     comparison_figures,
@@ -44,6 +43,7 @@ from cosim.results.report.flight_figures import (
     thinned,
 )
 from cosim.results.report.page import ASSETS, SCRIPTS, STYLES, THREE, deflated, figure_json
+from cosim.results.report.plot import BLUE
 from cosim.results.report.signals_data import Packed, packed, run_data, shape, step_of, unpacked
 from cosim.results.report.three_views import three_views
 from cosim.results.run import DelayRow, Run, begin_run

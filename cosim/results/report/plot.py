@@ -1,0 +1,85 @@
+"""What every figure is made with: colours, layouts, and curves in panels above each other, in Plotly's schema."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+Figure = dict[str, Any]
+
+BLUE, ORANGE, MAGENTA, GREEN, RED, GREY = "#2f7de1", "#f08c00", "#c2339b", "#2f9e44", "#e03131", "#868e96"
+RUN_COLOURS = (ORANGE, BLUE, GREEN, MAGENTA, RED, "#7048e8", "#1098ad", "#a0522d")
+ABOVE = {"xanchor": "left", "yanchor": "bottom"}  # of a legend: where its place is of it
+HOVER = {"hovermode": "x unified"}  # of a layout: all curves at the pointer's place, in one box
+
+
+def run_colour(number: int) -> str:
+    """The colour of the n-th of several runs."""
+    return RUN_COLOURS[number % len(RUN_COLOURS)]
+
+
+def layout(height: int, left: int, right: int, top: int, bottom: int, **more: Any) -> Figure:
+    """Of a height and with margins, px."""
+    return {"height": height, "margin": {"l": left, "r": right, "t": top, "b": bottom}, **more}
+
+
+def axis_name(letter: str, number: int) -> str:
+    """Plotly's name of the n-th axis, counted from 0: x, x2, x3."""
+    return letter if number == 0 else f"{letter}{number + 1}"
+
+
+def share(position: int, count: int, gap: float, *, from_top: bool = True) -> tuple[float, float]:
+    """Where the n-th of several panels begins and ends, between 0 and 1."""
+    size = (1.0 - gap * (count - 1)) / count
+    low = (count - 1 - position if from_top else position) * (size + gap)
+    return round(low, 6), round(low + size, 6)
+
+
+def trace(label: str, colour: str, x: ArrayLike, y: ArrayLike, panel: int = 0, **more: Any) -> Figure:
+    """A line in one of the panels, which share the horizontal axis."""
+    drawn: Figure = {
+        "type": "scatter",
+        "mode": "lines",
+        "name": label,
+        "legendgroup": label,
+        "showlegend": panel == 0,
+        "line": {"color": colour, "width": 1.8},
+        "x": np.asarray(x, np.float64),
+        "y": np.asarray(y, np.float64),
+        "yaxis": axis_name("y", panel),
+    }
+    return drawn | more
+
+
+def beneath(colour: str) -> Figure:
+    """How a line is drawn that another one may cover: wide and pale, so that both are seen."""
+    return {"line": {"color": colour, "width": 6.0}, "opacity": 0.45}
+
+
+def panels(
+    height: int, x: str, titles: Sequence[str], log: bool, domains: Sequence[tuple[float, float]] = ()
+) -> Figure:
+    """Panels above each other, the first on top; ``log`` of the horizontal axis.
+
+    ``domains``: from which share of the height to which each goes; all alike where there are none.
+    """
+    made = layout(
+        height, 64, 12, 36, 44,
+        legend={"orientation": "h", "x": 0, "y": 1.0, **ABOVE},
+        xaxis={"title": {"text": x}, "anchor": axis_name("y", len(titles) - 1)},
+    )  # fmt: skip
+    if log:
+        made["xaxis"]["type"] = "log"
+    part = 1.0 / len(titles)
+    tops = [1.0 - k * part for k in range(len(titles))]
+    alike = [(max(0.0, top - part + 0.05), top) for top in tops]
+    for k, (title, domain) in enumerate(zip(titles, domains or alike, strict=True)):
+        made[axis_name("yaxis", k)] = {
+            "domain": list(domain),
+            "anchor": "x",
+            "title": {"text": title},
+        }
+    return made
