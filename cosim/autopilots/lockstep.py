@@ -69,7 +69,7 @@ class Answer(NamedTuple):
 
 @dataclass
 class Counts:
-    """The books of a lockstep: with none missing, every step had one answer, and that one was to its own frame."""
+    """The counts of a lockstep: with none missing, every step had one answer, and that one was to its own frame."""
 
     frames: int = 0  # told
     answers: int = 0  # taken

@@ -1,4 +1,4 @@
-"""A flight as a test of whoever repeats its controller: what went into it at every step, and what came out."""
+"""A flight as a test of another implementation of its controller: its inputs at every step, and its outputs."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class Parts:
 
 
 class Flight:
-    """One simulation whose engines, or controller, or commands are somebody else's.
+    """One simulation whose engines, or controller, or commands are outside, in the importing tool.
 
     ``meet`` is called in every step where the flight needs to be told: before it the :attr:`outputs` are those of
     ``t_k``, behind it :attr:`given` holds the inputs by name.  Raises InputError as :func:`build` does, and for a

@@ -1,6 +1,6 @@
 """Between the flight and those who watch it or ask something of it: ground stations, the local page, a test.
 
-The flight publishes what it is at; the last one wins, and nobody who is slow holds it up.  Requests wait in one short
+The flight publishes what it is at; the last one wins, and a slow reader does not delay it.  Requests wait in one short
 queue per sender, the senders take turns, and a queue that is full answers at once.  Everything here may be called from
 any thread and returns at once; no sockets, no files.  Who has a loop of its own takes a :class:`Port`, which hands the
 answers out there.
@@ -221,7 +221,7 @@ class Port:
     """
 
     def __init__(self, exchange: Exchange, name: str) -> None:
-        self.name = name  # of the sender, where it does not say who asks
+        self.name = name  # of the sender, where a request states none
         self.wake: Callable[[], None] = lambda: None
         self.snapshot: Snapshot | None = None  # the last one of a flight that has begun
         self._exchange = exchange

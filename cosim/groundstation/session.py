@@ -241,7 +241,7 @@ class Session:
             self.stop(f"shut down by {sender}")
 
     def _linger(self, flight: _Flight, ending: Ending) -> None:
-        """A flight has ended by itself: tell who asks so, until there is a restart or the session ends."""
+        """A flight has ended by itself: requests are answered so, until there is a restart or the session ends."""
         exchange = self.exchange
         patience = None
         if self.duration is not None:
@@ -446,7 +446,7 @@ class _ParameterWriter:
 
 
 class ReadOnlyObserver:
-    """Lets a flight that follows a script, or a recorded one, be watched; whoever asks something of it is refused."""
+    """Lets a flight that follows a script, or a recorded one, be watched; every request is refused."""
 
     def __init__(self, exchange: Exchange, begun: Callable[[SessionInfo], None] = lambda facts: None) -> None:
         self._exchange = exchange

@@ -26,7 +26,7 @@ from cosim.paper import numbers
 from cosim.spec.vehicle import PredictorTuning, RateGains, RateModel
 
 Signal = Callable[[int], float]
-LARGEST = 1e6  # rad/s: a loop that grows beyond this has told what it had to tell
+LARGEST = 1e6  # rad/s: a loop that grows beyond this is unstable
 
 STATE_AS_PRINTED = "state-as-printed"  # the state predictor run with the printed matrices, 1/3660 of the plant's gain
 

@@ -1,4 +1,4 @@
-"""Whether a vehicle breaks at a point: flown with every seed, by whoever flies, and never twice."""
+"""Whether a vehicle breaks at a point: flown with every seed, by any workers, and never twice."""
 
 from __future__ import annotations
 

@@ -335,7 +335,7 @@ def _fly(frozen: Frozen, digest: str, expected: Mapping[str, str], flights: list
 
 
 async def _end_idle() -> None:
-    """What a worker does in the end, and nobody waits for: its processes need not wait for more flights."""
+    """What a worker does last, without an answer: its processes need not wait for more flights."""
     remote.end_idle()
 
 
@@ -408,7 +408,7 @@ def _line(error: BaseException) -> str:
 
 
 class _LogFilter:
-    """Dask tells of every connection that is lost; here that is told by one line."""
+    """Dask logs every connection that is lost; here one line says it."""
 
     def __init__(self) -> None:
         names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in ("distributed", "tornado")]

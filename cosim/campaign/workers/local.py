@@ -79,7 +79,7 @@ class LocalWorkers:
 
     def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
         """See :class:`cosim.campaign.workers.protocol.Workers`."""
-        self._end_busy()  # with flights that nobody waits for any more
+        self._end_busy()  # with flights whose results are no longer needed
         limit = time_limit(study) if self._time_limit is None else self._time_limit
         waiting = _Waiting(flights)
         ahead = _QueueDepth()

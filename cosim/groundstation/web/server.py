@@ -245,7 +245,7 @@ class WebServer:
         self._exchange.ask(request, self._reply(connection, number), f"web-{page.number}")
 
     def _reply(self, connection: ServerConnection, number: int | None) -> Done:
-        """What sends the answer; nobody waits for that of a stick."""
+        """What sends the answer; that to sticks is dropped."""
         if number is None:
             return ignore_answer
 

@@ -96,7 +96,7 @@ class LogStore:
             self._search.start()
 
     def renew(self) -> None:
-        """A run has just been finished: who asks from now on is not told what was found before.  From any thread."""
+        """A run has just been finished: an older search no longer answers requests.  From any thread."""
         self._stale = True
 
     @property

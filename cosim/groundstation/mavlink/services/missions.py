@@ -182,7 +182,7 @@ class MissionService(Service):
         return from_rally(status.rally, self._geodesy)
 
     def _give(self, index: int, client: Client, old: bool, which: int) -> Message:
-        """An item; ``old``: in degrees as 32-bit floats (half a metre), as who asks so expects it."""
+        """An item; ``old``: in degrees as 32-bit floats (half a metre), as such a request expects it."""
         items = self._list(which)
         if not 0 <= index < len(items):
             return _ack(client, SEQUENCE, which)
