@@ -503,8 +503,16 @@ def _by_effectiveness(
         curves = [StaticCurve(spec.name, *spec.rising) for spec in stations]
         thrusts = [_thrust_at(curve, u) for curve, u in zip(curves, throttles, strict=True)]
         ends.append(tuple([(thrust - thrust_map.low) / thrust_map.span for thrust in thrusts]))
+    # where a hinge carries engines all keep its pace: vanes that ran ahead of slow banks turned the jetwing over
+    ahead = 0.0 if any(hinge.carries for hinge in vehicle.hinges) else 1.0
     movers = [
-        Mover(*hinge.least_most, hinge.rest_rad, hinge.rate_limit_rad_s * step, hinge.effort)
+        Mover(
+            *hinge.least_most,
+            hinge.rest_rad,
+            hinge.rate_limit_rad_s * step,
+            hinge.effort,
+            lead=ahead * hinge.rate_limit_rad_s * hinge.lag_s,
+        )
         for hinge in vehicle.hinges
     ]
     movers += [

@@ -12,14 +12,17 @@ lift; then yaw, whose loss turns the nose and no more; last, where the vehicle a
 effectors leave a choice, it is the least use of them beside a preferred one, each counted by its range and weighed by
 its ``effort``: thrusts as they share the weight in hover, hinges at rest, surfaces at zero.
 
-A hinge's command moves no faster than its servo can.  An engine that is lost is taken out of the layout, one that is
-weak or stuck stays in it with what it gives.
+A hinge's command moves no faster than its servo can; one that lags follows that late, and only without an engine is
+it asked for more (below).  An engine that is lost is taken out of the layout, one that is weak or stuck stays in it
+with what it gives.
 
 Without an engine, where the vehicle asks for it (:class:`Late`), two things are solved for in each step.  Hinges give
 the moments beside the thrusts that the engines *report*: they turn the vehicle at once, whatever engines are still on
-their way to.  Throttles ask for the lift in balance and for no moment, which they would give too late and pump the
-swing with, and leave hinges a part of their ranges.  Only while hinges at their limits and the thrusts that will be
-there when a throttle has acted turn the vehicle on the wrong way are throttles to balance it by themselves.
+their way to.  Where hinges meet their limits roll and pitch together get as much as there is; their commands may run
+ahead of the servos, which then move at their full rate.  Throttles ask for the lift in balance and for no moment,
+which they would give too late and pump the swing with, and leave hinges a part of their ranges.  Only while hinges at
+their limits and the thrusts that will be there when a throttle has acted turn the vehicle on the wrong way are
+throttles to balance it by themselves.
 """
 
 from __future__ import annotations
@@ -83,6 +86,7 @@ class Mover(NamedTuple):
     step: float  # by how much its command may change in a step
     effort: float
     wrench: tuple[float, ...] = ()  # of a surface: force and moment per unit and Pa of dynamic pressure, body
+    lead: float = 0.0  # by how much more, for the servo to move at its full rate: the rate times its lag
 
 
 class EffectivenessAllocator:
@@ -313,7 +317,7 @@ class EffectivenessAllocator:
         self._reach, self._levels = reach, list(TURNS)
         self._ends = [(thrust, thrust) for thrust in self._reported]
         self._last = [*self._reported, *last[jets:]]
-        turning, missing = self._solve(wanted, lift, PASSES, True)
+        turning, missing = self._solve(wanted, lift, PASSES, True, hurried=True)
         self._levels, self._ends, self._stand = levels, ends, stand
         self._turning_on = self._turns_on(wanted, missing, turning[jets:])
         missing[LIFT] = short[LIFT]
@@ -411,8 +415,14 @@ class EffectivenessAllocator:
             answer.append(least if share < least else (most if share > most else share))
         return tuple(answer)
 
-    def _solve(self, wanted: list[float], lift: float, passes: int, rated: bool) -> tuple[list[float], list[float]]:
-        """Thrusts [N] and angles for a wrench, and what is missing of it; ``rated``: no faster than servos go."""
+    def _solve(
+        self, wanted: list[float], lift: float, passes: int, rated: bool, hurried: bool = False
+    ) -> tuple[list[float], list[float]]:
+        """Thrusts [N] and angles for a wrench, and what is missing of it.
+
+        ``rated``: commands no faster than servos go; ``hurried``: so far ahead of them that they go at their full rate,
+        and roll and pitch together as far as they can.
+        """
         jets, scales, norms = self._jets, self._scales, self._norms
         low: list[float] = []
         high: list[float] = []
@@ -426,7 +436,8 @@ class EffectivenessAllocator:
             (least, most), scale = self._reach[number], scales[jets + number]
             if rated:  # from outside it comes as fast as it can
                 last = self._last[jets + number]
-                slowest, fastest = last - mover.step, last + mover.step
+                step = mover.step + mover.lead if hurried else mover.step
+                slowest, fastest = last - step, last + step
                 least = slowest if slowest > least else (fastest if fastest < least else least)
                 most = fastest if fastest < most else (slowest if slowest > most else most)
             low.append(least / scale)
@@ -447,7 +458,7 @@ class EffectivenessAllocator:
                 for j, scale in enumerate(scales):
                     steps += rows[row][j] * (here[j] / scale)
                 targets.append((wanted[row] - given[row]) * norms[row] + steps)
-            found = prioritise(rows, targets, self._levels, start, low, high)
+            found = prioritise(rows, targets, self._levels, start, low, high, hurried)
             before, steps_before = given, rows
             moved = [value * scale for value, scale in zip(found, scales, strict=True)]
             given, rows = self._linear(moved)

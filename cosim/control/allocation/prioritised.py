@@ -2,7 +2,8 @@
 
 Wanted are values of linear functions ``rows[r] . x`` of effectors ``low <= x <= high``; rows stand in levels.  Each
 level is brought as near to what is wanted of it as the effectors can while what the levels before it were given stays
-as it is.  A level of two rows keeps the direction of what is missing as far as it goes, then each row goes on alone.
+as it is.  A level of two rows keeps the direction of what is missing as far as it goes; then each row goes on alone or,
+where it is asked for, both go as far along that direction as they can, whatever comes across it.
 
 The method is the redistributed pseudo-inverse with priorities (Bodson, "Evaluation of Optimization Methods for Control
 Allocation", J. Guidance, Control, and Dynamics 25, 2002), made exact by an active set (Härkegård, "Efficient Active Set
@@ -31,6 +32,7 @@ def prioritise(
     start: Sequence[float],
     low: Sequence[float],
     high: Sequence[float],
+    along_first: bool = False,
 ) -> list[float]:
     """The effectors; see the module's text.
 
@@ -44,6 +46,8 @@ def prioritise(
         Rows by their numbers, one or two to a level, the most important level first; a row that is in none is ignored.
     start, low, high : sequence of float
         Where effectors are left if nothing is missing there, and their limits.
+    along_first : bool
+        Levels of two rows go as far as they can along the direction of what is missing.
 
     Returns
     -------
@@ -65,7 +69,11 @@ def prioritise(
             a, b = a / size, b / size
             along = [a * p + b * q for p, q in zip(first, second, strict=True)]
             across = [a * q - b * p for p, q in zip(first, second, strict=True)]
-            if size - _move(along, size, [*held, across], x, low, high) > DONE:
+            left = size - _move(along, size, [*held, across], x, low, high)
+            if left > DONE and along_first:
+                _move(along, left, held, x, low, high)
+                _alone(across, a * wanted[level[1]] - b * wanted[level[0]], [*held, along], x, low, high)
+            elif left > DONE:
                 _alone(first, wanted[level[0]], [*held, second], x, low, high)
                 _alone(second, wanted[level[1]], [*held, first], x, low, high)
         held.append(first)

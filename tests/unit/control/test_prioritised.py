@@ -62,6 +62,31 @@ def test_each_level_goes_as_far_as_a_linear_program_does_and_the_ones_before_sta
     assert reached >= -along.fun - 1e-7
 
 
+@given(st.integers(0, 10**6))
+@settings(max_examples=60, deadline=None)
+def test_two_rows_that_go_along_first_go_as_far_as_a_linear_program_does(seed: int) -> None:
+    """Beyond what keeps the direction: whatever comes across it, and the least of that which such a distance leaves."""
+    rows, wanted, start, low, high = problem(seed)
+    arguments = [list(row) for row in rows], wanted, LEVELS, start, low, high
+    x = np.array(prioritise(*arguments, along_first=True))
+    assert (x >= low).all()
+    assert (x <= high).all()
+    missing = wanted[:2] - rows[:2] @ start
+    size = float(np.linalg.norm(missing))
+    along, across = missing / size @ rows[:2], np.array([missing[1], -missing[0]]) / size @ rows[:2]
+    bounds = list(zip(low, high, strict=True))
+    most = -linprog(-along, bounds=bounds).fun
+    kept = linprog(-along, A_eq=[across], b_eq=[across @ start], bounds=bounds)
+    if -kept.fun - along @ start >= size:  # the direction can be kept all the way
+        assert rows[:2] @ x == pytest.approx(wanted[:2], abs=1e-7)
+        return
+    assert along @ x == pytest.approx(min(most, along @ start + size), abs=1e-7)
+    assert along @ x >= along @ np.array(prioritise(*arguments)) - 1e-7
+    ends = [linprog(sign * across, A_eq=[along], b_eq=[along @ x], bounds=bounds) for sign in (1.0, -1.0)]
+    if not any(end.status for end in ends):
+        assert across @ x == pytest.approx(np.clip(across @ start, ends[0].fun, -ends[1].fun), abs=1e-6)
+
+
 @given(st.integers(0, 10**6), st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
 @settings(max_examples=60, deadline=None)
 def test_what_is_wanted_of_a_lower_level_changes_nothing_above_it(seed: int, lift: float, yaw: float) -> None:
