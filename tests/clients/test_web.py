@@ -595,6 +595,8 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
     with Flown(tmp_path / "run", 2.0) as flight:
         # at twice real time and on a loaded machine half a second of flight is too short for sticks
         flight.exchange.ask(SetParameter("HJ_STICK_TIME", 3.0))
+        # and the ten seconds that it stands armed for may be over before a busy browser has shown them
+        flight.exchange.ask(SetParameter("HJ_DISARM_IDLE", 0.0))
         # the scaled heights of larger vehicles have as many digits
         flight.exchange.ask(SetParameter("MIS_TAKEOFF_ALT", 7.38462))
         until(lambda: flight.now.facts.parameters["MIS_TAKEOFF_ALT"] == 7.38462)
