@@ -29,6 +29,7 @@ MODULES = (
     "simulation/controllers/guard.py",
     "control/allocation/allocation.py",
     "control/allocation/effectiveness.py",
+    "control/allocation/hinged_catch.py",
     "control/allocation/prioritised.py",
     "control/altitude.py",
     "control/attitude.py",

@@ -50,7 +50,31 @@ class AttitudeController:
         """Body rate set-point, rad/s."""
         if command.rate is not None:
             return command.rate
-        error = ex, ey, ez = self.error(command, measured)
+        return self._towards(self.error(command, measured))
+
+    def thrust_first(self, command: Command, measured: Measured, lean: tuple[float, float]) -> Vector3:
+        """As :meth:`update`, for a vehicle whose heading may be far off; ``lean`` [rad] is added to roll and pitch.
+
+        The error is taken apart, ``q_e = q_l q_z``, into the least turn that brings the body's z axis to where it is
+        asked for, ``q_l`` about an axis in the body's xy plane, and a turn about z from there: with
+        ``n = sqrt(w^2 + z^2)`` of ``q_e``, ``q_z = (w, 0, 0, z) / n``.  Taken together the heading's error would turn
+        the lean's half as far: a vehicle that faces the other way would lean across.
+        """
+        if command.rate is not None:
+            return command.rate
+        ex, ey, ez = self.error(command, measured)
+        n = sqrt(max(0.0, 1.0 - 0.25 * (ex * ex + ey * ey)))
+        if n > 0.0:
+            # the error is 2 (x, y, z) of a quaternion with w >= 0
+            sine = 0.5 * ez / n
+            cosine = sqrt(max(0.0, 1.0 - sine * sine))
+            ex, ey, ez = ex * cosine - ey * sine, ey * cosine + ex * sine, 2.0 * sine
+        roll, pitch = lean
+        return self._towards((ex + roll, ey + pitch, ez))
+
+    def _towards(self, error: Vector3) -> Vector3:
+        """The rates of an error, rad/s."""
+        ex, ey, ez = error
         kx, ky, kz = self._gain
         lx, ly, lz = self._limit
         p, q, r = kx * ex, ky * ey, kz * ez

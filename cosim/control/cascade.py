@@ -29,6 +29,7 @@ from cosim.base.signals import (
 from cosim.control.allocation.allocation import TiltAllocator
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.control.allocation.engine_monitor import EngineMonitor
+from cosim.control.allocation.hinged_catch import HingedCatch
 from cosim.control.allocation.thrust_map import ThrustMap
 from cosim.control.altitude import LEAST_UPRIGHT, AltitudeController
 from cosim.control.attitude import AttitudeController
@@ -105,6 +106,7 @@ class Cascade:
         self._low = vehicle.control.allocation.throttle_min
         self._opposites = list(opposites)
         self._winged = allocator if isinstance(allocator, EffectivenessAllocator) and allocator.surfaces else None
+        self._hinged = allocator if isinstance(allocator, HingedCatch) else None
         self._every_jet = frozenset(range(self._jets))
         self._throttle: PerJet = ()
         self._shows: list[tuple[str, Predictor, tuple[Column, ...]]] = []  # the predictors that show of their own
@@ -158,10 +160,13 @@ class Cascade:
         """Throttles and tilts of one step."""
         if engines is not _FLY or self._idles:
             self._switch(engines)
-        if self._wing is not None:
-            command = self._on_the_wing(self._wing, command, measured)
+        hinged, wing = self._hinged, self._wing
+        if wing is not None:
+            command = self._on_the_wing(wing, command, measured)
         own_attitude, own_rate = self.own_attitude, self.own_rate
-        if own_attitude is None or command.rate is not None:
+        if hinged is not None and hinged.leans and own_attitude is None and (wing is None or not wing.flies):
+            rate_setpoint = self.attitude.thrust_first(command, measured, hinged.lean)
+        elif own_attitude is None or command.rate is not None:
             rate_setpoint = self.attitude.update(command, measured)
         else:
             rate_setpoint = own_attitude.update(command, measured)
@@ -178,8 +183,8 @@ class Cascade:
             return self._caught(self._catch, command, measured, injected, rate_setpoint, torque, collective)
         if self._winged is not None:
             self._winged.pressure = _dynamic_pressure(measured)
-            if self._wing is not None and self._wing.flies:
-                return self._ahead(self._wing, self._winged, measured, injected, rate_setpoint, torque, collective)
+            if wing is not None and wing.flies:
+                return self._ahead(wing, self._winged, measured, injected, rate_setpoint, torque, collective)
         given = self.allocator.allocate(collective, self._injected(torque, injected), injected.torque_command)
         self._unallocated = given.unallocated
         return self._actuated(given, self._share(given, rate_setpoint, torque, collective))
@@ -349,8 +354,8 @@ class Cascade:
             elif self._opposites:
                 self._shut_opposite(monitor)
             self.allocator.replan(monitor.health)
-        if isinstance(self.allocator, EffectivenessAllocator):
-            self.allocator.look(monitor.reported)
+        if self._hinged is not None:
+            self._hinged.look(monitor.reported)
         if self._catching and self._catch is not None:
             self._catch.look(monitor.reported, monitor.gains)
         if self._reduced is not None and self._reduced.flies:

@@ -16,8 +16,9 @@ from cosim.base.protocols import Allocator, Predictor, Sensors
 from cosim.base.signals import AXES
 from cosim.base.storage.cache import Memory
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
-from cosim.control.allocation.effectiveness import EffectivenessAllocator, Late, Mover
+from cosim.control.allocation.effectiveness import EffectivenessAllocator, Effectors, Mover
 from cosim.control.allocation.engine_monitor import EngineMonitor
+from cosim.control.allocation.hinged_catch import HingedCatch, Late
 from cosim.control.allocation.reallocation import get_ready
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
 from cosim.control.altitude import AltitudeController
@@ -504,7 +505,8 @@ def _by_effectiveness(
         thrusts = [_thrust_at(curve, u) for curve, u in zip(curves, throttles, strict=True)]
         ends.append(tuple([(thrust - thrust_map.low) / thrust_map.span for thrust in thrusts]))
     # where a hinge carries engines all keep its pace: vanes that ran ahead of slow banks turned the jetwing over
-    ahead = 0.0 if any(hinge.carries for hinge in vehicle.hinges) else 1.0
+    layout = vehicle.layout()
+    ahead = 0.0 if layout.moves else 1.0
     movers = [
         Mover(
             *hinge.least_most,
@@ -519,9 +521,9 @@ def _by_effectiveness(
         Mover(*surface.range, 0.0, surface.rate_limit_1_s * step, surface.effort, effect)
         for surface, effect in zip(vehicle.surfaces, _surface_effects(scenario, vehicle), strict=True)
     ]
-    return EffectivenessAllocator(
+    effectors = Effectors(
         vehicle.name,
-        vehicle.layout(),
+        layout,
         vehicle.mass_kg,
         vehicle.tensor,
         thrust_map.low,
@@ -530,8 +532,9 @@ def _by_effectiveness(
         [jet.effort for jet in vehicle.jets],
         movers,
         limits.horizontal,
-        _late(scenario, vehicle, stations),
     )
+    late = _late(scenario, vehicle, stations)
+    return EffectivenessAllocator(effectors) if late is None else HingedCatch(effectors, late)
 
 
 def _late(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> Late | None:

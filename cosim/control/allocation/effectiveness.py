@@ -12,17 +12,8 @@ lift; then yaw, whose loss turns the nose and no more; last, where the vehicle a
 effectors leave a choice, it is the least use of them beside a preferred one, each counted by its range and weighed by
 its ``effort``: thrusts as they share the weight in hover, hinges at rest, surfaces at zero.
 
-A hinge's command moves no faster than its servo can; one that lags follows that late, and only without an engine is
-it asked for more (below).  An engine that is lost is taken out of the layout, one that is weak or stuck stays in it
-with what it gives.
-
-Without an engine, where the vehicle asks for it (:class:`Late`), two things are solved for in each step.  Hinges give
-the moments beside the thrusts that the engines *report*: they turn the vehicle at once, whatever engines are still on
-their way to.  Where hinges meet their limits roll and pitch together get as much as there is; their commands may run
-ahead of the servos, which then move at their full rate.  Throttles ask for the lift in balance and for no moment,
-which they would give too late and pump the swing with, and leave hinges a part of their ranges.  Only while hinges at
-their limits and the thrusts that will be there when a throttle has acted turn the vehicle on the wrong way are
-throttles to balance it by themselves.
+A hinge's command moves no faster than its servo can; one that lags follows that late.  An engine that is lost is taken
+out of the layout, one that is weak or stuck stays in it with what it gives.
 """
 
 from __future__ import annotations
@@ -63,20 +54,6 @@ FAR: Final = 0.1  # of a hinge's range, in a pass without a step before
 FIRST_PASSES: Final = 60  # without a step before
 
 
-# Chosen by us, of the catch without an engine
-TRIMMED: Final = 0.7  # of the hinges' ranges, which they may balance thrusts with; the rest turns the vehicle
-PUSHED: Final = 1.0  # times what reported thrusts miss of the lift, asked for beside it: halves the engines' lag
-SLOPE_S: Final = 0.02  # time constant of the reports' slope: short against any jet
-TURNS: Final = ((ROLL, PITCH), (YAW,))  # what hinges alone are for
-
-
-class Late(NamedTuple):
-    """Engines that answer late, of a vehicle that is to be caught without one of them."""
-
-    ahead: float  # s, after which a throttle has acted
-    step: float  # s
-
-
 class Mover(NamedTuple):
     """A hinge or a surface as allocation sees it."""
 
@@ -89,30 +66,34 @@ class Mover(NamedTuple):
     lead: float = 0.0  # by how much more, for the servo to move at its full rate: the rate times its lag
 
 
-class EffectivenessAllocator:
-    """Throttles and servo angles of a vehicle of any layout.
+class Effectors(NamedTuple):
+    """What allocation knows of a vehicle.
 
     ``tensor``: of inertia, kg m^2, by rows; ``low`` and ``span``: thrust of the reference engine without throttle, and
     what full throttle adds [N], which shares of thrust count in; ``shares``: least and most of each station;
-    ``efforts`` of the jets; ``late``: without an engine hinges turn and throttles carry, see the module's text.
+    ``efforts`` of the jets; ``horizontal``: force ahead and aside is asked for, below all else.
+    """
+
+    name: str
+    layout: Layout
+    mass: float
+    tensor: tuple[Vector3, Vector3, Vector3]
+    low: float
+    span: float
+    shares: Sequence[tuple[float, float]]
+    efforts: Sequence[float]
+    movers: Sequence[Mover]
+    horizontal: bool = False
+
+
+class EffectivenessAllocator:
+    """Throttles and servo angles of a vehicle of any layout.
+
     Raises InputError where the vehicle cannot be held in hover.
     """
 
-    def __init__(
-        self,
-        name: str,
-        layout: Layout,
-        mass: float,
-        tensor: tuple[Vector3, Vector3, Vector3],
-        low: float,
-        span: float,
-        shares: Sequence[tuple[float, float]],
-        efforts: Sequence[float],
-        movers: Sequence[Mover],
-        horizontal: bool = False,
-        late: Late | None = None,
-    ) -> None:
-        self._late = late
+    def __init__(self, effectors: Effectors) -> None:
+        name, layout, mass, tensor, low, span, shares, efforts, movers, horizontal = effectors
         self._layout, self._tensor, self._mass = layout, tensor, mass
         self._inverse = _inverted(tensor)
         self._low, self._span = low, span
@@ -145,10 +126,6 @@ class EffectivenessAllocator:
 
     def reset(self) -> None:
         """All engines are healthy, hinges at rest."""
-        self._reported: list[float] = []  # N, of the engines while hinges alone turn the vehicle; empty: they do not
-        self._rising = [0.0] * self._jets  # N/s
-        self._carrying: list[float] = []  # thrusts [N] and servos that give the lift in balance
-        self._turning_on = False  # the wrong way, hinges at their limits
         self._use([JetHealth()] * self._jets)
         self._settle()
         # commands begin where servos stand
@@ -210,11 +187,8 @@ class EffectivenessAllocator:
     def hovering(self, torque: Vector3) -> tuple[list[float], list[float]]:
         """Thrusts [N] and servos that give angular accelerations [rad/s^2] in hover, however fast servos are, and what
         is missing of force and moment, in the order of the rows."""
-        (a, b, c), (d, e, f), (g, h, i) = self._tensor
-        x, y, z = torque
-        wanted = [a * x + b * y + c * z, d * x + e * y + f * z, self._weight, g * x + h * y + i * z, 0.0, 0.0]
         before = self._last
-        found, missing = self._solve(wanted, self._weight, FIRST_PASSES, False)
+        found, missing = self._solve(self._wanted(self._weight, torque, ZERO3), self._weight, FIRST_PASSES, False)
         self._last = before
         return found, [0.0 if -GIVEN <= m * norm <= GIVEN else m for m, norm in zip(missing, self._norms, strict=True)]
 
@@ -266,71 +240,17 @@ class EffectivenessAllocator:
 
         ``torque``: angular accelerations [rad/s^2]; ``added``: of a disturbance that the controller does not know.
         """
+        lift = self.force(collective)
+        found, missing = self._solve(self._wanted(lift, torque, added), lift, PASSES, True)
+        return self._actuation(found, missing)
+
+    def _wanted(self, lift: float, torque: Vector3, added: Vector3) -> list[float]:
+        """The rows of a lift [N] and the moments of angular accelerations."""
         x, y, z = torque
         if added != ZERO3:
             x, y, z = x + added[0], y + added[1], z + added[2]
         (a, b, c), (d, e, f), (g, h, i) = self._tensor
-        lift = self.force(collective)
-        wanted = [a * x + b * y + c * z, d * x + e * y + f * z, lift, g * x + h * y + i * z, 0.0, 0.0]
-        if self._reported:
-            return self._caught(wanted, lift)
-        found, missing = self._solve(wanted, lift, PASSES, True)
-        return self._actuation(found, missing)
-
-    def look(self, thrust: PerJet) -> None:
-        """The ``thrust`` that the engines' reports at the end of a step stand for [N]; see :class:`Late`."""
-        late = self._late
-        if late is None or all(jet.gain > 0.0 for jet in self._health):
-            return
-        # the speed of a rotor without fire stands for thrust that is not there
-        given = [
-            0.0 if jet.gain == 0.0 and jet.fixed == 0.0 else f for f, jet in zip(thrust, self._health, strict=True)
-        ]
-        if self._reported:
-            share = late.step / (SLOPE_S + late.step)
-            for i, (now, before) in enumerate(zip(given, self._reported, strict=True)):
-                self._rising[i] += share * ((now - before) / late.step - self._rising[i])
-        else:
-            self._carrying = self._hovers
-        self._reported = given
-
-    def _caught(self, wanted: list[float], lift: float) -> Actuation:
-        """Throttles for the lift in balance, hinges for the moments; see the module's text.
-
-        What is told as missing of the lift is what the balanced thrusts at rest miss of all that is asked of them, so
-        that the height loop's integral waits until the engines have followed.
-        """
-        jets, last, reach = self._jets, self._last, self._reach
-        levels, ends, stand = self._levels, self._ends, self._stand
-        pushed = lift
-        for thrust in self._reported:
-            pushed -= PUSHED * thrust
-        pushed += PUSHED * lift
-        part = 0.0 if self._turning_on else TRIMMED
-        self._last, self._levels, self._stand = self._carrying, [*LEVELS, *HORIZONTAL], self._hovers[jets:]
-        self._reach = [
-            (mover.rest + part * (low - mover.rest), mover.rest + part * (high - mover.rest))
-            for mover, (low, high) in zip(self._movers, reach, strict=True)
-        ]
-        carrying, short = self._solve([0.0, 0.0, pushed, 0.0, 0.0, 0.0], lift, PASSES, False)
-        self._carrying = carrying
-        self._reach, self._levels = reach, list(TURNS)
-        self._ends = [(thrust, thrust) for thrust in self._reported]
-        self._last = [*self._reported, *last[jets:]]
-        turning, missing = self._solve(wanted, lift, PASSES, True, hurried=True)
-        self._levels, self._ends, self._stand = levels, ends, stand
-        self._turning_on = self._turns_on(wanted, missing, turning[jets:])
-        missing[LIFT] = short[LIFT]
-        return self._actuation([*carrying[:jets], *turning[jets:]], missing)
-
-    def _turns_on(self, wanted: Sequence[float], missing: Sequence[float], hinges: Sequence[float]) -> bool:
-        """Whether hinges are at their limits, and with the thrusts that are on their way turn it against the wanted."""
-        if all(-GIVEN <= missing[row] * self._norms[row] <= GIVEN for row in (ROLL, PITCH)):
-            return False
-        assert self._late is not None
-        coming = [max(0.0, f + self._late.ahead * up) for f, up in zip(self._reported, self._rising, strict=True)]
-        moments, _ = self._linear([*coming, *hinges])
-        return moments[ROLL] * wanted[ROLL] + moments[PITCH] * wanted[PITCH] <= 0.0
+        return [a * x + b * y + c * z, d * x + e * y + f * z, lift, g * x + h * y + i * z, 0.0, 0.0]
 
     def force(self, collective: float) -> float:
         """The thrust [N] of all engines at this share each."""
@@ -345,8 +265,6 @@ class EffectivenessAllocator:
         ``tilts`` stand along the force that is wanted, never far from it, and the thrusts share it, upright with no
         pitching moment.  Also answered is what is missing of the force ahead [N].
         """
-        x, y, z = torque
-        (a, b, c), (d, e, f), (g, h, i) = self._tensor
         jets, last = self._jets, self._last
         least = sum([low for low, _ in self._ends])
         asked = lift
@@ -356,7 +274,9 @@ class EffectivenessAllocator:
         without = force
         if asked < least:  # thrust that engines give at least has to go somewhere: ahead
             force = max(force, sqrt(least * least - asked * asked))
-        wanted = [a * x + b * y + c * z, d * x + e * y + f * z + pitch, asked, g * x + h * y + i * z, force, 0.0]
+        wanted = self._wanted(asked, torque, ZERO3)
+        wanted[PITCH] += pitch
+        wanted[FORWARD] = force
         whole, along = max(hypot(force, asked), least), atan2(force, asked)
         levels, stand, preferred, reach = self._levels, self._stand, self._preferred, self._reach
         self._levels, self._stand, self._reach = [*LEVELS, *AHEAD], list(stand), list(reach)

@@ -106,7 +106,10 @@ class Autopilot:
         self._state = FlightState(parts, airborne)
         self._answers = Answers(parts, self._state, inject, clear)
         self._airborne = airborne
-        self._rotors = vehicle.allocation == "rotors"  # of which none can be lost without a spin
+        # whether without an engine it is carried aside, by hinges that turn engines, before it is caught
+        catch = vehicle.control.monitor is not None and vehicle.control.monitor.catch
+        self._carried = catch and vehicle.layout().moves
+        self._spins = self._carried or vehicle.allocation == "rotors"  # whether without one it holds no heading
         # a flight that begins in the air knows the ground as 0: it stands on its legs there
         legs = (contact.position_m[2] for contact in vehicle.contacts if contact.kind == "leg")
         self._standing = max(legs, default=0.0) if airborne else 0.0
@@ -243,7 +246,8 @@ class Autopilot:
         elif self.home is None and not standing:
             # the flight began in the air
             self._places.home = Home(*self._estimates.fix.position, 0.0)
-        self._course.begin(k, self._rotors and bool(report.lost))
+        lost = bool(report.lost)
+        self._course.begin(k, self._spins and lost, self._carried and lost)
         self._landing.look(report, self.landed is LandedState.IN_AIR and not self._course.descending)
         self._watch.consume(report, self.engines is EngineState.FLY)
 

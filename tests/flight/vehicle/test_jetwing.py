@@ -252,7 +252,7 @@ def test_the_figures_of_its_verdict() -> None:
 
 
 def test_without_an_engine_its_hinges_catch_it() -> None:
-    """It turned through 90 deg of heading within 3 s and fell."""
+    """It turned through 90 deg of heading within 3 s and fell; caught with its lift turned away it fell 4.7 m."""
     lost, turned = [], []
     for jet in (1, 3):
         fault = [{"kind": "flame_out", "start_s": 0.5, "jet": jet}]
@@ -262,8 +262,7 @@ def test_without_an_engine_its_hinges_catch_it() -> None:
         lost.append(30.0 - float(run.log["altitude_m"].min()))
         turned.append(degrees(np.abs(np.unwrap(run.log["yaw_rad"])).max()))
     assert f"loses {lost[0]:.1f} m of height and turns by {turned[0]:.0f}° of heading" in PAGE
-    assert f"without the rear left one {lost[1]:.1f} m while it turns more than twice round" in PAGE
-    assert 720.0 < turned[1] < 1080.0
+    assert f"without the rear left one {lost[1]:.1f} m and turns by {turned[1]:.0f}°" in PAGE
 
 
 STILL = {"turbulence_wind_m_s": 0.0, "turbulence_severity": 0}

@@ -13,7 +13,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.layout import UP, Layout, Station, Turn
 from cosim.base.signals import JetHealth
-from cosim.control.allocation.effectiveness import EffectivenessAllocator, Late, Mover
+from cosim.control.allocation.effectiveness import EffectivenessAllocator, Effectors, Mover
 
 MASS = 5.0
 TENSOR = ((0.05, -0.004, 0.002), (-0.004, 0.06, 0.001), (0.002, 0.001, 0.09))
@@ -22,7 +22,7 @@ SAID = 1e-9
 HINGE = Mover(-0.5, 0.5, 0.0, 0.04, 1.0)
 
 
-def allocator(draw: np.random.Generator, hinges: bool = True, **changes: object) -> EffectivenessAllocator:
+def allocator(draw: np.random.Generator, hinges: bool = True) -> EffectivenessAllocator:
     """Four jets or more around the centre, some on hinges of any axis, leant a little."""
     count = int(draw.integers(4, 17))
     stations = []
@@ -43,15 +43,16 @@ def allocator(draw: np.random.Generator, hinges: bool = True, **changes: object)
         )
     layout = Layout(stations, turns)
     mass = 0.45 * count * (LOW + SPAN) / GRAVITY * 0.8
+    movers = [HINGE] * len(turns)
     return EffectivenessAllocator(
-        "any", layout, mass, TENSOR, LOW, SPAN, [(0.05, 0.95)] * count, [1.0] * count, [HINGE] * len(turns), **changes
-    )  # type: ignore[arg-type]
+        Effectors("any", layout, mass, TENSOR, LOW, SPAN, [(0.05, 0.95)] * count, [1.0] * count, movers)
+    )
 
 
-def hovers(seed: int, **changes: object) -> tuple[EffectivenessAllocator, np.random.Generator] | None:
+def hovers(seed: int, hinges: bool = True) -> tuple[EffectivenessAllocator, np.random.Generator] | None:
     draw = np.random.default_rng(seed)
     try:
-        return allocator(draw, **changes), draw
+        return allocator(draw, hinges), draw
     except InputError:
         return None  # leant jets that no throttles balance
 
@@ -110,12 +111,13 @@ def test_roll_and_pitch_before_lift_before_yaw(seed: int, lift: float, yaw: floa
     assert moments(lift, yaw)[0] == pytest.approx(first, abs=1e-6)
 
 
-def square(**changes: object) -> EffectivenessAllocator:
+def square() -> EffectivenessAllocator:
     places = [(0.3, 0.3, 0.0), (-0.3, -0.3, 0.0), (0.3, -0.3, 0.0), (-0.3, 0.3, 0.0)] * 2
     stations = [Station(place, UP, 0.03 * (-1) ** (n // 2)) for n, place in enumerate(places)]
+    layout = Layout(stations)
     return EffectivenessAllocator(
-        "square", Layout(stations), MASS, TENSOR, LOW, SPAN, [(0.05, 0.95)] * 8, [1.0] * 8, [], **changes
-    )  # type: ignore[arg-type]
+        Effectors("square", layout, MASS, TENSOR, LOW, SPAN, [(0.05, 0.95)] * 8, [1.0] * 8, [])
+    )
 
 
 def test_what_fits_is_refused_exactly_nothing_and_hover_is_even() -> None:
@@ -146,7 +148,9 @@ def test_a_surface_gives_more_the_faster_the_air() -> None:
     layout = Layout([Station(place, UP, 0.03 * (-1) ** (n // 2)) for n, place in enumerate(places)])
     elevator = Mover(-1.0, 1.0, 0.0, 1.0, 1e-3, (0.0, 0.0, 0.0, 0.0, -0.01, 0.0))
     tensor = ((0.05, 0.0, 0.0), (0.0, 0.06, 0.0), (0.0, 0.0, 0.09))
-    block = EffectivenessAllocator("w", layout, 5.0, tensor, LOW, SPAN, [(0.05, 0.95)] * 4, [1.0] * 4, [elevator])
+    block = EffectivenessAllocator(
+        Effectors("w", layout, 5.0, tensor, LOW, SPAN, [(0.05, 0.95)] * 4, [1.0] * 4, [elevator])
+    )
     assert block.allocate(block.hover, (0.0, 1.0, 0.0)).tilt == (0.0,)
     block.pressure = 200.0
     done = block.allocate(block.hover, (0.0, 1.0, 0.0))
@@ -158,44 +162,6 @@ def test_a_surface_gives_more_the_faster_the_air() -> None:
 
 def test_a_layout_that_nothing_balances_is_refused_with_what_is_missing() -> None:
     stations = [Station((0.3 + 0.1 * n, 0.0, 0.0), UP) for n in range(4)]
+    effectors = Effectors("nose", Layout(stations), MASS, TENSOR, LOW, SPAN, [(0.0, 1.0)] * 4, [1.0] * 4, [])
     with pytest.raises(InputError, match=r"in hover they leave 47 N of lift that nothing balances"):
-        EffectivenessAllocator("nose", Layout(stations), MASS, TENSOR, LOW, SPAN, [(0.0, 1.0)] * 4, [1.0] * 4, [])
-
-
-def test_without_an_engine_hinges_turn_it_and_late_throttles_are_not_asked_to() -> None:
-    """Four gimballed jets below the centre: asked for attitude, throttles answered too late and pumped the swing."""
-    stations = [Station((x, y, 0.2), UP, 0.0) for x in (0.2, -0.2) for y in (0.2, -0.2)]
-    turns = [
-        Turn(station.place, axis, (), (jet,), 1.0)
-        for jet, station in enumerate(stations)
-        for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-    ]
-    movers = [Mover(-0.26, 0.26, 0.0, 0.02, 1.0)] * 8
-    caught = EffectivenessAllocator(
-        "square", Layout(stations, turns), MASS, TENSOR, LOW, SPAN, [(0.05, 1.0)] * 4, [20.0] * 4, movers,
-        late=Late(0.4, 0.004),
-    )  # fmt: skip
-    even = MASS * GRAVITY / 4
-    caught.replan([JetHealth(0.0), *[JetHealth()] * 3])
-    caught.look((even,) * 4)
-    for _ in range(20):  # as far as hinges go, with the engines where they were
-        given = caught.allocate(caught.hover, (-2.0, 1.0, 0.0))
-        caught.look((even,) * 4)
-    # the one across at its least, and those beside it up, whatever moment is asked for
-    assert given.throttle[3] == pytest.approx(0.05)
-    assert min(given.throttle[1:3]) > 0.99
-    # the hinges push against what the thrusts that are reported do, as far as they go
-    assert max(map(abs, given.tilt[2:])) == pytest.approx(0.26)
-    assert given.unallocated.roll != 0.0
-    # thrusts in balance: hinges give what is asked for, and throttles stay as they are
-    for _ in range(400):
-        caught.look((0.0, 2 * even, 2 * even, 0.0))
-        still = caught.allocate(caught.hover, (0.0, 0.0, 0.0))
-    for _ in range(20):
-        caught.look((0.0, 2 * even, 2 * even, 0.0))
-        turned = caught.allocate(caught.hover, (0.5, -0.25, 0.0))
-    assert turned.unallocated[:3] == (0.0, 0.0, 0.0)
-    assert turned.throttle == pytest.approx(still.throttle)
-    assert turned.tilt != still.tilt
-    caught.reset()
-    assert caught.allocate(caught.hover, (0.0, 0.0, 0.0)).throttle == pytest.approx((caught.hover,) * 4)
+        EffectivenessAllocator(effectors)

@@ -68,7 +68,7 @@ class Course:
     def reset(self) -> None:
         """Stops where it is."""
         self.cruise: float | None = None  # horizontal speed that was asked for, m/s; None: the parameter's
-        self.descending = self.landing = False
+        self.descending = self.landing = self._carried = False
         self.aim(None, None, None)
         self.guide.reset()
 
@@ -76,9 +76,10 @@ class Course:
         """``place``: None, where it comes to rest; ``height``: None, not known yet; ``heading``: None, as it is."""
         self.place, self.height, self.heading = place, height, heading
 
-    def begin(self, k: int, spins: bool = False) -> None:
-        """The instant for the commands that follow; ``spins``: no heading is held."""
+    def begin(self, k: int, spins: bool = False, carried: bool = False) -> None:
+        """The instant for the commands that follow; ``spins``: no heading is held; ``carried``: aside, while caught."""
         estimates = self.estimates
+        self._carried = carried
         self.guide.begin(k, estimates.now, estimates.euler[2], estimates.fix, self._sink_allowed(), spins)
 
     @property
@@ -132,9 +133,12 @@ class Course:
         """The most rate of descent [m/s] with which it does not touch before it has come to rest sideways.
 
         The set-point brakes for ``v / a + a / j``, and the vehicle follows it with ``1 / K_v``, twice that to be slow.
+        A vehicle that was carried aside may be far from following: its own speed counts where it is the greater.
         """
         track, p = self.guide.track, self.parameters
         speed = 0.0 if track is None else hypot(*track.velocity)
+        if self._carried:
+            speed = max(speed, hypot(*self.estimates.fix.velocity))
         if speed < SLOW:
             return inf
         left = speed / p["HJ_ACC_HOR"] + p["HJ_ACC_HOR"] / p["HJ_JERK_HOR"] + 2.0 / max(p["HJ_VEL_P"], 0.1)

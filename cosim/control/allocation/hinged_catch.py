@@ -1,0 +1,240 @@
+"""A vehicle of hinges and engines that answer late, without one of its engines: hinges turn it and throttles carry it.
+
+Throttles that were asked for moments would give them too late and pump the swing.  So three things are solved for in
+each step, all by :class:`EffectivenessAllocator`:
+
+Throttles ask for the lift in balance, with hinges within a part of their ranges, and for no moment.  Only while hinges
+at their limits and the thrusts that will be there when a throttle has acted turn the vehicle on the wrong way are
+throttles to balance it by themselves.
+
+Hinges give the moments beside the thrusts that the engines *report*: they turn the vehicle at once, whatever engines
+are still on their way to.  Roll and pitch together get as much as there is; their commands may run ahead of the servos,
+which then move at their full rate.  What they leave is for yaw and, where hinges carry engines, then for lift, last for
+pushing nowhere.
+
+Hinges that carry engines turn lift away, and that has more than one solution: the engine across turned level, or the
+two beside it.  No small step leads from one to the other, and the second gives less lift.  While the reported
+thrusts cannot hold the weight in balance, the angles that come nearest to it are followed from step to step, searched
+for from the ends of all those hinges at first, and no such hinge goes further from them than ``ASTRAY``.
+
+What such hinges push aside the vehicle leans against: :attr:`HingedCatch.lean` brings the reported force, whose
+direction in the body is ``(X, Y, -L)``, to where the thrust of an even vehicle would point, by ``atan(-Y / L)`` of roll
+and ``atan(X / L)`` of pitch, late by a lag and within a limit that is smaller once the weight is held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import atan2
+from typing import Final, NamedTuple
+
+from cosim.base.limits import clamp
+from cosim.base.signals import ZERO3, Actuation, PerJet, Vector3
+from cosim.control.allocation.effectiveness import (
+    ASTRAY,
+    FIRST_PASSES,
+    FORWARD,
+    GIVEN,
+    HORIZONTAL,
+    LEVELS,
+    LIFT,
+    PASSES,
+    PITCH,
+    RIGHT,
+    ROLL,
+    YAW,
+    EffectivenessAllocator,
+    Effectors,
+)
+
+# Chosen by us.
+TRIMMED: Final = 0.7  # of the hinges' ranges, which they may balance thrusts with; the rest turns the vehicle
+PUSHED: Final = 1.0  # times what reported thrusts miss of the lift, asked for beside it: halves the engines' lag
+SLOPE_S: Final = 0.02  # time constant of the reports' slope: short against any jet
+SHORT: Final = 0.01  # of the weight, which the reported thrusts miss at least where hinges are kept near the most lift
+LEAN_S: Final = 0.1  # time constant of the lean: hinges move as fast, and the lean is not to follow each
+LEAN_RAD: Final = 0.2  # the most lean while the reported thrusts cannot hold the weight
+HELD_LEAN_RAD: Final = 0.1  # the most lean from then on: it is to touch level
+# what hinges beside reported thrusts are for, where they carry engines, and where they only deflect thrust
+TURNING: Final = ((ROLL, PITCH), (YAW,), (LIFT,), (FORWARD, RIGHT))
+DEFLECTING: Final = ((ROLL, PITCH), (YAW,))
+UNBALANCED: Final = 100.0  # what missing roll and pitch count, to missing lift, where most lift is searched for
+
+
+class Late(NamedTuple):
+    """Engines that answer late."""
+
+    ahead: float  # s, after which a throttle has acted
+    step: float  # s
+
+
+class HingedCatch(EffectivenessAllocator):
+    """As :class:`EffectivenessAllocator` while all engines run; without one see the module's text.
+
+    ``late``: of the engines.
+    """
+
+    def __init__(self, effectors: Effectors, late: Late) -> None:
+        self._late = late
+        self._carriers = [number for number, turn in enumerate(effectors.layout.turns) if turn.carries]
+        self._turns: list[tuple[int, ...]] = [*(TURNING if self._carriers else DEFLECTING)]
+        super().__init__(effectors)
+
+    def reset(self) -> None:
+        """All engines are healthy, hinges at rest."""
+        self._reported: list[float] = []  # N, of the engines without one of them; empty: all run
+        self._rising = [0.0] * self._jets  # N/s
+        self._carrying: list[float] = []  # thrusts [N] and servos that give the lift in balance
+        self._lifting: list[float] = []  # servos that give the most lift in balance beside the reports; empty: unknown
+        self._short = True  # the reports cannot hold the weight in balance
+        self._turning_on = False  # the wrong way, hinges at their limits
+        self.lean = (0.0, 0.0)  # rad, roll and pitch: see the module's text
+        super().reset()
+
+    @property
+    def leans(self) -> bool:
+        """Whether it leans against what its hinges push aside: without an engine, where they carry engines."""
+        return bool(self._reported) and bool(self._carriers)
+
+    def look(self, thrust: PerJet) -> None:
+        """The ``thrust`` that the engines' reports at the end of a step stand for [N]."""
+        if all(jet.gain > 0.0 for jet in self._health):
+            return
+        # the speed of a rotor without fire stands for thrust that is not there
+        given = [
+            0.0 if jet.gain == 0.0 and jet.fixed == 0.0 else f for f, jet in zip(thrust, self._health, strict=True)
+        ]
+        if self._reported:
+            late = self._late
+            share = late.step / (SLOPE_S + late.step)
+            for i, (now, before) in enumerate(zip(given, self._reported, strict=True)):
+                self._rising[i] += share * ((now - before) / late.step - self._rising[i])
+        else:
+            self._carrying = self._hovers
+        self._reported = given
+
+    def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
+        """As :meth:`EffectivenessAllocator.allocate`; without an engine see the module's text.
+
+        What is told as missing of the lift is then what the balanced thrusts at rest miss of all that is asked of
+        them, so that the height loop's integral waits until the engines have followed.
+        """
+        if not self._reported:
+            return super().allocate(collective, torque, added)
+        lift = self.force(collective)
+        wanted = self._wanted(lift, torque, added)
+        jets, servos = self._jets, self._last[self._jets :]
+        self._carrying, short = self._carried(lift)
+        reach, stand = self._reach, self._hovers[jets:]
+        if self._short and self._carriers:
+            self._short = self._lifts(servos)
+            if self._short:
+                reach, stand = self._near(self._lifting), self._lifting
+        turning, missing = self._beside(wanted, servos, reach, stand, PASSES, True)
+        self._turning_on = self._turns_on(wanted, missing, turning)
+        if self._carriers:
+            given, enough = lift - missing[LIFT], (1.0 - SHORT) * self._weight
+            if not self._short and given < min(lift, enough):
+                self._short, self._lifting = True, turning
+            self._lean(missing, given)
+        missing[LIFT] = short[LIFT]
+        return self._actuation([*self._carrying[:jets], *turning], missing)
+
+    def ahead(
+        self, force: float, lift: float, pitch: float, torque: Vector3, tilts: Sequence[int]
+    ) -> tuple[Actuation, float]:
+        """As :meth:`EffectivenessAllocator.ahead`; hinges come back to hover from anywhere."""
+        self._short, self._lifting, self.lean = True, [], (0.0, 0.0)
+        return super().ahead(force, lift, pitch, torque, tilts)
+
+    def _carried(self, lift: float) -> tuple[list[float], list[float]]:
+        """Thrusts [N] and servos for the lift in balance, and what they miss of it; see the module's text."""
+        pushed = lift
+        for thrust in self._reported:
+            pushed -= PUSHED * thrust
+        pushed += PUSHED * lift
+        part = 0.0 if self._turning_on else TRIMMED
+        reach = [
+            (mover.rest + part * (low - mover.rest), mover.rest + part * (high - mover.rest))
+            for mover, (low, high) in zip(self._movers, self._reach, strict=True)
+        ]
+        wanted, stand = [0.0, 0.0, pushed, 0.0, 0.0, 0.0], self._hovers[self._jets :]
+        levels = [*LEVELS, *HORIZONTAL]
+        return self._within(self._carrying, self._ends, levels, reach, stand, wanted, lift, PASSES, False)
+
+    def _lifts(self, servos: list[float]) -> bool:
+        """Whether the reported thrusts cannot hold the weight in balance; hinges follow the most lift meanwhile."""
+        rest, weight = self._stand, [0.0, 0.0, self._weight, 0.0, 0.0, 0.0]
+        starts, passes = [self._lifting], PASSES
+        if not self._lifting:
+            starts, passes = [rest, servos], FIRST_PASSES
+            for number in self._carriers:
+                starts += [[*rest[:number], end, *rest[number + 1 :]] for end in self._reach[number]]
+        found = [self._beside(weight, start, self._reach, rest, passes, False) for start in starts]
+        norms, costs = self._norms, []
+        for _, missing in found:
+            turned = abs(missing[ROLL]) * norms[ROLL] + abs(missing[PITCH]) * norms[PITCH]
+            costs.append(UNBALANCED * turned + abs(missing[LIFT]) * norms[LIFT])
+        self._lifting, missing = found[costs.index(min(costs))]
+        return missing[LIFT] * norms[LIFT] > SHORT
+
+    def _near(self, angles: Sequence[float]) -> list[tuple[float, float]]:
+        """The servos' ranges, of hinges that carry engines no further than ``ASTRAY`` from these angles."""
+        near = list(self._reach)
+        for number in self._carriers:
+            low, high = near[number]
+            near[number] = (max(low, angles[number] - ASTRAY), min(high, angles[number] + ASTRAY))
+        return near
+
+    def _beside(
+        self,
+        wanted: list[float],
+        servos: Sequence[float],
+        reach: list[tuple[float, float]],
+        stand: list[float],
+        passes: int,
+        rated: bool,
+    ) -> tuple[list[float], list[float]]:
+        """Servos beside the reported thrusts, from where servos are, and what is missing of the wanted."""
+        last, ends = [*self._reported, *servos], [(thrust, thrust) for thrust in self._reported]
+        found, missing = self._within(last, ends, self._turns, reach, stand, wanted, wanted[LIFT], passes, rated)
+        return found[self._jets :], missing
+
+    def _within(
+        self,
+        last: list[float],
+        ends: list[tuple[float, float]],
+        levels: list[tuple[int, ...]],
+        reach: list[tuple[float, float]],
+        stand: list[float],
+        wanted: list[float],
+        lift: float,
+        passes: int,
+        rated: bool,
+    ) -> tuple[list[float], list[float]]:
+        """As :meth:`_solve`, from ``last``, within thrusts' ``ends`` and servos' ``reach``, by ``levels``.
+
+        ``stand``: where servos are left if there is a choice; ``rated``: as far as they go in a step, and in a hurry.
+        """
+        before = self._last, self._ends, self._levels, self._reach, self._stand
+        self._last, self._ends, self._levels, self._reach, self._stand = last, ends, levels, reach, stand
+        answer = self._solve(wanted, lift, passes, rated, rated)
+        self._last, self._ends, self._levels, self._reach, self._stand = before
+        return answer
+
+    def _turns_on(self, wanted: Sequence[float], missing: Sequence[float], servos: Sequence[float]) -> bool:
+        """Whether hinges are at their limits, and with the thrusts that are on their way turn it against the wanted."""
+        if all(-GIVEN <= missing[row] * self._norms[row] <= GIVEN for row in (ROLL, PITCH)):
+            return False
+        late = self._late
+        coming = [max(0.0, f + late.ahead * up) for f, up in zip(self._reported, self._rising, strict=True)]
+        moments, _ = self._linear([*coming, *servos])
+        return moments[ROLL] * wanted[ROLL] + moments[PITCH] * wanted[PITCH] <= 0.0
+
+    def _lean(self, missing: Sequence[float], lift: float) -> None:
+        """Let :attr:`lean` follow the force that is given: what is missing of none ahead and aside, and a lift [N]."""
+        share, (roll, pitch) = self._late.step / (LEAN_S + self._late.step), self.lean
+        most = LEAN_RAD if self._short else HELD_LEAN_RAD
+        to_roll = clamp(atan2(missing[RIGHT], lift), most)
+        to_pitch = clamp(atan2(-missing[FORWARD], lift), most)
+        self.lean = (roll + share * (to_roll - roll), pitch + share * (to_pitch - pitch))
