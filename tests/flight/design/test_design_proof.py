@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +31,7 @@ from cosim.spec.new_aircraft import new_aircraft
 from cosim.spec.scenario import Scenario, find_scenario
 
 STEP = 0.004
+GENERATIONS, ROUNDS = search.GENERATIONS, search.ROUNDS  # of the whole search
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -202,7 +204,13 @@ def test_a_sound_engine_is_proved_and_the_proof_is_told(sound: Design) -> None:
 
 
 def test_a_light_mode_past_the_band_is_found_by_measuring_there(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """1 % of the thrust in a mode at 9 Hz: a model within a quarter of a percent, and a loop that swings up."""
+    """1 % of the thrust in a mode at 9 Hz: a model within a quarter of a percent, and a loop that swings up.
+
+    By the whole search: a short one ends with crossovers from 2 to 4 Hz, by the last bits of a processor's arithmetic,
+    and three times that is only sometimes past the mode.
+    """
+    monkeypatch.setattr(search, "GENERATIONS", GENERATIONS)
+    monkeypatch.setattr(search, "ROUNDS", ROUNDS)
     monkeypatch.setattr(proving, "_fly_all", lambda *a: pytest.fail("flown all the same"))
     made = quick(foreign(place, "mode", "lag=0.4,mode=0.01,mode_hz=9,damping=0.01"), lead=True)
     assert made.ok
@@ -215,9 +223,9 @@ def test_what_only_a_flight_shows_is_no_design(place: Path, sound: Design) -> No
     """The same engine to a slow sweep, but for a controller of its own that reads the throttle four times a second."""
     other = foreign(place, "samples", "lag=0.15,delay=0.04,sampled=0.25")
     found = proved(replace(sound, scenario=sound.scenario.replace(engine=str(other))))
-    assert found.reason.startswith(
-        "flown with the engine itself it does not keep what it promises: doublet, as designed"
-    )
+    # in hover or in the doublet, by how much gain the search found
+    begins = r"flown with the engine itself it does not keep what it promises: (hover|doublet), as designed: "
+    assert re.match(begins, found.reason)
     assert to_dict(found)["file"] is None
     assert any(line.startswith("no acceptable design: flown") for line in summary_lines(found))
     assert found.proof is not None
