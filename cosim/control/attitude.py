@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from math import sqrt
+from typing import Final
 
 from cosim.base.frames import from_euler
 from cosim.base.limits import clamp
 from cosim.base.signals import Command, Measured, Vector3
 from cosim.control.bumpless import Fade
 from cosim.spec.vehicle import AttitudeGains
+
+# Chosen by us: without an engine a vehicle has little thrust to spare, and one that leans more as it touches tips over.
+MOST_LEAN_RAD: Final = 0.25
 
 
 class AttitudeController:
@@ -53,24 +57,30 @@ class AttitudeController:
         return self._towards(self.error(command, measured))
 
     def thrust_first(self, command: Command, measured: Measured, lean: tuple[float, float]) -> Vector3:
-        """As :meth:`update`, for a vehicle whose heading may be far off; ``lean`` [rad] is added to roll and pitch.
+        """As :meth:`update`, for a vehicle that holds no heading: about the body's z axis it is to stop turning.
+
+        The lean that is asked for is kept within ``MOST_LEAN_RAD``; ``lean`` [rad], roll and pitch, is added to it.
 
         The error is taken apart, ``q_e = q_l q_z``, into the least turn that brings the body's z axis to where it is
-        asked for, ``q_l`` about an axis in the body's xy plane, and a turn about z from there: with
+        asked for, ``q_l`` about an axis in the body's xy plane, and a turn about z from there, which is left: with
         ``n = sqrt(w^2 + z^2)`` of ``q_e``, ``q_z = (w, 0, 0, z) / n``.  Taken together the heading's error would turn
         the lean's half as far: a vehicle that faces the other way would lean across.
         """
         if command.rate is not None:
             return command.rate
+        roll, pitch, yaw = command.attitude
+        size = sqrt(roll * roll + pitch * pitch)
+        if size > MOST_LEAN_RAD:
+            share = MOST_LEAN_RAD / size
+            command = command._replace(attitude=(share * roll, share * pitch, yaw))
         ex, ey, ez = self.error(command, measured)
         n = sqrt(max(0.0, 1.0 - 0.25 * (ex * ex + ey * ey)))
         if n > 0.0:
             # the error is 2 (x, y, z) of a quaternion with w >= 0
             sine = 0.5 * ez / n
             cosine = sqrt(max(0.0, 1.0 - sine * sine))
-            ex, ey, ez = ex * cosine - ey * sine, ey * cosine + ex * sine, 2.0 * sine
-        roll, pitch = lean
-        return self._towards((ex + roll, ey + pitch, ez))
+            ex, ey = ex * cosine - ey * sine, ey * cosine + ex * sine
+        return self._towards((ex + lean[0], ey + lean[1], 0.0))
 
     def _towards(self, error: Vector3) -> Vector3:
         """The rates of an error, rad/s."""

@@ -17,6 +17,9 @@ two beside it.  No small step leads from one to the other, and the second gives 
 thrusts cannot hold the weight in balance, the angles that come nearest to it are followed from step to step, searched
 for from the ends of all those hinges at first, and no such hinge goes further from them than ``ASTRAY``.
 
+Surfaces stay at zero: how fast the air comes is not known.  The heading is not held, its turning is only stopped
+(:meth:`cosim.control.attitude.AttitudeController.thrust_first`): to turn back costs lift.
+
 What such hinges push aside the vehicle leans against: :attr:`HingedCatch.lean` brings the reported force, whose
 direction in the body is ``(X, Y, -L)``, to where the thrust of an even vehicle would point, by ``atan(-Y / L)`` of roll
 and ``atan(X / L)`` of pitch, late by a lag and within a limit that is smaller once the weight is held.
@@ -121,6 +124,7 @@ class HingedCatch(EffectivenessAllocator):
         """
         if not self._reported:
             return super().allocate(collective, torque, added)
+        self.pressure = 0.0  # that of the speed over the ground is wrong in wind, and far off where no heading is held
         lift = self.force(collective)
         wanted = self._wanted(lift, torque, added)
         jets, servos = self._jets, self._last[self._jets :]
