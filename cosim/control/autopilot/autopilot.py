@@ -42,6 +42,9 @@ from cosim.spec.vehicle import PilotSettings, PositionGains, Vehicle
 # Chosen by us, with the reason.
 _APART = 2.5  # attitude gain over velocity gain, at least: nearer, the loop that the law takes for done is not
 _KNOWN_S = 1.0  # a second of GNSS before its place may be called home
+# That hinges which turn engines push it aside when one is lost: by then throttles have followed.  Taken for wind, this
+# had it lean across when it was over.
+_PUSHED_S = 3.0
 _SETTLE_SINK = 1.0  # m/s: sinking faster than this is no contact
 
 
@@ -109,6 +112,7 @@ class Autopilot:
         # whether without an engine it is carried aside, by hinges that turn engines, before it is caught
         catch = vehicle.control.monitor is not None and vehicle.control.monitor.catch
         self._carried = catch and vehicle.layout().moves
+        self._pushed = round(_PUSHED_S / step)
         self._spins = self._carried or vehicle.allocation == "rotors"  # whether without one it holds no heading
         # a flight that begins in the air knows the ground as 0: it stands on its legs there
         legs = (contact.position_m[2] for contact in vehicle.contacts if contact.kind == "leg")
@@ -118,6 +122,7 @@ class Autopilot:
 
     def reset(self, measured: Measured | None = None) -> None:
         """As at the start, where the sensors say ``measured``; parameters, mission, fence and rally points stay."""
+        self._whole = 0  # the last step with all engines
         self._state.reset()
         self._estimates.reset(measured)
         self._places.reset(self._standing)
@@ -240,13 +245,16 @@ class Autopilot:
         standing = not self._state.flying()
         rising = self.landed is LandedState.TAKING_OFF
         grounded = standing or (rising and not self._landing.touchdown.off)
-        self._estimates.update(k, measured, standing, grounded)
+        lost = bool(report.lost)
+        if not lost:
+            self._whole = k
+        pushed = self._carried and 0 < k - self._whole < self._pushed
+        self._estimates.update(k, measured, standing, grounded, pushed)
         if self.home is None and k >= self._known and standing:
             self._state.home_here()
         elif self.home is None and not standing:
             # the flight began in the air
             self._places.home = Home(*self._estimates.fix.position, 0.0)
-        lost = bool(report.lost)
         self._course.begin(k, self._spins and lost, self._carried and lost)
         self._landing.look(report, self.landed is LandedState.IN_AIR and not self._course.descending)
         self._watch.consume(report, self.engines is EngineState.FLY)

@@ -221,6 +221,34 @@ def test_an_unknown_push_is_found() -> None:
     assert fix.velocity[0] == pytest.approx(push * k * DT, abs=0.01)
 
 
+def test_a_push_of_its_own_is_not_taken_for_wind() -> None:
+    """Pushed for 3 s, and only then: the disturbance stays that of the wind, and the velocity is right all the same."""
+    assert GAINS is not None
+    wind, own = 0.36, 2.0  # m/s^2
+    late, period = SENSOR.latency_samples, SENSOR.period_samples
+    begin, end = 10_000, 10_000 + round(3.0 / DT)
+    for told in (True, False):
+        estimator = Estimator(GAINS, SENSOR, DT)
+        z = (0.0, 0.0)
+        p = v = 0.0
+        past = [(0.0, 0.0)] * (late + 1)
+        for k in range(1, end + 1):
+            pushed = begin < k <= end
+            a = wind + own * pushed
+            p, v = p + DT * v + 0.5 * DT * DT * a, v + DT * a
+            past = [*past[1:], (p, v)]
+            if k > late and (k - late) % period == 0:
+                z = past[0]
+            fix = estimator.update(
+                k, measured((z[0], 0.0), (z[1], 0.0), (0.0, 0.0)), still=False, pushed=told and pushed
+            )
+        if told:
+            assert fix.disturbance[0] == pytest.approx(wind, rel=0.01)
+            assert fix.velocity[0] == pytest.approx(v, abs=1.0)
+        else:
+            assert fix.disturbance[0] > 2.0 * wind
+
+
 def test_standing_averages_the_position_and_feels_no_push() -> None:
     assert GAINS is not None
     estimator = Estimator(GAINS, SENSOR, DT)

@@ -66,13 +66,16 @@ class Estimates:
         self.euler: Vector3 = (0.0, 0.0, 0.0) if measured is None else to_euler(measured.attitude)
         self.fix = self._position.fix
 
-    def update(self, k: int, measured: Measured, still: bool, grounded: bool) -> None:
-        """What is known at step ``k``; ``still``: the vehicle stands, ``grounded``: or has not left the ground yet."""
+    def update(self, k: int, measured: Measured, still: bool, grounded: bool, pushed: bool = False) -> None:
+        """What is known at step ``k``; ``still``: the vehicle stands, ``grounded``: or has not left the ground yet.
+
+        ``pushed``: see :meth:`cosim.control.autopilot.estimation.position.Estimator.update`.
+        """
         self.measured = measured = self.senses.update(k, measured, still)
         self.euler = to_euler(measured.attitude)
         inertial = self.senses.inertial
         lean = 0.0 if inertial.has_attitude else inertial.deviation
-        self.fix = self._position.update(k, measured, grounded, lean)
+        self.fix = self._position.update(k, measured, grounded, lean, pushed)
 
     @property
     def now(self) -> Measured:

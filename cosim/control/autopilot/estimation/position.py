@@ -90,10 +90,11 @@ class Estimator:
         p, v, b = self._p, self._v, self._b
         return Fix((p[0], p[1]), (v[0], v[1]), (b[0], b[1]))
 
-    def update(self, k: int, measured: Measured, still: bool, lean_deviation: float = 0.0) -> Fix:
+    def update(self, k: int, measured: Measured, still: bool, lean_deviation: float = 0.0, pushed: bool = False) -> Fix:
         """The estimate at ``t_k``; ``still``: the vehicle stands, so it has no velocity and nothing pushes it.
 
-        ``lean_deviation``: of the attitude beyond its sensor's noise, rad.
+        ``lean_deviation``: of the attitude beyond its sensor's noise, rad; ``pushed``: by its own thrust, for a moment,
+        so that the disturbance stays what it was.
         """
         dt, reckoning = self._step, self._reckoning
         p, v, b = self._p, self._v, self._b
@@ -118,12 +119,12 @@ class Estimator:
             if reckoning is not None:
                 reckoning.epoch(measured if fresh else None, still, lean_deviation)
             if fresh:
-                self._correct((*measured.position[:2], *measured.velocity[:2]), still)
+                self._correct((*measured.position[:2], *measured.velocity[:2]), still, pushed)
             elif reckoning is not None:
-                self._correct(reckoning.then, still)
+                self._correct(reckoning.then, still, pushed)
         return self.fix
 
-    def _correct(self, fix: tuple[float, float, float, float], still: bool) -> None:
+    def _correct(self, fix: tuple[float, float, float, float], still: bool, pushed: bool) -> None:
         """Take a place and a velocity, m and m/s, of ``latency`` samples ago."""
         gains = self._gains
         gain = gains[self._epoch] if self._epoch < len(gains) else gains[-1]
@@ -140,6 +141,8 @@ class Estimator:
             db = gain[2][0] * off_p + gain[2][1] * off_v
             if still:
                 dv = db = 0.0
+            elif pushed:
+                db = 0.0
             shifts.append((dp, dv, db))
             p[axis] += dp + late * (dv + 0.5 * late * db)
             v[axis] += dv + late * db
