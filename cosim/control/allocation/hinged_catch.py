@@ -1,7 +1,7 @@
 """A vehicle of hinges and engines that answer late, without one of its engines: hinges turn it and throttles carry it.
 
-Throttles that were asked for moments would give them too late and pump the swing.  So three things are solved for in
-each step, all by :class:`EffectivenessAllocator`:
+Throttles that were asked for moments would give them too late and pump the swing.  So two things are solved for in each
+step, and a third while lift is missing, all by :class:`EffectivenessAllocator`:
 
 Throttles ask for the lift in balance, with hinges within a part of their ranges, and for no moment.  Only while hinges
 at their limits and the thrusts that will be there when a throttle has acted turn the vehicle on the wrong way are
@@ -15,7 +15,7 @@ pushing nowhere.
 Hinges that carry engines turn lift away, and that has more than one solution: the engine across turned level, or the
 two beside it.  No small step leads from one to the other, and the second gives less lift.  While the reported
 thrusts cannot hold the weight in balance, the angles that come nearest to it are followed from step to step, searched
-for from the ends of all those hinges at first, and no such hinge goes further from them than ``ASTRAY``.
+for at first with each of those hinges at either end, and no such hinge goes further from them than ``ASTRAY``.
 
 Surfaces stay at zero: how fast the air comes is not known.  The heading is not held, its turning is only stopped
 (:meth:`cosim.control.attitude.AttitudeController.thrust_first`): to turn back costs lift.
@@ -147,7 +147,7 @@ class HingedCatch(EffectivenessAllocator):
     def ahead(
         self, force: float, lift: float, pitch: float, torque: Vector3, tilts: Sequence[int]
     ) -> tuple[Actuation, float]:
-        """As :meth:`EffectivenessAllocator.ahead`; hinges come back to hover from anywhere."""
+        """As :meth:`EffectivenessAllocator.ahead`; what was found for hover is searched for anew there."""
         self._short, self._lifting, self.lean = True, [], (0.0, 0.0)
         return super().ahead(force, lift, pitch, torque, tilts)
 

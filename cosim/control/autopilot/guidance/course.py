@@ -77,7 +77,10 @@ class Course:
         self.place, self.height, self.heading = place, height, heading
 
     def begin(self, k: int, spins: bool = False, carried: bool = False) -> None:
-        """The instant for the commands that follow; ``spins``: no heading is held; ``carried``: aside, while caught."""
+        """The instant for the commands that follow.
+
+        ``spins``: no heading is held; ``carried``: hinges may carry it aside, so that its own speed counts.
+        """
         estimates = self.estimates
         self._carried = carried
         self.guide.begin(k, estimates.now, estimates.euler[2], estimates.fix, self._sink_allowed(), spins)
