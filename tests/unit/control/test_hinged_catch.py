@@ -23,14 +23,14 @@ LOW, SPAN = 0.5, 25.0
 LATE = Late(0.4, 0.004)
 
 
-def jetwing() -> tuple[HingedCatch, Layout, list[tuple[float, float]]]:
+def jetwing(*surfaces: Mover) -> tuple[HingedCatch, Layout, list[tuple[float, float]]]:
     """The jetwing's hinges, with its mass and inertia, and engines of 0.5 to 24.5 N; and their ranges."""
     vehicle, _ = load_vehicle("jetwing")
     layout, step = vehicle.layout(), 0.004
     movers = [Mover(*h.least_most, h.rest_rad, h.rate_limit_rad_s * step, h.effort) for h in vehicle.hinges]
     effectors = Effectors(
-        "jetwing", layout, vehicle.mass_kg, vehicle.tensor, 0.5, 24.0, [(0.0, 1.0)] * 4, [20.0] * 4, movers,
-        vehicle.control.allocation.horizontal,
+        "jetwing", layout, vehicle.mass_kg, vehicle.tensor, 0.5, 24.0, [(0.0, 1.0)] * 4, [20.0] * 4,
+        [*movers, *surfaces], vehicle.control.allocation.horizontal,
     )  # fmt: skip
     return HingedCatch(effectors, LATE), layout, [hinge.least_most for hinge in vehicle.hinges]
 
@@ -126,14 +126,8 @@ def test_the_lean_is_asked_for_whatever_the_heading_is(yaw: float, roll: float, 
 
 def test_without_an_engine_surfaces_stay_at_zero() -> None:
     """The air's speed is not known: an elevator counted with the speed over the ground put the nose down in wind."""
-    vehicle, _ = load_vehicle("jetwing")
-    hinges = [Mover(*h.least_most, h.rest_rad, h.rate_limit_rad_s * 0.004, h.effort) for h in vehicle.hinges]
     elevator = Mover(-1.0, 1.0, 0.0, 0.02, 1.0, (0.0, 0.0, -0.05, 0.0, -0.03, 0.0))
-    effectors = Effectors(
-        "jetwing", vehicle.layout(), vehicle.mass_kg, vehicle.tensor, 0.5, 24.0, [(0.0, 1.0)] * 4, [20.0] * 4,
-        [*hinges, elevator], vehicle.control.allocation.horizontal,
-    )  # fmt: skip
-    caught = HingedCatch(effectors, LATE)
+    caught, _, _ = jetwing(elevator)
 
     def deflection() -> float:
         for _ in range(100):

@@ -66,7 +66,7 @@ class Estimates:
         self.euler: Vector3 = (0.0, 0.0, 0.0) if measured is None else to_euler(measured.attitude)
         self.fix = self._position.fix
 
-    def update(self, k: int, measured: Measured, still: bool, grounded: bool, pushed: bool = False) -> None:
+    def update(self, k: int, measured: Measured, still: bool, grounded: bool, pushed: bool) -> None:
         """What is known at step ``k``; ``still``: the vehicle stands, ``grounded``: or has not left the ground yet.
 
         ``pushed``: see :meth:`cosim.control.autopilot.estimation.position.Estimator.update`.
