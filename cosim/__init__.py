@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.base.compiled import choose
 from cosim.base.errors import EngineError, FlightError, InputError
+from cosim.base.runtime.kernels import same_kernels
 
 if TYPE_CHECKING:
     from cosim.base.signals import Command
@@ -50,6 +51,7 @@ _WHERE = {
 }
 
 choose()  # before any module that may be compiled is imported
+same_kernels()  # before numpy is
 
 
 def __dir__() -> list[str]:
