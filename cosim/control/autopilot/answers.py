@@ -116,8 +116,8 @@ class Answers:
     def _begin_take_off(self, request: rq.Takeoff, k: int) -> Answer:
         if self._state.flying():
             return no(Result.DENIED, "take-off refused: already flying")
-        if blind := self._arming.blind(Mode.TAKEOFF):
-            return no(Result.DENIED, f"take-off refused: {blind}")
+        if why := self._arming.grounded(Mode.TAKEOFF, self._state.report):
+            return no(Result.DENIED, f"take-off refused: {why}")
         height = self._take_off.asked(request.altitude_m, self._watch)
         self._state.enter(Mode.TAKEOFF, k)
         self._take_off.height = height
@@ -218,8 +218,8 @@ class Answers:
         if not self._mission.mission.items:
             return no(Result.DENIED, "there is no mission")
         flying = self._state.flying()
-        if not flying and (blind := self._arming.blind(Mode.MISSION)):
-            return no(Result.DENIED, f"mission refused: {blind}")
+        if not flying and (why := self._arming.grounded(Mode.MISSION, self._state.report)):
+            return no(Result.DENIED, f"mission refused: {why}")
         if self._mission.mission.done:
             self._mission.mission.restart(0)
         self._state.enter(Mode.MISSION, k)

@@ -9,6 +9,7 @@ from cosim.control.autopilot.failsafes import Watch
 from cosim.control.autopilot.guidance.course import Course
 from cosim.control.autopilot.manoeuvres.remote import Remote
 from cosim.control.autopilot.modes import DIRECT, LandedState, Mode
+from cosim.control.autopilot.parameters import NOTHING
 
 _MOVING = 0.2  # rad/s: a vehicle that turns like this is being carried; chosen by us
 
@@ -77,7 +78,7 @@ class Arming:
         if report.starting:
             reasons.append(f"engine {', '.join(map(str, report.starting))} has yet to start")
         if report.lost:
-            reasons.append(f"engine {', '.join(map(str, report.lost))} failed")
+            reasons.append(_failed(report))
         remaining = self._watch.remaining
         if remaining is not None and 100.0 * remaining <= self._parameters["HJ_FUEL_CRIT"]:
             reasons.append(f"fuel or battery at {100.0 * remaining:.0f} %")
@@ -90,8 +91,18 @@ class Arming:
             reasons.append(blind)
         return (*reasons, *self._remote.refusals(mode, k))
 
+    def grounded(self, mode: Mode, report: Report) -> str:
+        """Why a mode cannot leave the ground: a failed engine's failsafe would end it at once, or :meth:`blind`."""
+        if report.lost and int(self._parameters["HJ_ENG_ACT"]) != NOTHING:
+            return _failed(report)
+        return self.blind(mode)
+
     def blind(self, mode: Mode) -> str:
         """Why a mode cannot be flown from the ground for want of a position; empty: it can."""
         if self._estimates.positioned or mode in (*DIRECT, Mode.ALTCTL) or self._remote.gives_collective(mode):
             return ""
         return f"mode {mode.value} needs the position, and the GNSS receiver has stopped"
+
+
+def _failed(report: Report) -> str:
+    return f"engine {', '.join(map(str, report.lost))} failed"

@@ -589,6 +589,26 @@ def test_an_engine_that_fails_lands_the_vehicle() -> None:
     assert w.pilot.failsafe == "engine 3 failed"
 
 
+@pytest.mark.parametrize("armed", [False, True])
+def test_with_a_failed_engine_nothing_leaves_the_ground(armed: bool) -> None:
+    """The failsafe ended it at once, and the station had been told that it begins."""
+    w = world("armed" if armed else "standing")
+    w.ok(rq.MissionUpload(POINTS))
+    w.seconds(0.1, lost=(1, 4))
+    for request, what in (
+        (rq.Takeoff(5.0), "take-off"),
+        (rq.SetMode("TAKEOFF"), "take-off"),
+        (rq.MissionStart(), "mission"),
+    ):
+        answer = w.ask(request)
+        assert answer.result is Result.DENIED
+        assert answer.text == f"{what} refused: engine 1, 4 failed"
+    assert w.pilot.mode is Mode.HOLD
+    # who has said that it is only to be told decides
+    w.ok(rq.SetParameter("HJ_ENG_ACT", 0.0))
+    w.ok(rq.Takeoff(5.0))
+
+
 def test_failsafes_do_not_undo_more_careful_ones() -> None:
     w = World(airborne=True, remaining=0.05)
     assert w.pilot.mode is Mode.LAND
