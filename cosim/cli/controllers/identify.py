@@ -113,9 +113,12 @@ for _axis in AXES:
 @click.argument("log", metavar="FILE|RUN", type=click.Path(path_type=Path))
 @click.option("--axis", type=click.Choice(AXES), help="Identify torque command to measured rate of an axis.")
 @click.option("--engine", "number", type=click.IntRange(min=1), metavar="N", help="Identify engine N instead.")
-@click.option("--command", "command_text", metavar="SUM", help="The channels instead, such as 'm1 + m2 - 0.5*m3'.")
+@click.option("--command", "command_text", metavar="SUM", help="The channels instead: 'm1 + m2 - 0.5*m3'.")
 @click.option(
-    "--output", "output_text", metavar="SUM", help="The same; deg(NAME) is one in degrees, square(NAME) a square."
+    "--output",
+    "output_text",
+    metavar="SUM",
+    help="The same; deg(NAME) is one in degrees, square(NAME) a square; quotes hold a name with blanks.",
 )
 @click.option("--setpoint", "setpoint_text", metavar="SUM", help="What was asked of the output: to test for bias.")
 @log_options
@@ -151,7 +154,10 @@ def identify_from_log(log: Path, channels: bool, out: Path | None, as_json: bool
 
     read = read_flight_log(log, choices.pop("time_column"), choices.pop("time_unit"))
     if channels:
-        print_channels(read)
+        if as_json:
+            click.echo(json.dumps(read.to_dict(), allow_nan=False))
+        else:
+            print_channels(read)
         return DONE
     return _identify_log(read, out, as_json, **choices)
 
@@ -215,13 +221,13 @@ def _identify_log(
 
 def print_channels(log: FlightLog) -> None:
     """What a log holds: its remarks, and each channel with its rate and span."""
-    click.echo(f"{log.path}: {log.kind}")
-    for remark in log.remarks:
-        click.echo(f"note: {remark}")
-    for name, channel in log.channels.items():
-        seconds = float(channel.times[-1] - channel.times[0]) if len(channel.times) else 0.0
-        rate = (len(channel.times) - 1) / seconds if seconds > 0.0 else 0.0
-        click.echo(f"{name}  {len(channel.times)} values, {seconds:.1f} s, {rate:.4g} Hz  {channel.unit}".rstrip())
+    held = log.to_dict()
+    click.echo(f"{held['log']}: {held['kind']}")
+    for note in held["notes"]:
+        click.echo(f"note: {note}")
+    for channel in held["channels"]:
+        text = "{name}  {values} values, {seconds:.1f} s, {rate_hz:.4g} Hz  {unit}"
+        click.echo(text.format(**channel).rstrip())
 
 
 def print_from_log(identified: LogIdentification, paths: dict[str, Path]) -> None:

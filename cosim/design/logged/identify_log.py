@@ -161,14 +161,15 @@ def identify_log(
     ``lags`` is the number of lags beside the pole (an axis: 1 or more); the better of two forms by Akaike's criterion
     where it is None.  Raises InputError where the log does not tell, which says why.
     """
-    command, output = log.signal(signals.command), log.signal(signals.output)
+    of_sums: list[str] = []
+    command, output = log.signal(signals.command, of_sums), log.signal(signals.output, of_sums)
     prepared = prepare(command, output, longest_delay, step, begin, end)
     engine = what.startswith("engine")
     problem, estimates, clock = _estimated(prepared, engine, dict(hold or {}), lags)
     chosen = estimates[0]
     where = f"{log.path}: {signals.command} to {signals.output}"
     _refuse(problem, estimates, prepared, where)
-    notes = [*log.remarks, *prepared.notes, *_doubts(chosen, problem)]
+    notes = [*log.remarks, *of_sums, *prepared.notes, *_doubts(chosen, problem)]
     checks = _checks(problem, chosen, log.signal(signals.setpoint) if signals.setpoint else None)
     if _misfit(problem, chosen, checks[1]):
         raise InputError(

@@ -136,7 +136,9 @@ def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end
         chosen = signals_of(log, model.what)
         model = replace(model, signals=chosen)
     longest = max(2.0 * float(model.x[-1]), 0.1)
-    prepared = prepare(log.signal(chosen.command), log.signal(chosen.output), longest, None, begin, end)
+    of_sums: list[str] = []
+    command, output = log.signal(chosen.command, of_sums), log.signal(chosen.output, of_sums)
+    prepared = prepare(command, output, longest, None, begin, end)
     problems = [Problem([stretch], prepared.working_step, longest, gap=0) for stretch in prepared.by_stamps]
     signals = []
     for stretch, problem in zip(prepared.by_stamps, problems, strict=True):
@@ -167,7 +169,7 @@ def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end
         _correlation([o - m for o, m in fits], lag),
         _better_delay(problems, model, longest),
         tuple(signals),
-        (*log.remarks, *prepared.notes),
+        (*log.remarks, *of_sums, *prepared.notes),
     )
 
 

@@ -12,11 +12,13 @@ import struct
 from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
 
 from cosim.base.errors import InputError
+from cosim.results.logs.blackbox_encodings import EVEN, MASK, UNEVEN, extended, signed, tag2_3, tag8, tag8_4, unsigned
 from cosim.results.logs.flight_log import Channel, FlightLog
 
 MARKER = b"H Product:Blackbox flight data recorder"
@@ -31,8 +33,7 @@ MOST_TAGGED = 8
 LONGEST_FRAME = 256  # bytes
 MOST_COUNTS, MOST_US = 5000, 10_000_000  # by which a frame may follow the last: the format's own decoders allow so much
 AUTOTUNE = {10: 5, 11: 3, 12: 3}  # bytes of events of firmware that is gone
-END_EVENT, END = 255, b"End of log"
-_MASK = (1 << 32) - 1
+ENDEVENT, END = 255, b"End of log"
 _NAME = re.compile(r"(.*)\[(\d+)\]$")
 
 
@@ -89,14 +90,27 @@ class Head:
     stated: dict[str, str]
 
     def number(self, name: str, default: float) -> float:
-        """The first number of a line, which may be hexadecimal: a float's bits."""
+        """The first number of a line, which may be hexadecimal: a float's bits; the default for what is none."""
         text = self.stated.get(name, "").split(",")[0].strip()
         try:
-            if text.lower().startswith("0x"):
-                return float(struct.unpack("<f", struct.pack("<I", int(text, 16)))[0])
-            return float(text)
+            bits = text.lower().startswith("0x")
+            value = struct.unpack("<f", struct.pack("<I", int(text, 16)))[0] if bits else float(text)
         except (ValueError, struct.error):
             return default
+        return float(value) if isfinite(value) else default
+
+    def whole(self, name: str, default: int) -> int:
+        """The same as a whole number of 32 bits; the default for what is none."""
+        value = self.number(name, default)
+        return int(value) if abs(value) < 2**31 else default
+
+    @property
+    def share(self) -> tuple[int, int]:
+        """Of how many main frames how many are logged: ``P interval``, as 1/2, or as 2 alone."""
+        share, _, of = self.stated.get("P interval", "1").partition("/")
+        said = (share, of) if of else ("1", share)
+        numbers = [int(text) if text.strip().isdecimal() and len(text) < 9 else 1 for text in said]
+        return max(numbers[0], 1), max(numbers[1], 1)
 
 
 def _head(path: Path, data: bytes, at: int, end: int) -> tuple[Head, int]:
@@ -115,7 +129,7 @@ def _head(path: Path, data: bytes, at: int, end: int) -> tuple[Head, int]:
             layouts[kind] = _layout(path, stated, kind, names.split(","))
     if "I" not in layouts:
         raise InputError(f"{path}: the head of the blackbox log is damaged or cut short: it names no fields")
-    if int(Head({}, stated).number("Data version", 1)) < 2:
+    if Head({}, stated).whole("Data version", 1) < 2:
         raise InputError(f"{path}: a blackbox log of data version 1; allowed: 2, which is written since 2015")
     return Head(layouts, stated), at
 
@@ -155,93 +169,6 @@ def _layout(path: Path, stated: dict[str, str], kind: str, names: Sequence[str])
     return Layout(tuple(map(str.strip, names)), tuple(map(bool, signed)), tuple(predictors), tuple(groups))
 
 
-# ---- the encodings: each from a place in the data to the values and the place behind them
-
-
-def _unsigned(data: bytes, at: int) -> tuple[int, int]:
-    """Seven bits a byte, the lowest first; five bytes at most."""
-    value, shift = 0, 0
-    while shift < 35:
-        byte = data[at]
-        at += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return value & _MASK, at
-        shift += 7
-    raise IndexError
-
-
-def _signed(data: bytes, at: int) -> tuple[int, int]:
-    """Zigzag: 0, -1, 1, -2 as 0, 1, 2, 3."""
-    value, at = _unsigned(data, at)
-    return (value >> 1) ^ -(value & 1), at
-
-
-def _extended(value: int, bits: int) -> int:
-    value &= (1 << bits) - 1
-    return value - (1 << bits) if value >> (bits - 1) else value
-
-
-def _bytes(data: bytes, at: int, count: int) -> tuple[int, int]:
-    """A whole number of so many bytes, the lowest first, with its sign."""
-    if at + count > len(data):
-        raise IndexError
-    return int.from_bytes(data[at : at + count], "little", signed=True), at + count
-
-
-def _tag8(data: bytes, at: int, count: int) -> tuple[list[int], int]:
-    """A bit for each value that is not 0; one value alone has no such byte."""
-    tags, at = (1, at) if count == 1 else (data[at], at + 1)
-    values = []
-    for _ in range(count):
-        value = 0
-        if tags & 1:
-            value, at = _signed(data, at)
-        values.append(value)
-        tags >>= 1
-    return values, at
-
-
-def _tag2_3(data: bytes, at: int, packed: Sequence[tuple[int, Sequence[tuple[int, int]]]]) -> tuple[list[int], int]:
-    """Three values whose width two bits say: one of three packings, or whole bytes for each."""
-    lead = data[at]
-    if lead >> 6 < 3:
-        length, places = packed[lead >> 6]
-        if at + length > len(data):
-            raise IndexError
-        word = int.from_bytes(data[at : at + length], "big")
-        return [_extended(word >> shift, bits) for shift, bits in places], at + length
-    at += 1
-    values = []
-    for _ in range(3):
-        value, at = _bytes(data, at, (lead & 3) + 1)
-        values.append(value)
-        lead >>= 2
-    return values, at
-
-
-# bytes, and of each value how far from the right it stands and its bits
-_TWO = (1, ((4, 2), (2, 2), (0, 2)))
-_EVEN = (_TWO, (2, ((8, 4), (4, 4), (0, 4))), (3, ((16, 6), (8, 6), (0, 6))))
-_UNEVEN = (_TWO, (2, ((9, 5), (4, 5), (0, 4))), (3, ((14, 8), (7, 7), (0, 7))))
-
-
-def _tag8_4(data: bytes, at: int) -> tuple[list[int], int]:
-    """Four values of 0, 4, 8 or 16 bits, which two bits each say; packed by half bytes, the high one first."""
-    tags = data[at]
-    at = 2 * (at + 1)  # in half bytes
-    values = []
-    for _ in range(4):
-        bits = (0, 4, 8, 16)[tags & 3]
-        value = 0
-        for _ in range(bits // 4):
-            value = value << 4 | (data[at >> 1] >> (0 if at & 1 else 4) & 0x0F)
-            at += 1
-        values.append(_extended(value, bits) if bits else 0)
-        tags >>= 2
-    return values, (at + 1) >> 1
-
-
 # ---- the frames
 
 
@@ -266,18 +193,16 @@ class _Frames:
     home: list[int] | None = None
 
     def __post_init__(self) -> None:
-        stated = self.head.number
+        stated = self.head.whole
         self.data = self.data[: self.end]
-        self.every = max(1, int(stated("I interval", 32)))
-        share, _, of = self.head.stated.get("P interval", "1").partition("/")
-        self.share, self.of = (int(share), int(of)) if share.isdigit() and of.isdigit() else (1, int(float(share or 1)))
-        self.share, self.of = max(self.share, 1), max(self.of, 1)
-        least = int(stated("minthrottle", 1150))
+        self.every = max(1, stated("I interval", 32))
+        self.share, self.of = self.head.share
+        least = stated("minthrottle", 1150)
         self.added = {
             LEAST_THROTTLE: least,
             CENTRE: 1500,
-            BATTERY: int(stated("vbatref", 0)),
-            LEAST_MOTOR: int(stated("motorOutput", least)),
+            BATTERY: stated("vbatref", 0),
+            LEAST_MOTOR: stated("motorOutput", least),
         }
         names = self.head.layouts["I"].names
         self.counted = names.index("loopIteration") if "loopIteration" in names else None
@@ -318,7 +243,7 @@ class _Frames:
             def done() -> None:
                 self._take(kind, layout, values)
 
-        ended = kind == "E" and self.data[at + 1] == END_EVENT
+        ended = kind == "E" and self.data[at + 1] == ENDEVENT
         whole = ended or after == len(self.data) or (after < len(self.data) and self.data[after] in KINDS)
         return after, done if whole else None
 
@@ -327,23 +252,23 @@ class _Frames:
         values: list[int] = []
         for code, count in layout.groups:
             if code == SIGNED:
-                value, at = _signed(data, at)
+                value, at = signed(data, at)
                 values.append(value)
             elif code == UNSIGNED:
-                value, at = _unsigned(data, at)
+                value, at = unsigned(data, at)
                 values.append(value)
             elif code == NULL:
                 values.append(0)
             elif code == NEGATIVE:
-                value, at = _unsigned(data, at)
-                values.append(-_extended(value, 14))
+                value, at = unsigned(data, at)
+                values.append(-extended(value, 14))
             else:
                 if code == TAG8:
-                    several, at = _tag8(data, at, count)
+                    several, at = tag8(data, at, count)
                 elif code == TAG8_4:
-                    several, at = _tag8_4(data, at)
+                    several, at = tag8_4(data, at)
                 else:
-                    several, at = _tag2_3(data, at, _EVEN if code == TAG2_3 else _UNEVEN)
+                    several, at = tag2_3(data, at, EVEN if code == TAG2_3 else UNEVEN)
                 values += several
         return values, at
 
@@ -380,9 +305,7 @@ class _Frames:
             elif code == LINE:
                 value += 2 * last[n] - before[n]
             elif code == COUNT:
-                value = last[n] + 1
-                while (value % self.every + self.share - 1) % self.of >= self.share:
-                    value += 1
+                value = self._next(last[n] + 1)
             elif code == FIRST_MOTOR:
                 value += values[self.motor]
             elif code == HOME:
@@ -392,7 +315,13 @@ class _Frames:
                 value += self.time
             elif code:
                 value += self.added[code]
-            values[n] = ((value + 0x80000000) & _MASK) - 0x80000000 if layout.signed[n] else value & _MASK
+            values[n] = ((value + 0x80000000) & MASK) - 0x80000000 if layout.signed[n] else value & MASK
+
+    def _next(self, count: int) -> int:
+        """The first count from this one on of which a main frame is logged, an I frame at the latest."""
+        phase = count % self.every
+        late = (phase + self.share - 1) % self.of
+        return count + min(self.of - late, self.every - phase) if late >= self.share else count
 
     def _follows(self, kind: str, values: list[int]) -> bool:
         """Whether count and time go on from the last main frame.  Two I frames that do not, but one after the other,
@@ -417,7 +346,7 @@ class _Frames:
         at += 1
         text, resumed, ended = "", None, False
         if kind == 0:
-            _, at = _unsigned(data, at)
+            _, at = unsigned(data, at)
             text = "sync beep"
         elif kind in AUTOTUNE:
             at += AUTOTUNE[kind]
@@ -426,20 +355,20 @@ class _Frames:
             if function & 0x80:
                 at += 5
             else:
-                _, at = _signed(data, at + 1)
+                _, at = signed(data, at + 1)
             text = f"adjustment {function & 0x7F}"
         elif kind == 14:
-            count, at = _unsigned(data, at)
-            time, at = _unsigned(data, at)
+            count, at = unsigned(data, at)
+            time, at = unsigned(data, at)
             resumed, text = (count, time), "logging goes on"
         elif kind == 15:
-            reason, at = _unsigned(data, at)
+            reason, at = unsigned(data, at)
             text = f"disarmed, reason {reason}"
         elif kind == 30:
-            flags, at = _unsigned(data, at)
-            _, at = _unsigned(data, at)
+            flags, at = unsigned(data, at)
+            _, at = unsigned(data, at)
             text = f"flight mode flags {flags}"
-        elif kind == END_EVENT and data.startswith(END, at):
+        elif kind == ENDEVENT and data.startswith(END, at):
             ended, text = True, "end of log"
         else:
             return at, None
@@ -454,7 +383,7 @@ class _Frames:
 
 def _goes_on(before: tuple[int, int], here: tuple[int, int]) -> bool:
     """Neither count nor time back, nor far ahead; both are of 32 bits and may roll over."""
-    return (here[0] - before[0]) & _MASK < MOST_COUNTS and (here[1] - before[1]) & _MASK < MOST_US
+    return (here[0] - before[0]) & MASK < MOST_COUNTS and (here[1] - before[1]) & MASK < MOST_US
 
 
 # ---- the channels

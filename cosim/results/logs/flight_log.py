@@ -13,8 +13,11 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, nearest
 
-_TERM = re.compile(r"\s*([+-])?\s*(?:([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*\*\s*)?([A-Za-z_][^\s+*]*)")
+_QUOTED = r"""'[^']*'|"[^"]*\""""
+_NAME = rf"(?:deg|square)\(\s*(?:{_QUOTED})\s*\)|{_QUOTED}|[A-Za-z_][^\s+*'\"]*"
+_TERM = re.compile(rf"\s*([+-])?\s*(?:([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*\*\s*)?({_NAME})")
 DEGREE = np.pi / 180.0
+LEAST_SHARED = 0.5  # of the rows of the shorter of two channels: with fewer equal stamps they are of two clocks
 
 
 class Channel(NamedTuple):
@@ -23,6 +26,13 @@ class Channel(NamedTuple):
     times: Array
     values: Array
     unit: str = ""
+
+    def extent(self) -> dict[str, float | int | str]:
+        """How many values, over how many seconds, and at which rate; 0 where the times say none."""
+        seconds = float(self.times[-1] - self.times[0]) if len(self.times) else 0.0
+        seconds = seconds if np.isfinite(seconds) else 0.0
+        rate = (len(self.times) - 1) / seconds if seconds > 0.0 else 0.0
+        return {"values": len(self.times), "seconds": seconds, "rate_hz": rate, "unit": self.unit}
 
 
 class LogSignals(NamedTuple):
@@ -46,34 +56,70 @@ class FlightLog:
     events: Sequence[tuple[float, str]] = field(default=())
     engine: str = ""  # what flew, where the log says so
 
-    def signal(self, text: str) -> Channel:
+    def signal(self, text: str, notes: list[str] | None = None) -> Channel:
         """A channel, or a sum such as ``m1 + m2 - 0.5*m3``; ``deg(NAME)`` is one in degrees, brought to radians, and
         ``square(NAME)`` its square, as a rotor's thrust goes with that of its speed.
 
-        The terms must have the same times.  Raises InputError for a name that the log has not.
+        A text that is a channel's name is that channel; in a sum quotes hold a name with blanks or brackets:
+        ``deg('gyro (deg/s)')``.  Rows of a sum whose stamp not all of its channels have are left out, which ``notes``
+        then says.  Raises InputError for a name that the log has not, and for channels of which fewer than half the
+        rows have equal times.
         """
-        total: Array | None = None
-        times: Array | None = None
-        unit = ""
-        for factor, name in terms(text):
+        total: Channel | None = None
+        longest = 0
+        for factor, name in self._terms(text):
             taken, inner = _inner(name)
             if inner not in self.channels:
                 raise InputError(f"{self.path}: no channel {inner!r}; {nearest(inner, self.channels)}"[:600])
             channel = self.channels[inner]
-            term = factor * _TAKEN[taken](channel.values)
-            if times is None or total is None:
-                times, total, unit = channel.times, term, f"({channel.unit})^2" if taken == "square" else channel.unit
-            elif len(times) == len(channel.times) and bool(np.array_equal(times, channel.times)):
-                total = total + term
-            else:
-                raise InputError(f"{self.path}: {text!r}: its channels do not have the same times")
-        assert times is not None
+            term = channel._replace(values=factor * _TAKEN[taken](channel.values))
+            longest = max(longest, len(channel.times))
+            if total is None:
+                total = term._replace(unit=f"({channel.unit})^2" if taken == "square" else channel.unit)
+                continue
+            if not np.array_equal(total.times, term.times):
+                least = LEAST_SHARED * min(len(total.times), len(term.times))
+                total, term = _shared(total, term)
+                if not len(term.times) > least:
+                    raise InputError(f"{self.path}: {text!r}: its channels do not have the same times")
+            total = total._replace(values=total.values + term.values)
         assert total is not None
-        return Channel(times, total, unit)
+        if notes is not None and len(total.times) < longest:
+            lost = longest - len(total.times)
+            notes.append(f"{text}: {lost} of {longest} rows have a time that not all of its channels have; left out")
+        return total
+
+    def to_dict(self) -> dict[str, Any]:
+        """What the log holds, for JSON: of each channel its unit, how many values, over which time and how fast."""
+        return {
+            "log": str(self.path),
+            "kind": self.kind,
+            "notes": list(self.remarks),
+            "channels": [{"name": name, **channel.extent()} for name, channel in self.channels.items()],
+        }
 
     def has(self, text: str) -> bool:
         """Whether the log has all channels of a sum."""
-        return bool(text) and all(_inner(name)[1] in self.channels for _, name in terms(text))
+        return bool(text) and all(_inner(name)[1] in self.channels for _, name in self._terms(text))
+
+    def _terms(self, text: str) -> list[tuple[float, str]]:
+        """The factors and names of a sum, or the one channel that is called so."""
+        name = text.strip()
+        return [(1.0, repr(name))] if name in self.channels and not {"'", '"'} & set(name) else terms(text)
+
+
+def _shared(first: Channel, second: Channel) -> tuple[Channel, Channel]:
+    """The rows of two channels that have the same time, in the order of the first; of equal times the first row."""
+    times, rows = np.unique(second.times, return_index=True)
+    alone = np.zeros(len(first.times), bool)
+    alone[np.unique(first.times, return_index=True)[1]] = True
+    place = np.minimum(np.searchsorted(times, first.times), max(len(times) - 1, 0))
+    use = alone & (times[place] == first.times) if len(times) else alone & False
+    kept = rows[place[use]] if len(times) else rows[:0]
+    return (
+        first._replace(times=first.times[use], values=first.values[use]),
+        second._replace(times=second.times[kept], values=second.values[kept]),
+    )
 
 
 _TAKEN: dict[str, Callable[[Array], Array]] = {
@@ -84,9 +130,15 @@ _TAKEN: dict[str, Callable[[Array], Array]] = {
 
 
 def _inner(name: str) -> tuple[str, str]:
-    """What is made of a channel in a term, such as ``deg(NAME)``, and the channel."""
+    """What is made of a channel in a term, such as ``deg(NAME)``, and the channel, without its quotes."""
     taken, bracket, rest = name.partition("(")
-    return (taken, rest[:-1]) if bracket and taken in _TAKEN and rest.endswith(")") else ("", name)
+    if bracket and taken in _TAKEN and rest.endswith(")"):
+        return taken, _unquoted(rest[:-1].strip())
+    return "", _unquoted(name)
+
+
+def _unquoted(name: str) -> str:
+    return name[1:-1] if len(name) > 1 and name[0] == name[-1] and name[0] in "'\"" else name
 
 
 def numbers(values: Any) -> Array:
@@ -101,7 +153,10 @@ def terms(text: str) -> list[tuple[float, str]]:
     while at < len(text.rstrip()):
         match = _TERM.match(text, at)
         if match is None or (at > 0 and match.group(1) is None):
-            raise InputError(f"{text!r}: is no sum of channels, such as m1 + m2 - 0.5*m3 (blanks around + and -)")
+            raise InputError(
+                f"{text!r}: is no sum of channels, such as m1 + m2 - 0.5*m3 (blanks around + and -, quotes around a "
+                "name with blanks or brackets: deg('gyro (deg/s)'))"
+            )
         sign, factor, name = match.groups()
         summands.append(((-1.0 if sign == "-" else 1.0) * (float(factor) if factor else 1.0), name))
         at = match.end()

@@ -1,9 +1,9 @@
-"""ULog, as PX4 writes it, read by pyulog."""
+"""ULog, as PX4 writes it, read by pyulog in a process of its own."""
 
 from __future__ import annotations
 
-import contextlib
-import io
+import json
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +11,19 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.base.storage.files import one_line
-from cosim.results.logs.flight_log import Channel, FlightLog, numbers
+from cosim.results.logs import apart
+from cosim.results.logs.flight_log import Channel, FlightLog
+
+MAGIC = b"ULog\x01\x12\x35"
+HEAD_BYTES = 16
+MOST_S, MOST_S_A_MB = 20.0, 3.0  # of CPU, to begin with and for every MB: some ten times what pyulog takes
+MOST_MB, MOST_MB_A_MB = 2048.0, 40.0  # of address space; what is resident is ten times the file
+_PROGRAM = Path(__file__).with_name("ulog_child.py")
 
 
 def recognises(head: bytes) -> bool:
     """Whether a file begins so."""
-    return head.startswith(b"ULog\x01\x12\x35")
+    return head.startswith(MAGIC)
 
 
 def read(path: Path) -> FlightLog:
@@ -26,47 +32,59 @@ def read(path: Path) -> FlightLog:
     Times are those of ``timestamp_sample`` where a topic has it: when it was measured, not when it was published.
     Raises InputError.
     """
+    if find_spec("pyulog") is None:
+        raise InputError("a ULog needs pyulog, which is not installed: pip install 'hexjet-cosim[logs]'")
+    size = path.stat().st_size / 2**20
+    limits = MOST_S + MOST_S_A_MB * size, MOST_MB + MOST_MB_A_MB * size
     try:
-        from pyulog import ULog
-    except ModuleNotFoundError as error:
-        if error.name != "pyulog":
-            raise
-        raise InputError("a ULog needs pyulog, which is not installed: pip install 'hexjet-cosim[logs]'") from None
-    output = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(output), path.open("rb") as file:
-            log = ULog(file)
-    except Exception as error:  # what the library raises for a file that is wrong is of no one kind
-        raise InputError(f"{path}: cannot be read as ULog: {one_line(error)}") from error
-    channels = {}
-    untimed: list[str] = []
-    for topic in log.data_list:
-        stamp = topic.data.get("timestamp_sample", topic.data.get("timestamp"))
-        if stamp is None:
-            untimed.append(topic.name)
-            continue
-        times = 1e-6 * np.asarray(stamp, np.float64)
-        if topic.name == "hexjet_thrust":  # ours: what the engine has at the end of the step that the message is of
-            times = times + _step(log, times)
-        name = topic.name + (f"#{topic.multi_id}" if topic.multi_id else "")
-        for field, values in topic.data.items():
-            if not field.startswith("timestamp"):
-                channels[f"{name}.{field}"] = Channel(times, numbers(values))
+        answer = apart.run_apart(_PROGRAM, [str(path)], *limits)
+    except apart.EndedError as error:
+        raise InputError(f"{path}: cannot be read as ULog: it is damaged; the reader {error}") from None
+    head, _, numbers = answer.partition(b"\n")
+    said = json.loads(head)
+    if "error" in said:
+        raise InputError(f"{path}: cannot be read as ULog: {said['error']}")
+    channels = _channels(said, np.frombuffer(numbers, "<f8"))
     if not channels:
         raise InputError(f"{path}: the ULog holds no data: it was cut short before the first message, or damaged")
-    remarks = [f"left out, having no time: {', '.join(untimed)}"] if untimed else []
-    if log.file_corruption or output.getvalue().strip():
+    remarks = [f"left out, having no time: {', '.join(said['untimed'])}"] if said["untimed"] else []
+    if said["damaged"]:
         remarks.append("parts of the file are damaged and were passed over")
-    if log.dropouts:
-        lost = 1e-3 * sum(dropout.duration for dropout in log.dropouts)
-        remarks.append(f"{len(log.dropouts)} times the logger lost data, {lost:.1f} s together")
-    events = [(1e-6 * message.timestamp, str(message.message)) for message in log.logged_messages]
+    elif not _ends(path.read_bytes()):
+        remarks.append("the log was cut short, or the power went: it ends within a message")
+    if lost := said["lost"]:
+        remarks.append(f"{len(lost)} times the logger lost data, {1e-3 * sum(lost):.1f} s together")
+    events = [(1e-6 * at, text) for at, text in said["events"]]
     return FlightLog(path, "ULog", channels, tuple(remarks), events)
 
 
-def _step(log: Any, times: Array) -> float:
+def _channels(said: dict[str, Any], numbers: Array) -> dict[str, Channel]:
+    channels = {}
+    at = 0
+    for topic in said["topics"]:
+        fields, rows = topic["fields"], topic["rows"]
+        count = (1 + len(fields)) * rows
+        table = numbers[at : at + count].reshape(1 + len(fields), rows)
+        at += count
+        times = 1e-6 * table[0]
+        if topic["name"] == "hexjet_thrust":  # ours: what the engine has at the end of the step that the message is of
+            times = times + _step(said["step"], times)
+        name = topic["name"] + (f"#{topic['instance']}" if topic["instance"] else "")
+        for field, values in zip(fields, table[1:], strict=True):
+            channels[f"{name}.{field}"] = Channel(times, values)
+    return channels
+
+
+def _step(stated: float | None, times: Array) -> float:
     """The control step of a log of ours: stated where it is not the default, which is as often as rows are written."""
-    stated = log.initial_parameters.get("step_s")
     if stated is not None or times.size < 2:
-        return float(stated or 0.0)
+        return stated or 0.0
     return float(np.median(np.diff(times)))
+
+
+def _ends(data: bytes) -> bool:
+    """Whether the last message ends where the file does: each says its size first."""
+    at, end = HEAD_BYTES, len(data)
+    while at + 3 <= end:
+        at += 3 + (data[at] | data[at + 1] << 8)
+    return at == end
