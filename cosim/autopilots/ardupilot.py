@@ -13,15 +13,29 @@ from pathlib import Path
 from struct import Struct
 from time import monotonic
 
-from cosim.autopilots.lockstep import LOCAL, STICKS_S, Answer, Counts, Frame, Program, Sticks, Waiting, listen, pulse
+from cosim.autopilots.lockstep import (
+    LOCAL,
+    STICKS_S,
+    Answer,
+    Counts,
+    Frame,
+    Handling,
+    Program,
+    Sticks,
+    Waiting,
+    listen,
+    pulse,
+)
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.limits import clamp, clip
 from cosim.spec.vehicle import Vehicle
 
 PORT, RC_PORT, APART = 9002, 5501, 10
-BEFORE_S = 40.0  # chosen by us: until its estimator has a position, without which it does not arm
-ANGLE_LIMIT_DEG, YAW_RATE_DEG_S = 30, 202  # ANGLE_MAX, and PILOT_Y_RATE as it ships
+# Without a position of its estimator it does not arm, which 40 s are for: chosen by us.  It holds its motors for 2 s
+# (ARMING_DELAY_SEC) after it was armed, and lets them go within 1 s (twice MOT_SPOOL_TIME) once throttle is raised.
+# Full stick: ANGLE_MAX, and PILOT_Y_RATE as it ships.
+HANDLING = Handling(before_s=40.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0)
 _SERVOS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by their magic: frame rate, frame count, pulses [us]
 _STICKS = Struct("<16H")
 # One line between two ends of lines; its parser wants no blank behind a colon, and one behind a comma.

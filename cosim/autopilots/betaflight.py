@@ -26,6 +26,7 @@ from cosim.autopilots.lockstep import (
     Answer,
     Counts,
     Frame,
+    Handling,
     Program,
     Waiting,
     drain,
@@ -68,9 +69,9 @@ MOST_GAIN = 250
 # By the first state it sets its clock, and by the second, which it takes for late, the rate of that: it runs no loop
 # until the third.  They come long before the flight.
 _SETTING = 2
-BEFORE_S = 6.0  # that it is told of before the flight: its grace time of 5 s after it began, and its gyro's zero
-ANGLE_LIMIT_DEG = 45  # of full stick; chosen by us: what the scenarios lean, with room
-YAW_RATE_DEG_S = 90  # of full stick; chosen by us
+# Before the flight: its grace time of 5 s after it began, and its gyro's zero.  Full stick is chosen by us: what the
+# scenarios lean, with room.
+HANDLING = Handling(before_s=6.0, arming_s=1.5, throttle_s=0.5, lean_deg=45.0, turn_deg_s=90.0)
 TILT_WEIGHT = 0.1  # of pitch and yaw on the outputs that carry the tilts; chosen by us, see mixing()
 _FULL_SUM = 500.0  # of an axis, its pidsum_limit: the whole range of a servo
 _SUM_TO_MOTOR = 1.0 / 1000.0  # PID_MIXER_SCALING
@@ -141,10 +142,10 @@ def fixed(vehicle: Vehicle) -> list[str]:
         "set rates_type = ACTUAL",
         *[
             f"set {axis}_{key} = {value}"
-            for axis, full in (("roll", 36), ("pitch", 36), ("yaw", YAW_RATE_DEG_S // 10))
+            for axis, full in (("roll", 36), ("pitch", 36), ("yaw", round(HANDLING.turn_deg_s / 10.0)))
             for key, value in (("rc_rate", full), ("srate", full), ("expo", 0))
         ],
-        f"set angle_limit = {ANGLE_LIMIT_DEG}",
+        f"set angle_limit = {HANDLING.lean_deg:g}",
         "aux 0 0 0 1700 2100 0 0",  # armed by the first switch
         "aux 1 1 1 1700 2100 0 0",  # levels itself by the second
         "aux 2 28 1 1700 2100 0 0",  # and keeps its attitude at low throttle (air mode)

@@ -7,7 +7,7 @@ from math import radians
 
 import numpy as np
 
-from cosim.autopilots.lockstep import Answer, Autopilot, Frame, Sticks
+from cosim.autopilots.lockstep import Answer, Autopilot, Frame, Handling, Sticks
 from cosim.autopilots.pilot import Pilot
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
@@ -18,8 +18,6 @@ from cosim.control.allocation.reallocation import torques
 from cosim.control.belief import Belief
 from cosim.control.cascade import Cascade
 from cosim.simulation.controllers.recorded import COLUMNS, Row
-
-ARMING_S, THROTTLE_S = 1.5, 0.5  # before the flight: armed with the throttle closed; the throttle of hover
 
 
 class OutsideRates:
@@ -59,8 +57,8 @@ class OutsideRates:
 class AutopilotBlock:
     """A controller of the level ``controller`` whose every update is one frame to an autopilot, and its answer to that.
 
-    ``before`` s pass between the autopilot's first frame and the flight's first step, in which the vehicle stands in a
-    stand as it begins the flight: level or not, still, on its engines of a flight that has begun.  In that time the
+    The time of ``handling`` passes between the autopilot's first frame and the flight's first step.  In it the vehicle
+    stands in a stand as it begins the flight: level or not, still, on its engines of a flight that has begun; the
     autopilot calibrates and is armed.  ``rows``: what it answered in the flight, step by step.
     ``truth``: the true motion, for the autopilot's own log.  ``rates``: flies in the place of its rate loop.
     """
@@ -68,11 +66,8 @@ class AutopilotBlock:
     level = "controller"
     columns = COLUMNS
 
-    def __init__(
-        self, autopilot: Autopilot, label: str, before: float, lean_deg: float, turn_deg_s: float, seed: int
-    ) -> None:
-        self._autopilot, self._label, self._before = autopilot, label, before
-        self._lean, self._turn, self._seed = radians(lean_deg), radians(turn_deg_s), seed
+    def __init__(self, autopilot: Autopilot, label: str, handling: Handling, seed: int) -> None:
+        self._autopilot, self._label, self._handling, self._seed = autopilot, label, handling, seed
         self.rows: list[Row] = []
         self.shown: tuple[float, ...] = (0.0, 0.0)
         self._frames = 0
@@ -88,7 +83,7 @@ class AutopilotBlock:
                 "tilting banks; not of hinges, surfaces and other axes"
             )
         self._belief = belief
-        self._pilot = Pilot(belief, self._lean, self._turn)
+        self._pilot = Pilot(belief, radians(self._handling.lean_deg), radians(self._handling.turn_deg_s))
 
     def reset(self) -> None:
         """Before the flight."""
@@ -105,8 +100,9 @@ class AutopilotBlock:
         sensors, dt = self._belief.vehicle.sensors, self._belief.step_s
         draw = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(5,))).standard_normal
         force = rotate(conjugate(measured.attitude), (0.0, 0.0, -GRAVITY))
-        steps = round(self._before / dt)
-        arming, throttle = steps - round(ARMING_S / dt), steps - round(THROTTLE_S / dt)
+        handling = self._handling
+        steps = round(handling.before_s / dt)
+        arming, throttle = steps - round(handling.arming_s / dt), steps - round(handling.throttle_s / dt)
         answer = None
         for k in range(steps):
             sticks = Sticks(throttle=self._pilot.hover if k >= throttle else 0.0, armed=k >= arming)
@@ -117,7 +113,7 @@ class AutopilotBlock:
             )
             answer = self._exchange(still, sticks, ())
         if answer is None or not answer.armed:
-            raise FlightError(f"{self._label} was not armed within {self._before:g} s")
+            raise FlightError(f"{self._label} was not armed within {handling.before_s:g} s")
 
     def update(self, command: Command, measured: Measured, applied: Applied) -> Actuation:
         """One step.  Raises FlightError where the autopilot does not answer."""

@@ -79,6 +79,22 @@ class Counts:
     longest_s: float = 0.0  # of the clock, that the autopilot took for an answer
 
 
+@dataclass(frozen=True)
+class Handling:
+    """How an autopilot is brought to its flight, and what full stick is for it; each autopilot's module states its own.
+
+    The vehicle stands in a stand for ``before_s``.  The autopilot is armed with the throttle closed ``arming_s`` before
+    the flight, and the throttle goes to that of hover ``throttle_s`` before it: early enough for all that it holds back
+    after either.
+    """
+
+    before_s: float  # from the autopilot's first frame to the flight's first step
+    arming_s: float
+    throttle_s: float
+    lean_deg: float  # of full stick
+    turn_deg_s: float  # of full stick
+
+
 class Autopilot(Protocol):
     """One autopilot and the way to it."""
 

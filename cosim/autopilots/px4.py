@@ -21,6 +21,7 @@ from cosim.autopilots.lockstep import (
     Answer,
     Counts,
     Frame,
+    Handling,
     Program,
     Sticks,
     Waiting,
@@ -37,8 +38,9 @@ from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.atmosphere import standard_air
 
 PORT = 4560
-BEFORE_S = 30.0  # chosen by us: EKF2 wants some 10 s of GNSS, and arming looks at 10 s of health
-ANGLE_LIMIT_DEG, YAW_RATE_DEG_S = 35, 150  # MPC_MAN_TILT_MAX and MPC_MAN_Y_MAX as they ship
+# EKF2 wants some 10 s of GNSS, and arming looks at 10 s of health: 30 s chosen by us.  Full stick: MPC_MAN_TILT_MAX and
+# MPC_MAN_Y_MAX as they ship.
+HANDLING = Handling(before_s=30.0, arming_s=1.5, throttle_s=0.5, lean_deg=35.0, turn_deg_s=150.0)
 _IMU, _MAG, _BARO = 7 | 56, 448, 6656  # fields_updated
 _MAG_EVERY, _BARO_EVERY = 0.008, 0.02  # s
 _ARMED = 128  # of mode

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from cosim.autopilots.block import AutopilotBlock, OutsideRates
-from cosim.autopilots.lockstep import Autopilot, Counts
+from cosim.autopilots.lockstep import Autopilot, Counts, Handling
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Observer
 from cosim.base.signals import Sample, Vector3
@@ -86,10 +86,8 @@ def fly_autopilot(
     autopilot: Autopilot,
     label: str,
     folder: Path,
+    handling: Handling,
     *,
-    before: float,
-    lean_deg: float,
-    turn_deg_s: float,
     files: Sequence[Path] = (),
     details: dict[str, Any] | None = None,
     observers: Sequence[Observer] = (),
@@ -99,7 +97,7 @@ def fly_autopilot(
 ) -> AutopilotRun:
     """Fly a scenario with an autopilot in the place of the controller, and close that.
 
-    ``before``, ``lean_deg``, ``turn_deg_s``: see :class:`AutopilotBlock`.  ``files``: what flew, to be hashed.
+    ``handling``: see :class:`cosim.autopilots.lockstep.Handling`.  ``files``: what flew, to be hashed.
     ``details``: what the run's lockstep.json says of it beside the counts.  ``rates``: in the place of its rate loop.
     ``page``: whether to make one.  A crash, an autopilot that ends or hangs, and Ctrl-C are outcomes, and the run is
     kept.  Raises InputError for what cannot be flown, and FlightError for an autopilot that does not begin; there is no
@@ -116,7 +114,7 @@ def fly_autopilot(
                 f"{known.name}: is flown by effectiveness; the outputs and parameters of an autopilot are known here "
                 "for two banks, and for jets that all point straight up"
             )
-        block = AutopilotBlock(autopilot, label, before, lean_deg, turn_deg_s, scenario.seed)
+        block = AutopilotBlock(autopilot, label, handling, scenario.seed)
         block.rates = rates
         own = Source(
             f"autopilot:{label}",

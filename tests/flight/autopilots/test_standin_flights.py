@@ -14,7 +14,7 @@ from autopilot_standins import ArduPilotStandIn, Px4StandIn
 from patience import PATIENCE
 
 from cosim.autopilots.ardupilot import ArduPilot
-from cosim.autopilots.lockstep import Autopilot
+from cosim.autopilots.lockstep import Autopilot, Handling
 from cosim.autopilots.parameters import px4_outside, px4_torque
 from cosim.autopilots.px4 import Px4
 from cosim.autopilots.run import AutopilotRun, fly_autopilot, outside_rates
@@ -27,10 +27,11 @@ from cosim.spec.scenario import Scenario
 HOVER = Scenario.load("hover").replace(duration_s=1.0, engine="edf")
 VEHICLE = HOVER.resolved_vehicle()[0]
 PLACE = Geodesy(22.35, 113.59)
+HANDLING = Handling(before_s=2.0, arming_s=1.5, throttle_s=0.5, lean_deg=35.0, turn_deg_s=150.0)
 
 
 def fly_it(autopilot: Autopilot, label: str, folder: Path, scenario: Scenario = HOVER) -> AutopilotRun:
-    return fly_autopilot(scenario, autopilot, label, folder, before=2.0, lean_deg=35.0, turn_deg_s=150.0)
+    return fly_autopilot(scenario, autopilot, label, folder, HANDLING)
 
 
 def same_again(flown: AutopilotRun, folder: Path) -> None:
@@ -97,7 +98,7 @@ def test_a_rate_loop_of_ours_hears_what_px4_asks_for(tmp_path: Path) -> None:
             heard.append(rates.rate_setpoint)
 
     flown = fly_autopilot(
-        scenario, ours, "px4", tmp_path / "run", before=2.0, lean_deg=35.0, turn_deg_s=150.0, rates=rates,
+        scenario, ours, "px4", tmp_path / "run", HANDLING, rates=rates,
         observers=[Heard()],
     )  # fmt: skip
     theirs.thread.join(PATIENCE)

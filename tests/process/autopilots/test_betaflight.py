@@ -74,8 +74,7 @@ def made(scenario: Scenario, folder: Path, gains: str = "vehicle", limit: float 
 
 def fly_with(autopilot: theirs.Betaflight, scenario: Scenario, folder: Path, **more: Any) -> AutopilotRun:
     return fly_autopilot(
-        scenario, autopilot, "betaflight", folder, before=theirs.BEFORE_S, lean_deg=theirs.ANGLE_LIMIT_DEG,
-        turn_deg_s=theirs.YAW_RATE_DEG_S, **more,
+        scenario, autopilot, "betaflight", folder, theirs.HANDLING, **more,
     )  # fmt: skip
 
 
@@ -94,7 +93,7 @@ def test_sixty_seconds_with_designed_gains_and_not_one_step_lost(minute: Autopil
     counts, run = minute.counts, minute.run
     assert run.summary.as_planned, run.reason
     assert (counts.boot, counts.answers, counts.repeated, counts.foreign) == (2, counts.frames - 2, 0, 0)
-    assert counts.frames == round(theirs.BEFORE_S / 0.004) + 15000
+    assert counts.frames == round(theirs.HANDLING.before_s / 0.004) + 15000
     assert all(run.metrics[axis].max_abs_error_rad < np.radians(1.0) for axis in ("roll", "pitch"))
     assert np.all(run.log["autopilot_armed"] == 1.0)
     books = json.loads((run.folder / LOCKSTEP).read_text()) if run.folder else {}

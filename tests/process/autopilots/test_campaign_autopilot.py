@@ -57,7 +57,7 @@ def test_betaflight_flies_a_study_and_any_flight_of_it_again(tmp_path: Path) -> 
     assert columns["success"] == [True, False]
     assert columns["autopilot_missing"] == [0, 0]
     steps = [int(count) for count in columns["steps"]]
-    before = round(betaflight.BEFORE_S / 0.004)  # and the step in which a flight is over has no further state
+    before = round(betaflight.HANDLING.before_s / 0.004)  # and the step in which a flight is over has no further state
     assert [int(count) - steps[k] - before for k, count in enumerate(columns["autopilot_frames"])] == [0, -1]
     assert columns["log_sha256"][0] != columns["log_sha256"][1]
     again = fly_again(open_campaign(tmp_path / "delays"), 1, tmp_path / "again")

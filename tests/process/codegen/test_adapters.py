@@ -280,8 +280,7 @@ def flown_inside(binary: Path, folder: Path) -> Run:
     lines = [*theirs.gains_of(vehicle), "set pidsum_limit_yaw = 500"]
     autopilot = theirs.Betaflight(binary, folder / "betaflight", vehicle, doublet.step_s, lines, free_port(), 60.0)
     return fly_autopilot(
-        doublet, autopilot, "betaflight", folder, before=theirs.BEFORE_S, lean_deg=theirs.ANGLE_LIMIT_DEG,
-        turn_deg_s=theirs.YAW_RATE_DEG_S,
+        doublet, autopilot, "betaflight", folder, theirs.HANDLING,
     ).run  # fmt: skip
 
 
