@@ -61,7 +61,7 @@ def begin_fmus(engines: Path, fmus: Path) -> subprocess.Popen[bytes]:
     """Build them in a process of its own: most of the time one compiler is at the one large file of the modules."""
     words = [str(path) for path in (ROOT / "cosim" / "engine" / "build.py", engines, fmus)]
     quiet = subprocess.DEVNULL
-    return subprocess.Popen([sys.executable, "-c", BUILD_FMUS, *words], stdin=quiet, stdout=quiet, stderr=quiet)
+    return subprocess.Popen([sys.executable, "-P", "-c", BUILD_FMUS, *words], stdin=quiet, stdout=quiet, stderr=quiet)
 
 
 def build_messages(package: Path) -> Path:

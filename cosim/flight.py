@@ -303,9 +303,8 @@ def copied_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) 
     stated = {
         engine: None for engine in (vehicle.engine, *(jet.engine for jet in vehicle.jets)) if engine and is_file(engine)
     }
-    specs = {
-        (place / engine).resolve(): load_engine(str(place / engine), {}, vehicle.control_step) for engine in stated
-    }
+    step, sources = vehicle.control_step, [place / engine for engine in stated]
+    specs = {source.resolve(): load_engine(str(source), {}, step, apart=True) for source in sources}
     names = engine_files(list(specs.values()), files)
     table = _with_engines(table, place, {source: names[id(spec)] for source, spec in specs.items()})
     own[f"{vehicle.name}-{VEHICLE}"] = toml_text(_written(table)).encode()

@@ -35,7 +35,7 @@ folder = new_folder(Path("runs"), "own-engine")
 folder.mkdir(parents=True)
 (folder / "mine.py").write_text(SOURCE)
 subprocess.run(
-    [sys.executable, "-m", "pythonfmu3", "build", "-f", "mine.py", "-d", "."],
+    [sys.executable, "-P", "-m", "pythonfmu3", "build", "-f", "mine.py", "-d", "."],
     cwd=folder,
     check=True,
     capture_output=True,

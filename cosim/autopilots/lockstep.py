@@ -18,7 +18,7 @@ from typing import NamedTuple, Protocol
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.limits import clamp
-from cosim.base.runtime.processes import end_group
+from cosim.base.runtime.processes import Child
 from cosim.base.signals import PerJet, Quaternion, State, Vector3
 
 LOCAL = "127.0.0.1"
@@ -123,14 +123,13 @@ class Program:
             command = [sys.executable, "-I", "-S", "-c", _TIED, *command]
         try:
             with log.open("ab") as output:
-                self.process = subprocess.Popen(
+                self.process = Child(
                     command,
+                    os.environ | environment,
                     cwd=folder,
-                    env=os.environ | environment,
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=subprocess.STDOUT,
-                    process_group=0,
                 )
         except OSError as error:
             raise InputError(f"{command[0]}: cannot be started: {error.strerror or error}") from error
@@ -145,7 +144,7 @@ class Program:
 
     def close(self) -> None:
         """End it; may be called twice."""
-        end_group(self.process)
+        self.process.end()
 
 
 def stated_program(stated: Path | None, variable: str) -> Path | None:

@@ -30,7 +30,7 @@ from cosim.design.controller_file import ControllerFile, purpose_of, read_contro
 from cosim.design.controller_table import controller_table
 from cosim.design.design import design
 from cosim.design.tune import Requirements
-from cosim.engine import EngineBank, engine_names, load_engine
+from cosim.engine import engine_names, load_engine, make_bank
 from cosim.engine.wrappers import EngineChain
 from cosim.flight import fly
 from cosim.results.report.marks import check_marks, table, write_marks
@@ -178,7 +178,7 @@ class ThrustCourses:
 
         spec = self._spec
         courses = []
-        with EngineBank(spec, 1, STEP_S) as bank:
+        with make_bank([spec], STEP_S) as bank:
             engines = EngineChain(bank, [spec.flame_out], lambda _: engine_reference(spec, STEP_S).lag, STEP_S)
             engines.reset(self._hover)
             for k in range(self._steps):

@@ -134,7 +134,8 @@ def _values(base: Scenario, vary: Vary, sources: dict[str, Path | bytes]) -> lis
         if vary.key == "aircraft" and isinstance(value, str) and is_own(value):
             value = copied_vehicle(value, base.folder, sources)
         elif isinstance(value, str) and is_file(value):
-            spec: EngineSpec = load_engine(str(base.folder / value), {}, base.step_s, unchecked=base.engine_unchecked)
+            file, unchecked, apart = str(base.folder / value), base.engine_unchecked, base.engine_isolated
+            spec: EngineSpec = load_engine(file, {}, base.step_s, unchecked=unchecked, apart=apart)
             value = engine_files([spec], sources)[id(spec)]
         values.append(value)
     return values

@@ -157,9 +157,8 @@ def differences(scenario: Scenario, path: Path) -> list[str]:
 
     file = validate(ControllerFile, read_toml(path), str(path))
     made = file.design
-    spec = load_engine(
-        str(scenario.engine), scenario.engine_parameters, scenario.step_s, unchecked=scenario.engine_unchecked
-    )
+    engine, unchecked, apart = str(scenario.engine), scenario.engine_unchecked, scenario.engine_isolated
+    spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, apart=apart)
     lines = []
     if made.engine_sha256 not in (spec.identity, spec.sha256):
         lines.append(f"designed for engine {made.engine} ({made.engine_sha256[:12]}), flown with {spec.name} "

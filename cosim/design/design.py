@@ -203,8 +203,8 @@ def design(
     for name in names:
         designable(name, f"--controller {name}", ["auto"])
     scenario, vehicle = _scenario(engine, aircraft, settings)
-    unchecked = scenario.engine_unchecked
-    spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked)
+    engine, unchecked, apart = scenario.engine, scenario.engine_unchecked, scenario.engine_isolated
+    spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, apart=apart)
     share = hover_share(vehicle, spec)
     limits = vehicle.control.allocation
     if not limits.throttle_min < share < limits.throttle_max:
@@ -382,9 +382,7 @@ def identify_there(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, ampli
         # an engine that never stands still has to be moved by more than it moves by itself
         own = ABOVE_REST * spec.archive.starting.rest_n / (spec.curve.thrust[-1] - spec.curve.thrust[0])
         amplitude = min(max(SWING, own), 0.4 * min(throttle, 1.0 - throttle))
-    return identify_engine(
-        scenario.engine, scenario.engine_parameters, step=scenario.step_s, throttle=throttle, amplitude=amplitude
-    )
+    return identify_engine(spec, step=scenario.step_s, throttle=throttle, amplitude=amplitude)
 
 
 def dynamics_of(identified: Identification, unsure: tuple[tuple[float, float], ...] = ()) -> Dynamics:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -16,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cosim.base.runtime.processes import python_command, run_child
 from cosim.engine.fmu.container import one_line
 from cosim.results.report import marks
 
@@ -101,14 +101,7 @@ def judged(made: dict[str, Any]) -> tuple[str, str, str]:
 def _run(arguments: Sequence[str], limit: float) -> tuple[int, dict[str, Any] | None, str]:
     """Status, what was printed as JSON, and what was said otherwise."""
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", _MAIN, *arguments],
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=limit,
-            check=False,
-        )
+        done = run_child(python_command(_MAIN, *arguments), limit)
     except subprocess.TimeoutExpired:
         return -1, None, f"not done within {limit:g} s"
     complaints = [line for line in done.stderr.splitlines() if line.startswith("hexjet: ") and "warning:" not in line]

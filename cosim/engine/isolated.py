@@ -13,15 +13,14 @@ import signal
 import socket
 import struct
 import subprocess
-import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
-from cosim.base.compiled import environment
 from cosim.base.errors import EngineError, InputError
 from cosim.base.protocols import Column
-from cosim.base.runtime.processes import reap
+from cosim.base.runtime.processes import Child, python_command
 from cosim.base.signals import Ambient, EngineOutput, PerJet
 from cosim.engine.bank import EngineBank, logged_columns
 from cosim.engine.fmu.port_kinds import AMBIENT
@@ -32,7 +31,7 @@ START_S = 120.0  # to be loaded, started and run up, which a flight does once
 CLOSE_S = 2.0  # to be freed
 MOST_MB = 1024.0  # resident, of the engines' process: as a check allows (cosim.engine.qualify.supervisor.Limits)
 LOOKED_AT = 250  # steps between two looks at that: a second
-_SERVE = "import sys; from cosim.engine.isolated import serve; serve(int(sys.argv[1]))"
+_SERVE = "from cosim.engine.isolated import serve; serve(int(sys.argv[1]))"
 
 
 class IsolatedBank:
@@ -51,13 +50,12 @@ class IsolatedBank:
         self._row, self._answer = _frames(self._count)
         ours, theirs = socket.socketpair()
         with theirs:
-            self._child = subprocess.Popen(
-                [sys.executable, "-c", _SERVE, str(theirs.fileno())],
+            self._child = Child(
+                python_command(_SERVE, str(theirs.fileno())),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
-                env=environment(),
             )
         self._pipe = Connection(ours.detach())
         try:
@@ -107,11 +105,15 @@ class IsolatedBank:
     def close(self) -> None:
         """End the child, by force if it takes long.  May be called again."""
         self._pipe.close()
-        try:
+        with suppress(subprocess.TimeoutExpired):
             self._child.wait(CLOSE_S)
-        except subprocess.TimeoutExpired:
-            self._child.kill()
-            reap(self._child)
+        self._child.end()
+
+    def __enter__(self) -> IsolatedBank:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def _ask(self, question: tuple[Any, ...], limit: float, moment: str) -> Any:
         return self._read(self._exchange(b"p" + pickle.dumps(question), limit, moment))
@@ -131,8 +133,7 @@ class IsolatedBank:
                 return self._pipe.recv_bytes()
         except (EOFError, OSError):
             raise EngineError(f"engines ({self._names}): {self._ended()} {moment}") from None
-        self._child.kill()
-        self._child.wait()
+        self._child.end()
         raise EngineError(f"engines ({self._names}): no answer within {limit:g} s {moment}: a call to the FMU hangs")
 
     def _ended(self) -> str:
@@ -143,6 +144,16 @@ class IsolatedBank:
         if status < 0:
             return f"its process crashed ({signal.Signals(-status).name})"
         return f"its process ended by itself (exit status {status})"
+
+
+def make_bank(specs: Sequence[EngineSpec], step: float, in_flight: bool = False) -> EngineBank | IsolatedBank:
+    """Return a bank of engines, in a process of its own where one of them asks for that.
+
+    Raises InputError or EngineError as :class:`cosim.engine.EngineBank` does.
+    """
+    if any(spec.isolated for spec in specs):
+        return IsolatedBank(specs, step, in_flight)
+    return EngineBank(specs, len(specs), step, in_flight)
 
 
 def _frames(count: int) -> tuple[struct.Struct, struct.Struct]:

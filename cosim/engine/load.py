@@ -39,8 +39,8 @@ def load_unchecked(
     The engine is an FMI 2.0 or 3.0 co-simulation FMU, by its name in the library, by path, or by the path of a mapping
     file; see ``cosim.engine.fmu.mapping`` for it, ``ports`` for how its ports are found.
 
-    What is ``measured`` already is taken as it is; ``foreign`` measures an engine that is not of the library, from what
-    is asked for and the air, where this process should not.
+    What is ``measured`` already is taken as it is; ``foreign`` measures the engine, from what is asked for and the
+    air, where this process should not.
 
     ``air``: in which it is measured, if it has a port for any of it; without one it is the same in every air.
 
@@ -56,8 +56,10 @@ def load_unchecked(
     ledger = engine.ledger if engine else {}
     delay = resolved.get(ledger.get("delay", ""))
     try:
-        if measured is None and foreign is not None and engine is None:
+        if measured is None and foreign is not None:
             measured = foreign(name_or_path, parameters, step, air)
+            if engine is not None:
+                measured = measured._replace(small=None)
         elif measured is None:
             measured = measure_once(archive, settings, start, step, air, small=engine is None)
     except (InstanceError, ResponseError) as error:

@@ -35,10 +35,9 @@ from cosim.control.schedule import GainSchedule
 from cosim.control.wing import WingFlight, WingTable
 from cosim.engine import (
     Air,
-    EngineBank,
     EngineSpec,
-    IsolatedBank,
     load_engine,
+    make_bank,
 )
 from cosim.engine.fmu.port_kinds import ASIDE
 from cosim.engine.wrappers import EngineChain
@@ -111,13 +110,10 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
         controller = _cascade(scenario, vehicle, engine, stations, plugged)
         airframe = Airframe(flown, folder, scenario.environment, step, scenario.substeps, scenario.seed, rotors.any)
         made.callback(airframe.close)
-        apart = scenario.engine_isolated or any(spec.isolated for spec in stations)
         in_flight = _starts_in_flight(scenario, stations)
         aside = [{port for port in ASIDE if spec.has(port)} for spec in stations]
         aside = aside if any(aside) else []
-        bank = (
-            IsolatedBank(stations, step, in_flight) if apart else EngineBank(stations, len(stations), step, in_flight)
-        )
+        bank = make_bank(stations, step, in_flight)
         made.callback(bank.close)
         engines = EngineChain(
             bank,
@@ -246,8 +242,8 @@ def _engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
         if key not in known:
             # a file is seen from the scenario's folder
             source = str(scenario.folder / engine) if is_file(engine) else engine
-            unchecked = scenario.engine_unchecked
-            known[key] = load_engine(source, parameters, scenario.step_s, unchecked=unchecked, air=air)
+            unchecked, apart = scenario.engine_unchecked, scenario.engine_isolated
+            known[key] = load_engine(source, parameters, scenario.step_s, unchecked=unchecked, air=air, apart=apart)
         return known[key]
 
     def at(station: Station) -> EngineSpec:

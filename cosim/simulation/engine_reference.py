@@ -5,9 +5,10 @@ from __future__ import annotations
 from itertools import pairwise
 from math import exp
 
+from cosim.base.protocols import Engines
 from cosim.base.storage.cache import Memory
 from cosim.control.allocation.engine_monitor import EngineReference
-from cosim.engine import EngineBank, EngineSpec
+from cosim.engine import EngineSpec, make_bank
 
 _AROUND = (0.4, 0.6)  # throttle; chosen by us: about hover, wide enough for the lag and not for the limits
 _OTHERS = ((0.6, 0.4), (0.0, 0.2), (0.2, 0.0), (0.0, 1.0), (1.0, 0.0))  # where a real engine's lag is another one
@@ -32,7 +33,7 @@ def _measure(spec: EngineSpec, step: float) -> EngineReference:
     lag, delay = spec.lag, spec.delay
     lags = (lag, lag)
     speed: list[float] | None = None
-    with EngineBank(spec, 1, step) as bank:
+    with make_bank([spec], step) as bank:
         if spec.has("spool_speed"):
             speed = [bank.reset(throttle).spool_speed[0] for throttle in spec.curve.throttle]
             if not all(b > a for a, b in pairwise(speed)):
@@ -51,7 +52,7 @@ def _measure(spec: EngineSpec, step: float) -> EngineReference:
     return EngineReference(spec.curve.throttle, spec.curve.thrust, speed, lag, delay, short, long)
 
 
-def _answer(bank: EngineBank, first: float, then: float, step: float) -> tuple[float, float]:
+def _answer(bank: Engines, first: float, then: float, step: float) -> tuple[float, float]:
     """Lag and delay [s] of a step of the throttle: how long nothing moves, and from there to 63 % of the change."""
     after = bank.reset(then).thrust[0]
     before = bank.reset(first).thrust[0]

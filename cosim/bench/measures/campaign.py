@@ -220,7 +220,7 @@ class Bare:
     def __enter__(self) -> Bare:
         with ExitStack() as stack:
             for _ in range(PROCESSES[-1]):
-                child = stack.enter_context(start_python(["-c", _BARE], ask=True))
+                child = stack.enter_context(start_python(_BARE, ask=True))
                 self._children.append(child)
             for child in self._children:
                 _answer(child)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,6 +12,7 @@ from shutil import rmtree
 from typing import NamedTuple
 
 from cosim.base.errors import FlightError
+from cosim.base.runtime.processes import python_command
 from cosim.bench.measures.long_flight import (
     MEGABYTE,
     PARTS,
@@ -37,7 +36,7 @@ def begun(*arguments, **options):
 cosim.flight.record = begun
 main()
 """
-_LONG_FLIGHT = "import sys; from cosim.bench.measures.long_flight import main; main(*sys.argv[1:])"
+_LONG_FLIGHT = "from cosim.bench.measures.long_flight import main; main(*sys.argv[1:])"
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ def measure_startup(times: int, folder: Path, on_start: Callable[[], object]) ->
     for number in range(times + 1):
         arguments = ["fly", "hover", "--out", str(folder / f"start-{number}")]
         started = time.time()
-        child = start_python(["-c", _FIRST_STEP, *arguments])
+        child = start_python(_FIRST_STEP, *arguments)
         said, _ = child.communicate()
         if child.returncode:
             raise FlightError(f"the flight to its first step ended with status {child.returncode}")
@@ -140,7 +139,7 @@ class _Long(NamedTuple):
 
 def _fly_long(out: Path, minutes: float, report: bool) -> _Long:
     begin = time.perf_counter()
-    child = start_python(["-c", _LONG_FLIGHT, str(out), repr(minutes), REPORTED if report else WRITTEN])
+    child = start_python(_LONG_FLIGHT, str(out), repr(minutes), REPORTED if report else WRITTEN)
     assert child.stdout is not None
     marks: list[_Mark] = []
     with child:
@@ -155,14 +154,11 @@ def _fly_long(out: Path, minutes: float, report: bool) -> _Long:
     return _Long(marks, time.perf_counter() - begin, size)
 
 
-def start_python(arguments: list[str], ask: bool = False) -> subprocess.Popen[str]:
+def start_python(code: str, *arguments: str, ask: bool = False) -> subprocess.Popen[str]:
     """This Python, with this package; ``ask``: it reads what it is asked."""
-    package = str(Path(__file__).resolve().parents[3])
-    path = os.pathsep.join([package, *filter(None, [os.environ.get("PYTHONPATH")])])
     return subprocess.Popen(
-        [sys.executable, *arguments],
+        python_command(code, *arguments),
         stdin=subprocess.PIPE if ask else None,
         stdout=subprocess.PIPE,
         text=True,
-        env=os.environ | {"PYTHONPATH": path},
     )

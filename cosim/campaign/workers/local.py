@@ -27,8 +27,9 @@ from threading import Thread
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+from cosim.base.compiled import environment
 from cosim.base.errors import FlightError, InputError
-from cosim.base.runtime.processes import end_group
+from cosim.base.runtime.processes import Child, python_command
 from cosim.base.runtime.threads import ONE_THREAD
 from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
 from cosim.campaign.workers.protocol import (
@@ -53,7 +54,7 @@ START_LIMIT_S = 60.0  # chosen by us: until a process is ready, which takes half
 STARTS = 8  # processes in a row that end before they are ready: then something else is wrong
 READY = "ready"
 _PR_SET_PDEATHSIG = 1  # of linux/prctl.h
-_COMMAND = "import sys; from cosim.campaign.workers.local import serve; serve(int(sys.argv[1]), sys.argv[2])"
+_COMMAND = "from cosim.campaign.workers.local import serve; serve(int(sys.argv[1]), sys.argv[2])"
 
 
 class LocalWorkers:
@@ -222,16 +223,15 @@ class _Process:
         except OSError as error:
             raise FlightError(f"no process could be started: {tempfile.gettempdir()}: {error.strerror}") from error
         self.connection, theirs = Pipe()
-        environment = os.environ | ONE_THREAD | {"TMPDIR": self._folder}
+        inherited = environment() | ONE_THREAD | {"TMPDIR": self._folder}
         try:
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", _COMMAND, str(theirs.fileno()), self._folder],
+            self._process = Child(  # in a group: Ctrl-C is answered by the process that waits
+                python_command(_COMMAND, str(theirs.fileno()), self._folder),
+                inherited,
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                env=environment,
-                process_group=0,  # Ctrl-C is answered by the process that waits
             )
         except OSError as error:
             self.connection.close()
@@ -286,7 +286,7 @@ class _Process:
         return {"worker": f"{os.uname().nodename}:{self._process.pid}", "wall_s": wall_s}
 
     def end(self) -> None:
-        end_group(self._process)  # with whatever an engine has started
+        self._process.end()  # with whatever an engine has started
         self.connection.close()
         shutil.rmtree(self._folder, ignore_errors=True)
 

@@ -18,7 +18,7 @@ from cosim.design.identify.result import (
     need_coherence,
     suitable_duration,
 )
-from cosim.engine import EngineBank, EngineSpec, load_engine
+from cosim.engine import EngineSpec, load_engine, make_bank
 from cosim.simulation.script.commander import sweep as chirp
 
 LEAD_STEPS = 10
@@ -28,7 +28,7 @@ DECADES = (0.1, 10.0)  # the automatic band, around the corner frequency
 
 
 def identify_engine(
-    name: str,
+    name: str | EngineSpec,
     parameters: Mapping[str, float] | None = None,
     *,
     step: float = 0.004,
@@ -40,13 +40,13 @@ def identify_engine(
     lags: int = 0,
     hold: Mapping[str, float] | None = None,
 ) -> Identification:
-    """Identify an engine by name or FMU file, around ``throttle``, as one pole (and ``lags`` more) with a delay.
+    """Identify an engine (name, FMU file, or loaded) around ``throttle`` as one pole (and ``lags`` more) with a delay.
 
     The delay counts as whole where it is within 0.05 samples of it.  An engine that breathes does so in the standard
     atmosphere at sea level.  Raises InputError for an engine, a band or an
     amplitude that does not serve, or an FMU that fails on the way.
     """
-    engine = load_engine(name, parameters or {}, step)
+    engine = name if isinstance(name, EngineSpec) else load_engine(name, parameters or {}, step)
     room = min(throttle, 1.0 - throttle)
     if room <= 0.0:
         raise InputError(f"--throttle {throttle:g}: must be between 0 and 1, so that it can be swept both ways")
@@ -106,7 +106,7 @@ def _band(
 
 def _lag(engine: EngineSpec, throttle: float, size: float, step: float) -> float:
     """Seconds from 10 to 90 % of the answer to a step, over ln 9: the time constant if it were one lag."""
-    with EngineBank(engine, 1, step) as bank:
+    with make_bank([engine], step) as bank:
         before = bank.reset(throttle).thrust[0]
         course: list[float] = []
         window = engine.window
@@ -127,7 +127,7 @@ def fly_sweep(engine: EngineSpec, throttle: float, sweep: Sweep, step: float) ->
     low, high = sweep.chirp_hz(step)
     length = round(sweep.duration_s / step)
     wave = chirp(step, LEAD_STEPS, length, sweep.amplitude, low, high)
-    with EngineBank(engine, 1, step) as bank:
+    with make_bank([engine], step) as bank:
         start = bank.reset(throttle).thrust[0]
         thrust = [start]
         command: list[float] = []

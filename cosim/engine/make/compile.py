@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
+from cosim.base.runtime.processes import python_command, run_child
 from cosim.base.storage.files import replacing
 from cosim.engine.fmu.archive import platform_folder
 from cosim.engine.fmu.container import UnusableError, has_sources, one_line, open_archive, parse, read_bytes
@@ -22,7 +23,7 @@ from cosim.engine.fmu.description import describe
 LONGEST_S = 600.0  # chosen by us: a solver's sources take a minute
 # In a process of its own, because FMPy lets CMake print to standard output; without its validation, as when reading.
 _BUILD = """
-import functools, sys
+import functools
 import fmpy.build as build
 build.read_model_description = functools.partial(build.read_model_description, validate=False)
 build.build_platform_binary(sys.argv[1])
@@ -123,7 +124,7 @@ def _build_for_windows(path: Path, folder: str, description: Any) -> Path:
 def _build(path: Path, folder: str) -> None:
     here = os.path.dirname(sys.executable)  # where a CMake that came as a package is
     environment = os.environ | {"PATH": f"{here}{os.pathsep}{os.environ.get('PATH', os.defpath)}"}
-    _run(path, folder, [sys.executable, "-c", _BUILD, folder], "(CMake and a C compiler are needed)", environment)
+    _run(path, folder, python_command(_BUILD, folder), "(CMake and a C compiler are needed)", environment)
 
 
 def _run(
@@ -131,15 +132,7 @@ def _run(
 ) -> None:
     """Call what compiles.  Raises InputError with what it complained of first."""
     try:
-        done = subprocess.run(
-            command,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            env=environment,
-            timeout=LONGEST_S,
-            check=False,
-        )
+        done = run_child(command, LONGEST_S, environ=environment)
     except subprocess.TimeoutExpired as error:
         raise InputError(f"{path}: its sources are not compiled within {LONGEST_S:g} s") from error
     if done.returncode == 0:

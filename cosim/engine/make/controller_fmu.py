@@ -32,6 +32,7 @@ from typing import Any
 from cosim.base import controller_wire as wire
 from cosim.base.constants import SERVOS
 from cosim.base.errors import InputError, nearest
+from cosim.base.runtime.processes import python_command
 from cosim.base.signals import MOST_JETS
 from cosim.base.storage.toml import read_toml
 from cosim.engine.fmu.archive import platform_folder
@@ -41,7 +42,7 @@ from cosim.engine.fmu.ports import plain
 from cosim.engine.fmu.variables import INTEGERS, REALS
 
 MAPPING = ".fmu.toml"
-_SERVE = "import sys; from cosim.engine.make.controller_fmu import serve; serve(sys.argv[1])"
+_SERVE = "from cosim.engine.make.controller_fmu import serve; serve(sys.argv[1])"
 _ON_GROUND = "on_ground"  # a parameter that is set by us, if there is one
 _KINDS = {*REALS, *INTEGERS, "Boolean"}
 
@@ -207,7 +208,7 @@ def _found(
 
 def command(path: Path) -> list[str]:
     """What runs it."""
-    return [sys.executable, "-P", "-c", _SERVE, str(path)]
+    return python_command(_SERVE, str(path))
 
 
 def describing(fmu: ControllerFmu) -> dict[str, Any]:

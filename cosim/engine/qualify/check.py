@@ -434,12 +434,14 @@ def _notes(archive: Archive) -> list[str]:
 _fit: set[tuple[str, str, float]] = set()  # found fit in this process: sha256 of the archive, mapping, step
 
 
-def measure_apart(name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR) -> Measured:
+def measure_apart(
+    name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR, apart: bool = False
+) -> Measured:
     """Static curve and response of an FMU that is not of the library, tried and measured in another process.
 
     An FMU that was found fit is remembered by its contents and by what it was asked, and not tried again: in another
     ``air`` than the standard one at sea level it is only measured.  A process that flies it again, with other
-    parameters or in another air, measures it itself.
+    parameters or in another air, measures it itself, or lets yet another process do it where ``apart`` is set.
 
     Raises InputError if it is unfit: one line with the first problem.  InstanceError, ResponseError if it fails here.
     """
@@ -448,8 +450,11 @@ def measure_apart(name_or_path: str, parameters: Mapping[str, float], step: floa
     tried = content in _fit
     place = _memory(source, parameters, step, air)
     known = _recall(place)
-    if known is None and tried and not misbehaves(source.archive.sha256):
-        return _measure_here(source, parameters, step, air)
+    if known is None and tried and (apart or not misbehaves(source.archive.sha256)):
+        measure = measure_unjudged if apart else _measure_here
+        measured = measure(name_or_path, parameters, step, air)
+        _need_no_problems(source, all_curve_problems(measured, source.archive.starting.rest_n))
+        return measured
     measured = known or _measure_apart(name_or_path, source, parameters, step, air)
     if known is None:
         _remember(place, measured)
@@ -463,27 +468,28 @@ _apart: dict[Path, Measured] = {}  # measured in this process's children without
 def measure_unjudged(
     name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR
 ) -> Measured:
-    """As :func:`measure_apart`, of an engine that flies unchecked: what it may do to a process it does to another.
+    """As :func:`measure_apart`, without a verdict: what the engine may do to a process it does to another.
 
     Raises InputError if it cannot be measured at all.
     """
     source = find_source(name_or_path)
     place = _memory(source, parameters, step, air)
-    if place not in _apart:
+    known = _apart.get(place) or _recall(place)
+    if known is None:
         report, measured = _check(name_or_path, step, parameters, LIMITS, ("measure",), air)
         if measured is None:
             raise InputError(f"{source.path}: {report.problems[0]}")
-        _apart[place] = measured
-    return _apart[place]
+        known = measured
+    _apart[place] = known
+    return known
 
 
-def _measure_here(source: EngineSource, parameters: Mapping[str, float], step: float, air: Air) -> Measured:
+def _measure_here(name_or_path: str, parameters: Mapping[str, float], step: float, air: Air) -> Measured:
+    source = find_source(name_or_path)
     archive, given = source.archive, {**source.mapping.parameters, **parameters}
     start = archive.ports["start"].variable.name if "start" in archive.ports else None
     _, settings = resolve_parameters(archive, given, start)
-    measured = measure_once(archive, settings, start, step, air)
-    _need_no_problems(source, all_curve_problems(measured, archive.starting.rest_n))
-    return measured
+    return measure_once(archive, settings, start, step, air)
 
 
 def all_curve_problems(measured: Measured, rest: float) -> list[str]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.load import load_unchecked
@@ -21,20 +22,26 @@ def load_engine(
     unchecked: bool = False,
     measured: Measured | None = None,
     air: Air = STANDARD_AIR,
+    apart: bool = False,
 ) -> EngineSpec:
     """Find, validate and measure an engine that will be stepped by ``step`` seconds.
 
     As :func:`cosim.engine.load.load_unchecked`, but an engine that is not of the library is tried in another process
     before this one loads it, and refused if ``hexjet fmu check`` finds it unfit; ``unchecked`` leaves that out.  One
     that was found to crash, hang, print or bring a run time of its own asks for a process of its own, unless its
-    mapping file says ``isolated = false``.
+    mapping file says ``isolated = false``.  This process loads none that asks for one, nor any where ``apart`` is set.
 
     Raises InputError: one line that names the engine, what is wrong, and what is allowed.
     """
     source = find_source(name_or_path)
     mine = source.engine is not None or source.mapping.isolated is False  # or stated to be harmless
-    known = "" if mine else misbehaves(source.archive.sha256)
-    foreign = (measure_unjudged if known else None) if unchecked else measure_apart
+    apart = apart or bool(source.mapping.isolated or (not mine and misbehaves(source.archive.sha256)))
+    foreign: Callable[[str, Mapping[str, float], float, Air], Measured] | None
+    if unchecked or source.engine is not None:
+        foreign = measure_unjudged if apart else None
+    else:
+        foreign = partial(measure_apart, apart=apart)
     spec = load_unchecked(name_or_path, parameters, step, measured=measured, air=air, foreign=foreign)
+    spec = replace(spec, isolated=True) if apart else spec
     why = "" if mine else misbehaves(source.archive.sha256)  # it may have been found out just now
     return replace(spec, isolated=True, misbehaves=why) if why else spec

@@ -20,8 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.base.compiled import environment
-from cosim.base.runtime.processes import end_group
+from cosim.base.runtime.processes import Child, python_command
 from cosim.engine.fmu.container import one_line
 
 POLL_S = 0.02  # how often time and memory are looked at
@@ -82,22 +81,16 @@ def run_apart(task: Mapping[str, Any], limits: Limits) -> Apart:
 
 
 @contextlib.contextmanager
-def _child(task: Mapping[str, Any], limits: Limits, scratch: str) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
+def _child(task: Mapping[str, Any], limits: Limits, scratch: str) -> Iterator[tuple[Child, int]]:
     read, write = os.pipe()
-    # the same modules as here, whatever the folder or the environment say
-    paths = [os.path.abspath(path) for path in sys.path]
-    start = f"import sys; sys.path[:] = {paths!r}; from cosim.engine.qualify.child import main; main({write})"
     try:
-        child = subprocess.Popen(
-            [sys.executable, "-I", "-c", start],
+        child = Child(
+            python_command("from cosim.engine.qualify.child import main; main(int(sys.argv[1]))", str(write)),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             pass_fds=(write,),
             cwd=scratch,
-            start_new_session=True,
-            # a copy, else the new process reads it while another thread may change it
-            env=environment(),
         )
     finally:
         os.close(write)
@@ -109,7 +102,7 @@ def _child(task: Mapping[str, Any], limits: Limits, scratch: str) -> Iterator[tu
             child.stdin.close()
         yield child, read
     finally:
-        end_group(child)
+        child.end()
         if child.stdout is not None:
             child.stdout.close()
         os.close(read)

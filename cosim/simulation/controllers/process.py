@@ -22,10 +22,9 @@ from time import monotonic
 from typing import IO, Any
 
 from cosim.base import controller_wire as wire
-from cosim.base.compiled import environment
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Column
-from cosim.base.runtime.processes import end_group
+from cosim.base.runtime.processes import Child
 from cosim.base.signals import ControlSignals
 from cosim.base.storage.scratch import scratch
 from cosim.control.belief import Belief
@@ -44,15 +43,8 @@ class Connection:
 
     def __init__(self, command: Sequence[str], folder: Path, errors: IO[bytes] | None = None) -> None:
         try:
-            self._process = subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=errors,
-                cwd=folder,
-                env=environment(),
-                process_group=0,
-                bufsize=0,
+            self._process = Child(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, cwd=folder, bufsize=0
             )
         except OSError as error:
             raise InputError(f"cannot be started: {error.strerror or error}") from error
@@ -111,7 +103,7 @@ class Connection:
                     stream.close()
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(END_S)
-        end_group(self._process)
+        self._process.end()
 
 
 def describe(command: Command, folder: Path, label: str) -> dict[str, Any]:

@@ -5,20 +5,23 @@ from __future__ import annotations
 import os
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from broken_fmus import Kit, packed
 from campaign_tools import study, without_chance
 from engine_tools import STEP
-from foreign_engines import foreign, mapped
+from foreign_engines import force, foreign, lever, mapped
 
 from cosim import Scenario, fly
 from cosim.base.errors import EngineError, InputError
 from cosim.base.signals import Ambient
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.flight_row import fly_one
-from cosim.engine import EngineBank, IsolatedBank, isolated, load_engine
+from cosim.design.identify import identify_engine
+from cosim.engine import EngineBank, IsolatedBank, bank, isolated, load_engine, measure
 from cosim.engine.qualify import check
 from cosim.engine.qualify.supervisor import Apart
 from cosim.results.digest import log_digest
@@ -208,3 +211,51 @@ def test_a_child_that_is_killed_is_told(monkeypatch: pytest.MonkeyPatch) -> None
     with pytest.raises(EngineError, match=r"its process crashed \(SIGKILL\) at step 0 \(0 s\)"):
         bank.step(0, (0.5,))
     bank.close()
+
+
+@pytest.fixture(scope="module")
+def kit(tmp_path_factory: pytest.TempPathFactory) -> Kit:
+    return Kit(tmp_path_factory.mktemp("libraries"))
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        ("crash-later", r"bad.fmu: crashed while its thrust was measured \(SIGSEGV"),
+        ("hang-later", r"bad.fmu: hangs while its thrust was measured: no answer within 2 s"),
+    ],
+)
+def test_an_isolated_engine_is_measured_in_a_process_of_its_own(
+    fault: str, said: str, kit: Kit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody has tried it before: it crashes or hangs after 1 s of its own time."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(check, "LIMITS", replace(check.LIMITS, silence=2.0))
+    (tmp_path / "bad.fmu").write_bytes(packed(kit.contents(fault)))
+    scenario = Scenario.load("hover").replace(
+        engine=str(tmp_path / "bad.fmu"), engine_unchecked=True, engine_isolated=True, controller="baseline", expect=[]
+    )
+    with pytest.raises(InputError, match=said):
+        fly(scenario)
+
+
+def test_no_library_of_an_isolated_engine_is_loaded_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Measured in two airs, checked and not, stepped for its reference, identified, of the library too."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+    def loaded(*_: object) -> None:
+        raise AssertionError("loaded in this process")
+
+    monkeypatch.setattr(bank, "make_instance", loaded)
+    monkeypatch.setattr(measure, "make_instance", loaded)
+    rows = [lever(), force(), ("rho", "density", "input", 'unit="kg/m3" start="1.225"')]
+    path = foreign(tmp_path, "lagging", "lag=0.1", rows)
+    hover = Scenario.load("hover").replace(
+        engine=str(path), engine_isolated=True, controller="baseline", duration_s=0.1, expect=[]
+    )
+    assert "density" in load_engine(str(path), {}, STEP, apart=True).archive.ports
+    library = hover.replace(engine="turbine-20")
+    for scenario in (hover.replace(engine_unchecked=True), hover, hover.replace(vehicle={"mass_kg": 7.0}), library):
+        assert fly(scenario).outcome == "completed"
+    found = identify_engine(str(mapped(path, "isolated = true")), step=STEP, from_hz=0.5, to_hz=5.0)
+    assert found.chosen.model.rate == pytest.approx(10.0, rel=0.1)

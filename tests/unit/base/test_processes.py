@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import psutil
 import pytest
+from patience import PATIENCE
 
-from cosim.base.runtime.processes import end_group, reap
+from cosim.base.runtime.processes import Child, end_group, python_command, reap, run_child
 
 
 @pytest.fixture
@@ -34,3 +37,63 @@ def test_a_status_that_was_taken_is_not_waited_for(sleeper: subprocess.Popen[byt
     os.waitpid(sleeper.pid, 0)  # as by a poll() that was interrupted before it wrote the status down
     reap(sleeper)
     assert sleeper.returncode == 0
+
+
+# What leaves the group and the session, and its parent too; the number of what stays is all that is said.
+DAEMON = """
+import os, time
+if os.fork() == 0:
+    os.setsid()
+    if os.fork() == 0:
+        os.write(1, f"{os.getpid()}\\n".encode())
+        time.sleep(1000.0)
+    os._exit(0)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="told by /proc")
+def test_what_a_child_has_started_in_a_session_of_its_own_is_ended_with_it() -> None:
+    with Child(python_command(DAEMON + "time.sleep(1000.0)"), stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        daemon = int(child.stdout.readline())
+        assert psutil.Process(daemon).status() != psutil.STATUS_ZOMBIE
+        child.end()
+    assert not psutil.pid_exists(daemon) or psutil.Process(daemon).status() == psutil.STATUS_ZOMBIE
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="told by /proc")
+def test_children_of_others_are_left_alone() -> None:
+    with Child(["sleep", "1000"]) as other:
+        with Child(["sleep", "1000"]) as child:
+            child.end()
+        assert other.poll() is None
+        other.end()
+
+
+def test_a_command_that_takes_too_long_is_ended(tmp_path: Path) -> None:
+    """With what it started, which would keep its output open."""
+    started = tmp_path / "started"
+    shell = f"sleep 1000 & echo $! > {started}; wait"
+    with pytest.raises(subprocess.TimeoutExpired):
+        run_child(["sh", "-c", shell], 1.0)
+    number = started.read_text().strip() if started.is_file() else ""
+    assert not number or not psutil.pid_exists(int(number)) or psutil.Process(int(number)).status() == "zombie"
+
+
+def test_a_command_says_what_it_printed() -> None:
+    done = run_child(python_command("print(sys.argv[1:]); sys.exit(3)", "one", "two words"), PATIENCE)
+    assert (done.returncode, done.stdout) == (3, "['one', 'two words']\n")
+
+
+def test_python_finds_what_this_process_finds_and_not_the_current_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """PYTHONPATH works, and an empty entry of the path, which is the current folder, goes no further."""
+    (tmp_path / "here").mkdir()
+    (tmp_path / "there").mkdir()
+    (tmp_path / "here" / "mine.py").write_text("")
+    (tmp_path / "there" / "theirs.py").write_text("")
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.setattr(sys, "path", ["", *sys.path, str(tmp_path / "there")])
+    assert run_child(python_command("import theirs, cosim"), PATIENCE).returncode == 0
+    assert "No module named 'mine'" in run_child(python_command("import mine"), PATIENCE).stderr

@@ -8,7 +8,6 @@ they are told for the true one.
 from __future__ import annotations
 
 import subprocess
-import sys
 import tempfile
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
@@ -19,6 +18,7 @@ from math import inf
 from pathlib import Path
 from threading import Thread
 
+from cosim.base.runtime.processes import Child, python_command
 from cosim.groundstation.mavlink.services.ftp import Bytes, File
 from cosim.groundstation.mavlink.services.service import MAX_CLIENTS, Client, Outgoing, Peer, RateLimit, Service
 from cosim.groundstation.mavlink.wire.dialect import Message
@@ -32,7 +32,7 @@ PATIENCE = 300.0  # s to make one log: thirty times what an hour of flight takes
 DATA = 90  # bytes in a LOG_DATA
 LOG_FOLDER = "log/"
 _MAKE = """
-import os, pathlib, sys
+import os, pathlib
 from cosim.results.export.ulog import export_ulog
 if hasattr(os, "nice"):
     os.nice(10)  # the flight that is under way comes first
@@ -79,7 +79,7 @@ class LogStore:
         self._runs = runs
         self._folder = tempfile.TemporaryDirectory(prefix="hexjet-logs-")
         self._known: set[Path] = set()
-        self._maker: tuple[subprocess.Popen[bytes], Log, float] | None = None
+        self._maker: tuple[Child, Log, float] | None = None
         self._made = 0  # how many of them are done with
         self._search: Thread | None = None
         self._listed: Sequence[Path] = ()
@@ -135,10 +135,10 @@ class LogStore:
             self._made += 1
         if self._made < len(self.logs):
             log = self.logs[self._made]
-            command = [sys.executable, "-c", _MAKE, str(log.run), str(self._path(log))]
+            command = python_command(_MAKE, str(log.run), str(self._path(log)))
             quiet = subprocess.DEVNULL
             try:
-                self._maker = (subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet), log, now)
+                self._maker = (Child(command, stdin=quiet, stdout=quiet, stderr=quiet), log, now)
             except OSError:
                 log.file = Bytes(b"")
                 self._made += 1
@@ -163,8 +163,7 @@ class LogStore:
 
     def _stop(self) -> None:
         if self._maker is not None:
-            self._maker[0].kill()
-            self._maker[0].wait()
+            self._maker[0].end()
             self._maker = None
 
     def _path(self, log: Log) -> Path:
