@@ -677,7 +677,7 @@ def _monitor(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec
         vehicle.mass_kg * GRAVITY / len(stations),
         (limits.throttle_min, limits.throttle_max),
         scenario.step_s,
-        settings.shut_opposite and settings.catch,
+        settings.catch,
     )
 
 

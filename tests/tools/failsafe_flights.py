@@ -8,7 +8,7 @@ from typing import Any
 from pilot_flights import Asked
 
 from cosim.campaign import failsafe_survey as table
-from cosim.campaign.fault_survey import step_of
+from cosim.campaign.fault_survey import controllers_for, step_of
 from cosim.control.autopilot import requests as rq
 from cosim.flight import fly
 from cosim.results.autopilot.request_log import Entry
@@ -47,7 +47,9 @@ class Flight(Asked):
     ) -> None:
         vehicle = load_vehicle(aircraft)[0]
         engine = vehicle.engine or "edf-as-flown"
-        scenario = table.scenario_of(aircraft, engine, "smith", step_of(aircraft), height, 0.0).replace(**changes)
+        step = step_of(aircraft)
+        controller = "smith" if "smith" in controllers_for(aircraft, engine, step) else "baseline"
+        scenario = table.scenario_of(aircraft, engine, controller, step, height, 0.0).replace(**changes)
         self.simulation = build(scenario)
         self.pilot = with_autopilot(self.simulation, airborne=not scenario.initial.on_ground)
         self._entries: list[Entry] = []
