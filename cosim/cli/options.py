@@ -61,9 +61,9 @@ def log_options(command: Any) -> Any:
     for option in reversed(
         [
             click.option(
-                "--time", "time_column", metavar="NAME", help="A table's column of time.  [default: time_s, time or t]"
+                "--time", "time_column", metavar="NAME", help="A table's column of time.  [default: the one called so]"
             ),
-            click.option("--time-unit", default="s", show_default=True, help="Of that column: s, ms, us or ns."),
+            click.option("--time-unit", help="Of that column: s, ms, us or ns.  [default: as the column says, or s]"),
             click.option(
                 "--from", "begin", type=Number(), metavar="S", help="Use the log from here on, in its own time."
             ),

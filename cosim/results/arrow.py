@@ -11,11 +11,11 @@ costs more than a short flight, and 35 MB.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -317,36 +317,78 @@ def read_table(
     return columns if names is None else {known(name, columns, "table"): columns[name] for name in names}
 
 
-def read_numbers(path: Path) -> tuple[dict[str, Array], tuple[str, ...]]:
-    """The columns of a CSV or Parquet file that are numbers, missing ones NaN, and the names of the other columns.
+class Sorted(NamedTuple):
+    """A table's columns: numbers, missing ones NaN; those of them that were times, in seconds now; and texts."""
 
-    Which of both it is its name says.  Raises InputError for what cannot be read, and for two columns of one name.
+    numbers: dict[str, Array]
+    times: set[str]
+    texts: dict[str, list[str | None]]
+
+
+def read_numbers(path: Path) -> Sorted:
+    """The columns of a Parquet file.
+
+    Raises InputError for what cannot be read, and for two columns of one name.
     """
+    with _parquet(path) as file:
+        table = _arrow(path, lambda: file.read(use_threads=False))
+    return _sorted_out(path, table)
+
+
+def read_csv_numbers(path: Path, rows: bytes, names: Sequence[str], separator: str, decimal: str) -> tuple[Sorted, int]:
+    """The columns of ``rows`` of text, which are of ``path``, and how many rows have not a cell for each name."""
     import pyarrow as pa
-    import pyarrow.compute as pc
     from pyarrow import csv
 
-    kind = path.suffix.lower()
-    if kind not in (".csv", ".parquet"):
-        raise InputError(f"{path}: no log that can be read; allowed: .csv, .parquet")
+    odd = 0
+
+    def leave_out(_: object) -> str:
+        nonlocal odd
+        odd += 1
+        return "skip"
+
+    options = {
+        "read_options": csv.ReadOptions(column_names=names, use_threads=False, block_size=len(rows) + 1),
+        "parse_options": csv.ParseOptions(delimiter=separator, invalid_row_handler=leave_out),
+        "convert_options": csv.ConvertOptions(decimal_point=decimal, null_values=_NULLS, strings_can_be_null=True),
+    }
+    table = _arrow(path, lambda: csv.read_csv(pa.BufferReader(rows), **options))
+    return _sorted_out(path, table), odd
+
+
+_NULLS = ["", "NaN", "nan", "-nan", "-NaN", "NULL", "null", "None", "N/A", "n/a", "NA", "-"]
+
+
+def _arrow(path: Path, read: Callable[[], pa.Table]) -> pa.Table:
+    import pyarrow as pa
+
     try:
-        if kind == ".csv":
-            table = csv.read_csv(path)
-        else:
-            with _parquet(path) as file:
-                table = file.read(use_threads=False)
-        names = table.column_names
-        if doubled := [name for name in names if names.count(name) > 1]:
-            raise InputError(f"{path}: two columns are called {doubled[0]!r}")
-        numbers: dict[str, Array] = {}
-        for name in names:
-            kept = table.column(name).type
-            if pa.types.is_integer(kept) or pa.types.is_floating(kept) or kept in (pa.bool_(), pa.null()):
-                column = pc.fill_null(table.column(name).cast(pa.float64(), safe=False), float("nan"))
-                numbers[name] = np.concatenate([np.empty(0), *map(_numbers, column.chunks)])
+        return read()
     except (OSError, UnicodeDecodeError, pa.ArrowException) as error:
         raise InputError(f"{path}: {one_line(error)}") from error
-    return numbers, tuple(name for name in names if name not in numbers)
+
+
+def _sorted_out(path: Path, table: pa.Table) -> Sorted:
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    names = table.column_names
+    if doubled := [name for name in names if names.count(name) > 1]:
+        raise InputError(f"{path}: two columns are called {doubled[0]!r}")
+    made = Sorted({}, set(), {})
+    for name in names:
+        column, kept, unit = table.column(name), table.column(name).type, 1.0
+        if pa.types.is_timestamp(kept) or pa.types.is_time(kept):
+            whole = pa.int32() if pa.types.is_time32(kept) else pa.int64()
+            unit = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kept.unit]
+            column, kept = column.cast(whole), whole
+            made.times.add(name)
+        if pa.types.is_integer(kept) or pa.types.is_floating(kept) or kept in (pa.bool_(), pa.null()):
+            column = pc.fill_null(column.cast(pa.float64(), safe=False), float("nan"))
+            made.numbers[name] = unit * np.concatenate([np.empty(0), *map(_numbers, column.chunks)])
+        else:
+            made.texts[name] = [None if value is None else str(value) for value in column.to_pylist()]
+    return made
 
 
 def read_table_note(path: Path) -> dict[str, str]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.results.columns import COLUMNS
-from cosim.results.logs.table import numbers_with_time
+from cosim.results.logs.table import columns_with_time
 from cosim.results.metrics import wrap
 from cosim.results.recorder import Log, MemoryLog
 from cosim.results.run import Run
@@ -78,17 +78,18 @@ def read_log(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
     Its columns are ours where they are called as ours; its time [s] is called and grows as
     :mod:`cosim.results.logs.table` has it.  Columns without numbers are left out.  Raises InputError.
     """
-    columns, time, left_out = numbers_with_time(path)
-    times = columns.pop(time)
+    table = columns_with_time(path)
+    columns, times, time = table.columns, table.times, table.name
     if times.size < 2:
         raise InputError(f"{path}: {times.size} rows; at least two are needed")
     wrong = np.flatnonzero(~(np.diff(times) > 0.0))
     if wrong.size or not np.isfinite(times[0]):
         row = int(wrong[0]) + 2 if wrong.size else 1
         raise InputError(f"{path}: row {row}: {time} must be a number and grow from row to row")
-    remarks = [f"{time} is taken for the time in seconds"] if time != TIME else []
-    if left_out:
-        remarks.append(f"left out, being no numbers: {', '.join(left_out)}")
+    remarks = [f"{time} is taken for the time in seconds"] if time != TIME and not table.remarks else []
+    remarks += table.remarks
+    if table.left_out:
+        remarks.append(f"left out, being no numbers: {', '.join(table.left_out)}")
     named = {column.name: column for column in COLUMNS}
     strange = [name for name in columns if name not in named]
     if len(strange) == len(columns):

@@ -180,7 +180,7 @@ def _load_flight(letter: str, name: str) -> ComparedFlight:
         return ComparedFlight(label, run.log, run, name, ("flown for this comparison",))
     raise InputError(
         f"{name}: no flight; allowed: the folder of a run, CAMPAIGN:NUMBER, a scenario, a log "
-        "(.csv, .parquet, ULog, DataFlash, Betaflight's blackbox, Crazyflie)"
+        "(.csv, .parquet, ULog, DataFlash, Betaflight's blackbox, Crazyflie, .tlog)"
     )
 
 

@@ -18,18 +18,24 @@ from cosim.results.tables import TIME
 _TRUTH = "_groundtruth"  # of a simulation, PX4's or ours, behind the name of a topic
 _ATTITUDE = "vehicle_attitude{}.q[{}]"  # of PX4: w first, body to NED
 _PLACE = "vehicle_local_position{}.{}"
+_NED = "LOCAL_POSITION_NED."  # of MAVLink
+_AXES = tuple(zip(RATES, AXES, strict=True))
 _SUMS = {  # ours: where it may stand, the nearest to it first; down is up, degrees are radians
-    "roll_rad": ("deg(ATT.Roll)", "deg(stateEstimate.roll)"),
-    "pitch_rad": ("deg(ATT.Pitch)", "deg(stateEstimate.pitch)"),  # of the Crazyflie: nose up, other than its gyro
-    "yaw_rad": ("deg(ATT.Yaw)", "-1*deg(stateEstimate.yaw)"),
+    "roll_rad": ("deg(ATT.Roll)", "deg(stateEstimate.roll)", "ATTITUDE.roll"),
+    # of the Crazyflie: nose up, other than its gyro
+    "pitch_rad": ("deg(ATT.Pitch)", "deg(stateEstimate.pitch)", "ATTITUDE.pitch"),
+    "yaw_rad": ("deg(ATT.Yaw)", "-1*deg(stateEstimate.yaw)", "ATTITUDE.yaw"),
     "altitude_m": ("-1*" + _PLACE.format(_TRUTH, "z"), "-1*vehicle_local_position.z", "-1*XKF1[0].PD", "BARO[0].Alt",
-                   "stateEstimate.z"),
-    "north_m": (_PLACE.format(_TRUTH, "x"), "vehicle_local_position.x", "XKF1[0].PN"),
-    "east_m": (_PLACE.format(_TRUTH, "y"), "vehicle_local_position.y", "XKF1[0].PE"),
-    "velocity_north_m_s": (_PLACE.format(_TRUTH, "vx"), "vehicle_local_position.vx", "XKF1[0].VN"),
-    "velocity_east_m_s": (_PLACE.format(_TRUTH, "vy"), "vehicle_local_position.vy", "XKF1[0].VE"),
-    "velocity_down_m_s": (_PLACE.format(_TRUTH, "vz"), "vehicle_local_position.vz", "XKF1[0].VD"),
+                   "stateEstimate.z", "-1*" + _NED + "z"),
+    "north_m": (_PLACE.format(_TRUTH, "x"), "vehicle_local_position.x", "XKF1[0].PN", _NED + "x"),
+    "east_m": (_PLACE.format(_TRUTH, "y"), "vehicle_local_position.y", "XKF1[0].PE", _NED + "y"),
+    "velocity_north_m_s": (_PLACE.format(_TRUTH, "vx"), "vehicle_local_position.vx", "XKF1[0].VN", _NED + "vx"),
+    "velocity_east_m_s": (_PLACE.format(_TRUTH, "vy"), "vehicle_local_position.vy", "XKF1[0].VE", _NED + "vy"),
+    "velocity_down_m_s": (_PLACE.format(_TRUTH, "vz"), "vehicle_local_position.vz", "XKF1[0].VD", _NED + "vz"),
+    **{f"rate_{rate}_measured_rad_s": (f"ATTITUDE.{axis}speed",) for rate, axis in _AXES},
+    **{f"rate_{rate}_setpoint_rad_s": (f"ATTITUDE_TARGET.body_{axis}_rate",) for rate, axis in _AXES},
 }  # fmt: skip
+ANGLES = tuple(f"{axis}_rad" for axis in AXES)
 LEFT_AND_UP = ("Betaflight blackbox", "Crazyflie")  # whose gyros' axes are forward, left and up; ours right and down
 ESTIMATED = "attitude, position and velocity are its estimates, and not the truth as in a flight of ours"
 
@@ -79,7 +85,7 @@ def _matching(log: FlightLog) -> dict[str, Channel]:
     for name, choices in _SUMS.items():
         text = next((choice for choice in choices if log.has(choice)), None)
         if text is not None and name not in columns:
-            columns[name] = _wrapped(log.signal(text)) if name.endswith("_rad") else log.signal(text)
+            columns[name] = _wrapped(log.signal(text)) if name in ANGLES else log.signal(text)
     for jet in range(1, MOST_JETS + 1):
         throttle, thrust = f"actuator_motors.control[{jet - 1}]", f"hexjet_thrust.newton[{jet - 1}]"
         if log.has(throttle) and np.isfinite(log.channels[throttle].values).any():

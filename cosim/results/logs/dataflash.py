@@ -18,6 +18,7 @@ from cosim.results.logs.flight_log import Channel, FlightLog, numbers
 
 HEAD = b"\xa3\x95"
 FMT, FMT_LENGTH = 0x80, 89
+MARK = HEAD + bytes([FMT, FMT, FMT_LENGTH]) + b"FMT\0"  # the format of formats, which comes first
 # format character: numpy's type, and what a count of it is worth
 TYPES = {
     "b": ("i1", 1.0), "B": ("u1", 1.0), "M": ("u1", 1.0), "h": ("<i2", 1.0), "H": ("<u2", 1.0), "i": ("<i4", 1.0),
@@ -90,7 +91,7 @@ def _rows(
 
 def _units(formats: Mapping[int, _Format], tables: Mapping[int, np.ndarray]) -> dict[int, str]:
     """What FMTU says of each kind of message: a character a field, its unit."""
-    said = {}
+    said: dict[int, str] = {}
     for kind, rows in tables.items():
         if formats[kind][0] == "FMTU" and {"FmtType", "UnitIds"} <= set(formats[kind][3]):
             numbered = zip(rows["FmtType"].tolist(), rows["UnitIds"].tolist(), strict=True)

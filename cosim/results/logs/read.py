@@ -2,25 +2,52 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.results.columns import RATES
-from cosim.results.logs import blackbox, crazyflie, dataflash, table, ulog
+from cosim.results.logs import blackbox, crazyflie, dataflash, table, tlog, ulog
 from cosim.results.logs.flight_log import FlightLog, LogSignals
+from cosim.results.logs.text_table import decoded
 
 KINDS = (
     "a run's folder, .ulg (ULog), .bin (ArduPilot DataFlash), .bbl or .bfl (Betaflight blackbox), "
-    ".cfusdlog (Crazyflie), .csv, .parquet"
+    ".cfusdlog (Crazyflie), .tlog (MAVLink), tables as text (.csv, .tsv, .txt) and .parquet"
 )
-
+HEAD = 512  # bytes by which a file is recognised
+SEARCHED = 2**16  # bytes in which the head of a log is looked for, behind what does not belong to it
 
 _READERS = (
     (ulog.recognises, ulog.read),
     (dataflash.recognises, dataflash.read),
     (crazyflie.recognises, crazyflie.read),
     (blackbox.recognises, blackbox.read),
+    (tlog.recognises, tlog.read),
+)
+_MARKS = ((ulog.MAGIC, ulog.read), (dataflash.MARK, dataflash.read), (blackbox.MARKER, blackbox.read))
+_OTHERS = (  # what else a file may begin with, and what it is then
+    (b"\x1f\x8b", "a file compressed by gzip: unpack it"),
+    (b"PK\x03\x04", "a zip archive: unpack it"),
+    (b"7z\xbc\xaf", "a 7z archive: unpack it"),
+    (b"\xfd7zXZ", "a file compressed by xz: unpack it"),
+    (b"\x28\xb5\x2f\xfd", "a file compressed by zstd: unpack it"),
+    (b"BZh", "a file compressed by bzip2: unpack it"),
+    (b"version https://git-lfs", "a pointer of Git LFS, and not the log: fetch it with git lfs pull"),
+    (b"<", "a page (HTML or XML), such as a server sends instead of a file"),
+    (b"{", "JSON"),
+    (b"%PDF", "a PDF"),
+    (b"\x89PNG", "a picture"),
+    (b"\x7fELF", "a program"),
+    (b"ARROW1", "an Arrow file; Parquet can be read"),
+    (b"\xff\xff\xff\xff", "an Arrow stream: hexjet report FOLDER makes its run whole"),
+    (b"\x89MCAP", "MCAP; export the flight as ULog or CSV"),
+    (b"\x89HDF", "HDF5, as MATLAB writes it; export it as CSV"),
+    (b"MATLAB", "a file of MATLAB; export it as CSV"),
+    (b"SQLite format 3", "a database (a bag of ROS 2?); export its topics as CSV"),
+    (b"#ROSBAG", "a bag of ROS; export its topics as CSV"),
+    (b"FMT, ", "ArduPilot's log as text; the .bin that it was made of can be read"),
 )
 
 
@@ -28,7 +55,7 @@ def is_flight_log(path: Path) -> bool:
     """Whether a file begins as the log of a flight controller that can be read; ``FILE:N`` as its file does."""
     try:
         with _file_and_number(path)[0].open("rb") as file:
-            head = file.read(64)
+            head = file.read(HEAD)
     except OSError:
         return False
     return any(recognises(head) for recognises, _ in _READERS)
@@ -37,13 +64,14 @@ def is_flight_log(path: Path) -> bool:
 def _file_and_number(path: Path) -> tuple[Path, int | None]:
     """The file, and the number of the log in it where the name says one."""
     name, _, digits = str(path).rpartition(":")
-    if name and digits.isdigit() and not path.exists() and Path(name).is_file():
-        return Path(name), int(digits)
+    if name and digits.isdecimal() and not path.exists() and Path(name).is_file():
+        return Path(name), int(digits[:9])
     return path, None
 
 
-def read_flight_log(path: Path, time: str | None = None, time_unit: str = "s") -> FlightLog:
-    """Read a log of any kind that is known: by its first bytes, or by its name where it is a table.
+def read_flight_log(path: Path, time: str | None = None, time_unit: str | None = None) -> FlightLog:
+    """Read a log of any kind that is known, whatever it is called: by its first bytes, by a head that is found behind
+    others, or as a table.
 
     ``time`` and ``time_unit`` are a table's.  ``FILE:N`` is log number N of a file that holds several, as Betaflight's
     do.  Raises InputError for what is no log or cannot be read.
@@ -53,21 +81,38 @@ def read_flight_log(path: Path, time: str | None = None, time_unit: str = "s") -
         return table.read_run(path)
     try:
         with path.open("rb") as file:
-            head = file.read(64)
+            head = file.read(SEARCHED)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     if not head:
         raise InputError(f"{path}: the file is empty")
     if number is not None:
-        if blackbox.recognises(head):
+        if blackbox.MARKER in head:
             return blackbox.read(path, number)
         raise InputError(f"{path}: holds one log; {path}:{number} is for a blackbox file of several")
     for recognises, read in _READERS:
-        if recognises(head):
+        if recognises(head[:HEAD]):
             return read(path)
-    if path.suffix.lower() in (".csv", ".parquet"):
-        return table.read_table(path, time, time_unit)
-    raise InputError(f"{path}: no log that is known; allowed: {KINDS}")
+    for mark, read in _MARKS:
+        if (before := head.find(mark)) > 0:
+            log = read(path)
+            return replace(log, remarks=(f"{before} bytes before the head of the log are passed over", *log.remarks))
+    return _table_or_refusal(path, head, time, time_unit)
+
+
+def _table_or_refusal(path: Path, head: bytes, time: str | None, time_unit: str | None) -> FlightLog:
+    """A table, or the reason why the file is no log: what it is instead."""
+    if not table.is_parquet(head):
+        begins = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")[:HEAD]
+        other = next((words for mark, words in _OTHERS if begins.startswith(mark)), "")
+        if not other and b"\nFMT, " in head:
+            other = dict(_OTHERS)[b"FMT, "]
+        if other:
+            raise InputError(f"{path}: is {other}; allowed: {KINDS}")
+        if decoded(head) is None:
+            start = head[:8].hex(" ")
+            raise InputError(f"{path}: no log that is known, and no text: it begins with {start}; allowed: {KINDS}")
+    return table.read_table(path, time, time_unit)
 
 
 def signals_of(log: FlightLog, what: str) -> LogSignals:
@@ -129,6 +174,8 @@ def _engine(n: int) -> list[LogSignals]:
         LogSignals(f"actuator_motors.control[{n - 1}]", f"hexjet_thrust.newton[{n - 1}]", "", "throttle", "N"),
         LogSignals(f"actuator_motors.control[{n - 1}]", f"esc_status.esc[{n - 1}].esc_rpm", "", "throttle", "rpm"),
         LogSignals(f"RCOU.C{n}", f"ESC[{n - 1}].RPM", "", "us", "rpm"),
+        LogSignals(f"SERVO_OUTPUT_RAW.servo{n}_raw", f"ESC_STATUS.rpm[{n - 1}]", "", "us", "rpm"),
+        LogSignals(f"SERVO_OUTPUT_RAW.servo{n}_raw", f"ESC_TELEMETRY_1_TO_4.rpm[{n - 1}]", "", "us", "rpm"),
         LogSignals(f"motor[{n - 1}]", f"eRPM[{n - 1}]", "", "motor counts", "eRPM/100"),
         LogSignals(motors, "acc.z", "", "PWM counts squared, of all four", "g"),
     ]

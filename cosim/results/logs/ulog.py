@@ -16,6 +16,7 @@ from cosim.results.logs.flight_log import Channel, FlightLog
 
 MAGIC = b"ULog\x01\x12\x35"
 HEAD_BYTES = 16
+SEARCHED = 2**16  # bytes in which the log may begin
 MOST_S, MOST_S_A_MB = 20.0, 3.0  # of CPU, to begin with and for every MB: some ten times what pyulog takes
 MOST_MB, MOST_MB_A_MB = 2048.0, 40.0  # of address space; what is resident is ten times the file
 _PROGRAM = Path(__file__).with_name("ulog_child.py")
@@ -34,10 +35,11 @@ def read(path: Path) -> FlightLog:
     """
     if find_spec("pyulog") is None:
         raise InputError("a ULog needs pyulog, which is not installed: pip install 'hexjet-cosim[logs]'")
-    size = path.stat().st_size / 2**20
+    data = path.read_bytes()
+    begin, size = max(data[:SEARCHED].find(MAGIC), 0), len(data) / 2**20
     limits = MOST_S + MOST_S_A_MB * size, MOST_MB + MOST_MB_A_MB * size
     try:
-        answer = apart.run_apart(_PROGRAM, [str(path)], *limits)
+        answer = apart.run_apart(_PROGRAM, [str(path), str(begin)], *limits)
     except apart.EndedError as error:
         raise InputError(f"{path}: cannot be read as ULog: it is damaged; the reader {error}") from None
     head, _, numbers = answer.partition(b"\n")
@@ -50,7 +52,7 @@ def read(path: Path) -> FlightLog:
     remarks = [f"left out, having no time: {', '.join(said['untimed'])}"] if said["untimed"] else []
     if said["damaged"]:
         remarks.append("parts of the file are damaged and were passed over")
-    elif not _ends(path.read_bytes()):
+    elif not _ends(data, begin):
         remarks.append("the log was cut short, or the power went: it ends within a message")
     if lost := said["lost"]:
         remarks.append(f"{len(lost)} times the logger lost data, {1e-3 * sum(lost):.1f} s together")
@@ -82,9 +84,9 @@ def _step(stated: float | None, times: Array) -> float:
     return float(np.median(np.diff(times)))
 
 
-def _ends(data: bytes) -> bool:
-    """Whether the last message ends where the file does: each says its size first."""
-    at, end = HEAD_BYTES, len(data)
+def _ends(data: bytes, begin: int) -> bool:
+    """Whether the last message of a log that begins there ends where the file does: each says its size first."""
+    at, end = begin + HEAD_BYTES, len(data)
     while at + 3 <= end:
         at += 3 + (data[at] | data[at + 1] << 8)
     return at == end

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 Columns = NDArray[np.float64]
 
 
-def read(path: Path) -> tuple[dict[str, Any], list[Columns]]:
-    """What the log says, and the columns of its topics; raises whatever pyulog does."""
+def read(path: Path, begin: int) -> tuple[dict[str, Any], list[Columns]]:
+    """What the log that begins at a byte says, and the columns of its topics; raises whatever pyulog does."""
     from pyulog import ULog
 
     output = io.StringIO()
     with contextlib.redirect_stdout(output), path.open("rb") as file:
-        log = ULog(file)
+        log = ULog(io.BytesIO(file.read()[begin:]) if begin else file)
     topics: list[dict[str, Any]] = []
     columns: list[Columns] = []
     untimed: list[str] = []
@@ -54,11 +54,11 @@ def _doubles(values: Any) -> Columns:
         return np.asarray(values).astype("<f8")
 
 
-def main(path: Path) -> None:
+def main(path: Path, begin: int) -> None:
     """Write on standard output what is in the log, or why it cannot be read."""
     columns: list[Columns] = []
     try:
-        said, columns = read(path)
+        said, columns = read(path, begin)
     except Exception as error:  # what the library raises for a file that is wrong is of no one kind
         said = {"error": (str(error).splitlines() or [type(error).__name__])[0] or type(error).__name__}
     out = sys.stdout.buffer
@@ -69,4 +69,4 @@ def main(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), int(sys.argv[2]))
