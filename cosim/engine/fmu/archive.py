@@ -6,10 +6,9 @@ import hashlib
 import io
 import itertools
 import math
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -18,6 +17,7 @@ from cosim.base.storage.cache import Memory
 from cosim.engine.build import ADAPTER, ADAPTER_MADE, GENERATION_TOOL
 from cosim.engine.fmu.container import (
     UnusableError,
+    Zip,
     fmi_of,
     has_sources,
     one_line,
@@ -359,7 +359,7 @@ def equations_of(data: bytes, root: ElementTree.Element, description: Any) -> st
 def own_sources(data: bytes) -> list[tuple[str, bytes]]:
     """The engine's own C sources in an archive that the library's build made, by name: what is not the adapter's."""
     given = {f"sources/{name}" for name in (*ADAPTER, *ADAPTER_MADE, "fmi2.c", "fmi3.c")}
-    with zipfile.ZipFile(io.BytesIO(data)) as fmu:
+    with Zip(io.BytesIO(data)) as fmu:
         names = sorted(set(fmu.namelist()) - given)
         return [(name, fmu.read(name)) for name in names if name.startswith("sources/")]
 
@@ -402,10 +402,15 @@ def _need_library(names: list[str], fmi: int, identifier: str) -> None:
     needed = f"binaries/{platform_folder(fmi)}/{identifier}{fmpy.sharedLibraryExtension}"
     if needed in names:
         return
-    platforms = {PurePosixPath(name).parts[1] for name in names if name.startswith("binaries/") and name.count("/") > 1}
-    has = ", ".join(sorted(platforms)) or "no binary at all"
+    inside = sorted(name.split("/", 2)[1:] for name in names if name.startswith("binaries/") and name.count("/") > 1)
+    own = [file for folder, file in inside if folder == platform_folder(fmi)]
+    folders = ", ".join(dict.fromkeys(folder for folder, file in inside if file))
+    has = f"it has: {folders or 'no binary at all'}"
+    if own:
+        held = ", ".join(file for file in own if file)
+        has = f"folder {platform_folder(fmi)} {f'holds {held}' if held else 'is empty'}"
     more = "; it has sources: hexjet fmu compile makes one of them" if has_sources(names) else ""
-    raise UnusableError(f"has no binary for this machine, {needed} (it has: {has}){more}")
+    raise UnusableError(f"has no binary for this machine, {needed} ({has}){more}")
 
 
 def _bases(description: Any) -> dict[str, Unit]:

@@ -8,6 +8,7 @@ import zipfile
 import zlib
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
+from typing import IO
 from xml.etree import ElementTree
 from xml.parsers import expat
 
@@ -27,6 +28,7 @@ LONGEST_NAME = 250  # bytes of a part of a path; file systems end at 255
 
 # What both readers of the description, expat and FMPy's libxml2, take for the same characters.
 ENCODINGS = {"utf-8", "us-ascii", "iso-8859-1"}
+SYSTEM_FILES = {".ds_store", "thumbs.db", "desktop.ini"}
 METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # what FMI allows
 # Model exchange leaves the integration to us.  FMPy's CVode, restarted at every change of the throttle, takes 2.5 ms
 # (1e-5) to 5.3 ms (1e-10) for six engines of two states, which is as long as a control step; not restarted it is wrong
@@ -41,6 +43,27 @@ class UnusableError(Exception):
 def one_line(error: object) -> str:
     """An error's text without line breaks and other control characters."""
     return "".join(c if c.isprintable() else " " for c in " ".join(str(error).split()))
+
+
+class Zip(zipfile.ZipFile):
+    """A zip archive to read as those mean it who made it: on a Mac, on Windows or anywhere else.
+
+    What a Mac or Windows adds for itself (:func:`is_system_file`) is not there, and folders end with ``/``, where some
+    programs on Windows write a backslash.
+    """
+
+    def __init__(self, file: Path | IO[bytes]) -> None:
+        super().__init__(file)
+        for entry in self.filelist:
+            entry.filename = entry.filename.replace("\\", "/")
+        self.filelist = [entry for entry in self.filelist if not is_system_file(entry.filename)]
+        self.NameToInfo = {entry.filename: entry for entry in self.filelist}
+
+
+def is_system_file(name: str) -> bool:
+    """Return whether an entry of an archive is what a Mac or Windows keeps for itself beside the files of the user."""
+    *folders, last = PurePosixPath(name).parts or ("",)
+    return "__MACOSX" in (*folders, last) or last.startswith("._") or last.lower() in SYSTEM_FILES
 
 
 def read_bytes(path: Path) -> bytes:
@@ -72,13 +95,13 @@ def open_archive(data: bytes, main: str = DESCRIPTION, kind: str = "FMU") -> tup
     if not data.startswith(b"PK"):
         raise UnusableError(f"is not an {kind}: not a zip archive")
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as fmu:
+        with Zip(io.BytesIO(data)) as fmu:
             entries = fmu.infolist()
             _need_harmless_sizes(entries, len(data))
             _need_harmless_entries(entries)
             names = [entry.filename for entry in entries]
             if main not in names:
-                raise UnusableError(f"is not an {kind}: it has no {main}")
+                raise UnusableError(f"is not an {kind}: it has no {main}{_inside(main, names)}")
             for name in (main, BUILD_DESCRIPTION, *(name for name in names if name.lower().endswith(".ssv"))):
                 if name in names:
                     if fmu.getinfo(name).file_size > MOST_XML:
@@ -119,6 +142,12 @@ def has_sources(names: Iterable[str]) -> bool:
     return any(name.startswith("sources/") and not name.endswith("/") for name in names)
 
 
+def _inside(main: str, names: Iterable[str]) -> str:
+    """A hint where somebody has packed the folder in place of what is in it."""
+    found = [name for name in names if name.endswith(f"/{main}")]
+    return f", but {one_line(found[0])}: pack what is in that folder, not the folder" if found else ""
+
+
 def _size(count: int) -> str:
     return f"{count / 2**20:.0f} MB" if count >= 2**20 else f"{count} bytes"
 
@@ -142,9 +171,9 @@ def _need_harmless_entries(entries: list[zipfile.ZipInfo]) -> None:
     for entry in entries:
         name = entry.filename
         path = PurePosixPath(name)
-        shown = one_line(repr(name))[:120]
         # zipfile cuts a name at a NUL; what stood behind it is in orig_filename
-        strange = "\\" in entry.orig_filename or ":" in name or "\0" in entry.orig_filename
+        shown = one_line(repr(entry.orig_filename))[:120]
+        strange = ":" in name or "\0" in entry.orig_filename
         if strange or path.is_absolute() or ".." in path.parts or not path.parts:
             raise UnusableError(f"has an unsafe path inside: {shown}")
         if max(len(part.encode(errors="replace")) for part in path.parts) > LONGEST_NAME:

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import io
 import re
+import zipfile
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
+from xml.etree import ElementTree
 
-from cosim.engine.fmu.container import UnusableError, one_line
+from cosim.engine.fmu.container import BUILD_DESCRIPTION, DESCRIPTION, UnusableError, Zip, one_line
 
 # What FMPy says of a description that no step depends on.
 BLEMISHES = tuple(
@@ -64,7 +66,7 @@ def describe(data: bytes) -> tuple[Any, tuple[str, ...]]:
     except Exception as error:  # FMPy raises bare exceptions, and stumbles in its own ways over strange descriptions
         stumbled = one_line(error)
     try:
-        description = read_model_description(io.BytesIO(data), validate=False)
+        description = read_model_description(_with_initial(data), validate=False)
     except Exception as error:
         raise _refusal(complaints) if complaints else _unusable(error) from error
     more = _more(description)
@@ -76,7 +78,49 @@ def describe(data: bytes) -> tuple[Any, tuple[str, ...]]:
         raise _unusable(stumbled)
     if dangerous := [complaint for complaint in [*_doubles(description), *complaints] if not is_blemish(complaint)]:
         raise _refusal(dangerous)
+    for v in description.modelVariables:
+        if (v.causality, v.variability) == ("parameter", "constant"):
+            v.causality = "local"  # which is what a number is that nobody may set
     return description, tuple(complaints)
+
+
+# FMI's combinations of variability and causality; every other one has no default for ``initial``.
+_COMBINED = {
+    "constant": {"output", "local"},
+    "fixed": {"structuralParameter", "parameter", "calculatedParameter", "local"},
+    "tunable": {"structuralParameter", "parameter", "calculatedParameter", "local"},
+    "discrete": {"input", "output", "local"},
+    "continuous": {"input", "output", "local", "independent"},
+}
+
+
+def with_initial(xml: bytes) -> bytes:
+    """Return the description with ``initial`` stated where a variable's kind gives it no default.
+
+    FMPy, asked without its validation too, reads no description with a parameter that is constant, say, which tools
+    write; what its validation says of that is a blemish.
+    """
+    root = ElementTree.fromstring(xml)
+    changed = False
+    for v in root.iterfind("ModelVariables/*"):
+        varies, cause = v.get("variability"), v.get("causality", "local")
+        if root.get("fmiVersion") == "2.0" and varies is None:
+            varies = "continuous"
+        if varies is not None and v.get("initial") is None and cause not in _COMBINED.get(varies, {cause}):
+            v.set("initial", "exact")
+            changed = True
+    return ElementTree.tostring(root, encoding="utf-8") if changed else xml
+
+
+def _with_initial(data: bytes) -> io.BytesIO:
+    """The two descriptions of an archive that FMPy reads, in one of their own."""
+    made = io.BytesIO()
+    with Zip(io.BytesIO(data)) as given, zipfile.ZipFile(made, "w") as kept:
+        kept.writestr(DESCRIPTION, with_initial(given.read(DESCRIPTION)))
+        if BUILD_DESCRIPTION in given.namelist():
+            kept.writestr(BUILD_DESCRIPTION, given.read(BUILD_DESCRIPTION))
+    made.seek(0)
+    return made
 
 
 def _refusal(complaints: Sequence[str]) -> UnusableError:

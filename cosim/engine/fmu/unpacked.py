@@ -7,7 +7,6 @@ import io
 import os
 import shutil
 import tempfile
-import zipfile
 from ctypes import CDLL
 from pathlib import Path
 from types import TracebackType
@@ -18,6 +17,7 @@ from cosim.engine.fmu.archive import Archive, libraries_of, platform_folder
 from cosim.engine.fmu.container import (
     DAMAGE,
     UnusableError,
+    Zip,
     one_line,
     read_bytes,
 )
@@ -37,7 +37,7 @@ class Unpacked:
             if archive.system is None:
                 _extract(archive, data, self.path)
             else:
-                with zipfile.ZipFile(io.BytesIO(data)) as ssp:
+                with Zip(io.BytesIO(data)) as ssp:
                     for number, part in enumerate(archive.system.parts):
                         _extract(part.archive, ssp.read(part.file), self.path / str(number))
         except BaseException:
@@ -72,7 +72,7 @@ class Unpacked:
 
 
 def _extract(archive: Archive, data: bytes, folder: Path) -> None:
-    with zipfile.ZipFile(io.BytesIO(data)) as fmu:
+    with Zip(io.BytesIO(data)) as fmu:
         for name in fmu.namelist():
             if name.startswith((f"binaries/{platform_folder(archive.fmi)}/", "resources/")):
                 fmu.extract(name, folder)

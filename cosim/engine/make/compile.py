@@ -17,8 +17,17 @@ from cosim.base.errors import InputError
 from cosim.base.runtime.processes import python_command, run_child
 from cosim.base.storage.files import replacing
 from cosim.engine.fmu.archive import platform_folder
-from cosim.engine.fmu.container import UnusableError, has_sources, one_line, open_archive, parse, read_bytes
-from cosim.engine.fmu.description import describe
+from cosim.engine.fmu.container import (
+    DESCRIPTION,
+    UnusableError,
+    Zip,
+    has_sources,
+    one_line,
+    open_archive,
+    parse,
+    read_bytes,
+)
+from cosim.engine.fmu.description import describe, with_initial
 
 LONGEST_S = 600.0  # chosen by us: a solver's sources take a minute
 # In a process of its own, because FMPy lets CMake print to standard output; without its validation, as when reading.
@@ -50,7 +59,7 @@ def needs_compiling(path: Path) -> bool:
 
 def has_windows(path: Path) -> bool:
     """Whether an archive has a library for 64-bit Windows."""
-    with zipfile.ZipFile(path) as fmu:
+    with Zip(path) as fmu:
         return any(name.startswith(("binaries/win64/", "binaries/x86_64-windows/")) for name in fmu.namelist())
 
 
@@ -65,15 +74,16 @@ def compile_archive(path: Path, out: Path | None = None, windows: bool = False) 
     target = path if out is None else out
     try:
         data = read_bytes(path)
-        names, _ = open_archive(data)
+        names, xml = open_archive(data)
         description, _ = describe(data)
     except UnusableError as reason:
         raise InputError(f"{path}: {reason}") from reason
     if description.coSimulation is None or not has_sources(names):
         raise InputError(f"{path}: has no sources of a co-simulation interface; nothing to compile")
     with tempfile.TemporaryDirectory(prefix="hexjet-compile-") as folder:
-        with zipfile.ZipFile(BytesIO(data)) as fmu:
+        with Zip(BytesIO(data)) as fmu:
             fmu.extractall(folder)
+        Path(folder, DESCRIPTION).write_bytes(with_initial(xml))
         if windows:
             binaries = _build_for_windows(path, folder, description)
         else:

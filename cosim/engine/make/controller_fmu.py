@@ -22,7 +22,6 @@ import re
 import shutil
 import sys
 import tempfile
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -36,7 +35,7 @@ from cosim.base.runtime.processes import python_command
 from cosim.base.signals import MOST_JETS
 from cosim.base.storage.toml import read_toml
 from cosim.engine.fmu.archive import platform_folder
-from cosim.engine.fmu.container import DAMAGE, UnusableError, fmi_of, one_line, open_archive, parse, read_bytes
+from cosim.engine.fmu.container import DAMAGE, UnusableError, Zip, fmi_of, one_line, open_archive, parse, read_bytes
 from cosim.engine.fmu.description import describe
 from cosim.engine.fmu.ports import plain
 from cosim.engine.fmu.variables import INTEGERS, REALS
@@ -303,7 +302,7 @@ class _Instance:
         self._asked = _by_type(list(range(len(answers))), answers)
         self._instance: Any = None
         try:
-            with zipfile.ZipFile(BytesIO(fmu.data)) as archive:
+            with Zip(BytesIO(fmu.data)) as archive:
                 archive.extractall(folder)
         except DAMAGE as error:
             raise RuntimeError(f"cannot be unpacked: {one_line(error)}") from error

@@ -10,8 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-import time
-import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
@@ -21,7 +19,7 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive, named_ports
-from cosim.engine.fmu.container import DAMAGE
+from cosim.engine.fmu.container import DAMAGE, Zip
 from cosim.engine.fmu.port_kinds import KINDS
 from cosim.engine.fmu.ports import plain
 from cosim.engine.fmu.unpacked import unpack
@@ -264,7 +262,7 @@ class _Trying:
 
     def __init__(self, task: Mapping[str, Any], limits: Limits, report: CheckReport) -> None:
         self._task, self._limits, self._report = task, limits, report
-        self._end = time.monotonic() + limits.seconds
+        self._left = limits.seconds
         self._printed = 0
         self._found: dict[str, Any] = {}
 
@@ -281,7 +279,7 @@ class _Trying:
         measured = self._fill()
         if self._found.get("own"):
             self._misbehaves(self._found["own"])
-        if "digest" in self._found and self._end > time.monotonic() and not self._report.problems:
+        if "digest" in self._found and self._left > 0.0 and not self._report.problems:
             self._again()
         if self._printed > MOST_PRINTED:
             self._add([f"prints too much: {self._printed / 2**20:.0f} MB while it was tried"])
@@ -298,8 +296,9 @@ class _Trying:
         self._report.apart = self._report.apart or what
 
     def _run(self, parts: Sequence[str]) -> Apart:
-        limits = replace(self._limits, seconds=max(0.1, self._end - time.monotonic()))
+        limits = replace(self._limits, seconds=max(0.1, self._left))
         apart = run_apart({**self._task, "parts": list(parts)}, limits)
+        self._left -= apart.took
         for message in apart.messages:
             findings = message.get("found", {})
             notes = self._report.notes
@@ -405,7 +404,7 @@ def _unit(name: str, source: EngineSource) -> str | None:
 
 def _checksums(path: Path) -> list[str]:
     try:
-        with zipfile.ZipFile(path) as fmu:
+        with Zip(path) as fmu:
             damaged = fmu.testzip()
     except DAMAGE as error:
         raise InputError(f"{path}: {error}") from error

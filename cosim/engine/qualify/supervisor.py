@@ -30,13 +30,17 @@ HANGS = "hangs"
 STARTED, READ = "while its process started", "while its archive was read"  # before the FMU is called
 TO_VANISH_S = 0.3  # for the processes of a child that has ended
 BACKSTOP_S = 10.0  # after the parent's limit the child's own alarm ends it, should the parent be gone
+BUSIEST = 10.0  # times its limit that a child may take by the clock, on a machine that is busy with something else
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a child may take; chosen by us.  An engine worth flying needs a second and a few MB."""
+    """What a child may take; chosen by us.  An engine worth flying needs a second and a few MB.
 
-    seconds: float = 120.0  # of wall time, all in all
+    Seconds are those that the child had: of the processor where it computes, of the clock where it waits.
+    """
+
+    seconds: float = 120.0  # all in all
     silence: float = 30.0  # s within one call to the FMU, or 250 steps; MATLAB's run time takes 20 to start
     megabytes: float = 1024.0  # resident
 
@@ -53,6 +57,7 @@ class Apart:
     printed: int = 0  # bytes
     last_words: str = ""
     left_behind: bool = False  # processes that it did not end
+    took: float = 0.0  # s that it had
 
 
 def run_apart(task: Mapping[str, Any], limits: Limits) -> Apart:
@@ -65,7 +70,9 @@ def run_apart(task: Mapping[str, Any], limits: Limits) -> Apart:
     with folder as scratch, _child(task, limits, scratch) as (child, pipe):
         assert child.stdout is not None
         readers = {pipe: _lines_into(apart), child.stdout.fileno(): _output_into(apart)}
-        apart.end = _watch(child, readers, limits)
+        had = _Had(child.pid)
+        apart.end = _watch(child, readers, limits, had)
+        apart.took = had.seconds
         apart.hung = apart.end is not None and apart.end.startswith(HANGS)
         for descriptor, take in readers.items():
             _drain(descriptor, take)
@@ -97,7 +104,9 @@ def _child(task: Mapping[str, Any], limits: Limits, scratch: str) -> Iterator[tu
     try:
         assert child.stdin is not None
         with contextlib.suppress(BrokenPipeError):
-            child.stdin.write(json.dumps({"seconds": limits.seconds + BACKSTOP_S, "task": dict(task)}).encode())
+            child.stdin.write(
+                json.dumps({"seconds": BUSIEST * limits.seconds + BACKSTOP_S, "task": dict(task)}).encode()
+            )
         with contextlib.suppress(BrokenPipeError):
             child.stdin.close()
         yield child, read
@@ -108,11 +117,35 @@ def _child(task: Mapping[str, Any], limits: Limits, scratch: str) -> Iterator[tu
         os.close(read)
 
 
+class _Had:
+    """The time that a process had since it was started, and how much of it was of the processor.
+
+    One that is ready to run and is not let waits for the machine: that is no time of its own.
+    """
+
+    def __init__(self, process: int) -> None:
+        self._process = process
+        self._looked = time.monotonic()
+        self.seconds = self.processor = 0.0
+
+    def look(self) -> None:
+        """Count what has passed since the last look; without a ``/proc`` all of it."""
+        now, before = time.monotonic(), self.processor
+        passed, self._looked = now - self._looked, now
+        waits = True
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            used = Path(f"/proc/{self._process}/stat").read_text().rpartition(")")[2].split()[11:13]
+            self.processor = sum(map(int, used)) / os.sysconf("SC_CLK_TCK")
+            threads = Path(f"/proc/{self._process}/task").glob("*/stat")
+            waits = all(thread.read_text().rpartition(")")[2].split()[0] != "R" for thread in threads)
+        self.seconds += max(self.processor - before, passed if waits else 0.0)
+
+
 def _watch(
-    child: subprocess.Popen[bytes], readers: Mapping[int, Callable[[bytes], bool]], limits: Limits
+    child: subprocess.Popen[bytes], readers: Mapping[int, Callable[[bytes], bool]], limits: Limits, had: _Had
 ) -> str | None:
     """Read what the child says until it ends; the words for what it was ended for, None if it ended by itself."""
-    begin = heard = time.monotonic()
+    begin, heard, computed = time.monotonic(), 0.0, 0.0
     with selectors.DefaultSelector() as selector:
         for descriptor in readers:
             os.set_blocking(descriptor, False)
@@ -125,12 +158,14 @@ def _watch(
                 if not data:
                     selector.unregister(key.fd)
                 elif readers[key.fd](data):
-                    heard = time.monotonic()
-            now = time.monotonic()
-            if now - begin > limits.seconds:
+                    heard, computed = had.seconds, had.processor
+            had.look()
+            if had.seconds > limits.seconds or time.monotonic() - begin > BUSIEST * limits.seconds:
                 return f"takes too long: was not done within {limits.seconds:.3g} s, and ended {{moment}}"
-            if now - heard > limits.silence:
-                return f"{HANGS} {{moment}}: no answer within {limits.silence:g} s"
+            if had.seconds - heard > limits.silence:
+                busy = had.processor - computed > 0.5 * limits.silence
+                slow = " of processor time, if it is not that slow" if busy else ""
+                return f"{HANGS} {{moment}}: no answer within {limits.silence:g} s{slow}"
             if megabytes(child.pid) > limits.megabytes:
                 return f"took more than {limits.megabytes:g} MB of memory {{moment}}"
     return None

@@ -8,7 +8,6 @@ variables; a mapping file may name any.
 from __future__ import annotations
 
 import io
-import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +25,7 @@ from cosim.engine.fmu.archive import (
     read_component,
     read_once,
 )
-from cosim.engine.fmu.container import UnusableError, need_harmless_xml, open_archive
+from cosim.engine.fmu.container import UnusableError, Zip, need_harmless_xml, open_archive
 from cosim.engine.fmu.mapping import PortMap
 from cosim.engine.fmu.ports import PortError, find_engines, is_several
 from cosim.engine.fmu.starting import Setting, starting
@@ -55,7 +54,7 @@ def read_system(path: Path, ports: PortMap | None = None) -> Archive:
 class _Made:
     """The components of a structure, read."""
 
-    def __init__(self, path: Path, structure: Structure, zipped: zipfile.ZipFile) -> None:
+    def __init__(self, path: Path, structure: Structure, zipped: Zip) -> None:
         self.structure = structure
         self.archives: dict[At, Archive] = {}
         for name, file in structure.components.items():
@@ -99,7 +98,7 @@ class _Made:
 
 def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
     _, xml = open_archive(data, STRUCTURE, "SSP")
-    with zipfile.ZipFile(io.BytesIO(data)) as zipped:
+    with Zip(io.BytesIO(data)) as zipped:
 
         def file(name: str) -> bytes:
             try:

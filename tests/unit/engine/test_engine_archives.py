@@ -1,0 +1,227 @@
+"""Archives as other machines and other tools make them, and the time that a process has for one."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable, Iterator
+from itertools import count
+from pathlib import Path
+
+import fmpy
+import pytest
+from engine_tools import STEP
+from foreign_engines import foreign
+from systems import components, pack, structure
+
+from cosim.base.errors import InputError
+from cosim.engine import EngineBank, EngineSpec, load_engine
+from cosim.engine.fmu.container import Zip, is_system_file
+from cosim.engine.fmu.unpacked import unpack
+from cosim.engine.qualify import supervisor
+from cosim.engine.qualify.check import blemish_lines
+
+APPLE = b"\x00\x05\x16\x07\x00\x02\x00\x00Mac OS X        "  # how such a file of a Mac begins
+
+
+def load(path: Path) -> EngineSpec:
+    return load_engine(str(path), {}, STEP, unchecked=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "is_one"),
+    [
+        ("__MACOSX/resources/._p.ssv", True),
+        ("__MACOSX/", True),
+        ("resources/._table.csv", True),
+        ("resources/.DS_Store", True),
+        ("Thumbs.db", True),
+        ("binaries/win64/Desktop.ini", True),
+        ("resources/table.csv", False),
+        ("resources/.hidden", False),
+        ("modelDescription.xml", False),
+        ("resources/", False),
+    ],
+)
+def test_what_a_system_keeps_for_itself(name: str, is_one: bool) -> None:
+    assert is_system_file(name) == is_one
+
+
+def with_system_files(path: Path) -> Path:
+    """The archive as a Mac's Finder and Windows' Explorer leave it, with a file of each kind."""
+    with zipfile.ZipFile(path, "a") as archive:
+        for name in ("__MACOSX/._modelDescription.xml", "__MACOSX/resources/._p.ssv", "resources/.DS_Store",
+                     "resources/Thumbs.db", "resources/desktop.ini", f"binaries/{fmpy.platform}/._foreign.so"):  # fmt: skip
+            archive.writestr(name, APPLE)
+    return path
+
+
+def with_backslashes(path: Path) -> Path:
+    """The archive as some programs on Windows pack it."""
+    with zipfile.ZipFile(path) as archive:
+        held = {name: archive.read(name) for name in archive.namelist()}
+    data = path.read_bytes()
+    for name in held:  # in the entries' heads and in the directory; zipfile itself writes none
+        data = data.replace(name.encode(), name.replace("/", "\\").encode())
+    path.write_bytes(data)
+    with zipfile.ZipFile(path) as archive:
+        assert any("\\" in name for name in archive.namelist())
+    return path
+
+
+@pytest.mark.parametrize("packed", [with_system_files, with_backslashes])
+def test_an_fmu_from_another_system_flies(packed: Callable[[Path], Path], tmp_path: Path) -> None:
+    spec = load(packed(foreign(tmp_path, "other", "lag=0.1")))
+    with EngineBank(spec, 1, STEP) as bank:
+        assert bank.reset(1.0).thrust[0] == pytest.approx(20.0)
+
+
+def test_what_a_system_keeps_for_itself_is_not_unpacked(tmp_path: Path) -> None:
+    spec = load(with_system_files(foreign(tmp_path, "mac", "lag=0.1")))
+    with unpack(spec.archive) as folder:
+        assert [path.name for path in folder.rglob("*") if path.is_file()] == [f"foreign{fmpy.sharedLibraryExtension}"]
+
+
+def test_a_system_of_fmus_packed_on_a_mac_flies(tmp_path: Path) -> None:
+    """Its parameter sets have companions that are no XML, for one."""
+    path = pack(tmp_path / "jet.ssp", structure(), components(tmp_path))
+    thrusts = []
+    for each in (path, with_system_files(Path(shutil.copy(path, tmp_path / "mac.ssp")))):
+        with EngineBank(load(each), 1, STEP) as bank:
+            thrusts.append([bank.reset(0.5).thrust[0], *(bank.step(k, (1.0,)).thrust[0] for k in range(20))])
+    assert thrusts[0] == thrusts[1]
+
+
+def test_a_way_out_is_none_with_backslashes_either(tmp_path: Path) -> None:
+    path = foreign(tmp_path, "evil", "lag=0.1")
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("resources\\..\\..\\evil.txt", b"")
+    with pytest.raises(InputError, match="unsafe path inside"):
+        load(path)
+
+
+def test_two_names_of_one_file_are_refused(tmp_path: Path) -> None:
+    path = foreign(tmp_path, "double", "lag=0.1")
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("resources/table.csv", b"1")
+        archive.writestr("resources\\table.csv", b"2")
+    with pytest.raises(InputError, match="inside more than once"):
+        load(path)
+
+
+def test_a_folder_that_was_packed_in_place_of_its_contents_is_told(tmp_path: Path) -> None:
+    path = foreign(tmp_path, "mine", "lag=0.1")
+    with zipfile.ZipFile(path) as archive:
+        held = {f"mine/{name}": archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in held.items():
+            archive.writestr(name, data)
+    with pytest.raises(InputError, match=r"no modelDescription.xml, but mine/modelDescription.xml: pack what is in"):
+        load(path)
+
+
+def test_names_are_read_as_written_elsewhere(tmp_path: Path) -> None:
+    with Zip(with_backslashes(foreign(tmp_path, "other", "lag=0.1"))) as archive:
+        assert f"binaries/{fmpy.platform}/foreign{fmpy.sharedLibraryExtension}" in archive.namelist()
+        assert archive.testzip() is None
+
+
+# ---- descriptions
+
+
+def stating(folder: Path, attributes: str, name: str = "odd") -> Path:
+    """An engine with one parameter more."""
+    more = f'<ScalarVariable name="v_min" valueReference="40" {attributes}><Real start="1"/></ScalarVariable>\n'
+    return foreign(folder, name, "lag=0.1", change=("</ModelVariables>", f"{more}</ModelVariables>"))
+
+
+@pytest.mark.parametrize(
+    ("attributes", "settable"),
+    [
+        ('causality="parameter" variability="constant"', False),
+        ('causality="parameter" variability="continuous"', True),
+        ('causality="parameter" variability="discrete"', True),
+        ('causality="parameter"', True),
+        ('causality="calculatedParameter" variability="constant"', False),
+        ('causality="local" variability="constant"', False),
+    ],
+)
+def test_a_variability_that_fmi_does_not_allow_is_read_over_and_told(
+    attributes: str, settable: bool, tmp_path: Path
+) -> None:
+    spec = load(stating(tmp_path, attributes))
+    assert [v.name for v in spec.archive.parameters] == (["v_min"] if settable else [])
+    if "local" not in attributes:
+        assert any("v_min" in note and "of no effect on stepping" in note for note in blemish_lines(spec.archive))
+    with EngineBank(spec, 1, STEP) as bank:
+        assert bank.reset(1.0).thrust[0] == pytest.approx(20.0)
+
+
+def test_a_constant_is_no_parameter_that_can_be_set(tmp_path: Path) -> None:
+    path = stating(tmp_path, 'causality="parameter" variability="constant"')
+    with pytest.raises(InputError, match="v_min"):
+        load_engine(str(path), {"v_min": 2.0}, STEP, unchecked=True)
+
+
+# ---- binaries
+
+
+@pytest.mark.parametrize(
+    ("held", "said"),
+    [
+        ({}, "(it has: no binary at all)"),
+        ({"win64/x.dll": b"x"}, "(it has: win64)"),
+        ({f"{fmpy.platform}/": b""}, f"(folder {fmpy.platform} is empty)"),
+        ({f"{fmpy.platform}/": b"", "win64/x.dll": b"x"}, f"(folder {fmpy.platform} is empty)"),
+        ({f"{fmpy.platform}/other.so": b"x", "win64/x.dll": b"x"}, f"(folder {fmpy.platform} holds other.so)"),
+    ],
+)
+def test_what_is_there_in_place_of_the_library_is_told(held: dict[str, bytes], said: str, tmp_path: Path) -> None:
+    path = foreign(tmp_path, "without", "lag=0.1")
+    with zipfile.ZipFile(path) as archive:
+        description = archive.read("modelDescription.xml")
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", description)
+        for name, data in held.items():
+            archive.writestr(f"binaries/{name}", data)
+    with pytest.raises(InputError, match="has no binary for this machine") as refused:
+        load(path)
+    assert str(refused.value).endswith(said)
+
+
+# ---- time
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A machine so busy that 1000 s pass between two looks."""
+    times = count(0.0, 1000.0)
+    monkeypatch.setattr(supervisor.time, "monotonic", lambda: next(times))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="told by /proc")
+def test_one_that_computes_is_counted_by_the_processor(clock: None) -> None:
+    code = "print('begun', flush=True)\nwhile True: pass"
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        child.stdout.readline()
+        had = supervisor._Had(child.pid)
+        while had.processor < 0.5:
+            had.look()
+        child.kill()
+    assert had.seconds == had.processor
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="told by /proc")
+def test_one_that_waits_is_counted_by_the_clock(clock: None) -> None:
+    code = "import time; print('begun', flush=True); time.sleep(1000.0)"
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        child.stdout.readline()
+        had = supervisor._Had(child.pid)
+        for _ in range(1000):
+            had.look()
+        child.kill()
+    assert had.seconds > 900_000.0
