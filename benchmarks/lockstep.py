@@ -22,7 +22,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
 
-from cosim.autopilots.ardupilot import ArduPilot
+from cosim.autopilots.ardupilot import ArduPilot, Launch
 from cosim.autopilots.lockstep import Autopilot, Frame, Sticks
 from cosim.autopilots.px4 import Px4
 from cosim.base.frames import from_euler
@@ -115,8 +115,12 @@ def bare(kind: str) -> Cost:
 
 @contextmanager
 def paired(kind: str, folder: Path) -> Iterator[Autopilot]:
-    make = {"ardupilot": ArduPilot, "px4": Px4}[kind]
-    ours = make(None, folder, VEHICLE, HOVER.step_s, PLACE, instance=INSTANCE[kind], limit=20.0)
+    ours: ArduPilot | Px4
+    if kind == "ardupilot":
+        launch = Launch(INSTANCE[kind], limit_s=20.0)
+        ours = ArduPilot(None, folder, VEHICLE, HOVER.step_s, PLACE, launch)
+    else:
+        ours = Px4(None, folder, VEHICLE, HOVER.step_s, PLACE, instance=INSTANCE[kind], limit=20.0)
     with child(kind):
         try:
             yield ours

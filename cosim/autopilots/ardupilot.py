@@ -4,14 +4,24 @@ Protocol (``libraries/SITL/examples/JSON/readme.md``, ``SIM_JSON.cpp``): the phy
 each instance, and answers to whoever sent.  ArduPilot stands still until it is answered, and the answer's timestamp is
 its time.  Without one for a second it sends the same packet again, with the same frame count: that is answered again,
 and not stepped.  Sticks go to UDP 5501 before the state, as 16 pulses.
+
+Its serial ports are switched off when it is started here: by itself it waits for a ground station on the first, and
+listens on TCP on every network interface.  Where it listens for the sticks is every interface too (``SITL_State.cpp``),
+and no option changes that.
 """
 
 from __future__ import annotations
 
+import re
 import socket
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import cos, radians
 from pathlib import Path
 from struct import Struct
 from time import monotonic
+from typing import NamedTuple
 
 from cosim.autopilots.lockstep import (
     LOCAL,
@@ -36,6 +46,12 @@ PORT, RC_PORT, APART = 9002, 5501, 10
 # (ARMING_DELAY_SEC) after it was armed, and lets them go within 1 s (twice MOT_SPOOL_TIME) once throttle is raised.
 # Full stick: ANGLE_MAX, and PILOT_Y_RATE as it ships.
 HANDLING = Handling(before_s=40.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0)
+HOVER = 0.35  # MOT_THST_HOVER as it ships: it learns in modes that hold the height, and Stabilize is none
+_SERIALS = (0, 1, 2, 5, 6, 7, 8)  # those that are TCP ports by themselves; 3 and 4 are its simulated GNSS receivers
+_SPEEDUP = 100  # how much faster than real time it may go: the lockstep paces it
+# Frames until its frame rate is that of SIM_RATE_HZ: it begins at 1200 and goes by about one a frame.
+_SLIDE = 2400
+MOST_CHANNELS, STICK_CHANNELS = 16, (1, 2, 3, 4, 5, 7)  # 5 chooses the mode, 7 arms
 _SERVOS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by their magic: frame rate, frame count, pulses [us]
 _STICKS = Struct("<16H")
 # One line between two ends of lines; its parser wants no blank behind a colon, and one behind a comma.
@@ -50,55 +66,96 @@ _PATIENCE_S = 0.5
 _LONGEST_STEP_S = 0.1  # a longer one does not move its clock
 
 
+class Channel(NamedTuple):
+    """A channel of the transmitter beside the sticks, such as a switch."""
+
+    number: int
+    pulse: int  # us
+    since_s: float | None = None  # of the flight, low before; None: from the autopilot's first frame on
+
+
+def parse_channel(text: str, where: str) -> Channel:
+    """Return the channel that ``NUMBER=PULSE`` or ``NUMBER=PULSE@SECONDS`` states.  Raises InputError."""
+    match = re.fullmatch(r"(\d{1,2})=(\d{3,4})(?:@(\d+(?:\.\d+)?))?", text.strip())
+    if match:
+        number, since = int(match[1]), None if match[3] is None else float(match[3])
+        if number in range(1, MOST_CHANNELS + 1) and number not in STICK_CHANNELS and 800 <= int(match[2]) <= 2200:
+            return Channel(number, int(match[2]), since)
+    free = [number for number in range(1, MOST_CHANNELS + 1) if number not in STICK_CHANNELS]
+    raise InputError(
+        f"{where} {text}: must be a channel, its pulse of 800 to 2200 us and perhaps the second of the flight from "
+        f"which on, such as 8=2000 or 8=2000@2.5; allowed channels: {', '.join(map(str, free))}"
+    )
+
+
+@dataclass(frozen=True)
+class Launch:
+    """How an ArduPilot is started, which of several it is, and what its transmitter does beside the sticks."""
+
+    instance: int = 0
+    limit_s: float = 5.0  # for an answer, of the clock
+    parameters: Mapping[str, float] = field(default_factory=dict)  # those that it flies with and that are known
+    defaults: Path | None = None  # the file of these that it is started with
+    channels: Sequence[Channel] = ()
+    station: int | None = None  # UDP port of this machine, to which it talks MAVLink; None: it talks to none
+
+
 class ArduPilot:
-    """One ArduPilot, started here or by somebody.  ``parameters``: a file of its defaults.  Raises InputError."""
+    """One ArduPilot, started here or by somebody.  Raises InputError."""
 
     def __init__(
-        self,
-        binary: Path | None,
-        folder: Path,
-        vehicle: Vehicle,
-        step: float,
-        place: Geodesy,
-        parameters: Path | None = None,
-        instance: int = 0,
-        limit: float = 5.0,
+        self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, launch: Launch
     ) -> None:
         if step >= _LONGEST_STEP_S:
             raise InputError(f"ardupilot: step_s = {step:g}: its clock is moved by steps below {_LONGEST_STEP_S:g} s")
         self.counts = Counts()
-        self.limit = limit
+        self.limit = launch.limit_s
         self.patience = _PATIENCE_S
-        self._binary, self._folder, self._step, self._place = binary, folder, step, place
-        self._parameters, self._instance = parameters, instance
+        self._binary, self._folder, self._step, self._place, self._launch = binary, folder, step, place, launch
         self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
+        self._transmitter = Transmitter(launch.parameters, launch.channels, step)
         self._socket: socket.socket | None = None
         self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._program: Program | None = None
         self._peer: tuple[str, int] | None = None
-        self._sticks, self._sticks_every = Sticks(), max(1, round(STICKS_S / step))
+        self._pulses: list[int] = []
+        self._sticks_every = max(1, round(STICKS_S / step))
         self._count = -1  # frame count of the packet that was answered last, or is to be
         self._anew = False  # a count that begins anew was seen
 
+    @property
+    def sticks_port(self) -> int:
+        """Where it listens for the sticks, UDP."""
+        return RC_PORT + APART * self._launch.instance
+
     def start(self) -> None:
         """Listen, start it, and wait for its first packet.  Raises InputError or FlightError."""
-        port = PORT + APART * self._instance
+        port = PORT + APART * self._launch.instance
         self._folder.mkdir(parents=True, exist_ok=True)
         self._socket = listen(socket.SOCK_DGRAM, port, "ardupilot")
         if self._binary is not None:
-            place = self._place
-            home = f"{place.latitude_deg!r},{place.longitude_deg!r},{place.ground!r},0"
-            command = [str(self._binary), "--model", f"JSON:{LOCAL}", "--home", home, f"-I{self._instance}", "--wipe"]
-            command += ["--defaults", str(self._parameters.absolute())] if self._parameters is not None else []
-            self._program = Program(command, self._folder, self._folder / "ardupilot.log", {})
+            self._program = Program(self._command(), self._folder, self._folder / "ardupilot.log", {})
         waiting = Waiting("ardupilot", _START_S, self._program, f"sent nothing to port {port}")
-        rate = 0
         while self._peer is None:
             packet, sender = waiting.packet(self._socket)
             if (servos := self._servos(packet)) is None:
                 raise FlightError(f"what sends to ardupilot's port is no servo packet: it said {packet[:16]!r}")
-            self._peer, (_, rate, self._count, *_) = sender, servos
-        if abs(rate * self._step - 1.0) > 1e-3:
+            self._peer, self._count = sender, servos[2]
+
+    def _command(self) -> list[str]:
+        """Return what it is started with."""
+        place, launch = self._place, self._launch
+        home = f"{place.latitude_deg!r},{place.longitude_deg!r},{place.ground!r},0"
+        command = [str(self._binary), "--model", f"JSON:{LOCAL}", "--home", home, f"-I{launch.instance}", "--wipe"]
+        command += ["--speedup", str(_SPEEDUP)]
+        for serial in _SERIALS:
+            talks = serial == 0 and launch.station is not None
+            command += [f"--serial{serial}", f"udpclient:{LOCAL}:{launch.station}" if talks else "none:"]
+        return command + (["--defaults", str(launch.defaults.absolute())] if launch.defaults is not None else [])
+
+    def _check_rate(self, rate: int) -> None:
+        """Refuse a frame rate that is not the flight's once it has had the time to become what it is set to."""
+        if self.counts.frames == _SLIDE and abs(rate * self._step - 1.0) > 0.01:
             raise FlightError(
                 f"ardupilot asks for {rate} frames a second, and the flight has {1.0 / self._step:g}: set SIM_RATE_HZ "
                 f"to that, and SCHED_LOOP_RATE to no more, or fly with step_s = {1.0 / rate if rate else 0.0025:g}"
@@ -110,9 +167,10 @@ class ArduPilot:
         assert self._peer is not None
         counts, opened, peer = self.counts, self._socket, self._peer
         state = self._state(frame)
-        if frame.sticks != self._sticks or counts.frames % self._sticks_every == 0:
-            self._sticks = frame.sticks
-            self._out.sendto(_STICKS.pack(*_pulses(frame)), (LOCAL, RC_PORT + APART * self._instance))
+        pulses = self._transmitter.pulses(frame)
+        if pulses != self._pulses or counts.frames % self._sticks_every == 0:
+            self._pulses = pulses
+            self._out.sendto(_STICKS.pack(*pulses), (LOCAL, self.sticks_port))
         opened.sendto(state, peer)
         sent_at = monotonic()
         counts.frames += 1
@@ -148,6 +206,7 @@ class ArduPilot:
             self._count, self._anew = count, False
             counts.answers += 1
             counts.longest_s = max(counts.longest_s, waiting.took)
+            self._check_rate(servos[1])
             return self._answer(servos[3:])
 
     def _servos(self, packet: bytes) -> tuple[int, ...] | None:
@@ -182,12 +241,45 @@ class ArduPilot:
         self._out.close()
 
 
-def _pulses(frame: Frame) -> list[int]:
-    roll, pitch, yaw, throttle, armed = frame.sticks
-    sticks = [
-        pulse(roll),
-        pulse(-pitch),  # stick forward, a lower pulse, is nose down
-        round(1000.0 + 1000.0 * clip(throttle, 0.0, 1.0)),
-        pulse(yaw),
-    ]
-    return [*sticks, 1500, 1500, 2000 if armed else 1000, *[1500] * 9]
+class Transmitter:
+    """Sticks and switches as pulses [us], for an ArduCopter in Stabilize with these parameters.
+
+    Its throttle stick is no throttle: what it does with it is undone here, so that the mean throttle of the engines is
+    what the sticks state.  The stick is bent so that its middle is MOT_THST_HOVER, enlarged for the lean that is asked
+    for (ATC_ANGLE_BOOST), and put between MOT_SPIN_MIN and MOT_SPIN_MAX (``Mode::get_pilot_desired_throttle``,
+    ``AC_AttitudeControl_Multi::get_throttle_boosted``, ``AP_Motors_Thrust_Linearization``).
+    """
+
+    def __init__(self, parameters: Mapping[str, float], channels: Sequence[Channel], step: float) -> None:
+        self._least, most = parameters.get("MOT_SPIN_MIN", 0.15), parameters.get("MOT_SPIN_MAX", 0.95)
+        self._span = max(most - self._least, 0.01)
+        self._boosted = parameters.get("ATC_ANGLE_BOOST", 1.0) != 0.0
+        expo = clip((0.5 - parameters.get("MOT_THST_HOVER", HOVER)) / 0.375, -0.5, 1.0)
+        self._curve = [(1.0 - expo) * stick + expo * stick**3 for stick in (k / 1000.0 for k in range(1001))]
+        self._channels, self._late = channels, 0.5 * step
+
+    def pulses(self, frame: Frame) -> list[int]:
+        """Return the sixteen channels at an instant."""
+        sticks = frame.sticks
+        made = [
+            pulse(sticks.roll),
+            pulse(-sticks.pitch),  # stick forward, a lower pulse, is nose down
+            self._throttle(sticks),
+            pulse(sticks.yaw),
+        ]
+        made += [1500, 1500, 2000 if sticks.armed else 1000, *[1500] * 9]
+        for channel in self._channels:
+            begins = 0.0 if channel.since_s is None else HANDLING.before_s + channel.since_s
+            made[channel.number - 1] = channel.pulse if frame.time > begins - self._late else 1000
+        return made
+
+    def _throttle(self, sticks: Sticks) -> int:
+        if sticks.throttle <= 0.0:
+            return 1000
+        share = clip((sticks.throttle - self._least) / self._span, 0.0, 1.0)
+        if self._boosted:
+            full = radians(HANDLING.lean_deg)
+            share *= cos(full * clamp(sticks.roll, 1.0)) * cos(full * clamp(sticks.pitch, 1.0))
+        above = bisect_left(self._curve, share)
+        nearest = above if above == 0 or self._curve[above] - share < share - self._curve[above - 1] else above - 1
+        return 1000 + max(nearest, 1)  # at 1000 it is closed, and its motors idle

@@ -2,17 +2,19 @@
 
 A rate loop of theirs answers with a torque from -1 to 1, and what 1 is of throttle or of a tilt is their mixer's: for
 PX4 the normalised pseudo-inverse of ``ControlAllocationPseudoInverse`` and ``ActuatorEffectivenessMCTilt`` (1.15), for
-ArduPilot half of the motors' range (``AP_MotorsMatrix::normalise_rpy_factors``, 4.6).  Computed from their sources, and
-flown with neither here.
+ArduPilot half of the motors' range (``AP_MotorsMatrix::normalise_rpy_factors``, 4.6).  Computed from their sources;
+what was flown with the programs stands in docs/autopilots.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from math import degrees, pi
+from pathlib import Path
 
 import numpy as np
 
+from cosim.autopilots.ardupilot import HANDLING
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES, Vector3
 from cosim.spec.vehicle import RateGains, Vehicle
@@ -100,7 +102,26 @@ def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
     return parameters
 
 
-_X_FRAME = {(True, True): 0, (False, False): 1, (True, False): 2, (False, True): 3}  # front, right: its motor less one
+# Frames of ArduCopter with four motors, by FRAME_TYPE: what it calls the frame, and for where a motor stands and how it
+# turns (front, right, counter-clockwise: 1, 0 or -1 each) the motor's number (AP_MotorsMatrix::setup_quad_matrix, 4.6).
+# Its mixer knows of the numbers alone: a rotor that turns the other way makes the heading run away.
+_QUAD_FRAMES: dict[int, tuple[str, dict[tuple[int, int, int], int]]] = {
+    1: ("X", {(1, 1, 1): 1, (-1, -1, 1): 2, (1, -1, -1): 3, (-1, 1, -1): 4}),
+    18: ("X, reversed", {(-1, 1, 1): 1, (1, 1, -1): 2, (-1, -1, -1): 3, (1, -1, 1): 4}),
+    0: ("plus", {(0, 1, 1): 1, (0, -1, 1): 2, (1, 0, -1): 3, (-1, 0, -1): 4}),
+    6: ("plus, reversed", {(0, 1, -1): 1, (0, -1, -1): 2, (1, 0, 1): 3, (-1, 0, 1): 4}),
+}
+# Sticks as hexjet sitl sends them, not as the transmitters that ArduPilot takes by itself: 1100 to 1900 us, and dead
+# zones of 20 and 30 us.  The seventh channel arms.  Full stick is that of HANDLING.
+ARDUPILOT_STICKS: dict[str, float] = {
+    **{f"RC{n}_{key}": value for n in range(1, 5) for key, value in (("MIN", 1000), ("MAX", 2000), ("DZ", 0))},
+    **{f"RC{n}_TRIM": 1000 if n == 3 else 1500 for n in range(1, 5)},
+    "ANGLE_MAX": 100.0 * HANDLING.lean_deg,
+    "PILOT_Y_RATE": HANDLING.turn_deg_s,
+    "PILOT_Y_EXPO": 0.0,
+    "RC7_OPTION": 153,
+    "ARMING_CHECK": 0,
+}
 
 
 def ardupilot_torque(vehicle: Vehicle) -> Vector3:
@@ -110,26 +131,47 @@ def ardupilot_torque(vehicle: Vehicle) -> Vector3:
     return half, tilt, tilt
 
 
-def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
-    """ArduPilot: a quadrotor of its X frame, rate and attitude gains, filters, sticks, and the flight's rate.
+def ardupilot_frame(vehicle: Vehicle) -> tuple[int, list[int]]:
+    """Return ArduCopter's FRAME_TYPE of a quadrotor, and which of its motors every jet is.
 
-    Raises InputError for a vehicle with tilts: no frame of ArduCopter has two banks that tilt for pitch and yaw.
+    Raises InputError for a vehicle that none of its frames with four motors is.
     """
-    jets, control = vehicle.jets, vehicle.control
-    if vehicle.allocation == "effectiveness":
-        raise InputError(f"ardupilot: {vehicle.name}: is flown by effectiveness, whose gains are not in throttle")
+    jets = vehicle.jets
     if vehicle.servo or len(jets) != 4:
-        tilts = " on two tilting banks" if vehicle.servo else ""
+        engines = f"{len(jets)} engines"
+        whose = (
+            f"has {engines} on two tilting banks" if vehicle.servo else f"with {engines} is known here, only with four"
+        )
         raise InputError(
-            f"ardupilot: {vehicle.name}: no frame of ArduCopter has {len(jets)} engines{tilts}; state parameters of "
+            f"ardupilot: {vehicle.name}: no frame of ArduCopter {whose}; state parameters of "
             "yours (--defaults): the first outputs are the engines, the next two the tilts, left and right"
         )
+    places = [tuple(int(np.sign(v)) for v in (*jet.position_m[:2], jet.reaction_m)) for jet in jets]
+    for number, (_, motors) in _QUAD_FRAMES.items():
+        if set(places) == set(motors):
+            return number, [motors[place] for place in places]  # type: ignore[index]
+    names = "; ".join(name for name, _ in _QUAD_FRAMES.values())
+    turns = ", ".join(f"{jet.reaction_m:g}" for jet in jets)
+    raise InputError(
+        f"ardupilot: {vehicle.name}: vehicle.jets: no frame of ArduCopter has four rotors that stand and turn like "
+        f"these (reaction_m = {turns}); allowed: {names}, where rotors across the middle turn the same way"
+    )
+
+
+def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
+    """ArduPilot: a quadrotor's frame, rate and attitude gains, filters, sticks, and the flight's rate.
+
+    Raises InputError for a vehicle that is no frame of ArduCopter, see :func:`ardupilot_frame`.
+    """
+    control = vehicle.control
+    if vehicle.allocation == "effectiveness":
+        raise InputError(f"ardupilot: {vehicle.name}: is flown by effectiveness, whose gains are not in throttle")
+    frame, motors = ardupilot_frame(vehicle)
     least = control.allocation.throttle_min
     parameters: dict[str, float] = {"SIM_RATE_HZ": round(1.0 / step), "SCHED_LOOP_RATE": min(round(1.0 / step), 400)}
-    parameters |= {"FRAME_CLASS": 1, "FRAME_TYPE": 1}
-    for number, jet in enumerate(jets, 1):
-        x, y, _ = jet.position_m
-        parameters[f"SERVO{number}_FUNCTION"] = 33 + _X_FRAME[x > 0.0, y > 0.0]
+    parameters |= {"FRAME_CLASS": 1, "FRAME_TYPE": frame}
+    for number, motor in enumerate(motors, 1):
+        parameters[f"SERVO{number}_FUNCTION"] = 32 + motor
         parameters |= {f"SERVO{number}_MIN": 1000, f"SERVO{number}_MAX": 2000}
     for axis, gains, worth in rates(vehicle, ardupilot_torque(vehicle)):
         name = f"ATC_RAT_{'RLL' if axis == 'roll' else 'PIT' if axis == 'pitch' else 'YAW'}"
@@ -141,7 +183,28 @@ def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
     parameters |= dict(zip(names, control.attitude.gain_1_s, strict=True))
     parameters |= {"MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000, "MOT_THST_EXPO": 0.0, "MOT_SPIN_MAX": 1.0}
     parameters |= {"MOT_SPIN_MIN": least, "MOT_SPIN_ARM": least, "INS_GYRO_FILTER": 0}
-    return parameters | {"RC7_OPTION": 153, "ARMING_CHECK": 0}  # armed by the seventh channel
+    return parameters | ARDUPILOT_STICKS
+
+
+def read_parameters(path: Path) -> dict[str, float]:
+    """Return the parameters of an ArduPilot file: on a line a name and a value, by a comma or blanks; # begins a note.
+
+    Raises InputError for a file that cannot be read, and for a line that is none of that.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    parameters: dict[str, float] = {}
+    for number, line in enumerate(lines, 1):
+        words = line.split("#")[0].replace(",", " ").split()
+        if not words:
+            continue
+        try:
+            parameters[words[0]] = float(words[1])
+        except (IndexError, ValueError):
+            raise InputError(f"{path}: line {number}: {line.strip()!r}: must be a name and a number") from None
+    return parameters
 
 
 # With --rates its rate loop is P of the error: so small that no output is at its limit for what a scenario asks for, a
@@ -162,7 +225,11 @@ NOTES = {
         "its derivative has one filter for all axes, here roll's, and its integral a limit of its own (MC_RR_INT_LIM).",
         "With tilts the engines are told to stand at x = 0, so that the tilts alone give pitch, as ours do.",
     ),
-    "ardupilot": ("Written from its sources and not flown with it.",),
+    "ardupilot": (
+        "Flown with ArduCopter 4.6-dev in its SITL over JSON (the quadrotor): hover and a roll doublet; no hardware.",
+        "RCn_*, RC7_OPTION, ARMING_CHECK = 0 and SIM_RATE_HZ are for hexjet sitl. On hardware leave them out:",
+        "calibrate your transmitter, and keep the arming checks.",
+    ),
 }
 
 

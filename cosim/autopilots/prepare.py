@@ -12,12 +12,20 @@ from typing import Any
 from cosim.autopilots import ardupilot, betaflight, px4
 from cosim.autopilots.block import OutsideRates
 from cosim.autopilots.lockstep import LOCAL, Autopilot, stated_program
-from cosim.autopilots.parameters import ardupilot_parameters, parameter_file, px4_outside, px4_parameters
+from cosim.autopilots.parameters import (
+    ARDUPILOT_STICKS,
+    ardupilot_parameters,
+    parameter_file,
+    px4_outside,
+    px4_parameters,
+    read_parameters,
+)
 from cosim.autopilots.run import AutopilotRun, fly_autopilot, outside_rates
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import Vector3
 from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle
 
 INSTANCE_PORTS = 32_760  # the first of the ports that stand for a number; chosen by us, nobody's
 MOST_INSTANCES = 250  # numbers: as many instances as hexjet sitl takes
@@ -37,9 +45,11 @@ class Setup:
     port: int | None = None  # Betaflight: its first; None: the instance's
     gains: str = "vehicle"  # Betaflight: the vehicle's, or "stock", as it ships
     lines: Sequence[str] = ()  # Betaflight: for its console
-    parameters: Mapping[str, float] = field(default_factory=dict)  # PX4: over those made from the vehicle
+    parameters: Mapping[str, float] = field(default_factory=dict)  # PX4, ArduPilot: over those made from the vehicle
     magnetic_field: Vector3 | None = None  # PX4: gauss, NED; None: a dipole's at the place
     defaults: Path | None = None  # ArduPilot: its parameters; None: those made from the vehicle
+    channels: Sequence[str] = ()  # ArduPilot: NUMBER=PULSE or NUMBER=PULSE@SECONDS, beside the sticks
+    station: int | None = None  # ArduPilot: the UDP port of this machine to which it talks MAVLink
 
 
 @dataclass(frozen=True)
@@ -167,16 +177,39 @@ def _ardupilot(
     if rates is not None:
         raise InputError("ardupilot: flies its own rate loop; allowed with another in its place: betaflight, px4")
     vehicle, _ = scenario.resolved_vehicle()
-    defaults = setup.defaults
-    if defaults is None and program is not None:
-        defaults = folder / "hexjet.parm"
+    parameters = _ardupilot_parameters(vehicle, scenario.step_s, program, setup)
+    file = None
+    if program is not None:
+        file = folder / "hexjet.parm"
         folder.mkdir(parents=True, exist_ok=True)
-        defaults.write_text(parameter_file("ardupilot", ardupilot_parameters(vehicle, scenario.step_s)))
-    autopilot = ardupilot.ArduPilot(
-        program, folder, vehicle, scenario.step_s, _place(scenario), defaults, setup.instance, setup.limit_s
+        file.write_text(parameter_file("ardupilot", parameters))
+    launch = ardupilot.Launch(
+        setup.instance,
+        setup.limit_s,
+        parameters,
+        file,
+        [ardupilot.parse_channel(text, "channel") for text in setup.channels],
+        setup.station,
     )
+    autopilot = ardupilot.ArduPilot(program, folder, vehicle, scenario.step_s, _place(scenario), launch)
     endpoint = f"UDP port {ardupilot.PORT + ardupilot.APART * setup.instance}"
-    return PreparedAutopilot("ardupilot", autopilot, program, endpoint, {"defaults": str(defaults)})
+    details = {"defaults": str(setup.defaults or file), "parameters": parameters, "channels": list(setup.channels)}
+    return PreparedAutopilot("ardupilot", autopilot, program, endpoint, details)
+
+
+def _ardupilot_parameters(vehicle: Vehicle, step: float, program: Path | None, setup: Setup) -> dict[str, float]:
+    """Return what an ArduPilot flies with: the file stated over its sticks, or the vehicle's; over both what is stated.
+
+    One that is started by hand has its own; the vehicle's are taken for them where there are any.
+    """
+    if setup.defaults is not None:
+        return ARDUPILOT_STICKS | read_parameters(setup.defaults) | dict(setup.parameters)
+    try:
+        return ardupilot_parameters(vehicle, step) | dict(setup.parameters)
+    except InputError:
+        if program is not None:
+            raise
+        return ARDUPILOT_STICKS | dict(setup.parameters)
 
 
 def _place(scenario: Scenario) -> Geodesy:

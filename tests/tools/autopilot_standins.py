@@ -68,9 +68,13 @@ class ArduPilotStandIn:
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.thread.start()
 
+    def slid(self) -> int:
+        """Its frame rate: 1200 at first, whatever it is set to, then one a frame towards that."""
+        return max(self.rate, 1200 - len(self.times))
+
     def _packet(self, count: int) -> bytes:
         magic = 18458 if self.channels == 16 else 29569
-        return struct.pack(f"<HHI{self.channels}H", magic, self.rate, count, *self.pulses(self.told)[: self.channels])
+        return struct.pack(f"<HHI{self.channels}H", magic, self.slid(), count, *self.pulses(self.told)[: self.channels])
 
     def _run(self) -> None:
         count, sent, before, to = 0, 0, b"", ("127.0.0.1", self.port)

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from cosim.autopilots.ardupilot import parse_channel
 from cosim.base.storage.toml import Model
 
 
@@ -20,15 +21,19 @@ class StudyAutopilot(Model):
     binary: str = ""  # its program, as seen from the study's folder; none: the one that the environment names
     gains: Literal["vehicle", "stock"] = "vehicle"  # stock: as it ships; Betaflight's alone
     lines: list[str] = Field(default_factory=list)  # for Betaflight's console
-    parameters: dict[str, float] = Field(default_factory=dict)  # of PX4, over those made from the vehicle
+    parameters: dict[str, float] = Field(default_factory=dict)  # of PX4 and ArduPilot, over those from the vehicle
+    channels: list[str] = Field(default_factory=list)  # of ArduPilot's transmitter, as --channel takes them
     timeout_s: Annotated[float, Field(ge=0.1, le=600.0)] = 30.0  # for an answer, of the clock
 
     @model_validator(mode="after")
     def _fits(self) -> StudyAutopilot:
         """Every autopilot takes what is its own."""
-        for key, owner in (("lines", "betaflight"), ("parameters", "px4")):
-            if getattr(self, key) and self.name != owner:
-                raise ValueError(f"{key}: only {owner} has them, and this is {self.name}")
+        owned = {"lines": ("betaflight",), "parameters": ("px4", "ardupilot"), "channels": ("ardupilot",)}
+        for key, owners in owned.items():
+            if getattr(self, key) and self.name not in owners:
+                raise ValueError(f"{key}: allowed for {' and '.join(owners)}, and this is {self.name}")
+        for text in self.channels:
+            parse_channel(text, "channels")
         if self.gains != "vehicle" and self.name != "betaflight":
             raise ValueError(f"gains = {self.gains!r}: only betaflight flies as it ships, and this is {self.name}")
         return self

@@ -97,7 +97,14 @@ def with_autopilot(study: Study, scenario: Scenario, folder: Path, page: bool = 
     stated = study.autopilot
     assert stated is not None
     with own_instance() as instance:
-        setup = Setup(instance, stated.timeout_s, gains=stated.gains, lines=stated.lines, parameters=stated.parameters)
+        setup = Setup(
+            instance,
+            stated.timeout_s,
+            gains=stated.gains,
+            lines=stated.lines,
+            parameters=stated.parameters,
+            channels=stated.channels,
+        )
         binary = Path(stated.seen_from(study.folder).binary) if stated.binary else None
         autopilot = prepare(stated.name, scenario, folder, program_of(stated.name, binary), setup)
         done = autopilot.fly(scenario, folder, page)

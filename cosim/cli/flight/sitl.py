@@ -188,15 +188,51 @@ def px4(options: Options, instance: int, rates: str | None, parameters: tuple[st
     metavar="FILE.parm",
     help="Its parameters.  [default: as hexjet sitl params ardupilot writes them]",
 )
-def ardupilot(options: Options, instance: int, defaults: Path | None) -> int:
+@click.option("parameters", "--param", metavar="NAME=VALUE", multiple=True, help="Over these.")
+@click.option(
+    "channels",
+    "--channel",
+    metavar="N=PULSE[@S]",
+    multiple=True,
+    help="A switch of the transmitter [us], from second S of the flight on: 8=2000@2.",
+)
+@click.option(
+    "--station",
+    type=click.IntRange(1024, 65535),
+    metavar="PORT",
+    help="A ground station's UDP port on this machine, which it talks to.  [default: it talks to none]",
+)
+def ardupilot(
+    options: Options,
+    instance: int,
+    defaults: Path | None,
+    parameters: tuple[str, ...],
+    channels: tuple[str, ...],
+    station: int | None,
+) -> int:
     """ArduPilot's SITL over its JSON backend: that of --binary or ARDUPILOT_SITL, or one that you start.
 
     The port is 9002, and ten more for each instance. It flies in Stabilize and is flown by the sticks, as PX4 is. It
     must ask for as many frames a second as the flight has steps: SIM_RATE_HZ.
     """
+    from cosim.autopilots.ardupilot import APART, RC_PORT
     from cosim.autopilots.prepare import Setup
+    from cosim.base.storage.toml import parse_numbers
 
-    return _fly(options, options.read(), "ardupilot", Setup(instance, options.timeout, defaults=defaults))
+    setup = Setup(
+        instance,
+        options.timeout,
+        parameters=parse_numbers(parameters, "--param"),
+        defaults=defaults,
+        channels=channels,
+        station=station,
+    )
+    click.echo(
+        f"hexjet: ArduPilot listens for sticks at UDP port {RC_PORT + APART * instance} on every network interface of "
+        "this machine, and cannot be told otherwise; keep that port closed to others",
+        err=True,
+    )
+    return _fly(options, options.read(), "ardupilot", setup)
 
 
 @sitl.command(epilog=example("hexjet sitl params px4 > hexjet.params"))

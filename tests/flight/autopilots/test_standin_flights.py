@@ -13,7 +13,7 @@ import pytest
 from autopilot_standins import ArduPilotStandIn, Px4StandIn
 from patience import PATIENCE
 
-from cosim.autopilots.ardupilot import ArduPilot
+from cosim.autopilots.ardupilot import ArduPilot, Launch
 from cosim.autopilots.lockstep import Autopilot, Handling
 from cosim.autopilots.parameters import px4_outside, px4_torque
 from cosim.autopilots.px4 import Px4
@@ -112,7 +112,7 @@ def test_a_rate_loop_of_ours_hears_what_px4_asks_for(tmp_path: Path) -> None:
 
 def test_ardupilot_that_hangs_ends_the_flight_and_keeps_the_run(tmp_path: Path) -> None:
     """Named with step and time; the record flies again as far as it goes."""
-    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, instance=3307, limit=PATIENCE)
+    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, Launch(3307, PATIENCE))
     packets = count()
 
     def pulses(told: dict[str, Any]) -> Sequence[int]:
@@ -132,7 +132,7 @@ def test_ardupilot_that_hangs_ends_the_flight_and_keeps_the_run(tmp_path: Path) 
 
 
 def test_one_that_is_not_armed_does_not_fly(tmp_path: Path) -> None:
-    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, instance=3308, limit=PATIENCE)
+    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, Launch(3308, PATIENCE))
     theirs = ArduPilotStandIn(9002 + 33_080, pulses=lambda told: [1000] * 16)
     flown = fly_it(ours, "ardupilot", tmp_path / "run")
     theirs.close()
@@ -140,7 +140,7 @@ def test_one_that_is_not_armed_does_not_fly(tmp_path: Path) -> None:
 
 
 def test_engines_that_start_in_flight_are_refused(tmp_path: Path) -> None:
-    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE)
+    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, Launch())
     ground = HOVER.replace(engine_start="in flight", initial={"on_ground": True})
     with pytest.raises(InputError, match="with an autopilot engines run before the flight"):
         fly_it(ours, "ardupilot", tmp_path / "run", ground)

@@ -84,8 +84,13 @@ def test_more_than_there_are_numbers_is_said(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize(
     ("autopilot", "said"),
     [
-        ({"name": "px4", "lines": ["set p_roll = 1"]}, "lines: only betaflight has them, and this is px4"),
-        ({"name": "ardupilot", "parameters": {"A": 1.0}}, "parameters: only px4 has them, and this is ardupilot"),
+        ({"name": "px4", "lines": ["set p_roll = 1"]}, "lines: allowed for betaflight, and this is px4"),
+        (
+            {"name": "betaflight", "parameters": {"A": 1.0}},
+            "parameters: allowed for px4 and ardupilot, and this is betaflight",
+        ),
+        ({"name": "px4", "channels": ["8=2000"]}, "channels: allowed for ardupilot, and this is px4"),
+        ({"name": "ardupilot", "channels": ["3=2000"]}, "channels 3=2000: must be a channel"),
         ({"name": "px4", "gains": "stock"}, "only betaflight flies as it ships, and this is px4"),
         ({"name": "inav"}, "autopilot.name"),
         ({"name": "px4", "timeout_s": 0.0}, "timeout_s"),

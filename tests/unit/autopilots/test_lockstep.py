@@ -20,7 +20,7 @@ from command_tools import Hexjet
 from patience import PATIENCE
 
 from cosim.autopilots import hil, px4
-from cosim.autopilots.ardupilot import ArduPilot
+from cosim.autopilots.ardupilot import ArduPilot, Launch
 from cosim.autopilots.instruments import compass, dipole_field
 from cosim.autopilots.lockstep import Frame, Sticks
 from cosim.autopilots.px4 import Px4
@@ -65,7 +65,7 @@ def free(instances: range, port: int, apart: int, kind: socket.SocketKind) -> in
 @contextmanager
 def ardupilot(folder: Path, step: float = STEP, **faults: Any) -> Iterator[tuple[ArduPilot, ArduPilotStandIn]]:
     instance = free(range(100, 4000), 9002, 10, socket.SOCK_DGRAM)
-    ours = ArduPilot(None, folder, HEXJET, step, PLACE, instance=instance, limit=PATIENCE)
+    ours = ArduPilot(None, folder, HEXJET, step, PLACE, Launch(instance, PATIENCE))
     theirs = ArduPilotStandIn(9002 + 10 * instance, **faults)
     try:
         ours.start()
@@ -150,13 +150,15 @@ def test_what_ardupilot_does_wrong_is_named(faults: dict[str, int], said: str, t
 
 
 def test_another_rate_than_the_flights_is_refused(tmp_path: Path) -> None:
-    with (
-        pytest.raises(FlightError, match="asks for 400 frames a second, and the flight has 250: set SIM_RATE_HZ"),
-        ardupilot(tmp_path, rate=400),
-    ):
-        pass
+    """Once it is there: it begins at 1200 frames a second, whatever it is set to, and slides."""
+    with ardupilot(tmp_path, rate=400) as (ours, theirs):
+        for k in range(2399):
+            ours.exchange(frame(k))
+        assert theirs.slid() == 400
+        with pytest.raises(FlightError, match="asks for 400 frames a second, and the flight has 250: set SIM_RATE_HZ"):
+            ours.exchange(frame(2399))
     with pytest.raises(InputError, match=r"step_s = 0\.1: its clock is moved by steps below 0\.1 s"):
-        ArduPilot(None, tmp_path, HEXJET, 0.1, PLACE)
+        ArduPilot(None, tmp_path, HEXJET, 0.1, PLACE, Launch())
 
 
 def test_a_second_sender_is_left_alone_and_counted(tmp_path: Path) -> None:
@@ -172,7 +174,7 @@ def test_a_second_sender_is_left_alone_and_counted(tmp_path: Path) -> None:
 
 def test_a_wrong_protocol_on_the_port_is_named(tmp_path: Path) -> None:
     instance = free(range(100, 4000), 9002, 10, socket.SOCK_DGRAM)
-    ours = ArduPilot(None, tmp_path, HEXJET, STEP, PLACE, instance=instance)
+    ours = ArduPilot(None, tmp_path, HEXJET, STEP, PLACE, Launch(instance))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         talking = threading.Timer(0.05, stranger.sendto, (b"\xfd\x09 MAVLink", ("127.0.0.1", 9002 + 10 * instance)))
         talking.start()
@@ -281,7 +283,9 @@ def test_a_command_names_a_port_that_is_in_use(name: str, hexjet: Hexjet, tmp_pa
         out = tmp_path / "run"
         done = hexjet("sitl", name, "--aircraft", "quadrotor", "--instance", str(instance), "--out", str(out))
     assert done.status == 2
-    waiting, said = done.err.splitlines()
+    *told, waiting, said = done.err.splitlines()
+    assert all("on every network interface" in line for line in told)
+    assert len(told) == (name == "ardupilot")
     assert "waiting for one at" in waiting
     assert said.startswith(f"hexjet: {name}: port {port + apart * instance} is in use")
     assert not (out / "scenario.toml").exists()

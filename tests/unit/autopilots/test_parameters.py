@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from math import degrees, sqrt
+from math import atan2, cos, degrees, radians, sqrt
 
 import pytest
+from arducopter_standin import FRAMES
 from command_tools import Hexjet
 
 from cosim.autopilots.parameters import ardupilot_parameters, parameter_file, px4_parameters, px4_torque
+from cosim.base.errors import InputError
 from cosim.spec.vehicle import Vehicle, load_vehicle
 
 HEXJET = load_vehicle("hexjet")[0]
@@ -53,15 +55,52 @@ def test_the_tilts_of_px4_are_the_banks() -> None:
     assert (told["PWM_MAIN_FUNC7"], told["PWM_MAIN_FUNC8"]) == (201, 202)
 
 
+def turned(vehicle: Vehicle, sense: float = 1.0, quarter: bool = False) -> Vehicle:
+    """With rotors that turn the other way, or stand on the axes."""
+    lever = vehicle.jets[0].position_m[0]
+    places = {(1, 1): (0.0, lever), (-1, -1): (0.0, -lever), (1, -1): (lever, 0.0), (-1, 1): (-lever, 0.0)}
+    jets = []
+    for jet in vehicle.jets:
+        x, y, z = jet.position_m
+        if quarter:
+            x, y = places[round(x / lever), round(y / lever)]
+        jets.append(jet.model_copy(update={"position_m": (x, y, z), "reaction_m": sense * jet.reaction_m}))
+    return vehicle.model_copy(update={"jets": jets})
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize("quarter", [False, True])
+def test_a_frame_of_ardupilot_turns_as_the_rotors_do(sense: float, quarter: bool) -> None:
+    """By the frames' own rules, as the stand-in has them: where a motor stands, and that it turns the nose as it does."""
+    vehicle = turned(QUADROTOR, sense, quarter)
+    told = ardupilot_parameters(vehicle, 0.0025)
+    motors = FRAMES[int(told["FRAME_TYPE"])]
+    for number, jet in enumerate(vehicle.jets, 1):
+        angle, turn = motors[int(told[f"SERVO{number}_FUNCTION"]) - 33]
+        x, y, _ = jet.position_m
+        assert cos(radians(angle - degrees(atan2(y, x)))) == pytest.approx(1.0)
+        assert turn * jet.reaction_m > 0.0
+
+
+def test_rotors_that_no_frame_has_are_refused() -> None:
+    jets = [jet.model_copy(update={"reaction_m": 0.0}) for jet in QUADROTOR.jets]
+    with pytest.raises(
+        InputError, match=r"quadrotor: vehicle\.jets: no frame .* \(reaction_m = 0, 0, 0, 0\); allowed: X;"
+    ):
+        ardupilot_parameters(QUADROTOR.model_copy(update={"jets": jets}), 0.0025)
+    alike = [QUADROTOR.jets[k].model_copy(update={"reaction_m": (-1) ** k * 0.012}) for k in range(4)]
+    with pytest.raises(InputError, match="where rotors across the middle turn the same way"):
+        ardupilot_parameters(QUADROTOR.model_copy(update={"jets": alike}), 0.0025)
+
+
 def test_ardupilots_quadrotor() -> None:
-    """Half of the motors' range for a torque of 1; its X frame counts front right, rear left, front left, rear right."""
+    """Half of the motors' range for a torque of 1; and the sticks are the pulses that are sent."""
     told = ardupilot_parameters(QUADROTOR, 0.0025)
     half = 0.5 * (1.0 - QUADROTOR.control.allocation.throttle_min)
     assert told["ATC_RAT_RLL_P"] * half == pytest.approx(QUADROTOR.control.rate.roll.p)
     assert (told["SIM_RATE_HZ"], told["SCHED_LOOP_RATE"]) == (400, 400)
-    places = {(True, True): 33, (False, False): 34, (True, False): 35, (False, True): 36}
-    for number, jet in enumerate(QUADROTOR.jets, 1):
-        assert told[f"SERVO{number}_FUNCTION"] == places[jet.position_m[0] > 0.0, jet.position_m[1] > 0.0]
+    assert [told[f"RC{n}_{key}"] for n in (1, 2, 3, 4) for key in ("MIN", "MAX", "DZ")] == [1000, 2000, 0] * 4
+    assert (told["ANGLE_MAX"], told["PILOT_Y_RATE"]) == (3000.0, 202.0)
 
 
 def test_the_files(hexjet: Hexjet) -> None:

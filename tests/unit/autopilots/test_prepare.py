@@ -8,7 +8,14 @@ import pytest
 
 from cosim.autopilots import ardupilot, betaflight, px4
 from cosim.autopilots import prepare as preparation
-from cosim.autopilots.parameters import ardupilot_parameters, parameter_file, px4_outside, px4_parameters
+from cosim.autopilots.parameters import (
+    ARDUPILOT_STICKS,
+    ardupilot_parameters,
+    parameter_file,
+    px4_outside,
+    px4_parameters,
+    read_parameters,
+)
 from cosim.autopilots.prepare import PORTS_APART, PreparedAutopilot, Setup, find_program, program_of
 from cosim.base.errors import InputError
 from cosim.spec.scenario import Scenario
@@ -66,12 +73,29 @@ def test_px4s_parameters_are_the_vehicles_then_what_is_stated(tmp_path: Path) ->
 def test_ardupilots_parameters_are_a_file_where_it_is_started_here(tmp_path: Path) -> None:
     vehicle, _ = QUAD.resolved_vehicle()
     by_hand = prepare("ardupilot", QUAD, tmp_path, None, Setup(instance=1))
-    assert by_hand.details == {"defaults": "None"}
+    assert by_hand.details["defaults"] == "None"
     assert by_hand.endpoint == f"UDP port {ardupilot.PORT + ardupilot.APART}"
     assert not (tmp_path / "ardupilot").exists()
+    file = tmp_path / "ardupilot" / "hexjet.parm"
     prepare("ardupilot", QUAD, tmp_path, PROGRAM, Setup())
-    written = (tmp_path / "ardupilot" / "hexjet.parm").read_text()
-    assert written == parameter_file("ardupilot", ardupilot_parameters(vehicle, 0.0025))
+    assert file.read_text() == parameter_file("ardupilot", ardupilot_parameters(vehicle, 0.0025))
+    own = prepare("ardupilot", QUAD, tmp_path, PROGRAM, Setup(parameters={"CC_TYPE": 3.0}, channels=["8=2000@2"]))
+    assert own.details["parameters"] == ardupilot_parameters(vehicle, 0.0025) | {"CC_TYPE": 3.0}
+    assert read_parameters(file) == pytest.approx(own.details["parameters"])
+    assert own.details["channels"] == ["8=2000@2"]
+
+
+def test_a_file_of_ones_own_flies_with_the_sticks_that_are_sent(tmp_path: Path) -> None:
+    """Ranges that it does not state are those of the pulses; what it states, and what is stated over it, holds."""
+    file = tmp_path / "mine.parm"
+    file.write_text("# mine\nFRAME_CLASS,7\nRC1_DZ 5\nMOT_SPIN_MIN, 0.1 @READONLY\n")
+    made = prepare("ardupilot", HOVER, tmp_path, PROGRAM, Setup(defaults=file, parameters={"MOT_SPIN_MIN": 0.2}))
+    told = read_parameters(tmp_path / "ardupilot" / "hexjet.parm")
+    assert told == ARDUPILOT_STICKS | {"FRAME_CLASS": 7.0, "RC1_DZ": 5.0, "MOT_SPIN_MIN": 0.2}
+    assert made.details["defaults"] == str(file)
+    file.write_text("FRAME_CLASS,quad\n")
+    with pytest.raises(InputError, match=r"mine\.parm: line 1: 'FRAME_CLASS,quad': must be a name and a number"):
+        prepare("ardupilot", HOVER, tmp_path, PROGRAM, Setup(defaults=file))
 
 
 def test_who_may_be_started_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,117 @@
+"""The commands of the page with a stand-in for ArduCopter that is as unkind as the program: it flies, or it is lost."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arducopter_standin import Radio
+from patience import FLIGHT_PATIENCE, PATIENCE
+
+from cosim.autopilots.ardupilot import HANDLING, Channel, Transmitter, parse_channel
+from cosim.autopilots.lockstep import Frame, Sticks
+from cosim.base.errors import InputError
+from cosim.flight import fly
+from cosim.results.run import Run, open_run
+
+STANDIN = Path(__file__).parents[2] / "tools" / "arducopter_standin.py"
+DOUBLET = ["--aircraft", "quadrotor", "--set", "step_s=0.0025", "--scenario", "roll-doublet", "--set", "duration_s=7"]
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("sitl") / "arducopter"
+    made.write_text(f"#!{sys.executable}\n{STANDIN.read_text(encoding='utf-8')}", encoding="utf-8")
+    made.chmod(0o755)
+    return made
+
+
+@pytest.fixture(scope="module")
+def flown(program: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, str, str]:
+    """The doublet, with a switch raised in flight: the run, what the program printed, and what the command did."""
+    folder = tmp_path_factory.mktemp("runs") / "doublet"
+    command = [
+        sys.executable, "-c", "from cosim.cli.main import main; main()",
+        "sitl", "ardupilot", "--binary", str(program), *DOUBLET, "--out", str(folder), "--timeout", str(PATIENCE),
+        "--instance", "217", "--param", "CC_TYPE=3", "--param", "RC8_OPTION=109", "--channel", "8=2000@0.5",
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=FLIGHT_PATIENCE, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return open_run(folder), (folder / "ardupilot" / "ardupilot.log").read_text(), done.stderr
+
+
+def test_a_doublet_is_flown_as_planned(flown: tuple[Run, str, str]) -> None:
+    """Leans as far as asked, holds its heading, and does not fall when the stand lets it go."""
+    run, _, _ = flown
+    assert run.summary.as_planned, run.reason
+    lean, asked = np.degrees(run.log["roll_rad"]), np.degrees(run.log["roll_setpoint_rad"])
+    for side in (10.0, -10.0):
+        held = lean[np.flatnonzero(np.isclose(asked, side))[-200:]]
+        assert np.mean(held) == pytest.approx(side, abs=0.3)
+    assert run.metrics["yaw"].max_abs_error_rad < np.radians(2.0)
+    assert np.abs(run.log["altitude_m"] - run.log["altitude_m"][0]).max() < 0.15
+    books = json.loads((run.folder / "lockstep.json").read_text()) if run.folder else {}
+    assert (books["frames"], books["answers"]) == (round(47.0 / 0.0025), round(47.0 / 0.0025))
+    assert (books["channels"], books["parameters"]["CC_TYPE"]) == (["8=2000@0.5"], 3.0)
+
+
+def test_what_the_program_was_started_with(flown: tuple[Run, str, str]) -> None:
+    """At no pace of its own, without a port that waits or is open, with parameters that it knows."""
+    _, said, told = flown
+    assert "speedup 100" in said
+    assert "0 sockets" in said
+    assert "Ignored unknown param" not in said
+    assert "ArduPilot listens for sticks at UDP port 7671 on every network interface" in told
+
+
+def test_a_switch_is_raised_when_it_is_stated(flown: tuple[Run, str, str]) -> None:
+    _, said, _ = flown
+    switched = [line for line in said.splitlines() if line.startswith("Custom controller")]
+    assert switched[0].startswith("Custom controller is OFF at 0.0")
+    assert 40.5 <= float(switched[1].removeprefix("Custom controller is ON at ")) < 40.53
+
+
+def test_it_flies_again_without_the_program(flown: tuple[Run, str, str], tmp_path: Path) -> None:
+    run, _, _ = flown
+    assert run.folder is not None
+    again = fly(run.folder / "scenario.toml", tmp_path, report=False)
+    assert all(again.log[name].tobytes() == run.log[name].tobytes() for name in again.log.columns)
+
+
+def heard(pulses: list[int], stated: dict[str, float]) -> Radio:
+    """The stand-in's receiver, with what it was sent."""
+    kept = Radio.__new__(Radio)
+    kept.pulses = pulses
+    kept._parameters = {f"RC3_{key}": value for key, value in (("MIN", 1000), ("MAX", 2000), ("DZ", 0))} | stated
+    return kept
+
+
+@pytest.mark.parametrize("hover", [0.2, 0.35, 0.5, 0.6])
+def test_the_throttle_that_is_meant_is_what_comes_out_of_its_stick(hover: float) -> None:
+    """Bent by it, enlarged for a lean, between its least and most: the stick undoes that, to its steps of a thousandth."""
+    stated = {"MOT_THST_HOVER": hover, "MOT_SPIN_MIN": 0.1, "MOT_SPIN_MAX": 0.9}
+    ours = Transmitter(stated, [], 0.0025)
+    for throttle in np.linspace(0.15, 0.85, 29):
+        for roll in (0.0, 1.0):
+            sticks = Sticks(roll=roll, throttle=float(throttle), armed=True)
+            frame = Frame(50.0, *[(0.0, 0.0, 0.0)] * 2, (1.0, 0.0, 0.0, 0.0), *[(0.0, 0.0, 0.0)] * 2, 10.0, sticks)
+            share = heard(ours.pulses(frame), {}).throttle(hover) / np.cos(np.radians(roll * HANDLING.lean_deg))
+            assert 0.1 + 0.8 * share == pytest.approx(throttle, abs=0.002)
+
+
+@pytest.mark.parametrize(
+    ("text", "channel"),
+    [("8=2000", Channel(8, 2000, None)), ("16=1100@0", Channel(16, 1100, 0.0)), ("9=1500@2.5", Channel(9, 1500, 2.5))],
+)
+def test_a_channel_is_read(text: str, channel: Channel) -> None:
+    assert parse_channel(text, "--channel") == channel
+
+
+@pytest.mark.parametrize("text", ["3=2000", "7=1000", "17=2000", "8=200", "8", "8=2000@-1", "8=high", "0=2000"])
+def test_what_is_no_channel_is_refused_with_those_that_are(text: str) -> None:
+    with pytest.raises(InputError, match=rf"--channel {text}: must be .*; allowed channels: 6, 8, 9, 10, .*, 16$"):
+        parse_channel(text, "--channel")

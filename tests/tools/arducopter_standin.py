@@ -1,0 +1,358 @@
+"""A stand-in for ArduCopter's SITL over JSON, as a program: as unkind as that is, and nothing in it is of the project.
+
+Written from what ArduCopter 4.6 does and measured beside it, in the standard library alone.  It waits for a ground
+station on its first serial port unless it is told otherwise; listens on TCP on the others; goes at real time unless it
+is told otherwise; its frame rate begins at 1200 and slides; it refuses to be armed early, holds its motors for 2 s after
+that, and lets them go slowly; its sticks have ranges and dead zones and the throttle's is bent; its mixer has the signs
+of its frames.  Of its attitude loops there are the proportional ones and the rate loops, without shaping of what is
+asked; its attitude is the one that it is told.
+
+    arducopter_standin.py --model JSON:127.0.0.1 --home 0,0,0,0 -I0 --defaults FILE --serial0 tcp:0 --speedup 100
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import socket
+import struct
+import sys
+import time
+from pathlib import Path
+
+# By its own names, as it ships.
+DEFAULTS: dict[str, float] = {
+    "FRAME_CLASS": 1, "FRAME_TYPE": 1, "SCHED_LOOP_RATE": 400, "SIM_RATE_HZ": 1200, "SIM_SPEEDUP": 1, "ARMING_CHECK": 1,
+    "ANGLE_MAX": 3000, "PILOT_Y_RATE": 202.5, "PILOT_Y_EXPO": 0, "INS_GYRO_FILTER": 20, "ATC_ANGLE_BOOST": 1,
+    "MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000, "MOT_THST_EXPO": 0.65, "MOT_SPIN_MAX": 0.95, "MOT_SPIN_MIN": 0.15,
+    "MOT_SPIN_ARM": 0.1, "MOT_THST_HOVER": 0.35, "MOT_SPOOL_TIME": 0.5, "CC_TYPE": 0, "CC_AXIS_MASK": 0,
+    **{f"RC{n}_{key}": value for n in range(1, 17) for key, value in
+       (("MIN", 1100), ("MAX", 1900), ("TRIM", 1500), ("DZ", 0), ("REVERSED", 0), ("OPTION", 0))},
+    **{f"RC{n}_DZ": 20 for n in (1, 2, 4)}, "RC3_DZ": 30,
+    **{f"SERVO{n}_{key}": value for n in range(1, 17) for key, value in
+       (("MIN", 1100), ("MAX", 1900), ("TRIM", 1500), ("FUNCTION", 32 + n if n < 5 else 0))},
+    **{f"ATC_RAT_{axis}_{key}": value for axis, p, i, d, f in
+       (("RLL", 0.135, 0.135, 0.0036, 20), ("PIT", 0.135, 0.135, 0.0036, 20), ("YAW", 0.18, 0.018, 0.0, 2.5))
+       for key, value in (("P", p), ("I", i), ("D", d), ("FLTT", 20), ("FLTE", f if axis == "YAW" else 0),
+                          ("FLTD", 20), ("IMAX", 0.5))},
+    **{f"ATC_ANG_{axis}_P": 4.5 for axis in ("RLL", "PIT", "YAW")},
+}  # fmt: skip
+# FRAME_TYPE of four motors: of every motor where it is, degrees to the right of the nose, and 1 for counter-clockwise.
+_X = ((45, 1), (-135, 1), (-45, -1), (135, -1))
+_PLUS = ((90, 1), (-90, 1), (0, -1), (180, -1))
+_BETAFLIGHT = ((135, -1), (45, 1), (-135, 1), (-45, -1))
+
+
+def _other_way(motors: tuple[tuple[int, int], ...]) -> tuple[tuple[int, int], ...]:
+    return tuple((angle, -turn) for angle, turn in motors)
+
+
+FRAMES = {
+    0: _PLUS, 1: _X, 3: _other_way(_X), 6: _other_way(_PLUS), 12: _BETAFLIGHT, 18: _other_way(_BETAFLIGHT),
+}  # fmt: skip
+SERIALS = {0: "tcp:0:wait", 1: "tcp:2", 2: "tcp:3", 5: "tcp:5", 6: "tcp:6", 7: "tcp:7", 8: "tcp:8"}
+HOLDS_S = 2.0  # after arming
+READY_S = 25.0  # its estimator's, before which it is not armed
+AXES = ("RLL", "PIT", "YAW")
+
+
+def say(text: str) -> None:
+    print(text, flush=True)
+
+
+def limit(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)
+
+
+def part(hertz: float, dt: float) -> float:
+    """Of a first-order low-pass, in a step; no low-pass for 0 Hz."""
+    return 1.0 if hertz <= 0.0 else dt / (dt + 1.0 / (2.0 * math.pi * hertz))
+
+
+class Radio:
+    """Sixteen channels on UDP, heard fifty times a second, and what the sticks mean."""
+
+    def __init__(self, port: int, parameters: dict[str, float]) -> None:
+        self._parameters = parameters
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", port))
+        self._socket.setblocking(False)
+        self.heard = False
+        self.pulses = [1500, 1500, 1000, 1500, *[1500] * 12]
+        self._next = 0.0
+
+    def listen(self, now: float) -> bool:
+        """Whether it is time to hear; the latest is what it hears."""
+        if now < self._next:
+            return False
+        self._next = now + 0.02
+        while True:
+            try:
+                self.pulses = list(struct.unpack("<16H", self._socket.recv(64)))
+                self.heard = True
+            except BlockingIOError:
+                return True
+
+    def of(self, channel: int, key: str) -> float:
+        return self._parameters[f"RC{channel}_{key}"]
+
+    def angle(self, channel: int) -> float:
+        """From -1 to 1, with a dead zone around the middle."""
+        pulse = limit(self.pulses[channel - 1], self.of(channel, "MIN"), self.of(channel, "MAX"))
+        high, low = (self.of(channel, "TRIM") + way * self.of(channel, "DZ") for way in (1, -1))
+        if pulse > high:
+            share = (pulse - high) / (self.of(channel, "MAX") - high)
+        else:
+            share = (pulse - low) / (low - self.of(channel, "MIN")) if pulse < low else 0.0
+        return round(4500 * share) / 4500
+
+    def range(self, channel: int, pulse: float) -> int:
+        """From 0 to 1000, with a dead zone at the bottom."""
+        low = self.of(channel, "MIN") + self.of(channel, "DZ")
+        pulse = limit(pulse, self.of(channel, "MIN"), self.of(channel, "MAX"))
+        return int(1000 * (pulse - low) / (self.of(channel, "MAX") - low)) if pulse > low else 0
+
+    def throttle(self, hover: float) -> float:
+        """The stick as it is bent: in its middle is ``hover``."""
+        middle = self.range(3, (self.of(3, "MIN") + self.of(3, "MAX")) / 2)
+        stick = self.range(3, self.pulses[2])
+        share = 0.5 * stick / middle if stick < middle else 0.5 + 0.5 * (stick - middle) / (1000 - middle)
+        bend = limit(-(hover - 0.5) / 0.375, -0.5, 1.0)
+        return share * (1.0 - bend) + bend * share**3
+
+
+class Motors:
+    """Spooling, mixing and pulses of a quadrotor."""
+
+    def __init__(self, parameters: dict[str, float]) -> None:
+        frame = FRAMES[int(parameters["FRAME_TYPE"])]
+        if int(parameters["FRAME_CLASS"]) != 1:
+            raise SystemExit("no such frame")
+        self._parameters = parameters
+        # in its own order, by roll (left up), pitch (nose up) and yaw (nose right), the greatest a half
+        rows = [(-math.sin(math.radians(angle)), math.cos(math.radians(angle)), float(turn)) for angle, turn in frame]
+        most = [max(abs(row[k]) for row in rows) for k in range(3)]
+        self._mix = [tuple(0.5 * row[k] / most[k] for k in range(3)) for row in rows]
+        self.state, self._spun, self.most = "SHUT_DOWN", 0.0, 0.0
+        self.limited = True
+
+    def spool(self, dt: float, runs: bool, wanted: str, throttle: float) -> None:
+        """As its states go: shut down, idling, going up, free, going down."""
+        step = dt / self._parameters["MOT_SPOOL_TIME"]
+        self.limited = self.state in ("SHUT_DOWN", "GROUND_IDLE")
+        if not runs:
+            self.state, self._spun, self.most = "SHUT_DOWN", 0.0, 0.0
+        elif self.state == "SHUT_DOWN":
+            self.state = "GROUND_IDLE"
+        elif self.state == "GROUND_IDLE":
+            least = self._parameters["MOT_SPIN_MIN"]
+            idle = self._parameters["MOT_SPIN_ARM"] / least if least > 0.0 else 0.0
+            self._spun = self._spun + step if wanted == "FREE" else self._spun + limit(idle - self._spun, -step, step)
+            if wanted == "FREE" and self._spun >= 1.0:
+                self.state, self._spun = "SPOOLING_UP", 1.0
+        elif wanted != "FREE":
+            self.state, self.most = "SPOOLING_DOWN", max(0.0, min(self.most, 1.0) - step)
+            if self.most == 0.0:
+                self.state = "GROUND_IDLE"
+        elif self.state in ("SPOOLING_UP", "SPOOLING_DOWN"):
+            self.state, self.most = "SPOOLING_UP", self.most + step
+            if self.most >= min(throttle, 1.0):
+                self.state, self.most = "FREE", 1.0
+
+    def pulses(self, torque: tuple[float, float, float], throttle: float) -> list[int]:
+        """Of sixteen outputs, by the functions of the servos."""
+        shares = self._shares(torque, min(throttle, self.most))
+        least, most = self._parameters["MOT_PWM_MIN"], self._parameters["MOT_PWM_MAX"]
+        made = [0] * 16
+        for output in range(16):
+            motor = int(self._parameters[f"SERVO{output + 1}_FUNCTION"]) - 33
+            if 0 <= motor < len(shares):
+                made[output] = int(least + (most - least) * shares[motor])
+        return made
+
+    def _shares(self, torque: tuple[float, float, float], throttle: float) -> list[float]:
+        least = self._parameters["MOT_SPIN_MIN"]
+        if self.state == "SHUT_DOWN":
+            return [0.0] * len(self._mix)
+        if self.state == "GROUND_IDLE":
+            return [self._spun * least] * len(self._mix)
+        asked = [sum(a * b for a, b in zip(row, torque, strict=True)) for row in self._mix]
+        spread = max(asked) - min(asked)
+        if spread > 1.0:
+            asked, self.limited = [value / spread for value in asked], True
+        # as much thrust as is asked for, and no more or less than leaves room for the torques
+        throttle = limit(throttle, -min(asked), 1.0 - max(asked))
+        expo, most = self._parameters["MOT_THST_EXPO"], self._parameters["MOT_SPIN_MAX"]
+        return [least + (most - least) * self._linear(limit(throttle + value, 0.0, 1.0), expo) for value in asked]
+
+    @staticmethod
+    def _linear(thrust: float, expo: float) -> float:
+        """The motor for a thrust, of motors whose thrust is bent by ``expo``."""
+        if expo < 0.01:
+            return thrust
+        return (expo - 1.0 + math.sqrt((1.0 - expo) ** 2 + 4.0 * expo * thrust)) / (2.0 * expo)
+
+
+class Copter:
+    """Arming, sticks, attitude and rate loops."""
+
+    def __init__(self, parameters: dict[str, float], radio: Radio) -> None:
+        self.parameters, self.radio, self.motors = parameters, radio, Motors(parameters)
+        self.armed_at: float | None = None
+        self._switches: dict[int, str] = {}
+        self._closed_since: float | None = 0.0
+        self._heading: float | None = None
+        self._asked = [0.0, 0.0, 0.0]  # rates that the attitude loop asked for, one loop ago
+        self._target, self._error, self._slope, self._sum = ([0.0] * 3 for _ in range(4))
+        self._throttle = 0.0
+
+    def step(self, told: dict, now: float, dt: float) -> list[int]:
+        """Pulses for what it is told of an instant."""
+        if self.radio.listen(now) and self.radio.heard:
+            self._hear(now)
+        runs = self.armed_at is not None and now - self.armed_at > HOLDS_S
+        closed = self._closed_since is not None and now - self._closed_since > 0.4
+        torque = self._rates(told["imu"]["gyro"], dt)
+        self.motors.spool(dt, runs, "IDLE" if closed else "FREE", self._throttle)
+        pulses = self.motors.pulses(torque, self._throttle)
+        self._attitude(told["quaternion"], dt)
+        return pulses
+
+    def _hear(self, now: float) -> None:
+        stick = self.radio.range(3, self.radio.pulses[2])
+        self._closed_since = None if stick > 0 else self._closed_since if self._closed_since is not None else now
+        for channel in range(1, 17):
+            option, pulse = int(self.radio.of(channel, "OPTION")), self.radio.pulses[channel - 1]
+            at = "HIGH" if pulse > 1800 else "LOW" if pulse < 1200 else "MIDDLE"
+            if option and at != self._switches.get(channel):
+                self._switches[channel] = at
+                self._switched(option, at, now)
+
+    def _switched(self, option: int, at: str, now: float) -> None:
+        if option == 153 and at == "HIGH":
+            if now < READY_S or self._closed_since is None:
+                say(f"Arm: not ready at {now:.3f}")
+                return
+            self.armed_at = now
+            say(f"Arming motors at {now:.3f}")
+        elif option == 153 and at == "LOW" and self.armed_at is not None:
+            self.armed_at = None
+            say(f"Disarming motors at {now:.3f}")
+        elif option == 109 and self.parameters["CC_TYPE"]:
+            say(f"Custom controller is {'ON' if at == 'HIGH' else 'OFF'} at {now:.3f}")
+
+    def _rates(self, gyro: list[float], dt: float) -> tuple[float, float, float]:
+        made = []
+        for k, axis in enumerate(AXES):
+            p, i, d, target, error, slope, most = (
+                self.parameters[f"ATC_RAT_{axis}_{key}"] for key in ("P", "I", "D", "FLTT", "FLTE", "FLTD", "IMAX")
+            )
+            self._target[k] += part(target, dt) * (self._asked[k] - self._target[k])
+            before = self._error[k]
+            self._error[k] += part(error, dt) * (self._target[k] - gyro[k] - before)
+            self._slope[k] += part(slope, dt) * ((self._error[k] - before) / dt - self._slope[k])
+            grown = self._sum[k] + i * self._error[k] * dt
+            if not self.motors.limited or abs(grown) < abs(self._sum[k]):
+                self._sum[k] = limit(grown, -most, most)
+            made.append(p * self._error[k] + self._sum[k] + d * self._slope[k])
+        if self.motors.state in ("SHUT_DOWN", "GROUND_IDLE"):
+            self._sum, self._heading = [0.0] * 3, None
+        return made[0], made[1], made[2]
+
+    def _attitude(self, quaternion: list[float], dt: float) -> None:
+        w, x, y, z = quaternion
+        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+        pitch = math.asin(limit(2.0 * (w * y - z * x), -1.0, 1.0))
+        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        full = math.radians(self.parameters["ANGLE_MAX"] / 100.0)
+        wanted = [full * self.radio.angle(1), full * self.radio.angle(2)]
+        turn, bend = self.radio.angle(4), self.parameters["PILOT_Y_EXPO"]
+        turn = math.radians(self.parameters["PILOT_Y_RATE"]) * (1.0 - bend) * turn / (1.0 - bend * abs(turn))
+        self._heading = yaw if self._heading is None else self._heading + turn * dt
+        off = (self._heading - yaw + math.pi) % (2.0 * math.pi) - math.pi
+        errors = (wanted[0] - roll, wanted[1] - pitch, off)
+        self._asked = [self.parameters[f"ATC_ANG_{axis}_P"] * error for axis, error in zip(AXES, errors, strict=True)]
+        self._asked[2] += turn
+        self._throttle = self.radio.throttle(self.parameters["MOT_THST_HOVER"])
+        if self.parameters["ATC_ANGLE_BOOST"]:
+            self._throttle /= limit(math.cos(wanted[0]) * math.cos(wanted[1]), 0.1, 1.0)
+        if self.motors.state in ("SHUT_DOWN", "GROUND_IDLE"):
+            self._throttle = 0.0 if self._closed_since is not None else self._throttle
+
+
+def read(path: str | None) -> dict[str, float]:
+    """Its parameters, with those of a file over them; a name that it does not have is left out, and said."""
+    parameters = dict(DEFAULTS)
+    for line in Path(path).read_text(encoding="utf-8").splitlines() if path else ():
+        words = line.split("#")[0].replace(",", " ").split()
+        if words and words[0] not in parameters:
+            say(f"Ignored unknown param {words[0]}")
+        elif words:
+            parameters[words[0]] = float(words[1])
+    return parameters
+
+
+def open_serials(stated: dict[int, str], base: int) -> list[socket.socket]:
+    """Its serial ports that are TCP, here on loopback alone; the first waits unless it is told otherwise."""
+    opened = []
+    for number, path in (SERIALS | stated).items():
+        kind, *rest = path.split(":")
+        if kind != "tcp":
+            continue
+        listening = socket.create_server(("127.0.0.1", base + int(rest[0])))
+        opened.append(listening)
+        say(f"SERIAL{number} on TCP port {base + int(rest[0])}")
+        if rest[1:] == ["wait"]:
+            say("Waiting for connection ....")
+            opened.append(listening.accept()[0])
+    return opened
+
+
+def fly(copter: Copter, port: int, speedup: float) -> None:
+    """Send, wait, and live through what is answered, for ever."""
+    out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    out.settimeout(1.0)
+    rate, count, now, pulses, begun = 1200.0, 0, None, [0] * 16, time.monotonic()
+    while True:
+        packet = struct.pack("<HHI16H", 18458, int(rate), count, *pulses)
+        out.sendto(packet, ("127.0.0.1", port))
+        while True:
+            try:
+                told = json.loads(out.recv(4096))
+                break
+            except TimeoutError:
+                say("No JSON sensor message received, resending servos")
+                out.sendto(packet, ("127.0.0.1", port))
+            except ConnectionRefusedError:
+                return
+        before, now, count = now, told["timestamp"], count + 1
+        if before is not None and 0.0 < now - before < 0.1:
+            pulses = copter.step(told, now, now - before)
+            rate += limit(copter.parameters["SIM_RATE_HZ"] - rate, -1.0, 1.0)
+        ahead = now / speedup - (time.monotonic() - begun)
+        if ahead > 0.0:
+            time.sleep(ahead)
+
+
+def main() -> None:
+    known = argparse.ArgumentParser(allow_abbrev=False)
+    for name in ("--model", "--home", "--defaults"):
+        known.add_argument(name)
+    known.add_argument("-I", "--instance", type=int, default=0)
+    known.add_argument("--speedup", type=float, default=1.0)
+    known.add_argument("--wipe", action="store_true")
+    for number in SERIALS:
+        known.add_argument(f"--serial{number}")
+    stated = known.parse_args(sys.argv[1:])
+    say(f"Starting SITL: JSON, speedup {stated.speedup:g}")
+    parameters = read(stated.defaults)
+    paths = {number: getattr(stated, f"serial{number}") for number in SERIALS}
+    held = open_serials({n: path for n, path in paths.items() if path}, 5760 + 10 * stated.instance)
+    radio = Radio(5501 + 10 * stated.instance, parameters)
+    say(f"{len(held)} sockets")
+    fly(Copter(parameters, radio), 9002 + 10 * stated.instance, stated.speedup)
+
+
+if __name__ == "__main__":
+    main()
