@@ -9,9 +9,8 @@ import numpy as np
 
 from cosim.autopilots.lockstep import Answer, Autopilot, Frame, Handling, Sticks
 from cosim.autopilots.pilot import Pilot
-from cosim.base.constants import GRAVITY
+from cosim.autopilots.stand import Stand
 from cosim.base.errors import FlightError, InputError
-from cosim.base.frames import conjugate, rotate
 from cosim.base.protocols import Applied, EngineState
 from cosim.base.signals import ZERO3, Actuation, Command, Disturbance, Measured, State, Unallocated, Vector3
 from cosim.control.allocation.reallocation import torques
@@ -60,18 +59,20 @@ class AutopilotBlock:
     The time of ``handling`` passes between the autopilot's first frame and the flight's first step.  In it the vehicle
     stands in a stand as it begins the flight: level or not, still, on its engines of a flight that has begun; the
     autopilot calibrates and is armed.  ``rows``: what it answered in the flight, step by step.
-    ``truth``: the true motion, for the autopilot's own log.  ``rates``: flies in the place of its rate loop.
+    ``truth``: the true motion, for the autopilot's own log.  ``stand``: the sensors before the flight.
+    ``rates``: flies in the place of its rate loop.
     """
 
     level = "controller"
     columns = COLUMNS
 
-    def __init__(self, autopilot: Autopilot, label: str, handling: Handling, seed: int) -> None:
-        self._autopilot, self._label, self._handling, self._seed = autopilot, label, handling, seed
+    def __init__(self, autopilot: Autopilot, label: str, handling: Handling) -> None:
+        self._autopilot, self._label, self._handling = autopilot, label, handling
         self.rows: list[Row] = []
         self.shown: tuple[float, ...] = (0.0, 0.0)
         self._frames = 0
         self.truth: Callable[[], State] | None = None
+        self.stand: Stand | None = None
         self.rates: OutsideRates | None = None
 
     def prepare(self, belief: Belief) -> None:
@@ -92,28 +93,20 @@ class AutopilotBlock:
     def begin(self, measured: Measured) -> None:
         """Let the autopilot, which has begun, live through the time before.  Raises InputError or FlightError.
 
-        ``measured``: at the start of the flight.  What the stand's sensors say is its own noise, of the same size, from
-        a generator of its own: the flight's own is as it is without.
+        ``measured``: at the start of the flight.  In the stand :attr:`stand` says what is measured.
         """
         if measured.specific_force[0] != measured.specific_force[0]:
             raise InputError(f"{self._belief.vehicle.name}: an autopilot needs vehicle.sensors.accelerometer")
-        sensors, dt = self._belief.vehicle.sensors, self._belief.step_s
-        draw = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(5,))).standard_normal
-        force = rotate(conjugate(measured.attitude), (0.0, 0.0, -GRAVITY))
-        handling = self._handling
+        assert self.stand is not None
+        handling, dt = self._handling, self._belief.step_s
         steps = round(handling.before_s / dt)
         arming, throttle = steps - round(handling.arming_s / dt), steps - round(handling.throttle_s / dt)
         answer = None
         for k in range(steps):
             sticks = Sticks(throttle=self._pilot.hover if k >= throttle else 0.0, armed=k >= arming)
-            still = measured._replace(
-                rate=_add(ZERO3, draw(3) * sensors.gyro.noise_rad_s),
-                specific_force=_add(force, draw(3) * sensors.accelerometer.noise_m_s2),
-                velocity=ZERO3,
-            )
-            answer = self._exchange(still, sticks, ())
+            answer = self._exchange(self.stand.sample(), sticks, ())
         if answer is None or not answer.armed:
-            raise FlightError(f"{self._label} was not armed within {handling.before_s:g} s")
+            raise FlightError(f"{self._label} was not armed within {handling.before_s:g} s{handling.unarmed}")
 
     def update(self, command: Command, measured: Measured, applied: Applied) -> Actuation:
         """One step.  Raises FlightError where the autopilot does not answer."""
@@ -140,8 +133,3 @@ class AutopilotBlock:
         answer = self._autopilot.exchange(frame)
         self._frames += 1
         return answer
-
-
-def _add(vector: Vector3, noise: object) -> Vector3:
-    x, y, z = (a + float(b) for a, b in zip(vector, noise, strict=True))  # type: ignore[call-overload]
-    return (x, y, z)

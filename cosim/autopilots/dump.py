@@ -7,7 +7,7 @@ from cosim.autopilots.parameters import (
     ardupilot_parameters,
     ardupilot_torque,
     parameter_file,
-    px4_parameters,
+    px4_target,
     px4_torque,
 )
 from cosim.base.errors import InputError
@@ -15,13 +15,16 @@ from cosim.base.signals import Vector3
 from cosim.spec.vehicle import Vehicle
 
 
-def parameters_of(autopilot: str, vehicle: Vehicle, step: float) -> str:
-    """Lines for Betaflight's console, or a file of ``px4`` or ``ardupilot``.  Raises InputError for a vehicle that it
-    has no parameters for."""
+def parameters_of(autopilot: str, vehicle: Vehicle, step: float, target: str = "sitl") -> str:
+    """Return lines for Betaflight's console, or a file of ``px4`` or ``ardupilot``.
+
+    ``target``: of PX4, see :func:`cosim.autopilots.parameters.px4_target`.  Raises InputError for a vehicle that it has
+    no parameters for.
+    """
     if autopilot == "betaflight":
         lines = [*mixing(vehicle, vehicle.control.allocation.throttle_min), *fixed(vehicle), *gains_of(vehicle), "save"]
         return "\n".join(lines) + "\n"
-    parameters = px4_parameters(vehicle) if autopilot == "px4" else ardupilot_parameters(vehicle, step)
+    parameters = px4_target(vehicle, step, target) if autopilot == "px4" else ardupilot_parameters(vehicle, step)
     return parameter_file(autopilot, parameters)
 
 

@@ -93,6 +93,7 @@ class Handling:
     throttle_s: float
     lean_deg: float  # of full stick
     turn_deg_s: float  # of full stick
+    unarmed: str = ""  # what else is said of one that was not armed
 
 
 class Autopilot(Protocol):

@@ -1,7 +1,7 @@
 """The vehicle in the parameters of PX4 and ArduPilot: geometry, outputs, rate loops in their units, sticks.
 
 A rate loop of theirs answers with a torque from -1 to 1, and what 1 is of throttle or of a tilt is their mixer's: for
-PX4 the normalised pseudo-inverse of ``ControlAllocationPseudoInverse`` and ``ActuatorEffectivenessMCTilt`` (1.15), for
+PX4 the normalised pseudo-inverse of ``ControlAllocationPseudoInverse`` and ``ActuatorEffectivenessMCTilt`` (1.17), for
 ArduPilot half of the motors' range (``AP_MotorsMatrix::normalise_rpy_factors``, 4.6).  Computed from their sources;
 what was flown with the programs stands in docs/autopilots.md.
 """
@@ -20,13 +20,16 @@ from cosim.base.signals import AXES, Vector3
 from cosim.spec.vehicle import RateGains, Vehicle
 
 _THRUST = 6.5  # CA_ROTOR_CT as it ships
+_SIDE = 0.01  # m, to the left or right, below which PX4 gives a tilt no yaw
+_LEAST_IMU_HZ, _MOST_IMU_HZ = 100, 1000  # of IMU_INTEG_RATE
 
 
 def px4_torque(vehicle: Vehicle) -> Vector3:
     """What a torque of 1 is for PX4: throttle about roll, rad of tilt about pitch and yaw (throttle without tilts).
 
     Tilts count with a torque of 1 each and rotors with their levers, roll and pitch have one scale, and with tilts the
-    rotors give no yaw and are told to stand at x = 0, so that they give no pitch.
+    rotors give no yaw and are told to stand at x = 0, so that they give no pitch.  Its size alone: the signs are those
+    of :func:`px4_parameters`.  Raises InputError as :func:`tilt_pitch`.
     """
     columns = []
     for jet in vehicle.jets:
@@ -34,7 +37,8 @@ def px4_torque(vehicle: Vehicle) -> Vector3:
         columns.append(_THRUST * np.array([-y, 0.0 if vehicle.servo else x, 0.0 if vehicle.servo else jet.reaction_m]))
     upward = [-_THRUST] * len(columns)
     if vehicle.servo:
-        columns += [np.array([0.0, -1.0, 1.0]), np.array([0.0, -1.0, -1.0])]  # left and right bank, tilted forward
+        pitch = tilt_pitch(vehicle)
+        columns += [np.array([0.0, pitch, 1.0]), np.array([0.0, pitch, -1.0])]  # left and right bank, tilted forward
         upward += [0.0, 0.0]
     mix = np.linalg.pinv(np.vstack([np.array(columns).T, upward]))
     both = [np.sqrt(np.sum(mix[:, i] ** 2) / (0.5 * np.count_nonzero(np.abs(mix[:, i]) > 1e-3))) for i in (0, 1)]
@@ -50,12 +54,49 @@ def rates(vehicle: Vehicle, torque: Vector3) -> tuple[tuple[str, RateGains, floa
     return tuple(zip(AXES, (control.roll, control.pitch, control.yaw), torque, strict=True))
 
 
+def tilt_pitch(vehicle: Vehicle) -> float:
+    """Return the sign of the pitch moment of a bank of PX4's that is tilted forward: 1 nose up, -1 nose down.
+
+    A thrust that is turned forward pushes forward at the height of its jet: nose up where that is below the centre of
+    gravity (z > 0).  Raises InputError for banks that PX4 has no words for: each of its tilts gives as much pitch as
+    the other, and turns the nose to the other side.
+    """
+    levers = {side: [jet.position_m for jet in vehicle.jets if jet.servo == side] for side in ("left", "right")}
+    heights = {side: sum(z for _, _, z in places) for side, places in levers.items()}
+    if heights["left"] * heights["right"] <= 0.0:
+        raise InputError(
+            f"px4: {vehicle.name}: its banks' jets stand {_height(heights['left'])} (left) and "
+            f"{_height(heights['right'])} (right) the centre of gravity; PX4 gives both tilts the same pitch: allowed "
+            "are both banks above it, or both below"
+        )
+    for side, places in levers.items():
+        for x, y, _ in places:
+            if abs(y) <= _SIDE or (y > 0.0) != (side == "right"):
+                raise InputError(
+                    f"px4: {vehicle.name}: the {side} bank's jet at x = {x:g} m stands at y = {y:g} m; PX4 takes a "
+                    f"tilt's yaw from its side: allowed is more than {_SIDE:g} m to the {side}"
+                )
+    return 1.0 if heights["left"] > 0.0 else -1.0
+
+
+def _height(lever: float) -> str:
+    return "below" if lever > 0.0 else "above" if lever < 0.0 else "at the height of"
+
+
 def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
-    """PX4: control allocation as a multirotor, with tilts, outputs, rate and attitude gains, filters, sticks."""
+    """Return PX4's parameters of a vehicle, on a board as in a simulation: geometry, rate and attitude gains, filters.
+
+    Control allocation is that of a multirotor, or of one with tilts.  PX4 takes what a tilt does from its direction and
+    the side of its rotors, wherever these stand in height: a tilt towards the front is nose down to it.  Of jets below
+    the centre of gravity that is wrong, so it is told of a tilt towards the back, which is nose up to it, and of the
+    other side's rotors, as by its rule the yaw of that tilt would be the wrong way round then.
+    Raises InputError for a vehicle that PX4 has no words for.
+    """
     jets, control = vehicle.jets, vehicle.control
     if vehicle.allocation == "effectiveness":
         raise InputError(f"px4: {vehicle.name}: is flown by effectiveness, whose gains are not in PX4's torques")
     parameters: dict[str, float] = {"CA_AIRFRAME": 8 if vehicle.servo else 0, "CA_ROTOR_COUNT": len(jets)}
+    back = vehicle.servo is not None and tilt_pitch(vehicle) > 0.0
     for index, jet in enumerate(jets):
         x, y, z = jet.position_m
         parameters |= {
@@ -65,18 +106,15 @@ def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
         }
         # positive for a rotor that turns counter-clockwise, whose reaction turns the nose to the right
         parameters[f"CA_ROTOR{index}_KM"] = jet.reaction_m
-        parameters[f"HIL_ACT_FUNC{index + 1}"] = parameters[f"PWM_MAIN_FUNC{index + 1}"] = 101 + index
         if vehicle.servo:
-            parameters[f"CA_ROTOR{index}_TILT"] = 1 if jet.servo == "left" else 2
+            parameters[f"CA_ROTOR{index}_TILT"] = 1 if (jet.servo == "left") != back else 2
     if vehicle.servo:
         limit = degrees(vehicle.servo.range_rad)
         parameters["CA_SV_TL_COUNT"] = 2
         for index in range(2):
             parameters |= {f"CA_SV_TL{index}_MINA": -limit, f"CA_SV_TL{index}_MAXA": limit}
-            parameters[f"CA_SV_TL{index}_TD"] = 0.0  # towards the front
+            parameters[f"CA_SV_TL{index}_TD"] = 180 if back else 0  # towards the back, or the front
             parameters[f"CA_SV_TL{index}_CT"] = 3  # for pitch and yaw
-            function = f"FUNC{len(jets) + index + 1}"
-            parameters[f"HIL_ACT_{function}"] = parameters[f"PWM_MAIN_{function}"] = 201 + index
     for axis, gains, worth in rates(vehicle, px4_torque(vehicle)):
         name = f"MC_{axis.upper()}RATE"
         parameters |= {
@@ -95,11 +133,41 @@ def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
     parameters["MC_YAW_TQ_CUTOFF"] = 0.0  # since 1.16 a low-pass of 2 Hz as shipped, which no design has
     if control.rate.roll.d:
         parameters["IMU_DGYRO_CUTOFF"] = 1.0 / (2.0 * pi * control.rate.roll.d_filter_s)
-    # sticks by the simulator's link: Stabilized in every position, the fifth channel arms
+    return parameters
+
+
+def px4_outputs(vehicle: Vehicle, prefix: str = "PWM_MAIN") -> dict[str, float]:
+    """Return which output is which engine, then which tilt: of its SITL and of most boards, or of ``HIL_ACT``."""
+    functions = [101 + index for index in range(len(vehicle.jets))] + ([201, 202] if vehicle.servo else [])
+    return {f"{prefix}_FUNC{number}": function for number, function in enumerate(functions, 1)}
+
+
+def px4_link(step: float) -> dict[str, float]:
+    """Return what PX4 needs for a flight of ours, of ``step`` [s]: its estimator's pace, and sticks by the link.
+
+    Its answer to a sample waits for its estimator, which has to run at each.  Sticks are in proportion, without a dead
+    zone, and Stabilized in every position of the switch; the fifth channel arms.  Raises InputError for a step that
+    PX4's estimator does not follow.
+    """
+    if step < 1.0 / _MOST_IMU_HZ:
+        raise InputError(f"px4: step_s = {step:g}: its estimator takes {_MOST_IMU_HZ} samples a second at most")
+    parameters: dict[str, float] = {"IMU_INTEG_RATE": max(round(1.0 / step), _LEAST_IMU_HZ)}
     parameters |= {"COM_RC_IN_MODE": 0, "RC_MAP_ROLL": 1, "RC_MAP_PITCH": 2, "RC_MAP_THROTTLE": 3, "RC_MAP_YAW": 4}
     parameters |= {"RC_MAP_ARM_SW": 5, "RC_MAP_FLTMODE": 6, "RC_CHAN_CNT": 8, "RC3_TRIM": 1000}
-    parameters |= {f"COM_FLTMODE{slot}": 8 for slot in range(1, 7)}
-    return parameters
+    parameters |= {"MAN_DEADZONE": 0.0, "MPC_THR_CURVE": 1, "MPC_MANTHR_MIN": 0.0}
+    return parameters | {f"COM_FLTMODE{slot}": 8 for slot in range(1, 7)}
+
+
+PX4_TARGETS = ("sitl", "hil", "board")
+
+
+def px4_target(vehicle: Vehicle, step: float, target: str) -> dict[str, float]:
+    """Return all of PX4's parameters for its SITL, for a board in the loop, or for a board that flies.
+
+    A board that flies keeps its own radio; a name that the target does not have is an error to PX4.
+    """
+    parameters = px4_parameters(vehicle) | px4_outputs(vehicle, "HIL_ACT" if target == "hil" else "PWM_MAIN")
+    return parameters if target == "board" else parameters | px4_link(step)
 
 
 # Frames of ArduCopter with four motors, by FRAME_TYPE: what it calls the frame, and for where a motor stands and how it
@@ -221,9 +289,11 @@ def px4_outside(vehicle: Vehicle) -> tuple[dict[str, float], Vector3]:
 
 NOTES = {
     "px4": (
-        "Written from its sources and not flown with it. The rate loop runs at IMU_GYRO_RATEMAX, not at our step;",
+        "The rate loop runs at IMU_GYRO_RATEMAX, not at our step;",
         "its derivative has one filter for all axes, here roll's, and its integral a limit of its own (MC_RR_INT_LIM).",
         "With tilts the engines are told to stand at x = 0, so that the tilts alone give pitch, as ours do.",
+        "With jets below the centre of gravity the tilts are told to go back (TD 180) and to carry the other side:",
+        "by PX4's rule of signs that is what they do. A positive output tilts forward: the first servo is the left.",
     ),
     "ardupilot": (
         "Flown with ArduCopter 4.6-dev in its SITL over JSON (the quadrotor): hover and a roll doublet; no hardware.",
@@ -257,5 +327,7 @@ def _real(name: str) -> bool:
         "MC_AIRMODE",
         "HIL_ACT",
         "PWM_MAIN",
+        "IMU_INTEG_RATE",
+        "MPC_THR_CURVE",
     )
     return not (name.startswith(counted) or name.endswith(("_TILT", "_CT", "_TD")))

@@ -17,13 +17,14 @@ from cosim.autopilots.parameters import (
     ardupilot_parameters,
     parameter_file,
     px4_outside,
-    px4_parameters,
+    px4_target,
     read_parameters,
 )
 from cosim.autopilots.run import AutopilotRun, fly_autopilot, outside_rates
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import Vector3
+from cosim.spec.controller_name import is_design
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 
@@ -43,7 +44,7 @@ class Setup:
     instance: int = 0  # which of several at the same time
     limit_s: float = 5.0  # for an answer, of the clock
     port: int | None = None  # Betaflight: its first; None: the instance's
-    gains: str = "vehicle"  # Betaflight: the vehicle's, or "stock", as it ships
+    gains: str = "vehicle"  # whose are in the scenario's vehicle: its own, or a file's; "stock": as Betaflight ships
     lines: Sequence[str] = ()  # Betaflight: for its console
     parameters: Mapping[str, float] = field(default_factory=dict)  # PX4, ArduPilot: over those made from the vehicle
     magnetic_field: Vector3 | None = None  # PX4: gauss, NED; None: a dipole's at the place
@@ -125,6 +126,11 @@ def prepare(
     ``program``: see :func:`find_program`.  ``rates``: the scenario whose controller's rate loop flies in the place of
     the autopilot's own, from outside; ArduPilot takes none.  Raises InputError.
     """
+    if is_design(scenario.controller):
+        raise InputError(
+            f"controller = {scenario.controller}: {name} flies in the place of the controller; the gains of a design "
+            f"go into it by --gains {scenario.controller}"
+        )
     make = {"betaflight": _betaflight, "px4": _px4, "ardupilot": _ardupilot}[name]
     return make(scenario, folder / name, program, setup, rates)
 
@@ -151,7 +157,7 @@ def _px4(
     scenario: Scenario, folder: Path, program: Path | None, setup: Setup, rates: Scenario | None
 ) -> PreparedAutopilot:
     vehicle, _ = scenario.resolved_vehicle()
-    parameters, outside = px4_parameters(vehicle), None
+    parameters, outside = px4_target(vehicle, scenario.step_s, "sitl"), None
     if rates is not None:
         loop, gain = px4_outside(vehicle)
         parameters, outside = parameters | loop, outside_rates(rates, gain, hears=True)
@@ -168,7 +174,8 @@ def _px4(
         setup.magnetic_field,
     )
     endpoint = f"TCP port {px4.PORT + setup.instance}"
-    return PreparedAutopilot("px4", autopilot, program, endpoint, {"parameters": parameters}, outside)
+    details = {"gains": setup.gains, "parameters": parameters}
+    return PreparedAutopilot("px4", autopilot, program, endpoint, details, outside)
 
 
 def _ardupilot(
@@ -193,7 +200,12 @@ def _ardupilot(
     )
     autopilot = ardupilot.ArduPilot(program, folder, vehicle, scenario.step_s, _place(scenario), launch)
     endpoint = f"UDP port {ardupilot.PORT + ardupilot.APART * setup.instance}"
-    details = {"defaults": str(setup.defaults or file), "parameters": parameters, "channels": list(setup.channels)}
+    details = {
+        "gains": setup.gains,
+        "defaults": str(setup.defaults or file),
+        "parameters": parameters,
+        "channels": list(setup.channels),
+    }
     return PreparedAutopilot("ardupilot", autopilot, program, endpoint, details)
 
 

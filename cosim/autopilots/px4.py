@@ -7,11 +7,13 @@ Until the first of these PX4 starts up, and frames are sent without waiting for 
 
 from __future__ import annotations
 
+import re
 import select
 import socket
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
-from math import atan2, degrees, hypot, pi
+from difflib import get_close_matches
+from math import asinh, atan2, degrees, hypot, pi, sinh, sqrt
 from pathlib import Path
 
 from cosim.autopilots import hil
@@ -30,7 +32,7 @@ from cosim.autopilots.lockstep import (
     waits,
 )
 from cosim.base.constants import GRAVITY
-from cosim.base.errors import FlightError
+from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.limits import clamp, clip
 from cosim.base.signals import Vector3
@@ -38,16 +40,44 @@ from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.atmosphere import standard_air
 
 PORT = 4560
-# EKF2 wants some 10 s of GNSS, and arming looks at 10 s of health: 30 s chosen by us.  Full stick: MPC_MAN_TILT_MAX and
-# MPC_MAN_Y_MAX as they ship.
-HANDLING = Handling(before_s=30.0, arming_s=1.5, throttle_s=0.5, lean_deg=35.0, turn_deg_s=150.0)
+# EKF2 wants some 10 s of GNSS, and arming looks at 10 s of health: 30 s chosen by us.  After it was armed it holds the
+# throttle down for 1 s (COM_SPOOLUP_TIME), and then lets it up by half of its range in a second: 3 s to full throttle.
+# Full stick: MPC_MAN_TILT_MAX and MPC_MAN_Y_MAX as they ship.
+HANDLING = Handling(
+    before_s=30.0,
+    arming_s=4.0,
+    throttle_s=0.5,
+    lean_deg=35.0,
+    turn_deg_s=150.0,
+    unarmed="; one that you start needs the parameters of hexjet sitl params px4, and says why in its log",
+)
 _IMU, _MAG, _BARO = 7 | 56, 448, 6656  # fields_updated
 _MAG_EVERY, _BARO_EVERY = 0.008, 0.02  # s
 _ARMED = 128  # of mode
 _START_S = 60.0  # until it connects; a start on a busy machine
 _MOST_NOISE = 64  # bytes that are no MAVLink, after which what is connected is no PX4
 _LOOK_EVERY = 16  # frames between looks at who else connects
+_UNKNOWN = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")
 _BOOT_WAIT = 0.02  # s of the clock for an answer before there was one
+
+
+def unbent(turn: float) -> float:
+    """Return the stick at which PX4 turns by this share of its full rate: it bends yaw by ``0.4 x + 0.6 x^3``."""
+    # the one real root of x^3 + p x = q with p > 0
+    p, q = 0.4 / 0.6, clamp(turn, 1.0) / 0.6
+    return 2.0 * sqrt(p / 3.0) * sinh(asinh(1.5 * q / p * sqrt(3.0 / p)) / 3.0)
+
+
+def refuse_unknown(log: Path, told: Collection[str]) -> None:
+    """Refuse parameters of ours that PX4 does not have, by what it printed.  Raises InputError that names them.
+
+    Its own scripts ask for parameters of modules that it was built without, and print the same of these.
+    """
+    found = [name for name in dict.fromkeys(_UNKNOWN.findall(log.read_text(errors="replace"))) if name in told]
+    if found:
+        close = get_close_matches(found[0], sorted(set(told) - set(found)), n=1)
+        meant = f"; did you mean {close[0]}?" if close else ""
+        raise InputError(f"px4: parameter {', '.join(found)}: this PX4 has none of that name{meant} (--param; {log})")
 
 
 class Px4:
@@ -88,18 +118,23 @@ class Px4:
         """Listen, start it, and wait until it connects.  Raises InputError or FlightError."""
         port = PORT + self._instance
         self._folder.mkdir(parents=True, exist_ok=True)
+        log = self._folder / "px4.log"
         self._server = listen(socket.SOCK_STREAM, port, "px4")
         if self._binary is not None:
             environment = {"PX4_SYS_AUTOSTART": "10016", "PX4_SIM_MODEL": "none_iris", "HEADLESS": "1"}
-            environment |= {f"PX4_PARAM_{name}": f"{value:g}" for name, value in self._parameters.items()}
+            # nine digits, as many as its single precision tells apart
+            environment |= {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in self._parameters.items()}
             etc = self._binary.parent.parent / "etc"
-            command = [str(self._binary), "-d", "-i", str(self._instance), "-w", str(self._folder), str(etc)]
-            self._program = Program(command, self._folder, self._folder / "px4.log", environment)
+            # its folder from the root on: it is started there, and would look for a relative one below it
+            command = [str(self._binary), "-d", "-i", str(self._instance), "-w", str(self._folder.absolute()), str(etc)]
+            self._program = Program(command, self._folder, log, environment)
         waiting = Waiting("px4", _START_S, self._program, f"did not connect to port {port}")
         while self._link is None:
             self._server.settimeout(waiting.left())
             with suppress(TimeoutError):
                 self._link, _ = self._server.accept()
+        if self._program is not None:
+            refuse_unknown(log, self._parameters)  # its parameters are set before it connects
         self._server.setblocking(False)
         waits(self._link).setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
@@ -237,7 +272,7 @@ class Px4:
             pulse(roll),
             pulse(pitch),  # PX4: a higher pulse is forward
             round(1000.0 + 1000.0 * clip(throttle, 0.0, 1.0)),
-            pulse(yaw),
+            pulse(unbent(yaw)),
             2000 if armed else 1000,
         ]
         filled = [*pulses, *[1500] * 3, *[0xFFFF] * 10]

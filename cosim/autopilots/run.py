@@ -12,7 +12,9 @@ from typing import IO, Any
 
 from cosim.autopilots.block import AutopilotBlock, OutsideRates
 from cosim.autopilots.lockstep import Autopilot, Counts, Handling
+from cosim.autopilots.stand import Stand
 from cosim.base.errors import FlightError, InputError
+from cosim.base.geodesy import gravity
 from cosim.base.protocols import Observer
 from cosim.base.signals import Sample, Vector3
 from cosim.flight import record, resolve, with_page
@@ -114,7 +116,7 @@ def fly_autopilot(
                 f"{known.name}: is flown by effectiveness; the outputs and parameters of an autopilot are known here "
                 "for two banks, and for jets that all point straight up"
             )
-        block = AutopilotBlock(autopilot, label, handling, scenario.seed)
+        block = AutopilotBlock(autopilot, label, handling)
         block.rates = rates
         own = Source(
             f"autopilot:{label}",
@@ -130,6 +132,9 @@ def fly_autopilot(
             recording = record(simulation, folder)
             vehicle = simulation.vehicle
             block.truth = lambda: simulation.state
+            place, state = scenario.environment, simulation.state
+            pull = gravity(place.latitude_deg, place.ground_m + state.altitude)
+            block.stand = Stand(vehicle.sensors, simulation.dt, scenario.seed, scenario.sensor_noise, state, pull)
             writer = _Writer(folder / ACTUATORS, block, len(vehicle.jets), vehicle.servo is not None)
             again: dict[str, Any] = {"controller": ACTUATORS, "controller_sha256": None, "controller_parameters": {}}
             recording.restate(resolve(simulation)[0].model_copy(update=again))

@@ -47,7 +47,16 @@ class Options(NamedTuple):
     as_json: bool
 
     def read(self, designed: str | None = None) -> Any:
-        """The scenario with the command line's choices, and with the gains of a design file."""
+        """Return the scenario with the command line's choices, and with the gains of a design file.
+
+        Raises InputError for a controller by ``--set``, in whose place the autopilot flies.
+        """
+        for setting in self.settings:
+            if setting.partition("=")[0].strip() == "controller":
+                raise InputError(
+                    f"--set {setting}: the autopilot flies in the place of the controller; the gains of a design go "
+                    "into it by --gains FILE.toml"
+                )
         return load_scenario(self.scenario, designed, self.engines, self.seed, self.settings, aircraft=self.aircraft)
 
     def folder(self, scenario: Scenario, label: str) -> Path:
@@ -152,15 +161,40 @@ def _instance(command: Callable[..., Any]) -> Callable[..., Any]:
     )(command)
 
 
+def _gains(command: Callable[..., Any]) -> Callable[..., Any]:
+    return click.option(
+        "--gains",
+        metavar="FILE.toml",
+        help="Rate and attitude gains of hexjet design --for it.  [default: the vehicle's own]",
+    )(command)
+
+
+def _designed(gains: str | None) -> str:
+    """Return what the run says of its gains.  Raises InputError for what is no file of hexjet design."""
+    if gains is None:
+        return "vehicle"
+    if not gains.lower().endswith(".toml"):
+        raise InputError(f"--gains {gains}: must be a file of hexjet design (.toml)")
+    return gains
+
+
 @sitl.command(epilog=example("hexjet sitl px4 --binary px4_sitl_default/bin/px4 --param MC_ROLLRATE_P=0.05"))
 @_common
 @_instance
+@_gains
 @_rates
 @click.option(
     "parameters", "--param", metavar="NAME=VALUE", multiple=True, help="Over those of hexjet sitl params px4."
 )
 @click.option("--field", metavar="N,E,D", help="The magnetic field [gauss].  [default: a dipole's at the place]")
-def px4(options: Options, instance: int, rates: str | None, parameters: tuple[str, ...], field: str | None) -> int:
+def px4(
+    options: Options,
+    instance: int,
+    gains: str | None,
+    rates: str | None,
+    parameters: tuple[str, ...],
+    field: str | None,
+) -> int:
     """PX4's SITL: that of --binary or PX4_SITL, or one that you start; the port is 4560 and the instance.
 
     It flies in Stabilized and is flown by the sticks: lean as the scenario asks, height and heading held by the pilot
@@ -173,15 +207,17 @@ def px4(options: Options, instance: int, rates: str | None, parameters: tuple[st
     setup = Setup(
         instance,
         options.timeout,
+        gains=_designed(gains),
         parameters=parse_numbers(parameters, "--param"),
         magnetic_field=_magnetic_field(field),
     )
-    return _fly(options, options.read(), "px4", setup, rates)
+    return _fly(options, options.read(gains), "px4", setup, rates)
 
 
 @sitl.command(epilog=example("hexjet sitl ardupilot --binary build/sitl/bin/arducopter --set step_s=0.0025"))
 @_common
 @_instance
+@_gains
 @click.option(
     "--defaults",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
@@ -205,6 +241,7 @@ def px4(options: Options, instance: int, rates: str | None, parameters: tuple[st
 def ardupilot(
     options: Options,
     instance: int,
+    gains: str | None,
     defaults: Path | None,
     parameters: tuple[str, ...],
     channels: tuple[str, ...],
@@ -222,6 +259,7 @@ def ardupilot(
     setup = Setup(
         instance,
         options.timeout,
+        gains=_designed(gains),
         parameters=parse_numbers(parameters, "--param"),
         defaults=defaults,
         channels=channels,
@@ -232,7 +270,7 @@ def ardupilot(
         "this machine, and cannot be told otherwise; keep that port closed to others",
         err=True,
     )
-    return _fly(options, options.read(), "ardupilot", setup)
+    return _fly(options, options.read(gains), "ardupilot", setup)
 
 
 @sitl.command(epilog=example("hexjet sitl params px4 > hexjet.params"))
@@ -240,7 +278,14 @@ def ardupilot(
 @click.option("--aircraft", default="hexjet", show_default=True, metavar="NAME", help="See: hexjet list aircraft.")
 @click.option("--gains", metavar="FILE.toml", help="Of hexjet design, in the place of the vehicle's own.")
 @click.option("--rate", type=click.IntRange(50, 2000), default=250, show_default=True, help="Steps a second.")
-def params(autopilot: str, aircraft: str, gains: str | None, rate: int) -> int:
+@click.option(
+    "--target",
+    type=click.Choice(["sitl", "hil", "board"]),
+    default="sitl",
+    show_default=True,
+    help="PX4's: its SITL, a board in the loop, or one that flies, which keeps its own radio.",
+)
+def params(autopilot: str, aircraft: str, gains: str | None, rate: int, target: str) -> int:
     """The vehicle as an autopilot's parameters, on standard output: geometry, mixing, gains, filters, sticks.
 
     What cannot be said in its parameters stands in the lines that begin with #. For Betaflight they are lines for its
@@ -249,7 +294,7 @@ def params(autopilot: str, aircraft: str, gains: str | None, rate: int) -> int:
     from cosim.autopilots.dump import parameters_of
 
     vehicle, _ = load_scenario("hover", gains, (), None, (), None, aircraft).resolved_vehicle()
-    click.echo(parameters_of(autopilot, vehicle, 1.0 / rate), nl=False)
+    click.echo(parameters_of(autopilot, vehicle, 1.0 / rate, target), nl=False)
     return DONE
 
 
@@ -265,7 +310,7 @@ def _fly(options: Options, scenario: Scenario, name: str, setup: Setup, rates: s
     details: dict[str, Any] = {} if name == "ardupilot" else {"rates": rates}
     with output_to_stderr(options.as_json):
         done = autopilot.fly(scenario, folder, realtime_factor=options.rtf or None, **details)
-    _print(done, options.as_json)
+    _print(done, setup.gains, options.as_json)
     return DONE if done.run.summary.as_planned else FLIGHT_FAILED
 
 
@@ -281,17 +326,19 @@ def _magnetic_field(text: str | None) -> tuple[float, float, float] | None:
     return north, east, down
 
 
-def _print(done: AutopilotRun, as_json: bool) -> None:
+def _print(done: AutopilotRun, gains: str, as_json: bool) -> None:
     from dataclasses import asdict
 
     from cosim.cli.flight.fly import print_run
 
     if as_json:
-        printed = done.run.summary.model_dump(mode="json") | {"lockstep": asdict(done.counts)}
+        printed = done.run.summary.model_dump(mode="json") | {"lockstep": asdict(done.counts) | {"gains": gains}}
         click.echo(json.dumps(printed, allow_nan=False))
     else:
         print_run(done.run)
         terminal().print(lockstep_line(done), highlight=False)
+        if gains not in ("vehicle", "stock"):
+            terminal().print(f"gains of {gains}", highlight=False)
 
 
 def lockstep_line(done: AutopilotRun) -> str:

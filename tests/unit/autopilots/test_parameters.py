@@ -8,7 +8,7 @@ import pytest
 from arducopter_standin import FRAMES
 from command_tools import Hexjet
 
-from cosim.autopilots.parameters import ardupilot_parameters, parameter_file, px4_parameters, px4_torque
+from cosim.autopilots.parameters import ardupilot_parameters, parameter_file, px4_outputs, px4_parameters, px4_torque
 from cosim.base.errors import InputError
 from cosim.spec.vehicle import Vehicle, load_vehicle
 
@@ -41,7 +41,7 @@ def test_gains_times_a_torque_of_one_are_ours(vehicle: Vehicle) -> None:
         assert told[f"MC_{axis}RATE_P"] * worth == pytest.approx(gains.p)
         assert told[f"MC_{axis}RATE_I"] * worth == pytest.approx(gains.i)
     assert told["CA_ROTOR_COUNT"] == len(vehicle.jets)
-    assert told[f"PWM_MAIN_FUNC{len(vehicle.jets)}"] == 100 + len(vehicle.jets)
+    assert px4_outputs(vehicle)[f"PWM_MAIN_FUNC{len(vehicle.jets)}"] == 100 + len(vehicle.jets)
 
 
 def test_the_tilts_of_px4_are_the_banks() -> None:
@@ -52,7 +52,8 @@ def test_the_tilts_of_px4_are_the_banks() -> None:
     ]
     assert HEXJET.servo is not None
     assert told["CA_SV_TL0_MAXA"] == pytest.approx(degrees(HEXJET.servo.range_rad))
-    assert (told["PWM_MAIN_FUNC7"], told["PWM_MAIN_FUNC8"]) == (201, 202)
+    outputs = px4_outputs(HEXJET)
+    assert (outputs["PWM_MAIN_FUNC7"], outputs["PWM_MAIN_FUNC8"]) == (201, 202)
 
 
 def turned(vehicle: Vehicle, sense: float = 1.0, quarter: bool = False) -> Vehicle:

@@ -13,7 +13,7 @@ from cosim.autopilots.parameters import (
     ardupilot_parameters,
     parameter_file,
     px4_outside,
-    px4_parameters,
+    px4_target,
     read_parameters,
 )
 from cosim.autopilots.prepare import PORTS_APART, PreparedAutopilot, Setup, find_program, program_of
@@ -56,7 +56,7 @@ def test_a_rate_loop_from_outside_makes_their_own_p(tmp_path: Path) -> None:
     assert console[-1] == "set p_roll = 12"
     assert console[-1 - len(betaflight.OUTSIDE) : -1] == betaflight.OUTSIDE
     second = prepare("px4", HOVER, tmp_path, PROGRAM, Setup(), smith)
-    assert second.details["parameters"] == px4_parameters(vehicle) | px4_outside(vehicle)[0]
+    assert second.details["parameters"] == px4_target(vehicle, HOVER.step_s, "sitl") | px4_outside(vehicle)[0]
     assert first.rates is not None
     assert second.rates is not None
     with pytest.raises(InputError, match="allowed with another in its place: betaflight, px4"):
@@ -66,7 +66,7 @@ def test_a_rate_loop_from_outside_makes_their_own_p(tmp_path: Path) -> None:
 def test_px4s_parameters_are_the_vehicles_then_what_is_stated(tmp_path: Path) -> None:
     vehicle, _ = HOVER.resolved_vehicle()
     made = prepare("px4", HOVER, tmp_path, None, Setup(instance=2, parameters={"MC_ROLL_P": 1.25}))
-    assert made.details["parameters"] == px4_parameters(vehicle) | {"MC_ROLL_P": 1.25}
+    assert made.details["parameters"] == px4_target(vehicle, HOVER.step_s, "sitl") | {"MC_ROLL_P": 1.25}
     assert made.endpoint == f"TCP port {px4.PORT + 2}"
 
 
@@ -105,3 +105,10 @@ def test_who_may_be_started_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
         program_of("px4", None)
     monkeypatch.setenv("PX4_SITL", str(PROGRAM))
     assert program_of("px4", None) == PROGRAM
+
+
+@pytest.mark.parametrize("name", ["px4", "ardupilot", "betaflight"])
+def test_a_design_in_the_place_of_the_controller_is_refused_and_not_left_out(name: str, tmp_path: Path) -> None:
+    """The autopilot flies in the controller's place, so that its gains would not be flown."""
+    with pytest.raises(InputError, match=rf"controller = gains\.toml: {name} flies in .* --gains gains\.toml"):
+        prepare(name, QUAD.replace(controller="gains.toml"), tmp_path, PROGRAM, Setup())

@@ -1,0 +1,141 @@
+"""hexjet sitl px4 with a stand-in that is as unkind as PX4: it waits, goes deaf, ramps, bends, and has its own signs."""
+
+from __future__ import annotations
+
+import json
+import socket
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_tools import Done, Hexjet
+from px4_program import installed
+
+from cosim.autopilots.parameters import px4_parameters, px4_torque
+from cosim.results.run import open_run
+from cosim.spec.scenario import Scenario
+
+DESIGN = Path(__file__).parents[2] / "designs" / "edf-as-flown.toml"
+
+
+def instance() -> str:
+    """One whose port is free."""
+    for number in np.random.default_rng().permutation(np.arange(100, 250)):
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as asked:
+            try:
+                asked.bind(("127.0.0.1", 4560 + int(number)))
+            except OSError:
+                continue
+            return str(number)
+    raise AssertionError("no port is free")
+
+
+def flown(hexjet: Hexjet, *arguments: str) -> Done:
+    """As it would be typed, into a folder that is named as seen from here."""
+    program = installed(Path("px4_sitl_default").absolute())
+    return hexjet("sitl", "px4", "--binary", str(program), "--instance", instance(), "--out", "run", "--timeout", "60",
+                  *arguments)  # fmt: skip
+
+
+def seen() -> dict[str, Any]:
+    told: dict[str, Any] = json.loads(Path("run/px4/seen.json").read_text())
+    return told
+
+
+def books() -> dict[str, Any]:
+    told: dict[str, Any] = json.loads(Path("run/lockstep.json").read_text())
+    return told
+
+
+def errors(column: str) -> np.ndarray:
+    return np.asarray(open_run(Path("run")).log[column])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "jets"),
+    [
+        (("--aircraft", "quadrotor"), 4),
+        (("--scenario", "full-scale-hover"), 6),
+        (("--scenario", "octojet-hover"), 8),
+        pytest.param(("--aircraft", "hexjet-100"), 6, marks=pytest.mark.long),
+    ],
+    ids=["quadrotor", "full-scale", "octojet", "hexjet-100"],
+)
+def test_it_hovers_with_jets_above_and_below_and_at_other_rates(
+    arguments: tuple[str, ...], jets: int, hexjet: Hexjet
+) -> None:
+    """The page's own command, and every vehicle that stands on jets below its centre of gravity."""
+    done = flown(hexjet, *arguments, "--set", "duration_s=3")
+    assert done.status == 0, done.out + done.err
+    counts = books()
+    assert (counts["repeated"], counts["foreign"], counts["frames"] - counts["boot"] - counts["answers"]) == (0, 0, 0)
+    assert seen()["values"]["CA_ROTOR_COUNT"] == jets
+    for angle in ("roll_rad", "pitch_rad"):
+        assert np.abs(errors(angle)).max() < np.radians(3.0)
+
+
+def test_nothing_is_stale_and_nothing_jumps_when_the_flight_begins(hexjet: Hexjet) -> None:
+    """Compass and barometer are heard through all of the stand; force and turn there are what they are in the air; and
+    the throttle is free when it is needed."""
+    bias = "vehicle.sensors.gyro.bias_rad_s=[0.01,-0.02,0.015]"
+    done = flown(hexjet, "--set", "duration_s=4", "--set", bias)
+    assert done.status == 0, done.out + done.err
+    told = seen()
+    assert told["stale"] == {"mag": 0, "baro": 0}
+    assert told["heard"]["baro"] > 1500
+    stood, flew = (np.array(told["force"][name]) for name in ("disarmed", "armed"))
+    assert stood == pytest.approx(flew, abs=0.01)
+    assert told["gyro_bias"] == pytest.approx((0.01, -0.02, 0.015), abs=2e-4)
+    assert np.abs(errors("altitude_m") - 10.0).max() < 0.1
+    assert "none of that name" not in done.err
+
+
+def test_the_yaw_stick_turns_it_as_far_as_it_is_asked(hexjet: Hexjet) -> None:
+    """Through a dead zone or a bend heading would stay some degrees off."""
+    done = flown(hexjet, "--scenario", "yaw-doublet", "--set", "expect=[]")
+    assert done.status == 0, done.out + done.err
+    assert abs(errors("yaw_rad")[-1]) < np.radians(0.3)
+
+
+def test_the_gains_of_a_design_are_flown_and_named(hexjet: Hexjet) -> None:
+    done = flown(hexjet, "--gains", str(DESIGN), "--set", "duration_s=0.5")
+    assert done.status == 0, done.out + done.err
+    told = books()
+    assert told["gains"] == str(DESIGN)
+    assert f"gains of {DESIGN}" in done.out.replace("\n", "")
+    from cosim.design.controller_file import with_controller
+
+    vehicle, _ = with_controller("hover", DESIGN, (), None).resolved_vehicle()
+    own, _ = Scenario.load("hover").resolved_vehicle()
+    assert told["parameters"]["MC_ROLLRATE_P"] == vehicle.control.rate.roll.p / px4_torque(vehicle)[0]
+    assert told["parameters"]["MC_ROLLRATE_P"] != px4_parameters(own)["MC_ROLLRATE_P"]
+    assert seen()["values"]["MC_ROLLRATE_P"] == float(np.float32(told["parameters"]["MC_ROLLRATE_P"]))
+
+
+def test_what_is_not_to_be_had_is_one_line(hexjet: Hexjet) -> None:
+    """A parameter's name that it does not have, by its own words; a design where no gains are taken from; no file."""
+    done = flown(hexjet, "--param", "MC_ROLRATE_P=0.1", "--param", "MC_ROLL_P=5")
+    assert done.status == 2
+    assert done.err.strip() == (
+        "hexjet: px4: parameter MC_ROLRATE_P: this PX4 has none of that name; did you mean MC_ROLLRATE_P? (--param; "
+        "run/px4/px4.log)"
+    )
+    assert not Path("run/scenario.toml").exists()
+    for given, said in (
+        (
+            ["--set", f"controller={DESIGN}"],
+            "in the place of the controller; the gains of a design go into it by --gains",
+        ),
+        (["--gains", "stock"], "--gains stock: must be a file of hexjet design (.toml)"),
+        (["--gains", "nowhere.toml"], "nowhere.toml"),
+    ):
+        done = hexjet("sitl", "px4", "--binary", "/bin/true", *given)
+        assert (done.status, said in done.err, len(done.err.strip().splitlines())) == (2, True, 1), done.err
+
+
+def test_an_estimator_at_another_pace_is_one_that_does_not_answer(hexjet: Hexjet) -> None:
+    """As PX4: the stand-in waits for it too, so that the tests above say something."""
+    done = flown(hexjet, "--aircraft", "quadrotor", "--param", "IMU_INTEG_RATE=250", "--timeout", "0.5")
+    assert done.status == 1
+    assert "px4 did not answer within 0.5 s, before the flight" in done.out

@@ -1,0 +1,137 @@
+"""What PX4's mixer does with our parameters, against r x F of the vehicle's own jets: signs, sizes, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import cos, sin
+
+import numpy as np
+import pytest
+from command_tools import Hexjet
+from px4_program import DEFAULTS, configured, mixer
+
+from cosim.autopilots.parameters import PX4_TARGETS, px4_link, px4_parameters, px4_target, px4_torque
+from cosim.autopilots.px4 import unbent
+from cosim.base.errors import InputError
+from cosim.spec.vehicle import Jet, Vehicle, aircraft_names, load_vehicle
+
+VEHICLES = [load_vehicle(name)[0] for name in sorted(aircraft_names())]
+TOLD = [vehicle for vehicle in VEHICLES if vehicle.allocation != "effectiveness"]
+STEP = 0.004
+
+
+def moment(vehicle: Vehicle, thrusts: list[float], tilts: tuple[float, float]) -> np.ndarray:
+    """About the centre of gravity, of jets that are tilted forward by their bank's angle: the sum of r x F, and the
+    reaction of rotors about their axis, which a positive ``reaction_m`` turns to the right."""
+    total = np.zeros(3)
+    for jet, thrust in zip(vehicle.jets, thrusts, strict=True):
+        angle = {"left": tilts[0], "right": tilts[1], None: 0.0}[jet.servo]
+        total += np.cross(jet.position_m, thrust * np.array([sin(angle), 0.0, -cos(angle)]))
+        total[2] += jet.reaction_m * thrust
+    return total
+
+
+@pytest.mark.parametrize("vehicle", TOLD, ids=lambda vehicle: vehicle.name)
+@pytest.mark.parametrize("axis", [0, 1, 2], ids=["roll", "pitch", "yaw"])
+def test_a_torque_of_px4s_is_a_moment_of_that_sign_and_of_no_other_axis(vehicle: Vehicle, axis: int) -> None:
+    """Its mixer by rules of its own, on our parameters; the moment by the vehicle's real places, x and all."""
+    mix = mixer(DEFAULTS | px4_parameters(vehicle))
+    jets, torque = len(vehicle.jets), 0.01 * np.eye(3)[axis]
+    given = mix @ np.array([*torque, 0.5])
+    size = 0.0 if vehicle.servo is None else vehicle.servo.range_rad
+    tilts = tuple(size * given[jets:]) if vehicle.servo else (0.0, 0.0)
+    made = moment(vehicle, list(given[:jets]), tilts) - moment(vehicle, [float(given[:jets].mean())] * jets, (0.0, 0.0))
+    assert made[axis] > 0.0
+    others = np.delete(np.abs(made), axis)
+    assert others.max() < 1e-3 * made[axis]
+
+
+@pytest.mark.parametrize("vehicle", TOLD, ids=lambda vehicle: vehicle.name)
+def test_a_torque_of_one_is_what_its_mixer_makes_of_it(vehicle: Vehicle) -> None:
+    mix, jets = mixer(DEFAULTS | px4_parameters(vehicle)), len(vehicle.jets)
+    roll, pitch, yaw = px4_torque(vehicle)
+    assert np.abs(mix[:jets, 0]).max() == pytest.approx(roll, rel=1e-6)
+    size = 1.0 if vehicle.servo is None else vehicle.servo.range_rad
+    of = slice(jets, None) if vehicle.servo else slice(0, jets)
+    assert size * np.abs(mix[of, 1]).max() == pytest.approx(pitch, rel=1e-6)
+    assert size * np.abs(mix[of, 2]).max() == pytest.approx(yaw, rel=1e-6)
+    assert mix[:jets, 3] == pytest.approx([1.0] * jets)  # and the thrust of full throttle is full throttle of all
+
+
+def test_jets_above_and_below_are_told_apart() -> None:
+    above, below = px4_parameters(load_vehicle("hexjet")[0]), px4_parameters(load_vehicle("hexjet-p220")[0])
+    assert (above["CA_SV_TL0_TD"], above["CA_SV_TL1_TD"], below["CA_SV_TL0_TD"], below["CA_SV_TL1_TD"]) == (
+        0,
+        0,
+        180,
+        180,
+    )
+    sides = [jet.servo for jet in load_vehicle("hexjet-p220")[0].jets]
+    assert [below[f"CA_ROTOR{n}_TILT"] for n in range(6)] == [1 if side == "right" else 2 for side in sides]
+
+
+def moved(change: Callable[[Jet, tuple[float, float, float]], tuple[float, float, float]]) -> Vehicle:
+    vehicle = load_vehicle("hexjet")[0]
+    jets = [jet.model_copy(update={"position_m": change(jet, jet.position_m)}) for jet in vehicle.jets]
+    return vehicle.model_copy(update={"jets": jets})
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            lambda jet, r: (r[0], r[1], 0.05 if jet.servo == "left" else -0.08),
+            r"stand below \(left\) and above \(right\)",
+        ),
+        (lambda jet, r: (r[0], r[1], 0.0), r"stand at the height of \(left\) and at the height of \(right\)"),
+        (lambda jet, r: (r[0], -r[1], r[2]), r"the left bank's jet at x = -0\.13 m stands at y = 0\.15 m"),
+        (lambda jet, r: (r[0], 0.06 * r[1], r[2]), r"stands at y = -0\.009 m; PX4 takes a tilt's yaw from its side"),
+    ],
+    ids=["mixed", "level", "crossed", "middle"],
+)
+def test_banks_that_px4_has_no_words_for_are_refused(
+    change: Callable[[Jet, tuple[float, float, float]], tuple[float, float, float]], said: str
+) -> None:
+    with pytest.raises(InputError, match=said):
+        px4_parameters(moved(change))
+
+
+def test_its_estimator_runs_at_every_step() -> None:
+    """At the rates of steps that vehicles have; the answer to a sample waits for it."""
+    for step in (0.001, 0.0025, 1.0 / 300.0, 0.004, 0.005, 0.01, 0.02):
+        told = px4_link(step)["IMU_INTEG_RATE"]
+        assert 100 <= told <= 1000  # its limits
+        assert max(1, round(1.0 / (told * step))) == 1  # samples to one of its runs
+    with pytest.raises(InputError, match=r"step_s = 0\.0005: its estimator takes 1000 samples a second at most"):
+        px4_link(0.0005)
+
+
+@pytest.mark.parametrize("vehicle", TOLD, ids=lambda vehicle: vehicle.name)
+def test_its_program_has_every_name_that_is_told_to_it(vehicle: Vehicle, capsys: pytest.CaptureFixture[str]) -> None:
+    """And as many digits as its single precision has."""
+    told = px4_target(vehicle, STEP, "sitl")
+    values = configured({f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in told.items()})
+    assert not [name for name in told if f"Parameter {name} not found" in capsys.readouterr().out]
+    assert {name: values[name] for name in told} == {name: float(np.float32(value)) for name, value in told.items()}
+
+
+def test_a_target_is_told_of_what_it_has(hexjet: Hexjet) -> None:
+    """HIL_ACT_FUNCn is of a board in the loop alone; a board that flies keeps its own radio and its estimator's pace."""
+    vehicle = load_vehicle("hexjet")[0]
+    sitl, hil, board = (px4_target(vehicle, STEP, target) for target in PX4_TARGETS)
+    assert ("HIL_ACT_FUNC1" in sitl, "HIL_ACT_FUNC1" in hil, "HIL_ACT_FUNC1" in board) == (False, True, False)
+    assert ("PWM_MAIN_FUNC8" in sitl, "PWM_MAIN_FUNC8" in hil, "PWM_MAIN_FUNC8" in board) == (True, False, True)
+    link = set(px4_link(STEP))
+    assert (link <= set(sitl), link <= set(hil), link & set(board)) == (True, True, set())
+    done = hexjet("sitl", "params", "px4", "--target", "board")
+    assert done.status == 0
+    assert "PWM_MAIN_FUNC1\t101\t6" in done.out
+    assert "RC_MAP" not in done.out
+    assert "IMU_INTEG_RATE\t400\t6" in hexjet("sitl", "params", "px4", "--rate", "400").out
+
+
+def test_the_yaw_stick_undoes_what_px4_bends() -> None:
+    for turn in np.linspace(-1.0, 1.0, 41):
+        stick = unbent(float(turn))
+        assert 0.4 * stick + 0.6 * stick**3 == pytest.approx(turn, abs=1e-12)
+    assert (unbent(3.0), unbent(-3.0)) == pytest.approx((1.0, -1.0))
