@@ -17,6 +17,7 @@ _BEGUN = 1e-6  # of the change: an answer has begun
 
 
 _references: Memory[EngineReference] = Memory(64)
+_flows: Memory[float] = Memory(64)
 
 
 def engine_reference(spec: EngineSpec, step: float) -> EngineReference:
@@ -27,6 +28,21 @@ def engine_reference(spec: EngineSpec, step: float) -> EngineReference:
     """
     key = (*spec.behaviour, spec.curve, spec.lag, spec.delay, step)
     return _references.get(key, lambda: _measure(spec, step))
+
+
+def fuel_flow(spec: EngineSpec, throttle: float, step: float) -> float | None:
+    """Return the fuel [kg/s] that a healthy engine at rest takes at a throttle; None where it says nothing of it.
+
+    Raises EngineError if the engine fails.
+    """
+    if not spec.has("fuel_flow"):
+        return None
+    return _flows.get((*spec.behaviour, throttle, step), lambda: _flow(spec, throttle, step))
+
+
+def _flow(spec: EngineSpec, throttle: float, step: float) -> float:
+    with make_bank([spec], step) as bank:
+        return bank.reset(throttle).fuel_flow[0]
 
 
 def _measure(spec: EngineSpec, step: float) -> EngineReference:

@@ -10,7 +10,7 @@ from cosim.base.storage.toml import validate
 from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.autopilot.requests import InjectFault
 from cosim.simulation.build import predictors
-from cosim.simulation.engine_reference import engine_reference
+from cosim.simulation.engine_reference import engine_reference, fuel_flow
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Fault
 from cosim.spec.vehicle import PredictorTuning
@@ -73,9 +73,24 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
         scenario.sensor_noise,
         "" if own is None else own.level,
     )
+    burn = _burn_in_hover(simulation)
+    if burn is not None:
+        pilot.expect(burn)
     pilot.reset(simulation.measured)
     simulation.pilot = pilot
     return pilot
+
+
+def _burn_in_hover(simulation: Simulation) -> float | None:
+    """Return the share of a full tank that the engines take in a second of hover; None: no tank, or nobody says."""
+    tank, cascade = simulation.propulsion.tank, simulation.beside or simulation.cascade
+    if tank is None:
+        return None
+    allocator = cascade.allocator
+    throttles = cascade.thrust_map.throttle(allocator.trim(allocator.hover))
+    step = simulation.scenario.step_s
+    flows = [fuel_flow(spec, throttle, step) for spec, throttle in zip(simulation.stations, throttles, strict=True)]
+    return None if any(flow is None for flow in flows) else sum(flow or 0.0 for flow in flows) / tank.mass
 
 
 def fault_from(request: InjectFault) -> Fault:

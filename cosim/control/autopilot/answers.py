@@ -169,6 +169,8 @@ class Answers:
         if not holds:
             self._state.enter(Mode.HOLD, k)
         course.aim(place, altitude, heading)
+        if short := self._watch.energy.short_of_place(place or here, altitude):
+            self._state.say(Severity.WARNING, f"goto: {short}", k)
         return yes()
 
     def _begin_orbit(self, request: rq.Orbit, k: int) -> Answer:
@@ -222,6 +224,11 @@ class Answers:
             return no(Result.DENIED, f"mission refused: {why}")
         if self._mission.mission.done:
             self._mission.mission.restart(0)
+        item, short = self._mission.short(self._watch.energy)
+        if short and not flying and item == self._mission.mission.current:
+            return no(Result.DENIED, f"mission refused: item {item}: {short}")
+        if short:
+            self._state.say(Severity.WARNING, f"mission: it returns before item {item}: {short}", k)
         self._state.enter(Mode.MISSION, k)
         if not flying:
             self._arming.flew = False

@@ -79,7 +79,7 @@ class Arming:
             reasons.append(f"engine {', '.join(map(str, report.starting))} has yet to start")
         if report.lost:
             reasons.append(_failed(report))
-        remaining = self._watch.remaining
+        remaining = self._watch.energy.remaining
         if remaining is not None and 100.0 * remaining <= self._parameters["HJ_FUEL_CRIT"]:
             reasons.append(f"fuel or battery at {100.0 * remaining:.0f} %")
         if self._places.home is None:

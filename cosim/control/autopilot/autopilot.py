@@ -16,6 +16,7 @@ from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.autopilot.answers import ANSWERS, Answers, Fault, no
 from cosim.control.autopilot.arming import Arming
+from cosim.control.autopilot.energy import Energy
 from cosim.control.autopilot.estimation.estimates import Estimates
 from cosim.control.autopilot.failsafes import OUTSIDE, Watch
 from cosim.control.autopilot.flight_state import FlightState, Parts
@@ -93,7 +94,8 @@ class Autopilot:
         self._places = places = Places()
         guide = Guide(tracker, position, parameters, self._envelope.height_limits(), step)
         self._course = course = Course(parameters, estimates, places, guide)
-        self._watch = watch = Watch(parameters, hover, step, self._fail_safe)
+        self._energy = energy = Energy(course, hover, step)
+        self._watch = watch = Watch(parameters, energy, step, self._fail_safe)
         self._remote = Remote(course, limits, hover, step)
         self._arming = Arming(course, self._remote, watch, step)
         self._take_off = TakeOff(course, hover, least, step)
@@ -149,6 +151,10 @@ class Autopilot:
     @property
     def landed(self) -> LandedState:
         return self._state.landed
+
+    def expect(self, burn: float) -> None:
+        """Until the gauge has told: the share of a full tank that a second of hover takes."""
+        self._energy.hovering = burn
 
     @property
     def failsafe(self) -> str:
@@ -214,7 +220,7 @@ class Autopilot:
             mission.reached,
             mission.done and bool(mission.items),
             self.failsafe,
-            self._watch.remaining,
+            self._energy.remaining,
             self._remote.sticks_fresh(self._state.k),
             self._watch.link_lost >= 0,
             self._watch.zones,
@@ -257,7 +263,7 @@ class Autopilot:
             self._places.home = Home(*self._estimates.fix.position, 0.0)
         self._course.begin(k, self._spins and lost, self._carried and lost)
         self._landing.look(report, self.landed is LandedState.IN_AIR and not self._course.descending)
-        self._watch.consume(report, self.engines is EngineState.FLY)
+        self._energy.consume(report, self.engines is EngineState.FLY, self.landed is LandedState.IN_AIR)
 
     def _guard(self, k: int) -> None:
         """Everything that may end what is being done."""
@@ -275,7 +281,7 @@ class Autopilot:
         if self._state.flying():
             # what was taken over is watched anew
             acting = self.failsafe.startswith(OUTSIDE)
-            self._watch.update(k, estimates.now, estimates.fix, self.home, report, acting)
+            self._watch.update(k, estimates.now, estimates.fix, self.home, report, self.mode, acting)
             self._watch.sensors(estimates.senses.failed)
             if not estimates.positioned and self.mode not in (*DIRECT, Mode.ALTCTL, Mode.LAND):
                 self._state.fail_safe(LAND, "position lost")

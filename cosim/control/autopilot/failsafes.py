@@ -8,11 +8,13 @@ from math import cos, hypot, radians, tan
 from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Report
 from cosim.base.signals import Measured
+from cosim.control.autopilot.energy import Energy
 from cosim.control.autopilot.estimation.position import Fix
 from cosim.control.autopilot.fence import beyond
-from cosim.control.autopilot.modes import Home
+from cosim.control.autopilot.modes import Home, Mode
 from cosim.control.autopilot.parameters import LAND, NOTHING, Parameters
 from cosim.control.autopilot.requests import FenceZone
+from cosim.control.autopilot.tank_watch import TankWatch
 
 Act = Callable[[int, str], None]  # an action of the parameters, and why
 # Chosen by us: times longer than a gust's or a manoeuvre's; beyond 0.7 of the lean little is left to steer with.
@@ -28,9 +30,10 @@ _TO_GROUND = ("attitude lost", "gyro lost")  # what stands in for these gets wor
 class Watch:
     """Looks at every step; calls ``act`` with a parameter's action and the reason when something begins."""
 
-    def __init__(self, parameters: Parameters, hover: float, step: float, act: Act) -> None:
+    def __init__(self, parameters: Parameters, energy: Energy, step: float, act: Act) -> None:
         self._parameters = parameters
-        self._hover = hover
+        self.energy = energy
+        self._tank = TankWatch(parameters, energy, step, act)
         self._step = step
         self._act = act
         self.zones: tuple[FenceZone, ...] = ()  # drawn by a ground station; they stay from flight to flight
@@ -40,9 +43,8 @@ class Watch:
         """Full, linked, inside, nothing lost."""
         self.link_lost = -1  # the step at which the link was lost; -1: it is there
         self._link_acted = False
-        self._spent = 0.0
-        self.remaining: float | None = None
-        self._level = 0  # 1 low, 2 critical
+        self.energy.reset()
+        self._tank.reset()
         self._excess: float | None = None  # how far outside it was when it last acted or was taken over; None: inside
         self._acted = False  # what the fence asked for is being done
         self._waited = 0.0  # s outside, taken over
@@ -59,11 +61,11 @@ class Watch:
         self.link_lost = -1
 
     def update(
-        self, k: int, measured: Measured, fix: Fix, home: Home | None, report: Report, acting: bool = False
+        self, k: int, measured: Measured, fix: Fix, home: Home | None, report: Report, mode: Mode, acting: bool = False
     ) -> None:
-        """One step in the air; ``acting``: what the fence asked for is still what is being done."""
+        """One step in the air in a mode; ``acting``: what the fence asked for is still what is being done."""
         self._engines(report)
-        self._fuel()
+        self._tank.update(k, mode)
         self._fence(fix.position, measured.altitude, home, acting)
         self._wind(fix)
         if self.link_lost >= 0 and not self._link_acted:
@@ -71,21 +73,6 @@ class Watch:
             if late >= self._parameters["HJ_LINK_DELAY"]:
                 self._link_acted = True
                 self._act(int(self._parameters["HJ_LINK_ACT"]), "no ground station")
-
-    def consume(self, report: Report, running: bool) -> None:
-        """Keep the account of fuel or battery, in the air and on the ground.
-
-        A battery is emptied by the fans' power, which grows as thrust to 3/2 (momentum theory), relative to hover.
-        """
-        endurance = self._parameters["HJ_ENDURANCE"]
-        if report.remaining is not None:
-            self.remaining = report.remaining
-        elif endurance > 0.0:
-            if running:
-                self._spent += self._step * max(0.0, report.collective / self._hover) ** 1.5
-            self.remaining = max(0.0, 1.0 - self._spent / endurance)
-        else:
-            self.remaining = None
 
     def tipped(self, measured: Measured) -> bool:
         """The vehicle has leaned further than it should for half a second."""
@@ -122,7 +109,8 @@ class Watch:
         new = [str(jet) for jet in report.lost if jet not in self._lost]
         self._lost = report.lost
         if new:
-            self._act(int(self._parameters["HJ_ENG_ACT"]), f"engine {', '.join(new)} failed")
+            dry = f", {self.energy.name} is gone" if self.energy.remaining == 0.0 else ""
+            self._act(int(self._parameters["HJ_ENG_ACT"]), f"engine {', '.join(new)} failed{dry}")
 
     def sensors(self, failed: tuple[str, ...]) -> None:
         """What is wrong with the sensors; without its own attitude or rates it is not to fly on."""
@@ -130,18 +118,6 @@ class Watch:
         self._failed = failed
         for text in new:
             self._act(LAND if text in _TO_GROUND else int(self._parameters["HJ_SENS_ACT"]), text)
-
-    def _fuel(self) -> None:
-        if self.remaining is None:
-            return
-        percent = 100.0 * self.remaining
-        if percent <= self._parameters["HJ_FUEL_CRIT"]:
-            if self._level < 2:
-                self._level = 2
-                self._act(LAND, f"energy critical ({percent:.0f} %)")
-        elif percent <= self._parameters["HJ_FUEL_LOW"] and self._level < 1:
-            self._level = 1
-            self._act(int(self._parameters["HJ_FUEL_ACT"]), f"energy low ({percent:.0f} %)")
 
     def _wind(self, fix: Fix) -> None:
         most = GRAVITY * tan(radians(self._parameters["HJ_LEAN_MAX"]))

@@ -18,6 +18,7 @@ LOWEST_M = 1.0  # above the ground: nothing flies there by itself, and a stop en
 REACHED_M = 0.4  # of height; a take-off or climb is over, or a waypoint's height is reached
 ABOVE_M = 0.7  # from home and slower than 0.5 m/s: the descent begins
 SLOW = 0.5  # m/s
+_NEAR_M = 2.0  # from home: no climb and no flight is needed to land there
 
 
 class Places:
@@ -105,6 +106,16 @@ class Course:
         """Distance of a place, m."""
         n, e = self.estimates.fix.position
         return hypot(place[0] - n, place[1] - e)
+
+    def way_back(self, place: Pair, altitude: float) -> tuple[Pair, float, bool]:
+        """Where the return from a place at an altitude lands, the height to fly there at, and whether it is there."""
+        places = self.places
+        home = places.home or Home(*place, places.home_altitude)
+        to = places.nearest(home, place)
+        if hypot(to[0] - place[0], to[1] - place[1]) < _NEAR_M:
+            return to, altitude, True
+        height = home.altitude + self.parameters["RTL_RETURN_ALT"]
+        return to, max([altitude, height, *(p.altitude for p in places.rally if (p.north, p.east) == to)]), False
 
     def fly(self) -> Command:
         """To where it is aimed."""

@@ -47,6 +47,8 @@ class TakeOff:
             raise InputError(f"take-off refused: {height:g} m above home, and it stands {below:.1f} m above it")
         if why := watch.outside(*estimates.fix.position, home.altitude + height, home):
             raise InputError(f"take-off refused: {why}")
+        if why := watch.energy.short_of_climb(home.altitude + height):
+            raise InputError(f"take-off refused: {height:g} m: {why}")
         return height
 
     def leave(self, k: int) -> None:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from math import hypot, pi
+
 from cosim.base.errors import InputError
 from cosim.base.signals import Command
+from cosim.control.autopilot.energy import Energy
 from cosim.control.autopilot.failsafes import Watch
 from cosim.control.autopilot.guidance.course import ABOVE_M, REACHED_M, Course
 from cosim.control.autopilot.manoeuvres.circle import Circle
 from cosim.control.autopilot.manoeuvres.homeward import Homeward
 from cosim.control.autopilot.manoeuvres.mission import Mission
 from cosim.control.autopilot.requests import ItemKind, MissionItem, MissionUpload, Orbit
+
+_MOST_ITEMS = 1000  # of a mission that are reckoned with, jumps and all; chosen by us
 
 
 class MissionFlight:
@@ -45,6 +50,30 @@ class MissionFlight:
                 if why:
                     raise InputError(f"mission item {index} refused: {why}")
         self.mission.load(request.items)
+
+    def short(self, energy: Energy) -> tuple[int, str]:
+        """Return the first item for which fuel or battery do not do, there and home, and why; empty: they do.
+
+        Reckoned from here.  Speeds that items ask for are left out, and what ends only on request ends at once.
+        """
+        mission = Mission()
+        mission.load(self.mission.items)
+        mission.restart(self.mission.current)
+        place, altitude, seconds = self._estimates.fix.position, self._estimates.altitude, 0.0
+        item = mission.skip_jumps()
+        for _ in range(_MOST_ITEMS):
+            if item is None or item.kind in (ItemKind.LAND, ItemKind.RETURN):
+                break
+            to = (item.north, item.east) if item.north is not None and item.east is not None else place
+            height = item.altitude if item.altitude is not None else altitude
+            seconds += energy.along(hypot(to[0] - place[0], to[1] - place[1]), height - altitude) + item.hold_s
+            if item.kind is ItemKind.CIRCLE and item.radius is not None:
+                seconds += 2.0 * pi * item.radius * item.turns / self._course.speed
+            place, altitude = to, height
+            if why := energy.short_of(seconds, place, altitude):
+                return mission.current, why
+            item = mission.advance()
+        return 0, ""
 
     def leave_ground(self, flown: bool) -> None:
         """It takes off; ``flown``: for the mission, which climbs first where its item does not say so."""
