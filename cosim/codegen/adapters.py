@@ -11,9 +11,12 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
-from cosim.codegen.files import Labels, common, controller_texts, written
+from cosim.codegen.files import NO_LICENCE, Labels, common, controller_texts, stamp, written
 from cosim.codegen.form import Form
 
+# What stands in the sources of each, or includes them, is a part of that program: its licence is not ours to choose.
+# PX4's is BSD-3-Clause, which leaves it to the user.
+PROGRAM_LICENCES = {"ardupilot": "GPL-3.0-or-later", "betaflight": "GPL-3.0-or-later"}
 AUTOPILOTS = ("px4", "ardupilot", "betaflight")
 _TITLES = {"px4": "PX4", "ardupilot": "ArduPilot", "betaflight": "Betaflight"}
 _WORTH = {
@@ -27,7 +30,8 @@ def adapter_texts(form: Form, labels: Labels, autopilot: str, worth: Vector3) ->
     """Every file of an adapter, by its name in the folder of the autopilot.
 
     ``worth``: what a torque of 1 is to the autopilot: throttle about roll, rad of tilt about pitch and yaw (throttle
-    without tilts).  Raises InputError for an autopilot that is not known.
+    without tilts).  What touches or includes code of the autopilot's has its licence in :data:`PROGRAM_LICENCES`, the
+    rest that of ``labels``.  Raises InputError for an autopilot that is not known.
     """
     if autopilot not in _MADE:
         raise InputError(f"autopilot {autopilot!r}: allowed: {', '.join(AUTOPILOTS)}")
@@ -47,11 +51,18 @@ def adapter_texts(form: Form, labels: Labels, autopilot: str, worth: Vector3) ->
         "motor_idle": round(1e4 * form["allocation"]["low"]),
         "range": repr(form["allocation"].get("range", 0.0)),
         "step_us": round(1e6 * form["step"]),
+        "program_licence": PROGRAM_LICENCES.get(autopilot),
+        "own_licence": labels.licence or NO_LICENCE,
     }
     n = labels.name
     rates = {f"{n}_rates.h": "adapters/rates.h", f"{n}_rates.c": "adapters/rates.c"}
     shared = controller_texts(form, labels, single=True) | written(rates, values)
     return _MADE[autopilot](n, shared, values)
+
+
+def _as_program(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a template is told of a file that is a part of the autopilot's program."""
+    return dict(values) | {"licence": stamp(values["program_licence"])}
 
 
 def _curve(thrust: Mapping[str, Any]) -> int:
@@ -62,7 +73,7 @@ def _curve(thrust: Mapping[str, Any]) -> int:
 def _betaflight(n: str, shared: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
     """One patch with everything in it, and how it is applied."""
     own = {f"{n}_betaflight.h": "adapters/betaflight.h", f"{n}_betaflight.c": "adapters/betaflight.c"}
-    files = dict(shared) | written(own, values)
+    files = dict(shared) | written(own, _as_program(values))
     sources = sorted(name for name in files if name.endswith(".c"))
     patch = written({"": "adapters/betaflight.patch"}, dict(values) | {"sources": sources})[""]
     for name, text in sorted(files.items()):
@@ -77,7 +88,7 @@ def _ardupilot(n: str, shared: Mapping[str, str], values: Mapping[str, Any]) -> 
     """A backend of ``AC_CustomControl``, as files for its folder."""
     name = f"AC_CustomControl_{values['Class']}"
     own = {f"{name}.h": "adapters/ardupilot.h", f"{name}.cpp": "adapters/ardupilot.cpp"}
-    files = dict(shared) | written(own, values)
+    files = dict(shared) | written(own, _as_program(values))
     return {f"AC_CustomControl/{file}": text for file, text in files.items()} | written(
         {"README.md": "adapters/ardupilot.md"}, values
     )

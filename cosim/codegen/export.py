@@ -9,8 +9,8 @@ from pathlib import Path
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import Vector3
-from cosim.codegen.adapters import adapter_texts
-from cosim.codegen.files import TITLES, Labels, render, texts
+from cosim.codegen.adapters import PROGRAM_LICENCES, adapter_texts
+from cosim.codegen.files import NO_LICENCE, TITLES, Labels, render, texts
 from cosim.codegen.fmu import build_fmus
 from cosim.codegen.form import Form, form_of
 from cosim.codegen.measure import Measured, measure
@@ -41,7 +41,8 @@ def export_controller(
 ) -> Exported:
     """Fly a scenario and write its controller, as C and as FMUs, with the flight as test vectors.
 
-    ``name``: of files, functions and types; ``licence``: stated in every file; ``source``: the controller's file;
+    ``name``: of files, functions and types; ``licence``: stated in every file but those of adapters that are a
+    part of an autopilot's program; ``source``: the controller's file;
     ``inside``: autopilots that get adapters, and what a torque of 1 is to each, see :func:`.adapters.adapter_texts`.
     Raises InputError for what has no C form, for a folder that is not empty, and for a flight that fails.
     """
@@ -95,7 +96,8 @@ def _readme(
         n=labels.name,
         title=labels.title,
         maker=f"hexjet-cosim {version('hexjet-cosim')}",
-        licence_name=labels.licence or "not stated (choose one with --licence)",
+        licence_name=labels.licence or NO_LICENCE,
+        program_licences={name: PROGRAM_LICENCES[name] for name in inside if name in PROGRAM_LICENCES},
         step=repr(form["step"]),
         steps=len(vectors.rows),
         fmus=fmus,

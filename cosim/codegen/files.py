@@ -29,6 +29,8 @@ TITLES = {
 # whose headers are included, by the C or by the adapter of the FMUs
 _TAKEN = ("math", "stdbool", "stdint", "stdio", "string", "time", "engine", "slave", "variables", "fmi2", "fmi3")
 
+NO_LICENCE = "not stated (choose one with --licence)"
+
 
 @dataclass(frozen=True)
 class Labels:
@@ -73,6 +75,11 @@ def controller_texts(form: Form, labels: Labels, single: bool = False) -> dict[s
     return written(files, common(form, labels) | {"single": single})
 
 
+def stamp(licence: str | None) -> str:
+    """Return the first line of a file with this licence."""
+    return f"/* SPDX-License-Identifier: {licence or 'NOASSERTION'} */"
+
+
 def common(form: Form, labels: Labels) -> dict[str, Any]:
     """What every template of C is told."""
     f = _prepared(form)
@@ -82,7 +89,7 @@ def common(form: Form, labels: Labels) -> dict[str, Any]:
         "f": f,
         "title": labels.title,
         "maker": f"hexjet-cosim {version('hexjet-cosim')}",
-        "licence": f"/* SPDX-License-Identifier: {labels.licence or 'NOASSERTION'} */",
+        "licence": stamp(labels.licence),
         "step": repr(form["step"]),
         "gravity": repr(GRAVITY),
         "least_upright": repr(LEAST_UPRIGHT),

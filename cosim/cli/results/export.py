@@ -127,7 +127,8 @@ def log(folder: Path, target: str, out: Path | None, rates: Literal["all", "px4"
 @click.option(
     "--licence",
     metavar="SPDX",
-    help='Stated in every file, e.g. MIT or "LicenseRef-Ours"; yours to choose.  [default: NOASSERTION]',
+    help='Stated in every file that is ours alone, e.g. MIT or "LicenseRef-Ours"; yours to choose.  What goes into '
+    "Betaflight's or ArduPilot's own code is GPL-3.0-or-later.  [default: NOASSERTION]",
 )
 @click.option("--no-fmu", is_flag=True, help="The C alone.")
 @click.option(
@@ -169,11 +170,25 @@ def controller(
     vehicle, _ = loaded.resolved_vehicle()
     torques = {autopilot: torque_of(autopilot, vehicle) for autopilot in inside}
     done = export_controller(loaded, out if out is not None else Path(name), name, licence, not no_fmu, source, torques)
+    _say_program_licences(licence, inside)
     if as_json:
         click.echo(json.dumps(_data(done)))
     else:
         _print(done)
     return FLIGHT_FAILED if done.measured is not None and not done.measured.same else DONE
+
+
+def _say_program_licences(licence: str | None, inside: tuple[str, ...]) -> None:
+    """Tell on standard error which files of an adapter have another licence than the one that was asked for."""
+    from cosim.codegen.adapters import PROGRAM_LICENCES
+
+    for autopilot in inside:
+        program = PROGRAM_LICENCES.get(autopilot)
+        if program is not None and licence not in (None, program):
+            click.echo(
+                f"hexjet: note: --licence {licence}: not for what touches or includes {autopilot}'s code: {program}",
+                err=True,
+            )
 
 
 @export.command(epilog=example("hexjet export vehicle --controller smith --out vehicle"))

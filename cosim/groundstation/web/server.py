@@ -43,7 +43,7 @@ from cosim.groundstation.web.loopback import (
     response,
     stranger,
 )
-from cosim.results.report.page import ASSETS, SCENE, THREE
+from cosim.results.report.page import ASSETS, SCENE, THREE, licence_file
 
 # Chosen by us, with the reason.
 FRAMES_1_S = 20  # smooth to the eye, a tenth of what a core can send
@@ -59,7 +59,9 @@ _STRIP = 4000  # points of the strip chart that may wait: a second at 16 times r
 _POINTS = 40  # of the strip chart in one frame; 20 frames a second show four times the bandwidth of any loop here
 _VALUES = 10  # frames between two looks at the parameters: half a second
 _TOKEN = "@TOKEN@"
-_ASSETS = ("vendor/uPlot.iife.min.js", "vendor/uPlot.min.css", THREE, SCENE)  # of reports; the page draws with them too
+_ASSETS = (  # of reports; the page draws with them too
+    "vendor/uPlot.iife.min.js", "vendor/uPlot.min.css", THREE, SCENE, licence_file("uPlot"), licence_file("three"),
+)  # fmt: skip
 
 TOO_MANY = 4429  # a close code of our own
 

@@ -26,6 +26,13 @@ STYLES = ("vendor/uPlot.min.css", "strips.css")
 SCENE = "scene.js"
 SCRIPTS = ("vendor/uPlot.iife.min.js", "strips.js", SCENE, "replay.js")
 THREE = "vendor/three.iife.min.js"
+PLOTLY = "vendor/plotly-cartesian.min.js"
+# The licences of what others wrote, by what a page holds of it: each asks that its text goes with every copy.
+NOTICES = {
+    "vendor/uPlot.iife.min.js": ("uPlot",),
+    THREE: ("three",),
+    PLOTLY: ("plotly", "d3"),
+}
 SHARED = "assets-"  # and the first of a hash: the folder that pages share
 
 
@@ -62,6 +69,7 @@ def render(
     page = environment.get_template(template.name).render(
         figures={name: figure_json(figure) for name, figure in figures.items()},
         plotly_js=plotly_js() if figures else "",
+        notices=notices(*((*SCRIPTS, THREE) if flights is not None else ()), *((PLOTLY,) if figures else ())),
         flights=flight_parts(flights, path, shared) if flights is not None else None,
         **values,
     )
@@ -70,7 +78,20 @@ def render(
 
 def plotly_js() -> str:
     """Plotly's library, as far as pages need it: figures with two axes."""
-    return (ASSETS / "vendor" / "plotly-cartesian.min.js").read_text(encoding="utf-8")
+    return _asset(PLOTLY)
+
+
+def notices(*held: str) -> str:
+    """Return the copyright and permission notices of what a page holds of others, as text of an HTML comment."""
+    parts = [part for name in held for part in NOTICES.get(name, ())]
+    texts = [f"{part}: {_asset(licence_file(part)).strip()}" for part in parts]
+    text = "\n\n".join(["This page holds work of others, under these licences.", *texts])
+    return text.replace("--", "- -") if texts else ""
+
+
+def licence_file(part: str) -> str:
+    """Return where among the assets the licence of a part of others is."""
+    return f"vendor/{part}-LICENSE.txt"
 
 
 def flight_parts(flights: Flights, path: Path, shared: Path | None) -> dict[str, Any]:
@@ -93,7 +114,8 @@ def shared_assets(folder: Path) -> Path:
 
     Raises FlightError if that is not possible.
     """
-    held = {Path(name).name: (ASSETS / name).read_bytes() for name in (*STYLES, *SCRIPTS, THREE)}
+    licences = [licence_file(part) for name in (*SCRIPTS, THREE) for part in NOTICES.get(name, ())]
+    held = {Path(name).name: (ASSETS / name).read_bytes() for name in (*STYLES, *SCRIPTS, THREE, *licences)}
     name = sha256(b"".join(key.encode() + value for key, value in held.items())).hexdigest()[:12]
     place = folder.resolve() / f"{SHARED}{name}"
     try:

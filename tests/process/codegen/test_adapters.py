@@ -316,3 +316,56 @@ def test_inside_betaflight_a_predictor_holds_what_is_lost_without(hexjet: Hexjet
         float(np.degrees(ours.metrics["roll"].rmse_rad)),
         without.summary.duration_s,
     )
+
+
+GPL = "SPDX-License-Identifier: GPL-3.0-or-later"
+MINE = "SPDX-License-Identifier: LicenseRef-Mine"
+
+
+@pytest.mark.parametrize("autopilot", ["betaflight", "ardupilot", "px4"])
+def test_what_is_a_part_of_an_autopilot_has_its_licence(autopilot: str) -> None:
+    """GPL for what touches or includes their code, the user's own for the C that is his alone; PX4 is BSD."""
+    flown = scenario("hexjet")
+    vehicle, _ = flown.resolved_vehicle()
+    with build(flown) as simulation:
+        form = form_of(simulation)
+    files = adapter_texts(
+        form, Labels("ours", "a test", "LicenseRef-Mine", ()), autopilot, torque_of(autopilot, vehicle)
+    )
+    readme = files.pop("README.md")
+    if autopilot == "betaflight":
+        head, *added = re.split(
+            r"^--- /dev/null\n\+\+\+ b/src/main/flight/", files.pop("ours-betaflight.patch"), flags=re.M
+        )
+        assert GPL in head
+        files = {text.partition("\n")[0]: re.sub(r"^\+", "", text.split("@@\n")[1], flags=re.M) for text in added}
+    sources = {Path(name).name: text for name, text in files.items() if name.endswith((".c", ".h", ".cpp"))}
+    theirs = {
+        "betaflight": {"ours_betaflight.c", "ours_betaflight.h"},
+        "ardupilot": {"AC_CustomControl_Ours.cpp", "AC_CustomControl_Ours.h"},
+        "px4": set(),
+    }[autopilot]
+    assert {name for name, text in sources.items() if text.startswith(f"/* {GPL} */\n")} == theirs
+    assert {name for name, text in sources.items() if text.startswith(f"/* {MINE} */\n")} == set(sources) - theirs
+    own = {"ours.c", "ours.h", "ours_parameters.c", "ours_rates.c", "ours_rates.h"}
+    assert own <= set(sources)
+    for name in own:  # nothing of theirs is in what carries the user's licence
+        includes = re.findall(r'^#include "(.+)"', sources[name], re.M)
+        assert set(includes) <= own
+    assert ("GPL-3.0-or-later" in readme) == bool(theirs)
+    assert ("LicenseRef-Mine" in readme) == bool(theirs)
+
+
+def test_another_licence_is_refused_for_what_is_theirs(hexjet: Hexjet, tmp_path: Path) -> None:
+    short = ["--set", "duration_s=0.2", "--no-fmu", "--name", "ours"]
+    asked = ["export", "controller", *short, "--licence", "MIT", "--for", "betaflight", "--for", "px4"]
+    done = hexjet(*asked, "--out", str(tmp_path / "mit"))
+    assert done.status == 0
+    assert done.err == (
+        "hexjet: note: --licence MIT: not for what touches or includes betaflight's code: GPL-3.0-or-later\n"
+    )
+    readme = (tmp_path / "mit" / "README.md").read_text(encoding="utf-8")
+    assert "Licence of these files: MIT." in readme
+    assert "What in `betaflight/` touches or includes the autopilot's own code is GPL-3.0-or-later" in readme
+    asked[asked.index("MIT")] = "GPL-3.0-or-later"
+    assert hexjet(*asked, "--out", str(tmp_path / "gpl")).err == ""

@@ -106,7 +106,7 @@ def test_the_source_distribution_is_the_whole_project(sdist: Path) -> None:
     prefix = f"hexjet_cosim-{METADATA['version']}/"
     with tarfile.open(sdist) as archive:
         names = {name.removeprefix(prefix) for name in archive.getnames()}
-    top = {"LICENSE", "Makefile", "README.md", "pyproject.toml", "requirements.lock", "setup.py", ".ci/run"}
+    top = {"LICENSE", "NOTICE", "Makefile", "README.md", "pyproject.toml", "requirements.lock", "setup.py", ".ci/run"}
     wanted = top.union(*(source_files(name) for name in (*DATA, "tests", "docs", "benchmarks")))
     assert wanted - names == set()
     assert not [name for name in names if name.endswith((".so", ".fmu", ".pyc", STAMP))]
@@ -153,10 +153,11 @@ def test_the_wheel_states_licence_and_version(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         folder = f"hexjet_cosim-{METADATA['version']}.dist-info"
         metadata = archive.read(f"{folder}/METADATA").decode()
-        licence = archive.read(f"{folder}/licenses/LICENSE").decode()
+        licence, notice = (archive.read(f"{folder}/licenses/{name}").decode() for name in ("LICENSE", "NOTICE"))
     assert f"\nVersion: {METADATA['version']}\n" in metadata
     assert "\nLicense-Expression: MIT\n" in metadata
     assert licence == (ROOT / "LICENSE").read_text(encoding="utf-8")
+    assert notice == (ROOT / "NOTICE").read_text(encoding="utf-8")
 
 
 def test_the_archives_in_the_wheel_hold_their_sources_and_a_binary(wheel: Path) -> None:
