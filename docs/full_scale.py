@@ -83,10 +83,9 @@ def searched(case: Case, out: Path) -> dict[str, Any]:
         _axis,
         _scenario,
         dynamics_of,
-        engine_lead,
         identify_there,
     )
-    from cosim.design.loop.channel import Actuator, channels
+    from cosim.design.loop.channel import Actuator, channels, engine_lead
     from cosim.engine import load_engine
 
     need = Requirements(noise_share=case.noise_share)

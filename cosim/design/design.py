@@ -35,6 +35,7 @@ from cosim.design.loop.channel import (
     Actuator,
     Channel,
     channels,
+    engine_lead,
     hover_share,
 )
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
@@ -74,7 +75,6 @@ GAINS = 7  # in the grid of the tolerance
 BISECTIONS = 5
 COMPLEXITY_COST = 0.06  # of the objective: a more complex controller must answer 3 % faster to be chosen
 LEAD_COST = 0.19  # the same of a lead, 10 % faster: it works the throttle, and believes in the engine's lags
-SECOND_POLE_WITHIN = 5.0  # times the slowest pole: up to here a lead takes the second one with it
 WITH_LEAD = " + lead"
 
 Say = Callable[[str], None]
@@ -480,23 +480,6 @@ def _simplest(objectives: Mapping[str, float]) -> str:
     among = led if led and min(led.values()) < least - LEAD_COST else plain
     enough = min(among.values()) + COMPLEXITY_COST
     return next(name for name, value in among.items() if value <= enough)
-
-
-def engine_lead(channel: Channel) -> EngineLead | None:
-    """A lead for the slowest lag of the engines, or for the slowest two poles; None where no engine answers.
-
-    Its own poles are where the engine's are, for the search to move.
-    """
-    if channel.identified is not None or channel.by_servo:
-        return None
-    slowest, *others = sorted(channel.actuator.dynamics.poles, key=abs)
-    w = abs(slowest)
-    # a slow lag beside two poles that swing stands alone
-    if others and (slowest.imag or (not others[0].imag and abs(others[0]) < SECOND_POLE_WITHIN * w)):
-        natural = float(np.sqrt(w * abs(others[0])))
-        damping = float(-(slowest + others[0]).real / (2.0 * natural))
-        return EngineLead(natural_rad_s=natural, damping=damping, pole_rad_s=natural)
-    return EngineLead(natural_rad_s=w, pole_rad_s=w)
 
 
 def shipped(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:

@@ -88,7 +88,7 @@ def _sensitivity(loops: list[tuple[str, str, ClosedLoop, bool]], design: Design)
 
 def _step(loops: list[tuple[str, str, ClosedLoop, bool]], axis_design: AxisDesign) -> Figure:
     data: list[Figure] = []
-    end = TIMES * axis_design.channel.slowness_s
+    end = TIMES * axis_design.channel.pace_s
     for label, colour, loop, stable in loops:
         if not stable:
             continue

@@ -19,6 +19,7 @@ from cosim.design.design import (
     Design,
 )
 from cosim.design.figures import design_figures
+from cosim.design.loop.channel import Channel
 from cosim.design.loop.firmware import Firmware
 from cosim.flight import new_folder
 from cosim.results.report.page import render
@@ -179,6 +180,14 @@ def _firmware_lines(design: Design, firmware: Firmware) -> list[str]:
     return lines
 
 
+def _delay_words(channel: Channel) -> str:
+    """Return how late a channel is; where its delay at low frequency tells nothing of a loop, its pace too."""
+    delay = f"all delay {1e3 * channel.slowness_s:.4g} ms at low frequency"
+    if channel.pace_s == channel.slowness_s:
+        return delay
+    return f"{delay} and {1e3 * channel.pace_s:.4g} ms where a loop is closed: a slow pole has a zero beside it"
+
+
 def _model_lines(design: Design) -> list[str]:
     lines = []
     roll = design.axes["roll"].channel
@@ -198,13 +207,13 @@ def _model_lines(design: Design) -> list[str]:
                 "what is tolerated are the worst among them"
             )
         lines += [f"note: {note}" for note in design.identification.notes]
-    delay = f"all delay {1e3 * roll.slowness_s:.4g} ms at low frequency"
+    delay = _delay_words(roll)
     if roll.unit == "share":
         room = f"{roll.room:.2f} of share to either side at hover"
         return [*lines, f"roll: {roll.gain:.4g} rad/s^2 per unit of share, {delay}, {room}"]
     for axis in AXES:
         channel = design.axes[axis].channel
-        delay = f"all delay {1e3 * channel.slowness_s:.4g} ms at low frequency"
+        delay = _delay_words(channel)
         room = f"{channel.room:.3g} rad/s^2 to either side at hover"
         by, dynamics = "thrust", channel.actuator.dynamics
         if channel.by_servo:

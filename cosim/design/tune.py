@@ -102,8 +102,8 @@ def acceptable(closed: ClosedLoop, need: Requirements) -> bool:
 class TuningBounds:
     """What is searched: logarithms of ``K tau``, ``p k tau``, ``i / p tau``, ``d / (p tau)``, and the predictor's own.
 
-    ``tau`` is the channel's delay at low frequency and ``k`` its gain, so the same box fits every vehicle.  With a lead
-    its poles come last, over the engine's, and ``tau`` is what they leave.
+    ``tau`` is the channel's pace (its delay at low frequency, mostly) and ``k`` its gain there, so the same box fits
+    every vehicle.  With a lead its poles come last, over the engine's, and ``tau`` is what they leave.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class TuningBounds:
     ) -> None:
         self._channel, self._model, self._fixed = channel, model, fixed
         self._lead = lead
-        tau = channel.slowness_s
+        tau = channel.pace_s
         ends = [(0.05, 3.0), (0.1, 6.0), (0.003, 1.0), (0.003, 3.0)]
         self._spec = PREDICTORS[controller]
         self._own = self._spec.parameters if predictor else ()
@@ -127,7 +127,7 @@ class TuningBounds:
             ends.append((1.0, max(1.1, min(FASTEST_LEAD, most))))
         if channel.name == "altitude":
             ends[3] = (0.0, 0.0)  # its controller has no derivative
-        self._tau, self._size = tau, len(ends)
+        self._tau, self._gain, self._size = tau, channel.paced_gain, len(ends)
         self.free = [k for k, (low, high) in enumerate(ends) if high > low]
         self.low = np.array([log(ends[k][0]) for k in self.free])
         self.high = np.array([log(ends[k][1]) for k in self.free])
@@ -142,7 +142,7 @@ class TuningBounds:
             # a zero of the engine may be worth more than what is left
             tau = max(tau + lead_delay(lead), (0.5 + self._channel.transport_samples) * self._channel.step)
             tau = max(tau, 1.0 / lead.pole_rad_s)
-        k, p, i, d = value[:4] * np.array([1.0 / tau, 1.0 / (self._channel.gain * tau), 1.0 / tau, tau])
+        k, p, i, d = value[:4] * np.array([1.0 / tau, 1.0 / (self._gain * tau), 1.0 / tau, tau])
         firmware = self._fixed.firmware
         own = {knob.name: float(x) * knob.scale(tau) for knob, x in zip(self._own, value[4:], strict=False)}
         predictor = self._spec.tuned(self._fixed.predictor, own)

@@ -208,7 +208,8 @@ class EngineBank:
 
         try:
             spec = self._specs[station]
-            settle(hold, throttle, spec.window, self._step, spec.quiet, spec.archive.starting.rest_n)
+            rest, span = spec.archive.starting.rest_n, abs(spec.curve.thrust[-1])
+            settle(hold, throttle, spec.window, self._step, spec.quiet, rest, span)
         except _bank.FailureError as failure:
             raise self._failed(failure, "before the flight") from failure
         except ResponseError as error:

@@ -113,7 +113,8 @@ def _measure(
                 at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step, quiet, rest)
                 response = step_response(hold, at_rest, 1.0, step, quiet, rest)
                 curve = static_curve(hold, window_for(response.delay), step, quiet, rest)
-                little = _small(hold, window_for(response.delay), step, quiet, rest) if small else None
+                span = abs(response.after - response.before)
+                little = _small(hold, window_for(response.delay), step, quiet, rest, span) if small else None
                 curves.append(Measured(curve, response, None, quiet, little))
         except _bank.FailureError as failure:
             raise InstanceError(instance.explain(failure, "while its thrust was measured")) from failure
@@ -125,7 +126,7 @@ def _measure(
     return first._replace(start=start, others=tuple(others))
 
 
-def _small(hold: Hold, window: int, step: float, quiet: float, rest: float) -> Small | None:
+def _small(hold: Hold, window: int, step: float, quiet: float, rest: float, span: float) -> Small | None:
     course: list[float] = []
 
     def recorded(throttle: float, steps: int) -> list[float]:
@@ -134,7 +135,7 @@ def _small(hold: Hold, window: int, step: float, quiet: float, rest: float) -> S
         return thrusts
 
     try:
-        before = settle(hold, AROUND, window, step, quiet, rest)
+        before = settle(hold, AROUND, window, step, quiet, rest, span)
         response = step_response(recorded, before, AROUND + BY, step, quiet, rest)
     except ResponseError:
         return None

@@ -58,12 +58,21 @@ class Curve(NamedTuple):
     thrust: tuple[float, ...]
 
 
-def settle(hold: Hold, throttle: float, window: int, step: float, quiet: float = NO_CHANGE, rest: float = 0.0) -> float:
+def settle(
+    hold: Hold,
+    throttle: float,
+    window: int,
+    step: float,
+    quiet: float = NO_CHANGE,
+    rest: float = 0.0,
+    span: float = 0.0,
+) -> float:
     """Hold a throttle until the thrust has stood still to ``quiet`` for ``window`` steps, and return it [N].
 
     ``window`` must be longer than the engine's delay.  A thrust that never stands still does so by definition once it
     moves by no more than ``rest`` newtons, peak to peak, in a window, and its mean by no more than a tenth of that from
-    the window before; returned is the mean then.  Raises ResponseError after ``LONGEST_S`` of simulated time.
+    the window before; returned is the mean then.  After ``LONGEST_S`` of simulated time it stands still too if it moves
+    by no more than ``quiet`` of ``span``, the newtons between its throttles 0 and 1; otherwise raises ResponseError.
     """
     before = hold(throttle, window)
     for _ in range(max(1, math.ceil(LONGEST_S / step / window))):
@@ -74,6 +83,8 @@ def settle(hold: Hold, throttle: float, window: int, step: float, quiet: float =
         elif _still([before[-1], *thrusts], quiet):
             return thrusts[-1]
         before = thrusts
+    if rest == 0.0 and _still(before, quiet, quiet * span):
+        return before[-1]
     raise _restless(before, throttle)
 
 
@@ -107,6 +118,8 @@ def step_response(
     window = window_for(moved)
     while len(thrusts) < moved + 2 * window or not _stands(thrusts, window, quiet, rest):
         if len(thrusts) * step > LONGEST_S + LONGEST_DELAY_S:
+            if rest == 0.0 and _still(thrusts[-window:], quiet, quiet * abs(before - thrusts[-1])):
+                break
             raise _restless(thrusts[-window:], throttle)
         thrusts += hold(throttle, window)
     after = fmean(thrusts[-window:]) if rest > 0.0 else thrusts[-1]
@@ -125,7 +138,10 @@ def window_for(delay: int) -> int:
 def static_curve(hold: Hold, window: int, step: float, quiet: float = NO_CHANGE, rest: float = 0.0) -> Curve:
     """Steady thrust at evenly spaced throttles, measured from full throttle down."""
     throttles = [k / (CURVE_POINTS - 1) for k in range(CURVE_POINTS)]
-    thrusts = [settle(hold, throttle, window, step, quiet, rest) for throttle in reversed(throttles)]
+    thrusts: list[float] = []
+    for throttle in reversed(throttles):
+        span = thrusts[0] if thrusts else 0.0  # from full throttle down; closed it is little beside that, or idle
+        thrusts.append(settle(hold, throttle, window, step, quiet, rest, abs(span)))
     return Curve(tuple(throttles), tuple(reversed(thrusts)))
 
 

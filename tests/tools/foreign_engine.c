@@ -28,7 +28,7 @@ enum { LINE = 2048, MOST = 6 };
 #define PI 3.14159265358979323846
 
 typedef struct {
-    double line[LINE], held, x, x2, m, dm, soak, y;
+    double line[LINE], held, x, x2, m, dm, soak, slow, more[8], y;
 } One;
 
 #define FIELD(name, otherwise) double name;
@@ -36,6 +36,7 @@ typedef struct {
     X(delay_full, -1.0) X(lag, 0.1) X(lag2, 0.0) X(accelerates, 0.0) X(zero, 0.0) X(mode, 0.0) X(mode_hz, 9.0) \
     X(damping, 0.01) X(soak, 0.0) X(hunts, 0.0) X(noise, 0.0) X(flat, 1.0) X(exponent, 1.0) X(air, 0.0) X(idle, \
     0.0) X(sign, 1.0) X(drag, 0.0) X(crashes, 0.0) X(hangs, 0.0) X(floods, 0.0) X(engines, 1.0) \
+    X(over, 0.0) X(over_s, 4.0) X(warm, 0.0) X(warm_s, 45.0) X(more, 0.0) X(more_s, 0.05) \
     X(prints, 0.0) X(threads, 0.0) X(dies, 0.0) X(leaks, 0.0) X(uneven, 0.0) X(coupled, 0.0) \
     X(forward, 0.0) X(right, 0.0) X(torque, 0.0) X(clocked, 0.0) X(strict, 0.0)
 
@@ -109,7 +110,8 @@ static void part(Engine *e, One *s, double u)
     const double a = s->line[(e->k + LINE - lround(own / H)) % LINE];
     const double b = s->line[(e->k + LINE - lround((late == up ? down : own) / H)) % LINE];
     const double v = down > up ? fmax(a, b) : down < up ? fmin(a, b) : a;
-    const double lag = e->of.lag, lag2 = e->of.lag2, most = e->of.accelerates * H;
+    const double lag = e->of.warm > 0.0 && e->time > e->of.warm_s ? e->of.warm : e->of.lag;
+    const double lag2 = e->of.lag2, most = e->of.accelerates * H;
     double move = (v - s->x) * -expm1(-H / lag);
     if (most > 0.0)
         move = move > most ? most : move < -most ? -most : move;
@@ -126,6 +128,14 @@ static void part(Engine *e, One *s, double u)
         s->m += H * s->dm;
         y = (1.0 - share) * y + share * s->m;
     }
+    for (int i = 0; i < (int)e->of.more; i++) { /* further lags in a row */
+        s->more[i] += (y - s->more[i]) * -expm1(-H / e->of.more_s);
+        y = s->more[i];
+    }
+    if (e->of.over != 0.0) { /* thrust goes beyond what it comes to, and back slowly */
+        s->slow += (y - s->slow) * -expm1(-H / e->of.over_s);
+        y += e->of.over * (y - s->slow);
+    }
     s->soak += (s->x - s->soak) * -expm1(-H / 120.0);
     s->y = y * (1.0 - e->of.soak * s->soak) + e->of.hunts * sin(2.0 * PI * 1.3 * e->time);
 }
@@ -138,7 +148,7 @@ static void outputs(Engine *e)
         all += e->one[i].y / e->count;
     for (int i = 0; i < e->count; i++) {
         double y = e->one[i].y, flat = e->of.flat, exponent = e->of.exponent;
-        y = y < flat ? y / flat : 1.0;
+        y = flat == 1.0 ? y : y < flat ? y / flat : 1.0; /* thrust may go beyond what it comes to */
         y = exponent != 1.0 ? pow(fmax(y, 0.0), exponent) : y;
         if (e->value[GAIN] > 0.0)
             y *= e->value[GAIN];

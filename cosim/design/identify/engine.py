@@ -10,8 +10,9 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import EngineError, InputError
 from cosim.design.identify.fit import WHOLE, Fit, doubted, fit
-from cosim.design.identify.response import FrequencyResponse, Record, estimate
+from cosim.design.identify.response import FrequencyResponse, Record, estimate, shortest_record
 from cosim.design.identify.result import (
+    LONGEST_SWEEP_S,
     Identification,
     Sweep,
     check_band,
@@ -24,6 +25,7 @@ from cosim.simulation.script.commander import sweep as chirp
 LEAD_STEPS = 10
 STILL = 1e-9  # of the thrust's swing: what is left of the sweep when the record ends
 LONGEST_S = 60.0  # that the thrust gets to come to rest
+LEAST = 1.01  # times the lowest frequency that the longest sweep tells, where an engine's own is lower
 DECADES = (0.1, 10.0)  # the automatic band, around the corner frequency
 
 
@@ -95,17 +97,22 @@ def _fits(response: FrequencyResponse, lags: int, hold: Mapping[str, float] | No
 def _band(
     engine: EngineSpec, throttle: float, size: float, step: float, low: float | None, high: float | None
 ) -> tuple[float, float]:
-    """What is not given: a decade either side of the corner that a step of the throttle shows."""
+    """What is not given: a decade either side of the corners that a step of the throttle shows, as low as may be."""
     if low is not None and high is not None:
         return low, high
-    corner = 1.0 / (2.0 * np.pi * _lag(engine, throttle, size, step))
-    start = DECADES[0] * corner if low is None else low
-    end = min(DECADES[1] * corner, 0.4 / step) if high is None else high
+    quick, slow = (1.0 / (2.0 * np.pi * lag) for lag in _lags(engine, throttle, size, step))
+    least = shortest_record(1.0) / LONGEST_SWEEP_S
+    start = max(DECADES[0] * slow, LEAST * least) if low is None else low
+    end = min(DECADES[1] * quick, 0.4 / step) if high is None else high
     return float(start), float(end)
 
 
-def _lag(engine: EngineSpec, throttle: float, size: float, step: float) -> float:
-    """Seconds from 10 to 90 % of the answer to a step, over ln 9: the time constant if it were one lag."""
+def _lags(engine: EngineSpec, throttle: float, size: float, step: float) -> tuple[float, float]:
+    """Return two lags in the answer to a step, s: of how it sets out, and of how it comes to its end.
+
+    Seconds from 10 to 90 % over ln 9, and from 10 % until it stays within 10 %: both the time constant if it were one
+    lag.  Thrust that goes far beyond its end and comes back has the second longer.
+    """
     with make_bank([engine], step) as bank:
         before = bank.reset(throttle).thrust[0]
         course: list[float] = []
@@ -117,9 +124,13 @@ def _lag(engine: EngineSpec, throttle: float, size: float, step: float) -> float
                 break
     moved = np.abs(np.array(course) - before)
     if moved[-1] <= 1e-9 * max(1.0, abs(before)):
-        raise InputError(f"engine {engine.name}: its thrust does not answer the throttle around {throttle:g}")
-    rise = int(np.argmax(moved >= 0.9 * moved[-1])) - int(np.argmax(moved >= 0.1 * moved[-1]))
-    return max(rise, 1) * step / log(9.0)
+        more = f"; raise --amplitude (now {size:g})" if size < min(throttle, 1.0 - throttle) else ""
+        raise InputError(f"engine {engine.name}: its thrust does not answer the throttle around {throttle:g}{more}")
+    first = int(np.argmax(moved >= 0.1 * moved[-1]))
+    rise = int(np.argmax(moved >= 0.9 * moved[-1])) - first
+    outside = np.flatnonzero(np.abs(np.array(course) - course[-1]) > 0.1 * moved[-1])
+    settled = int(outside[-1]) + 1 - first if len(outside) else rise
+    return max(rise, 1) * step / log(9.0), max(rise, settled, 1) * step / log(9.0)
 
 
 def fly_sweep(engine: EngineSpec, throttle: float, sweep: Sweep, step: float) -> Record:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import exp, expm1, inf, log
 
 import numpy as np
@@ -29,6 +30,7 @@ from cosim.engine import EngineSpec
 from cosim.simulation.build import effectiveness_of
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import (
+    EngineLead,
     Hinge,
     RateModel,
     Sensors,
@@ -39,6 +41,11 @@ from cosim.vehicle.parts.hinges import HingeReactions
 
 BESIDE = 160  # frequencies at which what others add to an axis is computed: 4 % apart, more counts below than is
 SERVO = "tilt servo"  # what an actuator that turns a thrust is called
+MET = 0.5  # of all delay at low frequency or of the pace: as far may the two be apart; one lag alone has 0.64
+SECOND_POLE_WITHIN = 5.0  # times the slowest pole: up to here a lead takes the second one with it
+LED_WITHIN = 3.0  # times the channel's pace: slower poles of an engine with a zero beside one are not led
+SLOWEST = 1e-5  # rad/s, from where the first radian is looked for: a day
+TURNS = 400  # frequencies until then, 5 % apart
 INSTANT = 1e-9  # a pole in z below which a lag is over within a step: a 20th of one; chosen by us, far below what acts
 
 
@@ -118,8 +125,56 @@ class Channel:
 
     @property
     def slowness_s(self) -> float:
-        """All delay at low frequency, s: half a step of hold, transport and lags."""
+        """All delay at low frequency, s: half a step of hold, transport and lags; below 0 where leads are more."""
         return (0.5 + self.transport_samples) * self.step + self.lag_s
+
+    @cached_property
+    def pace_s(self) -> float:
+        """Return what a loop around it is fast or slow against, s, above 0: with which times and gains are searched.
+
+        That is all delay at low frequency, where this is what a crossover meets.  It is not where a slow pole has a
+        zero beside it: thrust that overshoots and comes back slowly leads at low frequency and is late all the same,
+        and thrust that creeps up its last part is late at low frequency alone.  There it is the time of the frequency
+        at which the channel has turned its phase by 1 rad, as a delay of one over it does.
+        """
+        turned = self._turned_s() if self.identified is None else self.slowness_s
+        return self.slowness_s if MET < turned / max(self.slowness_s, INSTANT) < 1.0 / MET else turned
+
+    @property
+    def paced_gain(self) -> float:
+        """Return the gain that a loop at its pace meets, in the unit of the gain at rest.
+
+        That is the gain at rest itself where the lags are all that is between the two.
+        """
+        if self.pace_s == self.slowness_s:
+            return self.gain
+        s, gain = 1j / self.pace_s, self.gain
+        for pole in self.actuator.dynamics.poles:
+            gain /= abs(1.0 - s / pole)
+        for zero in self.actuator.dynamics.zeros:
+            gain *= abs(1.0 - s / zero)
+        return gain
+
+    @property
+    def longest_s(self) -> float:
+        """Return the longest time in which it answers, s: its slowest pole's, where that is longer than its pace."""
+        if self.pace_s == self.slowness_s:
+            return self.pace_s
+        return max([self.pace_s, *(1.0 / abs(pole) for pole in self.actuator.dynamics.poles)])
+
+    def _turned_s(self) -> float:
+        """Return one over the least frequency, rad/s, at which command to rate, less its integral, is 1 rad late."""
+        dynamics = self.actuator.dynamics
+        omega = np.geomspace(SLOWEST, 4.0 / self.step, TURNS)  # at its end half a step of hold alone has turned by 2
+        late = (0.5 + self.transport_samples) * self.step + 0.5 * (self.rate_hold - 1) * self.step
+        turned = late * omega + np.arctan(self.rate_filter_s * omega)
+        for pole in dynamics.poles:
+            turned += np.angle(1.0 - 1j * omega / pole)
+        for zero in dynamics.zeros:
+            turned -= np.angle(1.0 - 1j * omega / zero)
+        first = int(np.argmax(turned > 1.0))
+        part = slice(max(first - 1, 0), first + 1)
+        return 1.0 / float(np.exp(np.interp(1.0, turned[part], np.log(omega[part]))))
 
     def model(self, source: str) -> RateModel:
         """Command to measured rate as a predictor reads it, exact where the delay is a whole number of samples.
@@ -388,6 +443,28 @@ def _altitude(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics
         angle_latency=barometer.latency_samples,
         angle_noise=barometer.noise_m,
     )
+
+
+def engine_lead(channel: Channel) -> EngineLead | None:
+    """A lead for the slowest lag of the engines, or for the slowest two poles; None where no engine answers.
+
+    Its own poles are where the engine's are, for the search to move.
+    """
+    if channel.identified is not None or channel.by_servo:
+        return None
+    poles = sorted(channel.actuator.dynamics.poles, key=abs)
+    if channel.pace_s != channel.slowness_s:  # a zero beside a slow pole leaves nothing of it to be led
+        poles = [pole for pole in poles if abs(pole) * channel.pace_s * LED_WITHIN >= 1.0]
+    if not poles:
+        return None
+    slowest, *others = poles
+    w = abs(slowest)
+    # a slow lag beside two poles that swing stands alone
+    if others and (slowest.imag or (not others[0].imag and abs(others[0]) < SECOND_POLE_WITHIN * w)):
+        natural = float(np.sqrt(w * abs(others[0])))
+        damping = float(-(slowest + others[0]).real / (2.0 * natural))
+        return EngineLead(natural_rad_s=natural, damping=damping, pole_rad_s=natural)
+    return EngineLead(natural_rad_s=w, pole_rad_s=w)
 
 
 def angles(z: Complex) -> Array:

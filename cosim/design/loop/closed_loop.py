@@ -33,7 +33,8 @@ from cosim.design.loop.state_space import Space, Steps
 from cosim.design.loop.tuning import Tuning
 
 LEFT = 1e-3  # of the largest response to a load: less at almost no frequency is nothing
-WINDOW = 50.0  # times the channel's delay at low frequency, over which responses in time are looked at
+WINDOW = 50.0  # times the channel's pace, over which responses in time are looked at
+LONGEST = 3.0  # times the longest time in which it answers, the same: of a slow part 5 % are left then
 FADED = 1e-10  # what a response in time is wrong by, as a part of what comes a period later; rounding is as small
 BAND = 0.05  # of a step, for the settling time, as in the metrics of a flight
 
@@ -47,7 +48,7 @@ class FrequencyGrid:
 
     def __init__(self, channel: Channel, close: int = 600, z: Complex | None = None) -> None:
         self.channel = channel
-        lowest = min(1e-3 * channel.step / channel.slowness_s, 1e-3)
+        lowest = min(1e-3 * channel.step / channel.longest_s, 1e-3)
         closely = np.union1d(np.geomspace(lowest, pi, close - close // 4), np.linspace(pi / close, pi, close // 4))
         stated = channel.actuator.dynamics.unsure if channel.identified is None else ()
         if stated:
@@ -149,9 +150,9 @@ class ClosedLoop:
 
     @cached_property
     def steps(self) -> Steps:
-        """Unit steps of set-point and load over :data:`WINDOW` times the channel's delay, exactly."""
+        """Unit steps of set-point and load over :data:`WINDOW` times the channel's pace, exactly."""
         channel = self.points.channel
-        samples = ceil(WINDOW * channel.slowness_s / channel.step)
+        samples = ceil(max(WINDOW * channel.pace_s, LONGEST * channel.longest_s) / channel.step)
         if self.tuning.firmware is not None or PREDICTORS[self.tuning.controller].space is None:
             return steps_by_response(channel, self.tuning, samples)
         return self.space.steps(samples)

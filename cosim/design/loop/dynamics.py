@@ -15,7 +15,7 @@ from math import exp, inf, log
 import numpy as np
 
 from cosim.base.arrays import Array, Complex
-from cosim.design.identify.fit import counts
+from cosim.design.identify.fit import apart, counts
 from cosim.design.identify.response import FrequencyResponse
 from cosim.spec.vehicle import RateModel
 
@@ -26,7 +26,10 @@ WRONG_WAY: tuple[tuple[str, ...], ...] = (("right",), ("right", "lag"))
 POOR = 0.02  # misfit above which that is tried
 GOOD = 0.001  # misfit at which no larger form is tried
 SEARCHED = 5  # samples either side of the free delay
+HELD = 0.1  # of the sampling rate: above, what is sampled of a first lag is 3 % and more off what a hold leaves of it
 BANDS = 80  # parts of a band that was swept: each 5 % wide over two decades, as a mode with damping 0.02 is
+PAIR = 1e-9  # of a pole in z: a smaller imaginary part is none, and a smaller pole is over within its step
+OVER = 25.0  # over the step, rad/s: a pole that leaves 1e-11 after it, and still a number
 CARRIED = 0.01  # misfit from which a design carries it: below, it moves no peak sensitivity of 1.7 by 3 %
 
 
@@ -105,20 +108,33 @@ class Dynamics:
         over = np.real(np.poly(A - B @ C)) - under  # C adj(zI - A) B
         over = over[1:]
         zeros = np.roots(over)
+        real, pairs = _in_z(self.poles, self.step)
         return RateModel(
             gain=float(over[0]),
             zeros=sorted(float(z.real) for z in zeros if not z.imag),
             zero_pairs=[(float(z.real), float(z.imag)) for z in zeros if z.imag > 0.0],
-            poles=sorted((exp(p.real * self.step) for p in self.poles if not p.imag), reverse=True),
-            pole_pairs=[
-                (float(np.exp(p * self.step).real), float(np.exp(p * self.step).imag))
-                for p in self.poles
-                if p.imag > 0.0
-            ],
+            poles=sorted(real, reverse=True),
+            pole_pairs=pairs,
             delay_samples=self.delay_samples,
             sample_time_s=self.step,
             source=source,
         )
+
+
+def _in_z(poles: Sequence[complex], step: float) -> tuple[list[float], list[tuple[float, float]]]:
+    """Return the sampled poles: the real ones, no two alike, and the pairs by the one above the real axis.
+
+    A pair that is over within a step, or that swings so little in one that rounding leaves nothing of it, is two real
+    ones; one that turns by more than half a circle in a step has its other half above the axis.
+    """
+    real, pairs = [p.real for p in poles if not p.imag], []
+    for pole in poles:
+        z = complex(np.exp(pole * step))
+        if pole.imag > 0.0 and abs(z.imag) > PAIR * abs(z) and abs(z) > PAIR:
+            pairs.append((z.real, abs(z.imag)))
+        elif pole.imag > 0.0:
+            real += [-min(abs(pole), OVER / step)] * 2
+    return [exp(-decay * step) for decay in apart([-p for p in real])], pairs
 
 
 def lags(constants: Sequence[float], delay: float, step: float) -> Dynamics:
@@ -183,7 +199,8 @@ def _fit(response: FrequencyResponse, form: Sequence[str], delay: float, lag: fl
     from scipy.optimize import least_squares
 
     weight = np.sqrt(counts(response))
-    use = weight > 0.0
+    use = (weight > 0.0) & (response.hertz * response.step <= HELD)
+    use = use if use.any() else weight > 0.0
     hertz, value, weight = response.hertz[use], response.value[use], weight[use]
     omega = 2.0 * np.pi * hertz
     # a hold is half a step late and a little weak; what it does at frequencies of an engine is no more than that

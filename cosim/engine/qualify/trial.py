@@ -338,9 +338,9 @@ def _respond(trial: Trial) -> Findings:
         courses: dict[str, Any] = {}
         notes: list[str] = []
         hold = trial.hold(instance)
-        quiet = trial.measured.quiet if trial.measured else NO_CHANGE
+        quiet, span = (m.quiet, abs(m.curve.thrust[-1])) if (m := trial.measured) else (NO_CHANGE, 0.0)
         rest = trial.archive.starting.rest_n
-        before = settle(hold, 0.0, window_for(round(1.0 / trial.step)), trial.step, quiet, rest)
+        before = settle(hold, 0.0, window_for(round(1.0 / trial.step)), trial.step, quiet, rest, span)
         for way, throttle in (("up", 1.0), ("down", 0.0)):
             course = [before]
 

@@ -18,12 +18,11 @@ from cosim.design.design import (
     _scenario,
     assess,
     dynamics_of,
-    engine_lead,
     identify_there,
     needed,
     shipped,
 )
-from cosim.design.loop.channel import SERVO, Actuator, Channel, _kicks, channels
+from cosim.design.loop.channel import SERVO, Actuator, Channel, _kicks, channels, engine_lead
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.tune import Requirements, settle
 from cosim.engine import EngineSpec, load_engine

@@ -20,6 +20,7 @@ from cosim.design import tune as search
 from cosim.design.controller_table import controller_table
 from cosim.design.design import Design, design
 from cosim.design.identify.response import FrequencyResponse
+from cosim.design.loop.channel import Actuator, channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import bounds, fit_dynamics, with_misfit
 from cosim.design.proof import Proof
@@ -276,3 +277,55 @@ def test_what_a_flight_does_that_was_not_promised(name: str, changes: dict[str, 
     assert bool(fault_of(name, flown(**dict(changes)), 0.08, 1.0)) == bool(said)
     if "log" in changes and name == "gust":
         assert fault_of(name, flown(**dict(changes)), 0.08, CORNER) == ""
+
+
+OVERSHOOT_AND_BACK = "lag=0.15,delay=0.048,over=0.1,over_s=4"
+
+
+@pytest.mark.parametrize(
+    ("name", "made_of"),
+    [
+        ("overshoots", OVERSHOOT_AND_BACK),
+        ("overshoots-by-half", "lag=0.15,delay=0.048,over=0.5,over_s=4"),
+        ("creeps", "lag=0.15,delay=0.048,over=-0.5,over_s=8"),
+        ("leads", "lag=0.12,lag2=0.05,zero=0.35"),
+    ],
+)
+def test_an_engine_with_a_zero_beside_a_slow_pole_is_designed_for(name: str, made_of: str, place: Path) -> None:
+    """Its delay at low frequency is below 0, or tells nothing of a loop: no measure of what a loop can be."""
+    made = quick(foreign(place, name, made_of), lead=True)
+    assert made.ok, made.reason
+    roll = made.axes["roll"]
+    assert roll.after is not None
+    # the fast part of each alone: its lags that no zero takes away, its dead time, the gyro and a hold
+    assert 0.02 < roll.channel.pace_s < 0.25
+    assert (roll.channel.slowness_s > 2.0) if name == "creeps" else (roll.channel.slowness_s < 0.0)
+    assert proving._measured(made, made.engine_dynamics).reason == ""
+    for flight, table in proving._tables(made).items():
+        assert proving._flight(made, flight, table, 1.0, 0) == "", flight
+    words = [line for line in summary_lines(made) if "where a loop is closed" in line]
+    assert len(words) == 1
+
+
+def test_an_engine_that_warms_up_is_designed_for_or_refused_in_a_line(place: Path) -> None:
+    """Its lag is three times as long from 45 s on, in the middle of the sweep: no linear model has both."""
+    made = quick(foreign(place, "warms", "lag=0.15,delay=0.048,warm=0.45,warm_s=45"))
+    assert made.ok or made.reason
+    assert made.engine_dynamics.misfit > 0.01
+    assert "for every engine that differs from the model" in " ".join(summary_lines(made))
+
+
+@pytest.mark.parametrize(
+    "made_of",
+    ["lag=0.00001", "lag=0.00001,delay=0.1", "lag=0.12,lag2=0.12,delay=0.02", "lag=0.05,more=5,more_s=0.05"],
+)
+def test_what_is_no_lag_is_a_model_all_the_same(made_of: str, place: Path) -> None:
+    """A gain, a delay, two equal lags and six of them: sampled, closed and followed in time."""
+    scenario, vehicle = making._scenario(str(foreign(place, "odd", made_of)), "hexjet", ["engine_unchecked=true"])
+    spec = load_engine(scenario.engine, {}, STEP, unchecked=True)
+    dynamics = making.dynamics_of(making.identify_there(scenario, vehicle, spec, None))
+    roll = channels(scenario, vehicle, spec, Actuator.of("odd", dynamics))["roll"]
+    for channel in (roll, roll.with_delay(roll.actuator_delay + 0.4), roll.with_lags(0.7), roll.with_lags(0.0)):
+        closed = ClosedLoop(FrequencyGrid(channel), making.shipped(channel, vehicle, spec))
+        assert np.isfinite(closed.steps.angle).all()
+        assert closed.unstable_poles >= 0

@@ -28,7 +28,6 @@ from cosim.design.design import (
     believed,
     design,
     dynamics_of,
-    engine_lead,
     identify_there,
     lead_there,
     needed,
@@ -36,7 +35,7 @@ from cosim.design.design import (
 )
 from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import at_share, keeps
-from cosim.design.loop.channel import Actuator, Channel, channels
+from cosim.design.loop.channel import Actuator, Channel, channels, engine_lead
 from cosim.design.loop.tuning import Tuning
 from cosim.design.tune import Requirements, settle, tune
 from cosim.engine import load_engine
