@@ -105,6 +105,7 @@ LENGTHY = {
     "test_site": ("test_the_site_is_built_without_a_warning",),
     "test_tutorial": ("test_the_tutorial_as_written",),
     "test_identify_log": ("test_two_real", "test_wrong_stamps", "test_an_engines_log", "test_forty_logs"),
+    "test_damaged_files": ("test_two_thousand",),
     "test_engine_windows": ("test_it_computes_the_same_bits_there",),  # Wine makes itself a home first
     "test_measured_margins": ("test_what_is_off_of_hexjet_100s_roll",),
     "test_mavlink_services": ("test_a_mission[a fifth lost]", "test_parameters[a fifth lost]"),

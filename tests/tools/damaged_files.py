@@ -1,0 +1,467 @@
+"""Damaged files of every kind that the project reads: each is read, or refused in one line, and nothing else happens.
+
+``python tests/tools/damaged_files.py --count 2000`` does it at length and prints a line a kind; a test does it for few.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import contextlib
+import io
+import random
+import re
+import resource
+import shutil
+import signal
+import struct
+import sys
+import tempfile
+import time
+import traceback
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from zlib import crc32
+
+import numpy as np
+import psutil
+
+from cosim.base.errors import FlightError, InputError
+
+ODD = [
+    b"1e309",
+    b"-1e309",
+    b"nan",
+    b"inf",
+    b"9" * 400,
+    b"-1",
+    b"0",
+    b"0x7fffffff",
+    b"1_000",
+    b"'",
+    b"[",
+    b"true",
+    b"",
+    b"\xff",
+    b"1e-320",
+    b'"' + b"x" * 300 + b'"',
+]
+_TOKENS = re.compile(rb"[-+]?[0-9][0-9.eE+-]*|\w+")
+MEGABYTES = 1500.0  # that one file may ask for
+SECONDS = 20.0  # of this process' CPU, for one
+
+
+class EndlessError(BaseException):
+    """The time is over.  No error that a reader could take for one of its own."""
+
+
+@dataclass
+class Outcome:
+    """How many files were read and refused, and what else happened, with the number of the file."""
+
+    read: int = 0
+    refused: int = 0
+    faults: list[tuple[int, str]] = field(default_factory=list)
+    slowest: float = 0.0  # s of CPU
+    said: collections.Counter[str] = field(default_factory=collections.Counter)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How a whole one is made in a folder, which returns the file that is damaged, and how it is read."""
+
+    make: Callable[[Path], Path]
+    read: Callable[[Path], object]
+    text: bool = False  # words and numbers are exchanged too
+
+
+# ---- damage
+
+
+def damaged(whole: bytes, drawn: random.Random, text: bool) -> bytes:
+    """One to three faults: bytes changed, lost, doubled, foreign, or the rest cut off; of a text also a word."""
+    data = bytearray(whole)
+    for _ in range(drawn.choice((1, 1, 2, 3))):
+        if not data:
+            break
+        most = len(data) if drawn.random() < 0.6 else min(len(data), 600)  # the head above all
+        at, length = drawn.randrange(most), drawn.choice((1, 2, 4, 16, 64, 256))
+        how = drawn.randrange(12 if text else 6)
+        if how == 0:
+            data[at] = drawn.randrange(32, 127) if text else drawn.randrange(256)
+        elif how == 1:
+            data[at] ^= 1 << drawn.randrange(7 if text else 8)
+        elif how == 2:
+            data[at : at + length] = drawn.randbytes(length)
+        elif how == 3:
+            del data[at : at + length]
+        elif how == 4:
+            data[at:at] = data[max(at - length, 0) : at]
+        elif how == 5:
+            fill = drawn.choice((b"\0" * length, b"\xff" * length))
+            data = data[:at] if drawn.random() < 0.5 else data[:at] + fill + data[at + length :]
+        else:
+            words = list(_TOKENS.finditer(bytes(data)))
+            if words:
+                word = drawn.choice(words)
+                data[word.start() : word.end()] = drawn.choice(ODD)
+    return bytes(data)
+
+
+# ---- trying
+
+
+@contextlib.contextmanager
+def bounded(seconds: float, megabytes: float) -> Iterator[None]:
+    """This process' CPU and address space, from here on."""
+
+    def over(*_: object) -> None:
+        raise EndlessError(f"more than {seconds:g} s of CPU")
+
+    before = signal.signal(signal.SIGPROF, over)
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    most = psutil.Process().memory_info().vms + int(megabytes * 2**20)
+    resource.setrlimit(resource.RLIMIT_AS, (most, hard))
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+        signal.signal(signal.SIGPROF, before)
+
+
+def attempt(kind: Kind, path: Path) -> str:
+    """Read a file: "" where it was, "=" and the line in which it was refused, or what went wrong."""
+    output = io.StringIO()
+    try:
+        with bounded(SECONDS, MEGABYTES), contextlib.redirect_stdout(output):
+            kind.read(path)
+    except (InputError, FlightError) as refusal:
+        line = str(refusal)
+        return f"of several lines: {line!r}" if "\n" in line else f"={line}"
+    except (Exception, EndlessError):
+        return traceback.format_exc()
+    return f"printed {output.getvalue()[:200]!r}" if output.getvalue() else ""
+
+
+def try_files(name: str, count: int, seed: int = 1, keep: Path | None = None) -> Outcome:
+    """Read ``count`` damaged files of a kind; those that are neither read nor refused go to ``keep``."""
+    kind, outcome = KINDS[name], Outcome()
+    with tempfile.TemporaryDirectory(prefix="hexjet-damaged-") as folder:
+        whole_folder = Path(folder) / "whole"
+        whole_folder.mkdir()
+        file = kind.make(whole_folder)
+        whole = file.read_bytes()
+        assert not attempt(kind, file), f"{name}: the whole one: {attempt(kind, file)}"
+        for number in range(count):
+            drawn = random.Random(f"{name} {seed} {number}")
+            content = damaged(whole, drawn, kind.text)
+            copy = Path(folder) / f"file-{number}"
+            shutil.copytree(whole_folder, copy)
+            path = copy / file.relative_to(whole_folder)
+            path.write_bytes(content)
+            begin = time.process_time()
+            done = attempt(kind, path)
+            outcome.slowest = max(outcome.slowest, time.process_time() - begin)
+            left = psutil.Process().children(recursive=True)
+            if left:
+                done = f"left processes: {[process.cmdline()[-2:] for process in left]}"
+            if not done:
+                outcome.read += 1
+            elif done.startswith("="):
+                outcome.refused += 1
+                outcome.said[re.sub(r"[0-9]+|'.*?'", "N", done.rpartition(str(path))[2])[:60]] += 1
+            else:
+                outcome.faults.append((number, done))
+                if keep is not None:
+                    keep.mkdir(parents=True, exist_ok=True)
+                    shutil.copytree(copy, keep / f"{name}-{number}", dirs_exist_ok=True)
+            shutil.rmtree(copy)
+    return outcome
+
+
+# ---- logs
+
+
+def _log(path: Path) -> None:
+    from cosim.results.logs import read_flight_log, ulog
+    from cosim.results.logs.as_columns import as_columns
+
+    ulog.MOST_S = 3.0
+    log = read_flight_log(path)
+    log.to_dict()
+    with contextlib.suppress(InputError):
+        as_columns(log)
+
+
+def _written(name: str, content: bytes) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        (folder / name).write_bytes(content)
+        return folder / name
+
+    return make
+
+
+def _dataflash() -> bytes:
+    def described(kind: int, name: str, columns: str, labels: str) -> bytes:
+        size = 3 + struct.calcsize("<" + columns.replace("N", "16s").replace("Z", "64s").replace("n", "4s"))
+        said = (name.encode(), columns.encode(), labels.encode())
+        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, size, *said)
+
+    made = described(0x80, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
+    made += described(1, "RATE", "Qffff", "TimeUS,RDes,R,ROut,I") + described(2, "ESC", "QBf", "TimeUS,Instance,RPM")
+    made += described(3, "MSG", "QZ", "TimeUS,Message") + described(4, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds")
+    made += b"\xa3\x95\x04" + struct.pack("<QB16s16s", 0, 2, b"s#q", b"F-0")
+    made += b"\xa3\x95\x03" + struct.pack("<Q64s", 5, b"ArduCopter V4.6")
+    for n in range(120):
+        made += b"\xa3\x95\x01" + struct.pack("<Qffff", 10_000 * n, 0.1 * n, n, -n, 0.01 * n)
+        made += b"\xa3\x95\x02" + struct.pack("<QBf", 10_000 * n, n % 4, 100.0 + n)
+    return made
+
+
+def _crazyflie() -> bytes:
+    made = struct.pack("<BHH", 0xBC, 2, 2) + struct.pack("<H", 7) + b"rate\0" + struct.pack("<H", 2)
+    made += b"gyro.x(f)\0motor.m1(I)\0" + struct.pack("<H", 9) + b"slow\0" + struct.pack("<H", 1) + b"pm.vbat(f)\0"
+    for n in range(120):
+        made += struct.pack("<H", 7) + struct.pack("<QfI", 10_000 * n, 0.1 * n, 1000 + n)
+        made += struct.pack("<H", 9) + struct.pack("<Qf", 10_000 * n, 3.7) if n % 20 == 0 else b""
+    return made + struct.pack("<I", crc32(made))
+
+
+def _blackbox() -> bytes:
+    from blackbox_writer import END, FIELDS, SLOW, Writer, beside
+
+    count = np.arange(120)
+    table = {"loopIteration": 2 * count, "time": 10**6 + 500 * count}
+    table |= {f.name: (37 * count * (n + 1)) % 900 for n, f in enumerate(FIELDS[2:])}
+    writer = Writer(every=16, of=2)
+    frames = writer.frames(table)
+    return writer.head() + SLOW + b"".join(frames[:60]) + beside(5) + b"".join(frames[60:]) + END
+
+
+def _tlog() -> bytes:
+    from pymavlink.dialects.v20 import ardupilotmega as messages
+
+    mav, made = messages.MAVLink(None, 1, 1), b""
+    for n in range(60):
+        sent = [messages.MAVLink_attitude_message(20 * n, 0.1 * n, 0, 0, 0, 0, 0)]
+        sent += [messages.MAVLink_servo_output_raw_message(20_000 * n, 0, *[1500] * 8, *[0] * 8)]
+        sent += [messages.MAVLink_statustext_message(6, b"landed")] if n % 20 == 0 else []
+        for message in sent:
+            made += struct.pack(">Q", 1_700_000_000_000_000 + 20_000 * n) + message.pack(mav, force_mavlink1=n % 2 == 1)
+    return made
+
+
+def _csv() -> bytes:
+    rows = (f"{0.01 * n:.3f}, {n % 7}, {n / 8:.2f}, 2026-11-25 12:00:{n % 60:02d}" for n in range(120))
+    return "\n".join(["time (s), u, gyro[0] (deg/s), date", *rows]).encode()
+
+
+def _run(folder: Path) -> Path:
+    """A made-up run of 120 steps; its folder."""
+    from flights import samples, scenario, setup
+
+    from cosim.results.run import begin_run
+
+    recording = begin_run(setup(), scenario(), folder / "run")
+    for sample in samples(120):
+        recording.observe(sample)
+    recording.finish("completed", "")
+    return folder / "run"
+
+
+def _ulog(folder: Path) -> Path:
+    from cosim.results.export.ulog import export_ulog
+
+    run = _run(folder)
+    export_ulog(run, folder / "flight.ulg")
+    shutil.rmtree(run)
+    return folder / "flight.ulg"
+
+
+def _parquet(folder: Path) -> Path:
+    from cosim.results.arrow import write_table
+
+    rows = [0.01 * n for n in range(120)]
+    write_table(folder / "bench.parquet", {"time": rows, "u": rows, "name": [str(row) for row in rows]})
+    return folder / "bench.parquet"
+
+
+# ---- runs, and what is stated in files
+
+
+def _open_run(path: Path) -> None:
+    from cosim.results.run import open_run
+
+    run = open_run(path.parent)
+    for name in run.log.columns:
+        len(run.log[name])
+
+
+def _of_run(name: str) -> Callable[[Path], Path]:
+    return lambda folder: _run(folder) / name
+
+
+def _killed(folder: Path) -> Path:
+    """A run that was killed: its stream of rows is all there is."""
+    from flights import samples, scenario, setup
+
+    from cosim.results.run import begin_run
+
+    recording = begin_run(setup(), scenario(), folder / "run")
+    for sample in samples(120):
+        recording.observe(sample)
+    whole = folder / "kept"
+    shutil.copytree(folder / "run", whole)
+    recording.finish("completed", "")
+    shutil.rmtree(folder / "run")
+    whole.rename(folder / "run")
+    return next((folder / "run").glob("*.arrows"))
+
+
+def _shipped(*parts: str) -> Callable[[Path], Path]:
+    from cosim.base.storage.paths import data_folder
+
+    def make(folder: Path) -> Path:
+        source = data_folder(parts[0]).joinpath(*parts[1:])
+        shutil.copy(source, folder / source.name)
+        return folder / source.name
+
+    return make
+
+
+def _vehicle(folder: Path) -> Path:
+    from cosim.base.storage.paths import data_folder
+
+    shutil.copytree(data_folder("aircraft") / "hexjet", folder / "mine")
+    file = folder / "mine" / "vehicle.toml"
+    file.write_text(file.read_text().replace('name = "hexjet"', 'name = "mine"'))
+    return file
+
+
+def _model_file(folder: Path) -> Path:
+    from cosim.base.storage.toml import toml_text
+    from cosim.design.identify.fit import Model
+
+    model = Model(300.0, 0.3, (0.05,), 20.5, 0.004).discrete("made up").model_dump(mode="json", exclude_none=True)
+    (folder / "model.toml").write_text(toml_text({"identified": {"edf": {"roll": model}}}))
+    return folder / "model.toml"
+
+
+def _fmu(folder: Path) -> Path:
+    from cosim.base.storage.paths import data_folder
+
+    shutil.copy(data_folder("fmus") / "turbojet.fmu", folder / "engine.fmu")
+    return folder / "engine.fmu"
+
+
+def _described_fmu(folder: Path) -> Path:
+    """The description apart, which :func:`_read_described` puts back."""
+    with zipfile.ZipFile(_fmu(folder)) as archive:
+        (folder / "modelDescription.xml").write_bytes(archive.read("modelDescription.xml"))
+    return folder / "modelDescription.xml"
+
+
+def _read_described(path: Path) -> None:
+    """The FMU that has this description, and no library: nothing of it could run."""
+    with zipfile.ZipFile(path.with_name("engine.fmu")) as whole, zipfile.ZipFile(path.with_name("x.fmu"), "w") as made:
+        for name in whole.namelist():
+            made.writestr(name, path.read_bytes() if name == path.name else whole.read(name))
+    _read_fmu(path.with_name("x.fmu"))
+
+
+def _read_fmu(path: Path) -> None:
+    from cosim.engine.fmu.archive import read_archive
+
+    read_archive(path)
+
+
+def _scenario(path: Path) -> None:
+    from cosim.spec.scenario import Scenario
+
+    Scenario.load(path)
+
+
+def _read_vehicle(path: Path) -> None:
+    from cosim.spec.vehicle.files import load_vehicle
+
+    load_vehicle(str(path))
+
+
+def _study(path: Path) -> None:
+    from cosim.campaign.study.study import Study
+
+    Study.load(path)
+
+
+def _controller(path: Path) -> None:
+    from cosim.design.controller_file import read_controller
+
+    read_controller(path)
+
+
+def _model(path: Path) -> None:
+    from cosim.design.logged.validate import read_model
+
+    read_model(path)
+
+
+KINDS = {
+    "dataflash": Kind(_written("flight.bin", _dataflash()), _log),
+    "ulog": Kind(_ulog, _log),
+    "blackbox": Kind(_written("LOG00001.BFL", _blackbox()), _log, text=True),
+    "crazyflie": Kind(_written("log00", _crazyflie()), _log),
+    "tlog": Kind(_written("flight.tlog", _tlog()), _log),
+    "csv": Kind(_written("bench.csv", _csv()), _log, text=True),
+    "parquet": Kind(_parquet, _log),
+    "summary": Kind(_of_run("summary.json"), _open_run, text=True),
+    "rows": Kind(_of_run("flight.parquet"), _open_run),
+    "stream": Kind(_killed, _open_run),
+    "scenario": Kind(_shipped("scenarios", "fault-flame-out.toml"), _scenario, text=True),
+    "vehicle": Kind(_vehicle, _read_vehicle, text=True),
+    "study": Kind(_shipped("studies", "predictor-robustness.toml"), _study, text=True),
+    "controller": Kind(
+        _written("design.toml", (Path(__file__).parents[1] / "designs" / "turbojet.toml").read_bytes()),
+        _controller,
+        text=True,
+    ),
+    "model": Kind(_model_file, _model, text=True),
+    "fmu": Kind(_fmu, _read_fmu),
+    "description": Kind(_described_fmu, _read_described, text=True),
+}
+
+
+def main() -> int:
+    """Try them, and print what came of them; 1 where anything was neither read nor refused in one line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=2000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--kind", action="append", choices=KINDS)
+    parser.add_argument("--keep", type=Path, help="a folder for the files at fault")
+    parser.add_argument("--said", action="store_true", help="print the reasons of the refusals too")
+    options = parser.parse_args()
+    faults = 0
+    for name in options.kind or KINDS:
+        outcome = try_files(name, options.count, options.seed, options.keep)
+        faults += len(outcome.faults)
+        print(
+            f"{name}: {outcome.read} read, {outcome.refused} refused, {len(outcome.faults)} at fault, "
+            f"slowest {outcome.slowest:.2f} s of CPU",
+            flush=True,
+        )
+        if options.said:
+            print("\n".join(f"  {count} {line}" for line, count in outcome.said.most_common(30)))
+        for number, text in outcome.faults[:20]:
+            print(
+                f"  file {number}: {text.strip().splitlines()[-1]}\n    {' | '.join(text.strip().splitlines()[-7:-1])}"[
+                    :900
+                ]
+            )
+    return int(faults > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

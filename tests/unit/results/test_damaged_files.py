@@ -1,0 +1,84 @@
+"""Damaged files of every kind: each is read, or refused in one line, in bounded time and memory, and nothing is left."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import damaged_files
+import pytest
+from damaged_files import KINDS, Kind, try_files
+
+from cosim.base.errors import InputError
+
+SOME, MANY = 25, 2000
+DEAR = ("ulog", "summary", "rows", "stream")  # a process, or a table of a whole run, for each
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_damaged_file_is_read_or_refused(name: str) -> None:
+    outcome = try_files(name, SOME // 5 if name in DEAR else SOME)
+    assert outcome.faults == []
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_two_thousand_damaged_files(name: str) -> None:
+    outcome = try_files(name, MANY, seed=2)
+    assert outcome.faults == []
+    assert outcome.refused > 0
+    assert outcome.read > 0
+
+
+def _for_ever(path: Path) -> None:
+    content = path.read_bytes()
+    while b"x" not in content:
+        pass
+
+
+def _greedy(path: Path) -> None:
+    if b"x" not in path.read_bytes():
+        bytearray(2**32)
+
+
+def _traced(path: Path) -> None:
+    if b"x" not in path.read_bytes():
+        raise ValueError("no x")
+
+
+def _wordy(path: Path) -> None:
+    if b"x" not in path.read_bytes():
+        raise InputError("one\ntwo")
+
+
+@pytest.mark.parametrize(
+    ("read", "said"),
+    [(_for_ever, "of CPU"), (_greedy, "MemoryError"), (_traced, "ValueError: no x"), (_wordy, "several lines")],
+)
+def test_what_goes_wrong_is_seen(monkeypatch: pytest.MonkeyPatch, read: object, said: str) -> None:
+    monkeypatch.setattr(damaged_files, "SECONDS", 0.2)
+    monkeypatch.setitem(KINDS, "made-up", Kind(_made, read))  # type: ignore[arg-type]
+    outcome = try_files("made-up", 8)
+    assert outcome.faults
+    assert all(said in text for _, text in outcome.faults)
+    assert len(outcome.faults) + outcome.read == 8
+
+
+def _made(folder: Path) -> Path:
+    (folder / "file").write_bytes(b"x")
+    return folder / "file"
+
+
+def test_a_process_that_is_left_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+
+    def read(path: Path) -> None:
+        if b"x" not in path.read_bytes():
+            made.append(subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]))
+
+    monkeypatch.setitem(KINDS, "made-up", Kind(_made, read))
+    try:
+        outcome = try_files("made-up", 4)
+        assert "left processes" in outcome.faults[0][1]
+    finally:
+        for process in made:
+            process.kill()
+            process.wait()
