@@ -63,7 +63,7 @@ from cosim.vehicle.airframe import (
     ON_THE_GROUND,
     POSITIONS,
 )
-from cosim.vehicle.jsbsim_model import read_model
+from cosim.vehicle.model_file import read_model
 
 
 def fly(

@@ -18,6 +18,10 @@ class FlightError(RuntimeError):
     """Something failed while the vehicle flew: the run ends as ``failed`` and its log is kept (exit status 1)."""
 
 
+class Notice(UserWarning):
+    """Something of the user's is taken otherwise than it stands there, and the rest flies: one line, said once."""
+
+
 class EngineError(FlightError):
     """An engine returned an error or a value that is not finite; the message names engine, step and time."""
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import sys
 import tempfile
+import warnings
+from collections.abc import Callable
 from importlib import import_module
 from io import TextIOWrapper
+from typing import Any
 
 import click
 
-from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError
+from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError, Notice
 from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, WRONG_INPUT, Terminated
 
 INTERRUPTED, TERMINATED = 130, 143  # as a shell has them
@@ -66,6 +69,7 @@ def main(arguments: list[str] | None = None) -> None:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
     output = sys.stdout
+    warnings.showwarning = _say(warnings.showwarning)
     try:
         status = cli.main(args=arguments, prog_name="hexjet", standalone_mode=False)
     except InputError as error:
@@ -97,6 +101,18 @@ def main(arguments: list[str] | None = None) -> None:
             _complain("stopped; what was written before is kept")
         status = TERMINATED if isinstance(stop, Terminated) else INTERRUPTED
     sys.exit(status if isinstance(status, int) else DONE)
+
+
+def _say(others: Callable[..., None]) -> Callable[..., None]:
+    """Return what shows a warning: a notice of ours as one line on standard error, any other as before."""
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, Notice):
+            click.echo(f"hexjet: note: {message}", err=True)
+        else:
+            others(message, category, *where, **more)
+
+    return show
 
 
 def _complain(message: str) -> None:

@@ -65,7 +65,7 @@ from cosim.spec.scenario import Environment, Scenario, Station, TorqueCommandDis
 from cosim.spec.vehicle import EngineLead, RateModel, Vehicle, aircraft_seen_from, file_seen_from, is_file
 from cosim.vehicle.airframe import Airframe, standing_height, start_height
 from cosim.vehicle.atmosphere import standard_air
-from cosim.vehicle.jsbsim_model import read_model
+from cosim.vehicle.model_file import read_model
 from cosim.vehicle.parts.banks import Banks
 from cosim.vehicle.parts.ground_effect import GroundJets
 from cosim.vehicle.parts.hinges import HingeReactions

@@ -1,7 +1,7 @@
 """The airframe: JSBSim behind SI units, FRD body axes and NED.
 
-The only module that imports ``jsbsim``, and with :mod:`cosim.vehicle.jsbsim_model` the only place with lbf, ft and
-slug.  One control step is ``substeps`` runs of JSBSim with every input held.
+With :mod:`cosim.vehicle.jsbsim_model` the only place with lbf, ft and slug; :mod:`cosim.vehicle.executive` has JSBSim
+itself.  One control step is ``substeps`` runs of JSBSim with every input held.
 
 JSBSim moves the state first and evaluates forces after, so a force that is written before a step is first felt in the
 run after the next: the method from acceleration to velocity makes up half a run of this (Adams and Bashforth) or none
@@ -15,19 +15,13 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import os
-import sys
 from collections.abc import Callable, Sequence
 from math import cos, pi, radians, sin
 from pathlib import Path
 from typing import Any, Final
 
-os.environ.setdefault("JSBSIM_DEBUG", "0")  # JSBSim prints a banner to standard output otherwise
-
-import jsbsim
-
 from cosim.base.constants import GRAVITY
-from cosim.base.errors import FlightError, InputError
+from cosim.base.errors import FlightError
 from cosim.base.frames import from_euler
 from cosim.base.signals import (
     ZERO3,
@@ -39,9 +33,11 @@ from cosim.base.signals import (
 from cosim.base.storage.scratch import scratch
 from cosim.spec.scenario import Environment, Initial
 from cosim.spec.vehicle import Vehicle
-from cosim.vehicle._properties import Properties, use
-from cosim.vehicle.jsbsim_model import MOMENTUM, PRODUCT_SIGN, PRODUCTS, read_model, render, structural
+from cosim.vehicle._properties import Properties
+from cosim.vehicle.executive import Complaint, Executive, Property
+from cosim.vehicle.jsbsim_model import MOMENTUM, PRODUCT_SIGN, PRODUCTS, render, structural
 from cosim.vehicle.jsbsim_units import FOOT, INCH, JSBSIM_POUNDS_PER_SLUG, POUND_FOOT, POUND_FORCE, SLUG, SLUG_FT2
+from cosim.vehicle.model_file import read_model
 
 NEAR_GROUND: Final = 2.0  # m: below this height the contacts are looked at
 # JSBSim's methods, by the end of their property's name and its number for them
@@ -71,10 +67,8 @@ _RANKINE: Final = 5.0 / 9.0  # K, exact
 _NED = ("north", "east", "down")
 _NONE: Final[Any] = ZERO3  # as one object
 _number = itertools.count()  # of the airframes of this process
-use(getattr(sys.modules[jsbsim.FGPropertyNode.__module__], "__file__", None))
 
-
-Node = Callable[[str], jsbsim.FGPropertyNode]  # a property by its name
+Node = Callable[[str], Property]  # a property by its name
 Get = Callable[[], float]
 Set = Callable[[float], object]
 
@@ -155,15 +149,9 @@ class Airframe:
             raise
 
     def _load(self) -> None:
-        fdm = jsbsim.FGFDMExec(str(self._file.parent), None)
-        fdm.set_debug_level(0)
-        fdm.set_aircraft_path(".")
-        # load_model answers False instead of raising
-        if not fdm.load_model(self._file.stem, add_model_to_path=False):
-            raise InputError(f"{self._source or self._vehicle.name}: JSBSim could not load the model")
-        fdm.set_dt(self._dt)
-        self._fdm = fdm
-        self._run: Callable[[], bool] = fdm.run if self.moving else _stand_still
+        self._jsbsim = Executive(self._file, self._source, self._vehicle.name, self._dt)
+        self._fdm = self._jsbsim.fdm
+        self._run: Callable[[], bool] = self._jsbsim.run if self.moving else _stand_still
         self._fresh = True
         self._bind()
         self._set("atmosphere/randomseed", self._seed)
@@ -217,12 +205,8 @@ class Airframe:
         kinds = enumerate(contact.kind for contact in self._vehicle.contacts)
         return [self._node(f"contact/unit[{unit}]/WOW").get_double_value for unit, other in kinds if other == kind]
 
-    def _node(self, name: str) -> jsbsim.FGPropertyNode:
-        # JSBSim silently creates a property that is written but does not exist, so every name is resolved first
-        node = self._fdm.get_property_manager().get_node(name)
-        if node is None:
-            raise InputError(f"{self._source or self._vehicle.name}: this JSBSim model has no property {name}")
-        return node
+    def _node(self, name: str) -> Property:
+        return self._jsbsim.node(name)
 
     def _last_point_mass(self) -> int:
         """The index of the point mass that :func:`render` adds for the burnt fuel."""
@@ -279,8 +263,7 @@ class Airframe:
         self._apply(Disturbance(wind=wind))
         if momentum and self._rotors:
             self.set_momentum(momentum)
-        if not self._fdm.run_ic():
-            raise FlightError("JSBSim could not start from the initial state")
+        self._jsbsim.start()
         self._set("atmosphere/turb-type", turbulence)
         self._still = not (place.turbulence_severity or any(wind))
         self._turbulent = place.turbulence_severity > 0
@@ -300,15 +283,20 @@ class Airframe:
             self._apply(disturbance)
         push, twist = disturbance.force, _sum(disturbance.moment, moment)
         run, runs = self._run, self.substeps
-        if runs > 1:
-            self._act_with(forces, push, twist, self._make_up)
-            if not run():
-                raise FlightError("JSBSim ended the run")
-            runs -= 1
-        self._act(forces, push, twist)
-        for _ in range(runs):
-            if not run():
-                raise FlightError("JSBSim ended the run")
+        try:
+            if runs > 1:
+                self._act_with(forces, push, twist, self._make_up)
+                ended = not run()
+                runs -= 1
+            else:
+                ended = False
+            self._act(forces, push, twist)
+            for _ in range(runs):
+                ended = not run() or ended
+        except Complaint as error:
+            raise self._jsbsim.stopped(error) from None
+        if ended:
+            raise FlightError("JSBSim ended the run")
         return self._read()
 
     def bare_run(self) -> Callable[[], bool]:
@@ -509,7 +497,7 @@ class Airframe:
             self._set("ic/theta-rad", alpha)
             self._set("ic/vn-fps", at_m_s / FOOT)
             self._set("ic/vd-fps", 0.0)
-            self._fdm.run_ic()
+            self._jsbsim.start()
             force, moment = self.aerodynamic_wrench()
             pressure = self._fdm.get_property_value("aero/qbar-psf") * _POUND_SQUARE_FOOT
             c, s = cos(alpha), sin(alpha)

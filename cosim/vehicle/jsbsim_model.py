@@ -8,7 +8,6 @@ them where the file has no aerodynamics.
 
 from __future__ import annotations
 
-import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from cosim.base.signals import AXES, Vector3
 from cosim.base.storage.cache import Memory
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.jsbsim_units import FOOT, INCH, JSBSIM_POUNDS_PER_SLUG, POUND_FOOT, SLUG, SLUG_FT2
+from cosim.vehicle.model_file import find_line, parse, read_model
 
 MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # of the rotors, body; a property of our own in the model
 
@@ -48,53 +48,6 @@ def structural(body: Vector3) -> tuple[float, float, float]:
     return (-x / INCH, y / INCH, -z / INCH)
 
 
-def read_model(model: Path | None) -> bytes:
-    """A model's file, with the parts that it takes from other files in their places; without one, all is added.
-
-    Raises InputError if one of them cannot be read.
-    """
-    if model is None:
-        return b"<fdm_config/>"
-    try:
-        text = model.read_bytes()
-    except OSError as error:
-        raise InputError(f"{model}: {error.strerror or error}") from error
-    if not re.search(rb"\sfile\s*=", text):
-        return text
-    root = _parsed(model, text)
-    named = [part for part in root if part.get("file")]
-    if not named:
-        return text
-    for part in named:
-        if part.tag in ("output", "input"):  # neither is a part of what flies
-            root.remove(part)
-            continue
-        root[list(root).index(part)] = _part(model, part)
-    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
-
-
-def _part(model: Path, part: ET.Element) -> ET.Element:
-    """What a part is taken from: beside the model or in ``Systems``, as JSBSim looks for it."""
-    name = part.attrib["file"]
-    places = [
-        model.parent / folder / f"{name}{ending}" for folder in ("", "Systems", "systems") for ending in ("", ".xml")
-    ]
-    for place in places:
-        if place.is_file():
-            other = _parsed(place, place.read_bytes())
-            if other.tag != part.tag:
-                raise InputError(f"{place}: is a {other.tag}, where {model.name} takes a {part.tag} from it")
-            return other
-    raise InputError(f"{model}: {part.tag} file={name!r}: {places[0]}: no such file")
-
-
-def _parsed(path: Path, text: bytes) -> ET.Element:
-    try:
-        return ET.fromstring(text)
-    except ET.ParseError as error:
-        raise InputError(f"{path}: not valid XML: {error}") from error
-
-
 def render(vehicle: Vehicle, model: Path | None, rotors: bool = False) -> bytes:
     """The JSBSim model with the vehicle's numbers written over the ones in the file, in JSBSim's own units.
 
@@ -110,7 +63,7 @@ def render(vehicle: Vehicle, model: Path | None, rotors: bool = False) -> bytes:
 
 
 def _render(vehicle: Vehicle, model: Path, text: bytes, rotors: bool) -> bytes:
-    root = _parsed(model, text)
+    root = parse(model, text)
     if root.tag != "fdm_config":
         raise InputError(f"{model}: is no JSBSim model: its root is {root.tag}, not fdm_config")
     own_aerodynamics = complete(root, vehicle, model)
@@ -191,7 +144,7 @@ def complete(root: ET.Element, vehicle: Vehicle, model: Path) -> bool:
             root.insert(max(before, default=len(root.findall("fileheader")) - 1) + 1, part)
     _metrics(_child(root, "metrics"))
     _mass_balance(_child(root, "mass_balance"), model)
-    _shift(root)
+    _shift(root, model)
     _contacts(_child(root, "ground_reactions"), vehicle, model)
     _forces(_child(root, "external_reactions"), len(vehicle.jets))
     if root.find("propulsion/engine") is not None:
@@ -245,7 +198,7 @@ def _mass_balance(masses: ET.Element, model: Path) -> None:
             ET.SubElement(masses, tag, unit=unit).text = "0"
     _placed(_named(masses, "location", "CG"))
     for mass in masses.findall("pointmass"):
-        if mass.get("name") != PAYLOAD and float(mass.findtext("weight") or 0.0):
+        if mass.get("name") != PAYLOAD and _number(mass.find("weight"), model):
             raise InputError(
                 f"{model}: pointmass {mass.get('name')}: mass_kg in vehicle.toml is the whole vehicle's; leave it out"
             )
@@ -258,23 +211,42 @@ def _mass_balance(masses: ET.Element, model: Path) -> None:
     _placed(payload)
 
 
-def _shift(root: ET.Element) -> None:
+def _shift(root: ET.Element, model: Path) -> None:
     """Put the origin of every place in the model at its centre of gravity, and what is felt there."""
     cg = _child(root, "mass_balance/location[@name='CG']")
-    unit = _INCHES[cg.get("unit", "IN").upper()]
-    origin = [float(cg.findtext(axis) or 0.0) * unit for axis in "xyz"]
+    unit = _inches(cg, model)
+    origin = [_number(cg.find(axis), model) * unit for axis in "xyz"]
     felt = [_child(root, f"metrics/location[@name='{name}']") for name in ("EYEPOINT", "VRP")]
-    if not any(origin) and not any(float(element.text or 0.0) for location in felt for element in location):
+    if not any(origin) and not any(_number(element, model) for location in felt for element in location):
         return
     for location in root.iter("location"):
-        scale = _INCHES[location.get("unit", "IN").upper()]
+        scale = _inches(location, model)
         location.set("unit", "IN")
         for axis, shift in zip("xyz", origin, strict=True):
             element = location.find(axis)
             if element is not None:
-                element.text = repr(float(element.text or 0.0) * scale - shift)
+                element.text = repr(_number(element, model) * scale - shift)
     for element in (element for location in felt for element in location):
         element.text = "0"
+
+
+def _number(element: ET.Element | None, model: Path) -> float:
+    """Return what an element states, 0 where it is not there or empty.  Raises InputError where it is no number."""
+    text = "" if element is None else (element.text or "").strip()
+    try:
+        return float(text or 0.0)
+    except ValueError:
+        assert element is not None
+        raise InputError(f"{find_line(model, text)}: {element.tag}: {text!r} is no number") from None
+
+
+def _inches(location: ET.Element, model: Path) -> float:
+    """Return how long the unit of a place is, in inches."""
+    unit = location.get("unit", "IN").upper()
+    if unit not in _INCHES:
+        place = f"location {location.get('name', '')}".strip()
+        raise InputError(f"{model}: {place}: unit {unit!r}: must be one of {', '.join(_INCHES)}")
+    return _INCHES[unit]
 
 
 def _contacts(ground: ET.Element, vehicle: Vehicle, model: Path) -> None:

@@ -18,7 +18,7 @@ PACKAGE = ROOT / "cosim"
 
 # A foreign library has one home: a module, or a folder with one duty.
 HOMES = {
-    "jsbsim": ["vehicle/airframe.py"],
+    "jsbsim": ["vehicle/executive.py"],
     "fmpy": ["engine/"],
     "osqp": ["control/laws/mpc.py"],
     "pymavlink": ["groundstation/mavlink/"],

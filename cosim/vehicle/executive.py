@@ -1,0 +1,156 @@
+"""JSBSim with a model loaded: the only module that imports ``jsbsim``.
+
+Whatever JSBSim throws or prints becomes one line of ours.  It evaluates a model's functions once more when it is
+destroyed, and what it throws there ends the process: so a model that was refused is never destroyed.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import sys
+import threading
+import warnings
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
+
+os.environ.setdefault("JSBSIM_DEBUG", "0")  # JSBSim prints a banner to standard output otherwise
+
+import jsbsim
+
+from cosim.base.errors import FlightError, InputError, Notice
+from cosim.base.storage.cache import Memory
+from cosim.vehicle._properties import use
+from cosim.vehicle.model_file import ACTING, acting, find_line
+
+Property = jsbsim.FGPropertyNode
+# JSBSim's exceptions, and those of C++ that its binding turns into ones of Python
+Complaint: Final = RuntimeError
+MOST_SAID: Final = 20  # lines of JSBSim's that are kept of one model
+# A name that JSBSim can look for: any other ends the process
+_STEP: Final = r"(?:\.{1,2}|[A-Za-z_][A-Za-z0-9_.-]*(?:\[[0-9]{1,6}\])?)"
+_NAME: Final = re.compile(rf"/?{_STEP}(?:/{_STEP})*")
+_MISSING: Final = re.compile(r"property,? (\S+) (?:does not exist|specified for channel)")
+_read_by: Memory[tuple[str, ...]] = Memory(64)
+
+use(getattr(sys.modules[Property.__module__], "__file__", None))
+
+
+class _Ear(jsbsim.FGLogger):
+    """Keeps what JSBSim says that is more than information, in place of printing it."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+        self._text = ""
+
+    def message(self, message: str) -> None:
+        if jsbsim.LogLevel.WARN <= self.log_level < jsbsim.LogLevel.STDOUT:
+            self._text += message
+
+    def flush(self) -> None:
+        line, self._text = " ".join(self._text.split()), ""
+        if line and line not in self.said and len(self.said) < MOST_SAID:
+            self.said.append(line)
+
+
+_ear = _Ear()
+if threading.current_thread() is threading.main_thread():
+    jsbsim.set_logger(_ear)  # of this thread; JSBSim's logger of another one prints
+
+
+class Executive:
+    """One JSBSim with one model, of which every property that it reads is there.
+
+    ``file``: what JSBSim loads.  ``model``: the user's file that it was made of, None where there is none, and
+    ``name``: what to call it then.  Raises InputError if the model does not load.
+    """
+
+    def __init__(self, file: Path, model: Path | None, name: str, step: float) -> None:
+        self._model, self._called = model, str(model or name)
+        _ear.said.clear()
+        fdm = jsbsim.FGFDMExec(str(file.parent), None)
+        self.fdm = fdm
+        self._manager = fdm.get_property_manager()
+        fdm.set_debug_level(0)
+        fdm.set_aircraft_path(".")
+        for forbidden in filter(None, map(self._manager.get_node, ACTING)):
+            forbidden.set_attribute(jsbsim.Attribute.WRITE, False)  # by whatever name the model finds it
+        try:
+            if not fdm.load_model(file.stem, add_model_to_path=False):  # answers False instead of raising
+                raise Complaint("")
+        except Complaint as error:
+            raise self._refusal(str(error)) from None
+        self._need(file.read_bytes())
+        fdm.set_dt(step)
+        self.run: Callable[[], bool] = fdm.run
+        for line in _ear.said:
+            warnings.warn(f"{self._called}: JSBSim: {line}", Notice, stacklevel=2)
+
+    def start(self) -> None:
+        """Let the initial state act.  Raises InputError for what the model cannot do, FlightError where it has none."""
+        try:
+            if self.fdm.run_ic():
+                return
+        except Complaint as error:
+            raise self._refusal(str(error)) from None
+        raise FlightError("JSBSim could not start from the initial state")
+
+    def stopped(self, error: Exception) -> FlightError:
+        """Return what to raise where JSBSim threw while it flew."""
+        return FlightError(str(self._refusal(str(error))))
+
+    def node(self, name: str) -> Property:
+        """Return a property.  Raises InputError where there is none: JSBSim would make one of it when it is written."""
+        if acting(name):
+            raise InputError(
+                f"{self._called}: {name}: JSBSim does something when it is written; nothing here may write it"
+            )
+        node = self._manager.get_node(name) if _NAME.fullmatch(name) else None
+        if node is None:
+            raise InputError(f"{self._called}: this JSBSim model has no property {name}")
+        return node
+
+    def _need(self, xml: bytes) -> None:
+        """Refuse a model whose functions, tables and components read a property that is not there."""
+        names = _read_by.get(xml, lambda: tuple(dict.fromkeys(_names(ET.fromstring(xml)))))
+        missing = [name for name in names if not (_NAME.fullmatch(name) and self._manager.get_node(name))]
+        if missing:
+            raise self._refusal("", missing)
+
+    def _refusal(self, said: str, missing: list[str] | None = None) -> InputError:
+        """Return the one line for what JSBSim said, and never destroy it: see above."""
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self.fdm))
+        said = _in_words(said) or "; ".join(map(_in_words, _ear.said))
+        name, *more = missing or _MISSING.findall(said)[:1] or [""]
+        if not name:
+            words = [*re.findall(r"'([^']+)'", said), *(word for word in said.split() if "/" in word)]
+            return InputError(f"{self._where(words)}: JSBSim could not load the model{f': {said}' if said else ''}")
+        also = f" (nor {', '.join(more)})" if more else ""
+        return InputError(
+            f"{self._where([name])}: the model has no property {name}{also}: take out what reads it, or give it a "
+            f'value, with <property value="0">{name}</property> in flight_control'
+        )
+
+    def _where(self, words: list[str]) -> str:
+        """Return the user's file, and its line where one of these words stands in it."""
+        places = [] if self._model is None else [find_line(self._model, word) for word in words]
+        return next((place for place in places if place != self._called), self._called)
+
+
+def _in_words(said: str) -> str:
+    """Return what JSBSim said in one line, without the name of the file that is ours."""
+    return re.sub(r'( in)? (file:? )?(Path )?"?[^ "]*hexjet-scratch[^ "]*"?', "", " ".join(said.split())).strip()
+
+
+def _names(root: ET.Element) -> Iterator[str]:
+    """Yield the properties that a model reads: of functions, of tables, and what comes into a component."""
+    inside = (
+        element for function in root.iter("function") for tag in ("property", "p") for element in function.iter(tag)
+    )
+    for element in (*inside, *root.iter("independentVar"), *root.iter("input")):
+        name = (element.text or "").strip().removeprefix("-")
+        if name and "#" not in name:  # a number takes its place, of an engine
+            yield name

@@ -1,0 +1,195 @@
+"""The file of a JSBSim model as a user brings it: read with the files that it names, and nothing of it acts.
+
+JSBSim's language has parts that write files, send to hosts and open ports.  None of them is a part of what flies: of
+a model only :data:`FLOWN` is handed on, and what else stands in it is left out with a note.
+"""
+
+from __future__ import annotations
+
+import copy
+import posixpath
+import re
+import stat
+import warnings
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+from xml.parsers import expat
+
+from cosim.base.errors import InputError, Notice
+from cosim.base.storage.cache import Memory
+
+# The parts of which JSBSim makes what flies
+FLOWN: Final = (
+    "fileheader", "planet", "metrics", "mass_balance", "ground_reactions", "external_reactions", "buoyant_forces",
+    "propulsion", "system", "autopilot", "flight_control", "aerodynamics",
+)  # fmt: skip
+# Properties that do something when they are written: the first three write files, and the others end or disturb a run
+ACTING: Final = tuple(
+    f"simulation/{name}"
+    for name in (
+        "write-state-file", "do_linearization", "force-output", "do_simple_trim", "reset", "terminate", "pause",
+        "jsbsim-debug",
+    )
+)  # fmt: skip
+MOST_BYTES: Final = 2**26  # of one file; the largest of JSBSim's own aircraft has 400 kB
+_NONE: Final = b"<fdm_config/>"
+_whole: Memory[bytes] = Memory(64)  # files that name no others, as they are handed on
+
+
+def read_model(model: Path | None) -> bytes:
+    """Return a model's file, with the parts that it takes from other files in their places; without one, an empty one.
+
+    What JSBSim would act on beside the flight is left out with a :class:`~cosim.base.errors.Notice`.  Raises InputError
+    for a file that cannot be read and for a model that writes a property that acts.
+    """
+    if model is None:
+        return _NONE
+    text = _read(model)
+    if re.search(rb"\bfile\b|\0", text):  # may name others, or is in an encoding that hides it
+        return _flown(model, text)
+    return _whole.get((model, text), lambda: _flown(model, text))
+
+
+def parse(path: Path, text: bytes) -> ET.Element:
+    """Return the root of an XML file.  Raises InputError with its path where it is none."""
+    try:
+        return ET.fromstring(text)
+    except (ET.ParseError, ValueError, LookupError) as error:  # the last two for an encoding that is not known
+        raise InputError(f"{path}: not valid XML: {error}") from error
+
+
+def find_line(model: Path, name: str) -> str:
+    """Return where a word stands in a model or a file that it names, as ``path, line N``; the model's path if not."""
+    for path in [model, *_named_files(model)]:
+        numbers = _lines(path.read_bytes(), lambda text: name in _words(text))
+        if numbers:
+            return f"{path}, line {numbers[0]}"
+    return str(model)
+
+
+def _read(path: Path) -> bytes:
+    """Return what a file holds.  Raises InputError where it is not a file, or larger than a model can be."""
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise InputError(f"{path}: is no file")
+        if status.st_size > MOST_BYTES:
+            raise InputError(f"{path}: has {status.st_size} bytes; at most {MOST_BYTES}")
+        return path.read_bytes()
+    except (OSError, ValueError) as error:  # ValueError: a name with a zero byte
+        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+
+
+def _flown(model: Path, text: bytes) -> bytes:
+    """Return what of a model flies; the text as it stands where nothing is to be changed."""
+    root = parse(model, text)
+    if root.tag != "fdm_config":
+        return text  # refused where it is to fly
+    strange = [part for part in root if part.tag not in FLOWN]
+    named = [part for part in root if "file" in part.attrib and part not in strange]
+    if any(part.tag == "child" for part in strange):
+        raise InputError(f"{model}, {_at(text, 'child')}: child: one vehicle flies here; leave it out")
+    for part in strange:
+        root.remove(part)
+    for part in named:
+        root[list(root).index(part)] = _joined(_place(model, part), part, model)
+    _refuse_acting(root, model)
+    if strange:
+        parts = "; ".join(f"<{tag}> ({_at(text, tag)})" for tag in dict.fromkeys(part.tag for part in strange))
+        warnings.warn(f"{model}: left out, as no part of what flies: {parts}", Notice, stacklevel=2)
+    if not strange and not named:
+        return text
+    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _place(model: Path, part: ET.Element) -> Path:
+    """Return the file that a part is taken from: beside the model or in ``Systems``, as JSBSim looks for it."""
+    name = part.attrib["file"]
+    folders = ("", "Systems", "systems")
+    places = [model.parent / folder / f"{name}{ending}" for folder in folders for ending in ("", ".xml")]
+    for place in places:
+        if "\0" not in name and place.exists() and not place.is_dir():
+            return place
+    raise InputError(f"{model}: {part.tag} file={name!r}: {places[0]}: no such file")
+
+
+def _joined(place: Path, part: ET.Element, model: Path) -> ET.Element:
+    """Return a part with what its file has, behind what it states itself; a property that both state is its own."""
+    other = parse(place, _read(place))
+    if other.tag != part.tag:
+        raise InputError(f"{place}: is a {other.tag}, where {model.name} takes a {part.tag} from it")
+    if "file" in other.attrib:
+        raise InputError(
+            f"{place}: {other.tag} file={other.get('file')!r}: a part's file names no other; state it here"
+        )
+    whole = ET.Element(part.tag, {**other.attrib, **part.attrib})
+    del whole.attrib["file"]
+    stated = {(element.text or "").strip() for element in part.findall("property")}
+    whole.text = other.text
+    whole.extend(copy.deepcopy(list(part)))
+    whole.extend(
+        element for element in other if element.tag != "property" or (element.text or "").strip() not in stated
+    )
+    return whole
+
+
+def _named_files(model: Path) -> list[Path]:
+    root = parse(model, _read(model))
+    return [_place(model, part) for part in root if "file" in part.attrib and part.tag in FLOWN]
+
+
+def _refuse_acting(root: ET.Element, model: Path) -> None:
+    """Refuse a model that names a property by which JSBSim writes a file, or ends, holds or begins a run again."""
+    for element in root.iter():
+        for text in (element.text, *element.attrib.values()):
+            name = acting(text or "")
+            if name:
+                where = find_line(model, (text or "").strip())
+                raise InputError(f"{where}: {name}: JSBSim does something when it is written; a model here may not")
+
+
+def acting(text: str) -> str:
+    """Return the acting property that a text names, whatever the way it goes through JSBSim's tree; else nothing."""
+    if "simulation" not in text:
+        return ""
+    path = posixpath.normpath(re.sub(r"\[0*\]", "", text.strip().removeprefix("-")))
+    return next((name for name in ACTING if path == name or path.endswith(f"/{name}")), "")
+
+
+def _words(text: str) -> list[str]:
+    """Return the words of a text without the sign that a property may have, and the text as a whole."""
+    return [text.strip(), *(word.removeprefix("-") for word in re.split(r"[\s,]+", text))]
+
+
+def _at(text: bytes, tag: str) -> str:
+    """Return where in a model's text the parts with this tag begin."""
+    return "line " + ", ".join(map(str, _lines(text, lambda text: False, tag)))
+
+
+def _lines(text: bytes, wanted: Callable[[str], bool], tag: str = "") -> list[int]:
+    """Return the lines of a file with wanted words in text or attributes, or with parts of a ``tag`` under the root."""
+    found: list[int] = []
+    depth = 0
+    reader = expat.ParserCreate()
+
+    def look(words: str) -> None:
+        if wanted(words):
+            found.append(reader.CurrentLineNumber)
+
+    def begin(name: str, attributes: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth == 2 and name == tag:
+            found.append(reader.CurrentLineNumber)
+        for value in attributes.values():
+            look(value)
+
+    def end(name: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    reader.StartElementHandler, reader.EndElementHandler, reader.CharacterDataHandler = begin, end, look
+    reader.Parse(text, True)
+    return found
