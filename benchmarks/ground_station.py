@@ -288,6 +288,8 @@ def line(baud: int) -> tuple[dict[str, float], float, list[float]]:
                 sample = simulation.step()
             if simulation.k:
                 status = scripted_status(simulation, sample)
+                fix = status.fix._replace(disturbance=(0.1, 0.0))  # as where an autopilot estimates what pushes it
+                status = status._replace(fix=fix)
                 exchange.publish(snapshot_of(simulation, facts, sample, status, PaceReport(load=0.1), now[0]))
             if now[0] >= SETTLE:
                 begun = begun or len(wire.arrived)

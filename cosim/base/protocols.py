@@ -432,6 +432,20 @@ class Engines(Protocol):
             Thrust [N] and reports at the end of the step.
         """
 
+    def run_down(self, seconds: float) -> EngineOutput:
+        """Let engines that were shut off right after the reset turn on without fuel, before step 0.
+
+        Parameters
+        ----------
+        seconds : float
+            For how long; their own time is ahead of flight time by it.
+
+        Returns
+        -------
+        EngineOutput
+            What is left of their thrust [N].
+        """
+
     def set_run(self, index: int, on: bool) -> bool:
         """Shut one engine off, or on again, before the next step.
 

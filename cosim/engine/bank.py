@@ -215,6 +215,20 @@ class EngineBank:
         except ResponseError as error:
             raise EngineError(f"{self._one(station)}: {error}") from error
 
+    def run_down(self, seconds: float) -> EngineOutput:
+        """Step every engine with its throttle closed before the flight, and return what they report then.
+
+        Raises EngineError if an FMU fails.
+        """
+        steps = round(seconds / self._step)
+        try:
+            for station in range(len(self._specs)):
+                self._native.hold(station, 0.0, steps)
+            self._given = self._native.outputs()
+        except _bank.FailureError as failure:
+            raise self._failed(failure, "before the flight") from failure
+        return self._given
+
     def _one(self, station: int) -> str:
         return f"engine {station + 1} ({self._specs[station].path.name})"
 

@@ -98,6 +98,10 @@ class IsolatedBank:
         """As the bank's; one more passage in every step, where there is something to show."""
         return tuple(self._ask(("shown",), HANG_S, "when its further outputs were read"))
 
+    def run_down(self, seconds: float) -> EngineOutput:
+        """As the bank's."""
+        return EngineOutput(*self._ask(("run down", seconds), START_S, "before the flight"))
+
     def set_run(self, index: int, on: bool) -> bool:
         """As the bank's."""
         return bool(self._ask(("run", index, on), HANG_S, "when it was shut off or on"))
@@ -206,6 +210,9 @@ def serve(number: int) -> None:
             elif what == "starting":
                 assert bank is not None
                 result = bank.starting
+            elif what == "run down":
+                assert bank is not None
+                result = tuple(bank.run_down(*given))
             elif what == "shown":
                 assert bank is not None
                 result = bank.shown

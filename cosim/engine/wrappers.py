@@ -29,6 +29,12 @@ from cosim.spec.scenario import (
     ThrustLoss,
 )
 
+# Chosen by us.  After this time a turbine's rotor has less than a fiftieth of its speed.  An engine is up at nine
+# tenths of the thrust with which it idles; one that is not after two minutes is left to the engine monitor.
+_RUN_DOWN_S = 60.0
+_UP = 0.9
+_LONGEST_RESTART_S = 120.0
+
 
 class Effect:
     """What stands around one engine: it changes the throttle before it, thrust [N] and speed [rad/s] behind it."""
@@ -131,10 +137,10 @@ class _Rundown(Effect):
     left to that of the engine at throttle 0; then the engine has its command again.
     """
 
-    def __init__(self, law: FlameOutLaw, step: float) -> None:
+    def __init__(self, law: FlameOutLaw, step: float, cold: bool = False) -> None:
         self._law = law
         self._step = step
-        self._steps = 0  # without fire
+        self._steps = int(cold)  # without fire; an engine that has not run yet has none to lose
         self._lit = -1  # steps since it was called to start; -1 while it is not
         self._thrust = 0.0
         self._speed = 0.0
@@ -209,13 +215,34 @@ class EngineChain:
         self._out: list[tuple[int, EngineFault]] = []  # flamed out by their port run
         self.off: frozenset[int] = NO_JETS  # switched off
         self._cut: dict[int, Effect] = {}  # of them those without the port
+        self._restarts: dict[int, int] = {}  # engines that were switched on again, and the steps they still have for it
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
         """Sound engines in equilibrium at the throttle, one for all or one each.  Raises EngineError."""
         self._forget()
         held = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * len(self._laws)
         self._line = deque([held] * self._delay)
-        return self._delivered(self.bank.reset(throttle, ambient))
+        output = self._delivered(self.bank.reset(throttle, ambient))
+        self._idle = output.thrust
+        return output
+
+    def stop(self) -> EngineOutput:
+        """Shut every engine off right after the reset, as if it had not run yet.  Raises EngineError."""
+        self.off = frozenset(range(len(self._laws)))
+        for index, law in enumerate(self._laws):
+            if not self.bank.set_run(index, False):
+                self._cut[index] = _Closed() if law is None or law.electric else _Rundown(law, self._step, cold=True)
+        return self._delivered(self.bank.run_down(_RUN_DOWN_S))
+
+    @property
+    def restarting(self) -> tuple[int, ...]:
+        """The engines, counted from 1, that were switched on again and are not back at the thrust of the start."""
+        return tuple([index + 1 for index in sorted(self._restarts)])
+
+    def _watch_restarts(self, thrust: PerJet) -> None:
+        """Forget the engines that have come up, and those that have had long enough."""
+        left = {index: steps - 1 for index, steps in self._restarts.items() if thrust[index] < _UP * self._idle[index]}
+        self._restarts = {index: steps for index, steps in left.items() if steps > 0}
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
         """Thrust and reports at the end of step ``k``.  Raises EngineError."""
@@ -229,7 +256,10 @@ class EngineChain:
         if self._delay:
             self._line.append(throttle)
             throttle = self._line.popleft()
-        return self._delivered(self.bank.step(k, throttle, ambient))
+        output = self._delivered(self.bank.step(k, throttle, ambient))
+        if self._restarts:
+            self._watch_restarts(output.thrust)
+        return output
 
     def _changed(self, output: EngineOutput, thrust: Sequence[float], speed: PerJet, flow: PerJet) -> EngineOutput:
         """With another thrust; what an engine does beside its thrust goes with that."""
@@ -265,6 +295,10 @@ class EngineChain:
         if on == (index not in self.off) or (on and any(index + 1 in fault.jet for fault in self._acting)):
             return
         self.off = self.off - {index} if on else self.off | {index}
+        if on:
+            self._restarts[index] = round(_LONGEST_RESTART_S / self._step)
+        else:
+            self._restarts.pop(index, None)
         if not self.bank.set_run(index, on):
             if on:
                 del self._cut[index]

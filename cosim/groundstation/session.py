@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from queue import Queue
 from threading import Thread
@@ -40,6 +41,7 @@ from cosim.control.autopilot.requests import (
 from cosim.control.autopilot.status import Status
 from cosim.flight import record, reserve_folder, with_page
 from cosim.groundstation.exchange import Exchange, Restart, SessionInfo, Shutdown, Snapshot
+from cosim.groundstation.log_limit import LIMIT_MB, LogLimit
 from cosim.groundstation.parameter_store import ParameterStore
 from cosim.results.autopilot.autopilot_record import PilotRecord
 from cosim.results.autopilot.request_log import REQUESTS, RequestLog
@@ -67,7 +69,8 @@ class Session:
     """Flights on request, each recorded in a folder of its own.
 
     ``factor``: of real time, None as fast as it goes.  ``out``: the first run's folder, or None for new ones in
-    ``runs/``; a restart goes to the next of ``OUT-2``, ``OUT-3``... that is free.  ``parameters``: a TOML file that
+    ``runs/``; a restart goes to the next of ``OUT-2``, ``OUT-3``... that is free.  ``log_mb``: of each flight's log at
+    most, None without a limit.  ``parameters``: a TOML file that
     parameters are read from, and written to whenever one is changed.  ``duration`` [s of flight] ends the session;
     without it :meth:`stop` does.  ``begun`` is called when a flight's folder is there, ``over`` when a flight is done
     with.
@@ -84,6 +87,7 @@ class Session:
         parameters: Path | None = None,
         duration: float | None = None,
         report: bool = True,
+        log_mb: float | None = LIMIT_MB,
         begun: Callable[[SessionInfo], None] = lambda facts: None,
         over: Callable[[], None] = lambda: None,
     ) -> None:
@@ -93,7 +97,7 @@ class Session:
         self.duration = duration
         self.runs: list[Run] = []
         self._out = out
-        self._report = report
+        self._report, self._log_mb = report, log_mb
         self._begun, self._over = begun, over
         self._parameters = _ParameterWriter(
             parameters, vehicle_key(scenario), lambda text: exchange.say(Severity.WARNING, text)
@@ -170,7 +174,7 @@ class Session:
 
     def _fly(self, flight: _Flight) -> Ending:
         simulation, exchange = flight.simulation, self.exchange
-        recording = flight.begin()
+        recording = flight.begin(self._log_mb)
         assert flight.noting is not None
         while flight.facts.number > 1 and (late := exchange.take(1)):  # meant for the flight before
             for waiting in late:
@@ -299,13 +303,15 @@ class _Flight:
     def __post_init__(self) -> None:
         self.hands = _StickOwner(self.pilot.parameters, self.simulation.dt)
 
-    def begin(self) -> Recording:
-        """Make the run's folder.  Raises InputError if it is not usable."""
+    def begin(self, log_mb: float | None = LIMIT_MB) -> LogLimit:
+        """Make the run's folder, for a log of so many MB.  Raises InputError if it is not usable."""
         assert self.facts.folder is not None
         self.recording = record(self.simulation, self.facts.folder, {REQUESTS: b""}, background=True)
         self.log = RequestLog(self.facts.folder / REQUESTS)
         self.noting = PilotRecord(self.pilot, self.facts.folder / AUTOPILOT, self.simulation.dt)
-        return self.recording
+        warn = partial(self.exchange.say, Severity.WARNING)
+        self.limited = LogLimit(self.recording, log_mb, lambda text: warn(text, self.simulation.k))
+        return self.limited
 
     def ask(self, sender: str, request: Request, k: int) -> Answer:
         """Put a request to the pilot, sticks of who has them alone, and write it down.  Raises FlightError."""
@@ -347,8 +353,12 @@ class _Flight:
         """Put the run's files into place; its scenario ends where the flight has ended."""
         assert self.recording is not None
         self.close_record()
-        self.recording.shorten(self.simulation.k)
-        run = self.recording.finish(ending.outcome, ending.reason, wall, self.pace.report)
+        steps, reason = self.simulation.k, ending.reason
+        if self.limited.full and self.limited.rows < steps:
+            steps = self.limited.rows
+            reason = f"{reason}; the log ends at {steps * self.simulation.dt:g} s, where it had its size"
+        self.recording.shorten(steps)
+        run = self.recording.finish(ending.outcome, reason, wall, self.pace.report)
         return with_page(run) if report else run
 
     def close(self) -> None:
@@ -559,6 +569,7 @@ def waiting_scenario(scenario: Scenario, duration: float | None) -> Scenario:
         duration_s=round(LONGEST_S / scenario.step_s) * scenario.step_s if duration is None else duration,
         initial={
             "on_ground": True,
+            "engines": "idle" if scenario.engine_start == "in flight" else "off",
             "attitude_deg": (0.0, 0.0, heading),
             "velocity_ned_m_s": still,
             "rate_deg_s": still,

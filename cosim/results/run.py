@@ -325,6 +325,7 @@ class Recording:
         self._behind = BackgroundSink(sink) if background else None
         self._recorder = Recorder(setup.step_s, self._behind or sink, columns)
         self.observe = self._recorder.observe
+        self.columns = len(columns)
 
     def restate(self, scenario: Scenario) -> None:
         """The scenario as it was flown in the end, with what came by command.  Raises FlightError."""

@@ -46,6 +46,7 @@ from cosim.vehicle.sensors import FaultySensors
 
 _FLY: Final = EngineState.FLY
 _OFF: Final = EngineState.OFF
+_IDLE: Final = EngineState.IDLE
 _START: Final = EngineState.START
 _NOTHING: Final[tuple[float, ...]] = ()
 
@@ -97,6 +98,7 @@ class Simulation:
         self.disturber: Disturber | Disturbances = disturber
         self.controller: Cascade | Controller = controller
         self.airframe, self.sensors, self.faults, self.judge = airframe, sensors, faults, judge
+        self._every_engine = tuple(range(1, len(vehicle.jets) + 1))
         self.reset()
 
     def reset(self) -> None:
@@ -115,7 +117,9 @@ class Simulation:
         self.standing = throttle = self.controller.reset(initial.on_ground, propulsion.burnt)  # before the first step
         # the air at the start is known once the airframe stands there, the thrust only in that air
         at_rest = airframe.reset(initial, [ZERO3] * len(throttle), wind) if propulsion.wants_ambient else None
-        forces = propulsion.reset(throttle, at_rest, wind)
+        self._cold = initial.engines == "off"  # until the autopilot is armed
+        self._were_off = self._cold
+        forces = propulsion.reset(throttle, at_rest, wind, self._cold)
         self.state = airframe.reset(initial, forces, wind, propulsion.momentum, propulsion.burnt)
         self.measured = self.sensors.reset(self.state)
         self.judge.reset(initial.on_ground)
@@ -154,18 +158,28 @@ class Simulation:
             command = self.commander.at(k)
         else:
             controller = self.controller
+            starting = self._restarting(pilot) if self._cold else self.starting
             report = Report(
                 self.state.on_ground,
                 controller.signals.allocated,
                 controller.lost,
                 self.propulsion.remaining,
-                self.starting,
+                starting,
             )
             command = pilot.update(k, measured, report)
             measured, engines = pilot.seen, pilot.engines
+            if starting and engines is _IDLE:
+                engines = _START
         if self.starting and engines is not _OFF:
             engines = _START
         return command, measured, engines
+
+    def _restarting(self, pilot: Pilot) -> tuple[int, ...]:
+        """Return the engines, counted from 1, that the pilot wants to run and that have yet to come up."""
+        off, self._were_off = self._were_off, pilot.engines is _OFF
+        if self._were_off:
+            return ()
+        return self._every_engine if off else self.propulsion.engines.restarting
 
     def _disturbance(self, k: int) -> Disturbance:
         """What acts from outside, and what is added to the controller's own signals; a field's wind is in it."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, get_args
 
 from cosim.base.errors import InputError
-from cosim.base.protocols import Predictor
+from cosim.base.protocols import EngineState, Predictor
 from cosim.base.storage.toml import validate
 from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.autopilot.requests import InjectFault
@@ -64,7 +64,7 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
         make,
         lambda request: simulation.inject(fault_from(request)),
         simulation.clear_faults,
-        airborne,
+        EngineState.FLY if airborne else EngineState(scenario.initial.engines),
         cascade.thrust_map.idle,
         (
             max(reference.delay + reference.lag for reference in references),

@@ -17,6 +17,12 @@ _HYDROSTATIC = GRAVITY * _MOLAR_MASS / _GAS_CONSTANT  # K/m
 _LAYERS = ((0.0, 288.15, -0.0065), (11000.0, 216.65, 0.0), (20000.0, 216.65, 0.001))
 
 
+def standard_density(height: float) -> float:
+    """Return the density [kg/m^3] of the standard atmosphere at a geometric height above the sea [m], up to 32 km."""
+    pressure, temperature = standard_air(height)
+    return pressure * _MOLAR_MASS / (_GAS_CONSTANT * temperature)
+
+
 def standard_air(height: float) -> tuple[float, float]:
     """Pressure [Pa] and temperature [K] at a geometric height above the sea [m], up to 32 km."""
     rest = _EARTH_RADIUS * height / (_EARTH_RADIUS + height)

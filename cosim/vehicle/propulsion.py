@@ -118,10 +118,10 @@ class Propulsion:
         if self.tank is not None:
             self.tank.reset()
 
-    def reset(self, throttle: PerJet, state: State | None, wind: Vector3) -> list[Vector3]:
+    def reset(self, throttle: PerJet, state: State | None, wind: Vector3, off: bool = False) -> list[Vector3]:
         """Engines at rest at ``throttle``, jets upright, nothing faulty: the forces, N, body, at each jet's station.
 
-        ``state`` for engines that want to know the air; ``wind`` at the start, m/s NED.
+        ``state`` for engines that want to know the air; ``wind`` at the start, m/s NED; ``off``: no engine runs.
         """
         self._forget()
         self._wind = wind  # JSBSim knows of none before its first run
@@ -133,6 +133,9 @@ class Propulsion:
             self._hinges.reset()
         ambient = self.ambient(state, wind) if state is not None else None
         self.output = self.engines.reset(throttle, ambient)
+        if off:
+            self._off = frozenset(range(self._jets))
+            self.output = self.engines.stop()
         if self.rotors is not None:
             self.rotors.reset(self.output.spool_speed)
             self.momentum = self.rotors.momentum

@@ -24,6 +24,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from cosim.base.errors import InputError
 from cosim.base.frames import to_euler
+from cosim.base.protocols import EngineState
 from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.control.autopilot.requests import SetParameter
 from cosim.groundstation import session
@@ -327,9 +328,11 @@ def test_the_state_that_is_told(flown: Flown) -> None:
     assert len(told["jets"]) == 6
     for jet, spec in enumerate(facts.stations):
         said = told["jets"][jet]
-        assert said["throttle"] == round(sample.actuation.throttle[jet], 4)
-        assert said["asked_N"] == round(spec.thrust_at(sample.actuation.throttle[jet]), 4)
+        assert said["throttle"] == said["asked_N"] == 0.0  # nobody armed it
         assert said["thrust_N"] == thrust[jet]
+        armed = feed.jets(facts, sample, off=False)[jet]
+        assert armed["throttle"] == round(sample.actuation.throttle[jet], 4)
+        assert armed["asked_N"] == round(spec.thrust_at(sample.actuation.throttle[jet]), 4)
         assert said["rpm"] is said["fuel_g_s"] is None  # this engine does not say
 
 
@@ -664,6 +667,17 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
             assert float(chosen[0]) > 0.0
             assert float(chosen[1]) > 0.0
 
+            # a place far away is asked about, and one that is no place is said to be none
+            page.fill("#goto-north", "99999")
+            page.click("#goto-go")
+            screen.shows("#confirm-title", "Fly that far?")
+            assert "100.0 km" in page.inner_text("#confirm-text")
+            page.click("#confirm button[value=no]")
+            page.fill("#goto-north", "")
+            page.click("#goto-go")
+            screen.shows("#answer", "go there: North and East must be numbers, in metres")
+            assert flight.now.status.target[0] == float(chosen[0])
+
             # what is dangerous asks first
             page.click("#kill")
             screen.shows("#confirm-title", "Shut the engines off?")
@@ -696,7 +710,8 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
 
             page.click("#land")
             screen.shows("#landed", "on ground", 60.0)
-            screen.shows("#armed", "engines off", 60.0)  # disarmed is off
+            screen.shows("#armed", "ready", 60.0)  # disarmed: the engines are off, and it may be armed again
+            assert flight.now.status.engines is EngineState.OFF
             assert flight.now.status.landed is LandedState.ON_GROUND
             assert flight.now.status.mode is Mode.HOLD
             assert "landed" in page.inner_text("#messages")

@@ -89,6 +89,14 @@ if TYPE_CHECKING:
     help="Show the flight to Foxglove too, on a WebSocket.  [default: 127.0.0.1:8766]",
 )
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option(
+    "--log-limit",
+    type=Number(min=1.0),
+    default=2000.0,
+    show_default=True,
+    metavar="MB",
+    help="Of each flight's log at most: what is flown beyond is not recorded.",
+)
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object at the end and nothing else.")
 def gcs(
     scenario: str,
@@ -114,6 +122,7 @@ def gcs(
     web: int | None,
     foxglove: str | None,
     out: Path | None,
+    log_limit: float,
     as_json: bool,
 ) -> int:
     """A vehicle on the ground that waits for a ground station: QGroundControl, MAVProxy, MAVSDK.
@@ -149,10 +158,11 @@ def gcs(
             out=out,
             parameters=kept,
             duration=duration,
+            log_mb=log_limit,
             begun=opened.begin,
             over=opened.end,
         )
-        print_gcs(session, opened, to_stderr=as_json)
+        print_gcs(session, opened, log_limit, to_stderr=as_json)
         with stopped_by_signals(session), live_line(opened, quiet=as_json):
             runs = session.run()
         counts = opened.counts
@@ -163,9 +173,11 @@ def gcs(
     return DONE if runs[-1].summary.as_planned else FLIGHT_FAILED
 
 
-def print_gcs(session: Session, links: Links, to_stderr: bool) -> None:
-    """Where to connect, what flies, and where it is recorded."""
+def print_gcs(session: Session, links: Links, log_mb: float, to_stderr: bool) -> None:
+    """Print where to connect, what flies, and where it is recorded."""
     from rich.console import Console
+
+    from cosim.groundstation.log_limit import hourly_mb
 
     console = Console(stderr=True) if to_stderr else terminal()
     scenario, place = session.scenario, session.scenario.environment
@@ -178,6 +190,7 @@ def print_gcs(session: Session, links: Links, to_stderr: bool) -> None:
         *([("Foxglove", links.foxglove)] if links.foxglove else []),
         ("parameters", f"{session.parameters or 'not kept'}"),
         ("run", str(session.facts.folder)),
+        ("log", f"{hourly_mb(session.facts):.0f} MB an hour of flight, {log_mb:g} MB a flight at most (--log-limit)"),
         ("pace", "as fast as it goes" if session.factor is None else f"{session.factor:g} x real time"),
     ]
     for label, value in rows:

@@ -24,10 +24,10 @@ class Arming:
         self._step = step
         self.reset(False)
 
-    def reset(self, airborne: bool) -> None:
-        """Standing and disarmed, or in the air and armed."""
-        self.armed = self.flew = airborne
-        self.engines = EngineState.FLY if airborne else EngineState.IDLE
+    def reset(self, engines: EngineState) -> None:
+        """Stand disarmed with these engines, or, where they fly, be in the air and armed."""
+        self.armed = self.flew = engines is EngineState.FLY
+        self.engines = engines
         self.since = 0
 
     def arm(self, k: int, flying: bool) -> None:
@@ -56,6 +56,10 @@ class Arming:
         """The engines are off, wherever it is."""
         self.armed = False
         self.engines = EngineState.OFF
+
+    def wait_for_engines(self, k: int) -> None:
+        """Let the time that it may stand armed begin at step ``k``."""
+        self.since = k
 
     def idle_too_long(self, k: int) -> bool:
         """It has stood armed for as long as a parameter allows: not for ever."""

@@ -54,7 +54,8 @@ class Autopilot:
 
     ``hover``: the collective at which it hovers.  ``controller`` and ``delay`` (samples; None without a model) are
     what the rate loops fly with at the start; ``predictors`` makes others.  ``inject`` and ``clear`` are called for
-    faults by command, and may raise InputError.  ``airborne``: the flight begins in the air, armed, holding.
+    faults by command, and may raise InputError.  ``engines``: at the start; where they fly, it begins in the air,
+    armed, holding.
     ``idle``: thrust of an engine without throttle, as a share of what full throttle adds to it.  ``answer``: delay
     and lag [s] with which the thrust answers, about hover and the longest.  ``noisy``: the sensors have their noise, by
     which a receiver that has stopped is told from one that stands.
@@ -73,7 +74,7 @@ class Autopilot:
         predictors: PredictorMaker,
         inject: Fault | None = None,
         clear: Callable[[], None] | None = None,
-        airborne: bool = False,
+        engines: EngineState = EngineState.IDLE,
         idle: float = 0.0,
         answer: tuple[float, float] = (0.2, 0.2),
         noisy: bool = True,
@@ -108,9 +109,10 @@ class Autopilot:
             parameters, live, estimates, self._envelope, places, course, watch, self._remote, self._arming,
             self._take_off, self._landing, self._homeward, self._circle, self._mission,
         )  # fmt: skip
+        airborne = engines is EngineState.FLY
         self._state = FlightState(parts, airborne)
         self._answers = Answers(parts, self._state, inject, clear)
-        self._airborne = airborne
+        self._airborne, self._engines = airborne, engines
         # whether without an engine it is carried aside, by hinges that turn engines, before it is caught
         catch = vehicle.control.monitor is not None and vehicle.control.monitor.catch
         self._carried = catch and vehicle.layout().moves
@@ -130,7 +132,7 @@ class Autopilot:
         self._places.reset(self._standing)
         self._course.reset()
         self._remote.reset()
-        self._arming.reset(self._airborne)
+        self._arming.reset(self._engines)
         self._take_off.reset()
         self._landing.reset()
         self._homeward.reset()
@@ -245,8 +247,7 @@ class Autopilot:
 
     def _notice(self, k: int, measured: Measured, report: Report) -> None:
         """What the sensors and the engines say."""
-        if self._state.report.starting and not report.starting:
-            self._state.say(Severity.INFO, "all engines run", k)
+        self._notice_starts(k, report)
         self._state.k, self._state.report = k, report
         standing = not self._state.flying()
         rising = self.landed is LandedState.TAKING_OFF
@@ -264,6 +265,16 @@ class Autopilot:
         self._course.begin(k, self._spins and lost, self._carried and lost)
         self._landing.look(report, self.landed is LandedState.IN_AIR and not self._course.descending)
         self._energy.consume(report, self.engines is EngineState.FLY, self.landed is LandedState.IN_AIR)
+
+    def _notice_starts(self, k: int, report: Report) -> None:
+        """Say when engines that start have come up; a vehicle that stands armed waits for them."""
+        off = self.engines is EngineState.OFF
+        if self._state.report.starting and not report.starting and not off:
+            self._state.say(Severity.INFO, "all engines run", k)
+        if report.starting and self.armed and not self._state.flying():
+            if not self._state.report.starting:
+                self._state.say(Severity.INFO, "the engines start", k)
+            self._arming.wait_for_engines(k)
 
     def _guard(self, k: int) -> None:
         """Everything that may end what is being done."""

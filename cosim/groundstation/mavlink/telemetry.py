@@ -12,13 +12,16 @@ from math import atan2, ceil, degrees, hypot, isfinite, isnan, nan, pi
 
 from cosim.base.constants import GRAVITY
 from cosim.base.frames import conjugate, from_euler, rotate, to_euler
+from cosim.base.protocols import EngineState
 from cosim.base.signals import PerServo, Vector3
+from cosim.control.autopilot.estimation.wind import estimate_wind
 from cosim.control.autopilot.modes import Home, LandedState, Mode
 from cosim.control.autopilot.status import Status
 from cosim.groundstation.exchange import Snapshot
 from cosim.groundstation.mavlink.about import VehicleInfo
 from cosim.groundstation.mavlink.modes import AUTOPILOT, LANDED, LIST, STANDARD, base_mode, custom_mode, vehicle_type
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
+from cosim.vehicle.atmosphere import standard_density
 
 U8, U16, I16, U32, I32 = 0xFF, 0xFFFF, 0x7FFF, 0xFFFFFFFF, 0x7FFFFFFF
 KELVIN = 273.15
@@ -82,6 +85,10 @@ class View:
             k=snapshot.k, time=snapshot.time, state=snapshot.state, measured=snapshot.measured
         )
         self.status, ending = snapshot.status, snapshot.ending
+        if self.status.engines is EngineState.OFF:  # the least throttle stands at their inputs, and none acts on it
+            still = self.sample.actuation._replace(throttle=(0.0,) * len(self.sample.actuation.throttle))
+            control = self.sample.control._replace(collective=0.0)
+            self.sample = self.sample._replace(actuation=still, control=control)
         if ending is not None and ending.outcome != "completed":
             self.status = self.status._replace(failsafe=ending.reason)
         self.seen = self.status.seen or self.measured  # what the vehicle is thought to do
@@ -460,9 +467,16 @@ def estimator_status(v: View) -> list[Message]:
 
 
 def wind_cov(v: View) -> list[Message]:
-    """The simulation's own wind: nothing on board measures it."""
-    wind = v.sample.state.wind
-    return [mav.MAVLink_wind_cov_message(v.us, *wind, nan, nan, v.sea_level, nan, nan)]
+    """Return the wind that the vehicle estimates from what pushes it in flight; nothing on board measures it."""
+    status, fix = v.status, v.status.fix
+    if status.landed is LandedState.ON_GROUND or not status.positioned:
+        return []
+    vehicle, thrust = v.snapshot.facts.vehicle, v.sample.engines.thrust[: v.about.jets]
+    density = standard_density(v.sea_level)
+    wind = estimate_wind(vehicle, fix.disturbance, fix.velocity, v.euler[2], thrust, density)
+    if wind is None:
+        return []
+    return [mav.MAVLink_wind_cov_message(v.us, *wind, nan, nan, nan, v.sea_level, nan, nan)]
 
 
 def current_mode(v: View) -> list[Message]:

@@ -34,6 +34,7 @@ class Initial(Model):
     """Where the flight begins."""
 
     on_ground: bool = False
+    engines: Literal["idle", "off"] = "idle"  # on the ground, before an autopilot is armed
     altitude_m: Annotated[float, Field(ge=0.0, le=20000.0)] = 30.0  # above the ground; not used on the ground
     attitude_deg: Vector = (0.0, 0.0, 0.0)
     velocity_ned_m_s: Vector = (0.0, 0.0, 0.0)
@@ -175,7 +176,18 @@ class Scenario(Model):
             raise ValueError(
                 'engine_start = "in flight": the engines start on the ground; state initial.on_ground = true'
             )
+        if self.initial.engines == "off":
+            self._check_cold_start()
         return self
+
+    def _check_cold_start(self) -> None:
+        """Refuse engines that are off at the start where nobody would start them."""
+        if self.requests is None or not self.initial.on_ground:
+            raise ValueError(
+                'initial.engines = "off": only on the ground, and with an autopilot (requests) that is armed'
+            )
+        if self.engine_start == "in flight":
+            raise ValueError('initial.engines = "off": engine_start = "in flight" starts them; leave one out')
 
     @property
     def folder(self) -> Path:

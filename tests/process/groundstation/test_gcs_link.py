@@ -163,15 +163,15 @@ def vehicle(tmp_path: Path) -> Iterator[Callable[..., tuple[subprocess.Popen[str
 
 @pytest.mark.parametrize(("most", "status"), [("0", 1), ("1", 0)])
 def test_the_exit_status_is_the_verdicts_as_of_fly(hexjet: Hexjet, most: str, status: int) -> None:
-    """Turbines burn fuel at idle: as much as that is beyond one limit and within the other, and completed in both."""
+    """Standing it sinks 10 nm aside into its legs: beyond one limit and within the other, and completed in both."""
     done = hexjet(
-        "gcs", "--engine", "turbine-20", "--controller", "baseline", "--mavlink", "udpin:127.0.0.1:0", "--params", "none",
-        "--rtf", "0", "--duration", "1", "--out", "run", "--set", f"limits.fuel_burnt_kg={most}", "--json",
+        "gcs", "--mavlink", "udpin:127.0.0.1:0", "--params", "none",
+        "--rtf", "0", "--duration", "1", "--out", "run", "--set", f"limits.drift_m={most}", "--json",
     )  # fmt: skip
     (summary,) = json.loads(done.out)["runs"]
     assert (done.status, summary["outcome"]) == (status, "completed")
     assert summary["verdict"] == ("beyond limits" if status else "as planned")
-    assert ("beyond limits, fuel burnt" in done.err) == bool(status)
+    assert ("beyond limits, drift from the start" in done.err) == bool(status)
 
 
 def test_a_flight_over_mavlink_and_its_replay(vehicle: Any, station_at: Any, tmp_path: Path) -> None:

@@ -65,7 +65,7 @@ class World:
             lambda name, delay, tuning: [NoPredictor() for _ in rates],
             self._inject,
             self.faults.clear,
-            airborne,
+            EngineState.FLY if airborne else EngineState.IDLE,
         )
         self.k = 0
         self.command: Command | None = None

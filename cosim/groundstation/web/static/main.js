@@ -13,6 +13,7 @@ import { Tabs } from "./tabs.js";
 import { Track } from "./track.js";
 import { View } from "./view.js";
 
+const FAR_M = 1000; // a place farther away than this is asked about, as ground stations do
 const STALE_S = 1; // a state older than this is shown as old: the flight stands still
 
 const horizon = new Horizon(get("horizon"));
@@ -120,7 +121,7 @@ function bar(state) {
   chip("mode", state.mode, state.failsafe ? "bad" : "");
   get("mode").title = state.failsafe ? `Failsafe: ${state.failsafe}` : "Flight mode";
   const off = state.engines_do === "off";
-  chip("armed", state.armed ? "armed" : off ? "engines off" : state.ready ? "ready" : "not ready", state.armed ? "warn" : state.ready ? "good" : "");
+  chip("armed", state.armed ? "armed" : off && state.landed !== "on_ground" ? "engines off" : state.ready ? "ready" : "not ready", state.armed ? "warn" : state.ready ? "good" : "");
   chip("landed", state.landed.replace("_", " "), "");
   write(get("time"), number(state.t));
   const { asked, reached, missed } = state.pace;
@@ -237,9 +238,16 @@ get("kill").addEventListener("click", async () => {
   const text = now?.landed === "on_ground" ? "All engines are shut off at once." : "It is in the air: all engines are shut off at once, and it falls.";
   if (await sure("Shut the engines off?", text, "Shut off")) ask("Kill", { force: true }, "kill");
 });
-get("goto").addEventListener("submit", (event) => {
+get("goto").addEventListener("invalid", () => {
+  get("answer").classList.add("bad");
+  write(get("answer"), "go there: North and East must be numbers, in metres");
+}, { capture: true });
+get("goto").addEventListener("submit", async (event) => {
   event.preventDefault();
   const north = get("goto-north").valueAsNumber, east = get("goto-east").valueAsNumber;
+  const [n, e] = now?.position ?? [0, 0], apart = Math.hypot(north - n, east - e);
+  const text = `N ${number(north)} m, E ${number(east)} m is ${number(apart / 1000)} km from where the vehicle is.`;
+  if (apart > FAR_M && !(await sure("Fly that far?", text, "Go there"))) return track.mark(null, null);
   track.mark(north, east);
   ask("Goto", { north, east }, `go to N ${number(north)} m, E ${number(east)} m`);
 });

@@ -1,0 +1,75 @@
+"""The wind that explains what pushes a hovering vehicle aside."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import copysign, cos, sin, sqrt
+
+from cosim.control.autopilot.geometry import Pair
+from cosim.spec.vehicle import Vehicle
+
+
+def estimate_wind(
+    vehicle: Vehicle, push: Pair, velocity: Pair, heading: float, thrust: Sequence[float], density: float
+) -> Pair | None:
+    """Return the wind that would push the vehicle like this, or None where nothing can be told of it.
+
+    Level in hover, the body's drag and the air that the jets swallow hold the vehicle back with
+    ``m b = (rho A |V| / 2 + M) V`` along each of its axes, ``A`` the drag area of the axis and ``M`` the mass flow of
+    all jets; ``V`` is that equation's root, and the wind is the vehicle's velocity and ``V``.  The mass is the nominal
+    one, so a lighter vehicle is told too much wind.
+
+    Parameters
+    ----------
+    push
+        The acceleration that the attitude does not explain [m/s^2, NED].
+    velocity
+        Of the vehicle over the ground [m/s, NED].
+    heading
+        Of the nose [rad].
+    thrust
+        Of every jet, as reported [N].
+    density
+        Of the air [kg/m^3].
+
+    Returns
+    -------
+    North and east component of where the wind blows to [m/s].  None for a vehicle with a wing, whose lift pushes it
+    as well, for one without drag, and where no push is estimated.
+    """
+    if vehicle.control.wing is not None:
+        return None
+    if push == (0.0, 0.0):  # nothing is estimated
+        return None
+    north, east = push
+    ahead, right = north * cos(heading) + east * sin(heading), east * cos(heading) - north * sin(heading)
+    linear, mass = _swallowed(vehicle, thrust), vehicle.mass_kg
+    forward, side, _ = vehicle.aero.drag_area_m2
+    if linear == 0.0 and min(forward, side) <= 0.0:
+        return None
+    u, v = (
+        _speed(mass * ahead, 0.5 * density * forward, linear),
+        _speed(mass * right, 0.5 * density * side, linear),
+    )
+    return (
+        velocity[0] + u * cos(heading) - v * sin(heading),
+        velocity[1] + u * sin(heading) + v * cos(heading),
+    )
+
+
+def _speed(force: float, square: float, linear: float) -> float:
+    """Return the speed [m/s] at which ``square V |V| + linear V`` is the force [N]."""
+    size = abs(force)
+    if square == 0.0:
+        return force / linear
+    return copysign((sqrt(linear * linear + 4.0 * square * size) - linear) / (2.0 * square), force)
+
+
+def _swallowed(vehicle: Vehicle, thrust: Sequence[float]) -> float:
+    """Return the mass flow of all jets [kg/s]."""
+    total = 0.0
+    for jet, newton in zip(vehicle.jets, thrust, strict=True):
+        flow = jet.airflow or vehicle.airflow
+        if flow is not None and newton > 0.0:
+            total += flow.kg_s * (newton / flow.at_thrust_n) ** flow.exponent
+    return total
