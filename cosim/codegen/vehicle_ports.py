@@ -294,6 +294,9 @@ class _ObservedEngines:
         self._flight.throttle = throttle
         return self._inner.step(k, throttle, ambient)
 
+    def run_down(self, seconds: float) -> EngineOutput:
+        return self._inner.run_down(seconds)
+
     def set_run(self, index: int, on: bool) -> bool:
         return self._inner.set_run(index, on)
 
@@ -318,6 +321,9 @@ class _EnginesOutside:
         if flight.parts.controller:
             flight.meet()
         return flight.reports()
+
+    def run_down(self, seconds: float) -> EngineOutput:
+        return self._flight.reports()
 
     def set_run(self, index: int, on: bool) -> bool:
         flight = self._flight

@@ -22,7 +22,7 @@ class Arming:
         self._remote = remote
         self._watch = watch
         self._step = step
-        self.reset(False)
+        self.reset(EngineState.IDLE)
 
     def reset(self, engines: EngineState) -> None:
         """Stand disarmed with these engines, or, where they fly, be in the air and armed."""
