@@ -47,7 +47,7 @@ class Setup:
     gains: str = "vehicle"  # whose are in the scenario's vehicle: its own, or a file's; "stock": as Betaflight ships
     lines: Sequence[str] = ()  # Betaflight: for its console
     parameters: Mapping[str, float] = field(default_factory=dict)  # PX4, ArduPilot: over those made from the vehicle
-    magnetic_field: Vector3 | None = None  # PX4: gauss, NED; None: a dipole's at the place
+    magnetic_field: Vector3 | None = None  # PX4: gauss, NED; None: the Earth's at the place
     defaults: Path | None = None  # ArduPilot: its parameters; None: those made from the vehicle
     channels: Sequence[str] = ()  # ArduPilot: NUMBER=PULSE or NUMBER=PULSE@SECONDS, beside the sticks
     station: int | None = None  # ArduPilot: the UDP port of this machine to which it talks MAVLink

@@ -17,7 +17,7 @@ from math import asinh, atan2, degrees, hypot, pi, sinh, sqrt
 from pathlib import Path
 
 from cosim.autopilots import hil
-from cosim.autopilots.instruments import compass, dipole_field
+from cosim.autopilots.instruments import compass, earth_field
 from cosim.autopilots.lockstep import (
     STICKS_S,
     Answer,
@@ -100,7 +100,7 @@ class Px4:
     ) -> None:
         self.counts = Counts()
         self.limit = limit
-        self.field = field or dipole_field(place.latitude_deg, place.longitude_deg)
+        self.field = field or earth_field(place.latitude_deg, place.longitude_deg)
         self._binary, self._folder, self._step, self._place = binary, folder, step, place
         self._instance, self._parameters = instance, parameters or {}
         self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0

@@ -186,7 +186,7 @@ def _designed(gains: str | None) -> str:
 @click.option(
     "parameters", "--param", metavar="NAME=VALUE", multiple=True, help="Over those of hexjet sitl params px4."
 )
-@click.option("--field", metavar="N,E,D", help="The magnetic field [gauss].  [default: a dipole's at the place]")
+@click.option("--field", metavar="N,E,D", help="The magnetic field [gauss].  [default: the Earth's at the place]")
 def px4(
     options: Options,
     instance: int,

@@ -9,7 +9,7 @@ import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from math import degrees, pi, sin
+from math import degrees, pi
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from patience import PATIENCE
 
 from cosim.autopilots import hil, px4
 from cosim.autopilots.ardupilot import ArduPilot, Launch
-from cosim.autopilots.instruments import compass, dipole_field
+from cosim.autopilots.instruments import compass, earth_field
 from cosim.autopilots.lockstep import Frame, Sticks
 from cosim.autopilots.px4 import Px4
 from cosim.base.errors import FlightError, InputError
@@ -317,18 +317,29 @@ def test_a_stream_may_come_in_pieces_and_with_wrong_bytes() -> None:
     assert reader.noise > 0
 
 
-def test_the_field_is_that_of_a_dipole() -> None:
-    """At its own pole straight down and twice as strong as at its own equator, where it lies flat and points north."""
+# IGRF-14 as another program has it, all thirteen degrees on the ellipsoid at the beginning of 2025: north, east, down, nT
+FIELDS = {
+    (22.35, 113.59): (37757.5, -2094.3, 25451.5),
+    (47.4, 8.5): (21534.5, 1281.9, 43234.2),
+    (-35.36, 149.16): (23034.2, 5162.8, -53096.4),
+    (60.0, -100.0): (9615.5, 754.9, 57378.5),
+    (0.0, 0.0): (27456.6, -1926.5, -15997.4),
+    (80.0, 20.0): (6146.3, 1801.8, 55228.3),
+}
+
+
+@pytest.mark.parametrize(("place", "nano_tesla"), FIELDS.items())
+def test_the_field_is_the_earths(place: tuple[float, float], nano_tesla: tuple[float, float, float]) -> None:
+    """Within a nanotesla."""
+    assert earth_field(*place) == pytest.approx([1e-5 * value for value in nano_tesla], abs=1e-5)
+
+
+def test_its_first_terms_are_those_of_a_dipole() -> None:
+    """At its pole straight down, at its own equator flat; the strengths as 2 to 1, but for the ellipsoid's few per mil."""
     g10, g11, h11 = 29350.0, 1410.3, -4545.5
-    strength = (g10**2 + g11**2 + h11**2) ** 0.5
-    latitude = degrees(np.arcsin(g10 / strength))
+    strength = 1e-5 * (g10**2 + g11**2 + h11**2) ** 0.5
+    latitude = degrees(np.arcsin(1e-5 * g10 / strength))
     longitude = degrees(np.arctan2(h11, g11))
-    north, east, down = dipole_field(latitude, longitude)
-    assert (north, east) == pytest.approx((0.0, 0.0), abs=1e-9)
-    assert down == pytest.approx(2e-5 * strength)
-    north, east, down = dipole_field(latitude - 90.0, longitude)
-    assert (east, down) == pytest.approx((0.0, 0.0), abs=1e-9)
-    assert north == pytest.approx(1e-5 * strength)
-    assert compass((1.0, 0.0, 0.0), from_euler(0.0, 0.0, 0.5 * pi)) == pytest.approx(
-        (0.0, -sin(0.5 * pi), 0.0), abs=1e-12
-    )
+    assert earth_field(latitude, longitude, 1) == pytest.approx((0.0, 0.0, 2.0 * strength), abs=0.02 * strength)
+    north, east, down = earth_field(latitude - 90.0, longitude, 1)
+    assert (north, east, down) == pytest.approx((strength, 0.0, 0.0), abs=0.02 * strength)

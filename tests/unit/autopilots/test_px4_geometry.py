@@ -13,7 +13,10 @@ from px4_program import DEFAULTS, configured, mixer
 from cosim.autopilots.parameters import PX4_TARGETS, px4_link, px4_parameters, px4_target, px4_torque
 from cosim.autopilots.px4 import unbent
 from cosim.base.errors import InputError
-from cosim.spec.vehicle import Jet, Vehicle, aircraft_names, load_vehicle
+from cosim.codegen.form import form_of
+from cosim.simulation.build import build
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Jet, Vehicle, aircraft_names, engine_of, load_vehicle
 
 VEHICLES = [load_vehicle(name)[0] for name in sorted(aircraft_names())]
 TOLD = [vehicle for vehicle in VEHICLES if vehicle.allocation != "effectiveness"]
@@ -135,3 +138,18 @@ def test_the_yaw_stick_undoes_what_px4_bends() -> None:
         stick = unbent(float(turn))
         assert 0.4 * stick + 0.6 * stick**3 == pytest.approx(turn, abs=1e-12)
     assert (unbent(3.0), unbent(-3.0)) == pytest.approx((1.0, -1.0))
+
+
+@pytest.mark.parametrize("vehicle", TOLD, ids=lambda vehicle: vehicle.name)
+def test_what_an_exported_controller_takes_for_a_torque_is_that_torque_to_the_mixer(vehicle: Vehicle) -> None:
+    """Its rows turn throttles and tilts back to torques; the mixer, with our parameters, makes these of a torque."""
+    scenario = Scenario.load("hover").replace(
+        aircraft=vehicle.name, engine=engine_of(vehicle.name), controller="baseline"
+    )
+    with build(scenario) as simulation:
+        back = np.array(form_of(simulation)["allocation"]["inverse"])
+    mix, jets = mixer(DEFAULTS | px4_parameters(vehicle)), len(vehicle.jets)
+    size = np.ones(mix.shape[0])
+    size[jets:] = 0.0 if vehicle.servo is None else vehicle.servo.range_rad
+    told = back @ np.vstack([size[:, None] * mix[:, :3], np.zeros((back.shape[1] - mix.shape[0], 3))])
+    assert told / np.array(px4_torque(vehicle))[:, None] == pytest.approx(np.eye(3), abs=1e-6)
