@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from cosim.base.errors import FlightError, InputError, nearest
+from cosim.base.storage.scratch import scratch
 from cosim.bench.machine import (
     Machine,
     compilers,
@@ -143,7 +144,7 @@ def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda 
     begin, before = time.perf_counter(), load()
     results: dict[str, Any] = {}
     failed: dict[str, str] = {}
-    with TemporaryDirectory(prefix="hexjet-bench-", dir=plan.folder) as name:
+    with TemporaryDirectory(prefix="bench-", dir=plan.folder or scratch()) as name:
         folder = Path(name)
         warm_up(folder / "warm")
         for part in PARTS:

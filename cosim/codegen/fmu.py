@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 
 from cosim.base.signals import AXES
 from cosim.base.storage.paths import data_folder
+from cosim.base.storage.scratch import temporary
 from cosim.codegen.files import Labels, render
 from cosim.codegen.form import Form
 from cosim.codegen.vectors import INPUTS, Vectors, output_names
@@ -46,8 +46,8 @@ def build_fmus(
     every = zip(output_names(jets), _places(jets), strict=True)
     places = [(name, place) for name, place in every if tilts or not name.startswith("tilt_")]
     outputs = tuple(name for name, _ in places)
-    with tempfile.TemporaryDirectory(prefix="hexjet-export-") as scratch:
-        glue = Path(scratch, f"{n}_fmu.c")
+    with temporary("export-") as place:
+        glue = place / f"{n}_fmu.c"
         text = render(
             "fmu.c",
             n=n,
@@ -61,7 +61,7 @@ def build_fmus(
         glue.write_text(text, encoding="utf-8")
         engine = Engine(
             name=n,
-            folder=Path(scratch),
+            folder=place,
             title=labels.title,
             description=f"one control step every {form['step']!r} s, inputs held over it",
             sources=(glue, *(folder / file for file in (f"{n}.h", f"{n}.c", f"{n}_parameters.c"))),
@@ -76,7 +76,7 @@ def build_fmus(
         try:
             for fmi in FMI_VERSIONS:
                 target = archive_path(folder, n, fmi)
-                build_one(engine, data_folder("engines") / "fmi", fmi, target)
+                build_one(engine, data_folder("engines") / "fmi", fmi, target, {}, place)
                 archives.append(target.name)
         except BuildError as error:
             for name in archives:

@@ -6,11 +6,11 @@ import os
 import re
 import shutil
 import subprocess
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.base.errors import InputError
+from cosim.base.storage.scratch import temporary
 
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wdouble-promotion", "-ffp-contract=off")
 _LONGEST_S = 300.0  # for one run of a compiler or of the test program; chosen by us
@@ -49,7 +49,7 @@ def measure(folder: Path, name: str) -> Measured | None:
     if cc is None:
         return None
     first = _run([cc, "--version"]).stdout.splitlines()
-    with tempfile.TemporaryDirectory(prefix="hexjet-export-") as made:
+    with temporary("export-") as made:
         double = _measured_run(cc, folder, name, Path(made, "double"))
         single = _measured_run(cc, folder, name, Path(made, "single"), f"-D{name.upper()}_FLOAT")
         stack, code = _static(cc, folder, name, Path(made))

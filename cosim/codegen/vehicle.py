@@ -12,6 +12,7 @@ from typing import Any
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.paths import data_folder
+from cosim.base.storage.scratch import scratch
 from cosim.codegen.files import TEMPLATES, Labels
 from cosim.codegen.ssp import write_ssp
 from cosim.codegen.vehicle_ports import Flight, Parts
@@ -76,7 +77,7 @@ def export_vehicle(
         folder.mkdir(parents=True, exist_ok=True)
         for fmi in fmis:
             target = archive_path(folder, name, fmi)
-            build_one(engine, data_folder("engines") / "fmi", fmi, target, resources)
+            build_one(engine, data_folder("engines") / "fmi", fmi, target, resources, scratch())
             if system:
                 fmu, target = target, target.with_suffix(".ssp")
                 write_ssp(flight, fmu, target, fmi, scenario.duration_s)

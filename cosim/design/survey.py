@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.runtime.processes import python_command, run_child
+from cosim.base.storage.scratch import temporary
 from cosim.engine.fmu.container import one_line
 from cosim.results.report import marks
 
@@ -46,8 +46,8 @@ def survey(engines: Sequence[Path], controller: str, limit: float) -> Iterator[R
     """Check, design and prove every engine, one after the other; ``limit`` [s] for each of the two commands."""
     for path in engines:
         begin = time.monotonic()
-        with tempfile.TemporaryDirectory(prefix="hexjet-survey-") as folder:
-            row = _one(path, controller, limit, Path(folder))
+        with temporary("survey-") as folder:
+            row = _one(path, controller, limit, folder)
         yield Row(path.stem, *row, time.monotonic() - begin)
 
 

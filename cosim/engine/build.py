@@ -506,17 +506,16 @@ def build_all(
 
 
 def build_one(
-    engine: Engine, adapter: Path, fmi: int, target: Path, resources: Mapping[str, bytes] | None = None
+    engine: Engine, adapter: Path, fmi: int, target: Path, given: Mapping[str, bytes], within: Path | None = None
 ) -> None:
     """Build one archive of what has the three functions of ``engine.h``, or a tool of its own, and no ``engine.toml``.
 
-    ``resources`` go into the archive's folder of that name.  Raises BuildError for a compiler that is missing or fails.
+    ``given`` go into its folder of resources; it is built below ``within``.  Raises BuildError if no compiler does it.
     """
-    given = resources or {}
     digest = hashlib.sha256(b"".join(f"{name}\0{len(given[name])}\0".encode() + given[name] for name in sorted(given)))
     label = f"{engine.name} {engine.variables} FMI {fmi}" + (f" {digest.hexdigest()}" if given else "")
     token = _named_by(label, _inputs(engine, adapter, fmi))
-    _build(engine, adapter, fmi, token, target, given)
+    _build(engine, adapter, fmi, token, target, given, within)
 
 
 def _platform_folder(fmi: int) -> str:
@@ -544,10 +543,11 @@ def _build(
     token: str,
     target: Path,
     resources: Mapping[str, bytes] | None = None,
+    within: Path | None = None,
 ) -> None:
-    contents = _contents(engine, adapter, fmi, token)
-    contents |= {f"resources/{name}": data for name, data in (resources or {}).items()}
-    with tempfile.TemporaryDirectory(prefix="engine-") as folder:
+    given = {f"resources/{name}": data for name, data in (resources or {}).items()}
+    contents = _contents(engine, adapter, fmi, token) | given
+    with tempfile.TemporaryDirectory(prefix="engine-", dir=within) as folder:
         for name, data in contents.items():
             path = Path(folder, name)
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -584,7 +584,7 @@ def compile_sources(folder: Path, label: str) -> None:
     """
     from fmpy.build import build_platform_binary  # type: ignore[import-untyped]
 
-    with tempfile.TemporaryFile() as chatter, tempfile.TemporaryDirectory(prefix="engine-build-") as build:
+    with tempfile.TemporaryFile() as chatter, tempfile.TemporaryDirectory(dir=folder) as build:
         try:
             with _cmake_on_path(), _output_to(chatter.fileno()):
                 build_platform_binary(folder, build, cmake_options=_cmake_options())

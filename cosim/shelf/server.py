@@ -1,9 +1,13 @@
 """The page over a folder of runs: one HTML file, the runs' own pages, and a WebSocket, on the loopback alone.
 
-Who may ask for anything to be done: the page that this server has given out.  Every request must name this server in
-``Host``, so that no other name that resolves to the loopback gets in; a WebSocket must come from this server's origin;
-and its first message must carry the token that is written into the page, which no foreign page can read.  The runs'
-pages are shown in a sandbox, without an origin: what stands in a run from somebody else can read no token either.
+Who may ask for anything to be done: the page that this server has given out, to who asked for the printed address with
+its token.  Every request must name this server in ``Host``, so that no other name that resolves to the loopback gets
+in; a WebSocket must come from this server's origin; and its first message must carry the token, which no foreign page
+can read.
+
+A run's page may be somebody else's.  It is shown in a frame of a page of ours, in a sandbox, without an origin: it can
+read nothing of this server, its policy has it load nothing from elsewhere, and that of the page around it has the frame
+go nowhere else.  The key in its own address lets it see pages of runs, and nothing more.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ from http import HTTPStatus
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
+from urllib.parse import quote, unquote
 
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
@@ -34,7 +38,9 @@ from cosim.groundstation.web.loopback import (
     no_socket,
     quiet_logger,
     response,
+    shows_token,
     stranger,
+    without_token,
 )
 from cosim.shelf.index import Shelf
 
@@ -47,7 +53,15 @@ TYPES = loopback.TYPES | {
     "csv": "text/csv; charset=utf-8",
 }
 ASSETS = ("css", "js")  # which a page in a sandbox asks for as if from elsewhere
-SANDBOX = "sandbox allow-scripts allow-downloads"
+ALLOWED = "allow-scripts allow-downloads"  # to a run's page
+PAGES = ("html", "svg")  # which may hold scripts
+FRAMED = "page"  # the query of a run's page inside its frame
+FRAME = """<!doctype html>
+<html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{name}</title><link rel="icon" href="data:,">
+<style nonce="{nonce}">html, body, iframe {{ margin: 0; border: 0; width: 100%; height: 100%; display: block; }}</style>
+<iframe src="{name}?{framed}" title="{name}" sandbox="{allowed}" allow="fullscreen"></iframe></html>
+"""
 
 
 class ShelfServer:
@@ -57,15 +71,15 @@ class ShelfServer:
         self.port = port
         self._shelf = shelf
         self._compare = compare
-        self._token = secrets.token_urlsafe(24)
+        self._token, self._key = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
         self._nonce = secrets.token_urlsafe(16)
         self._busy = threading.Lock()  # one thing is done at a time
         self._server: Server | None = None
 
     @property
     def url(self) -> str:
-        """Where the page is."""
-        return f"http://127.0.0.1:{self.port}/"
+        """Where the page is, with the token: for those alone who may have something done."""
+        return f"http://127.0.0.1:{self.port}/?token={self._token}"
 
     def open(self) -> None:
         """Listen from now on.  Raises InputError where the port cannot be had."""
@@ -99,10 +113,12 @@ class ShelfServer:
         """A file, a refusal, or None where a WebSocket may be opened (its origin is looked at next)."""
         if refusal := stranger(request, self._hosts):
             return refusal
-        path = unquote(request.path.partition("?")[0])
+        path, _, query = request.path.partition("?")
         if path == "/live":
             return no_socket(request)
-        if path == "/":
+        if path == "/favicon.ico":  # asked for by a page in a sandbox, as if from elsewhere
+            return response(HTTPStatus.NO_CONTENT, b"", share="cross-origin")
+        if shows_token(request, self._token):
             nonce = f"'nonce-{self._nonce}'"
             policy = (
                 f"default-src 'none'; script-src {nonce}; style-src {nonce}; img-src data:; "
@@ -110,17 +126,21 @@ class ShelfServer:
                 "form-action 'none'; frame-ancestors 'none'"
             )
             return response(HTTPStatus.OK, self._page(), TYPES["html"], policy)
-        if path == "/favicon.ico":  # asked for by a page in a sandbox, as if from elsewhere
-            return response(HTTPStatus.NO_CONTENT, b"", share="cross-origin")
-        return self._file(path.removeprefix("/run/")) if path.startswith("/run/") else _not_found()
+        runs, _, place = path.removeprefix("/").partition("/")
+        key, _, name = place.partition("/")
+        if runs != "run" or not is_token(key, self._key):
+            return without_token()
+        asked = request.headers.get("Sec-Fetch-Dest", "iframe" if query == FRAMED else "document")
+        return self._file(unquote(name), asked == "document")
 
     def _page(self) -> bytes:
         page = (files("cosim.shelf") / "templates" / "shelf.html").read_text(encoding="utf-8")
         page = page.replace("@TOKEN@", escape(self._token)).replace("@NONCE@", escape(self._nonce))
+        page = page.replace("@RUNS@", f"/run/{self._key}")
         return page.replace("@FOLDER@", escape(str(self._shelf.folder))).encode()
 
-    def _file(self, name: str) -> Response:
-        """A file below the folder of runs, of a kind that a page is made of."""
+    def _file(self, name: str, alone: bool) -> Response:
+        """A file below the folder of runs, of a kind that a page is made of; ``alone``: a page needs its frame."""
         root = self._shelf.folder.resolve()
         ending = name.rpartition(".")[2].lower()
         try:
@@ -130,8 +150,36 @@ class ShelfServer:
             body = path.read_bytes()
         except (OSError, ValueError):
             return _not_found()
+        if alone and ending in PAGES:
+            return self._frame(path.name)
         share = "cross-origin" if ending in ASSETS else "same-origin"
-        return response(HTTPStatus.OK, body, TYPES[ending], SANDBOX, share)
+        answer = response(HTTPStatus.OK, body, TYPES[ending], self._policy(), share)
+        del answer.headers["X-Frame-Options"]  # the policy says whose frame it may be in
+        answer.headers["X-DNS-Prefetch-Control"] = "off"
+        return answer
+
+    def _frame(self, name: str) -> Response:
+        """The page around a run's page, which lets its frame go to pages of runs alone."""
+        nonce = self._nonce
+        page = FRAME.format(name=escape(quote(name)), nonce=nonce, framed=FRAMED, allowed=ALLOWED)
+        policy = (
+            f"default-src 'none'; frame-src {self._runs()}; style-src 'nonce-{nonce}'; img-src data:; base-uri 'none'; "
+            "form-action 'none'; frame-ancestors 'none'"
+        )
+        return response(HTTPStatus.OK, page.encode(), TYPES["html"], policy)
+
+    def _policy(self) -> str:
+        """What a run's page may load: what is in it, and files of runs."""
+        runs, hosts = self._runs(), " ".join(f"http://{host}" for host in sorted(self._hosts))
+        return (
+            f"sandbox {ALLOWED}; default-src 'none'; script-src 'unsafe-inline' {runs}; "
+            f"style-src 'unsafe-inline' {runs}; img-src data: blob: {runs}; font-src data:; frame-src {runs}; "
+            f"base-uri 'none'; form-action 'none'; frame-ancestors {hosts}"
+        )
+
+    def _runs(self) -> str:
+        """Where files of runs are, as a policy has it."""
+        return " ".join(f"http://{host}/run/{self._key}/" for host in sorted(self._hosts))
 
     # --- the page's questions ------------------------------------------------------------------------------------
 
@@ -175,7 +223,7 @@ class ShelfServer:
             if what == "compare":
                 page = self._compare([self._shelf.place(name) for name in chosen])
                 place = page.resolve().relative_to(self._shelf.folder.resolve()).as_posix()
-                return json.dumps({"said": f"written: {page}", "open": f"/run/{place}"})
+                return json.dumps({"said": f"written: {page}", "open": f"/run/{self._key}/{quote(place)}"})
             return json.dumps({"said": ""})
         except (InputError, FlightError) as error:
             return json.dumps({"said": str(error), "failed": True})

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import socket
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 from shelves import shelf
 
+from cosim.flight import fly
 from cosim.shelf.index import Shelf
 from cosim.shelf.server import ShelfServer
+from cosim.spec.scenario import Scenario
 
 
 @pytest.mark.parametrize("runs", [300, 10_000])
@@ -55,7 +59,8 @@ def test_by_keyboard(runs: int, tmp_path: Path, browser: Any) -> None:
         page.keyboard.press("Escape")
         with context.expect_page() as opened:
             page.keyboard.press("c")
-        assert opened.value.url.endswith("/run/comparison/comparison.html")
+        assert opened.value.url.endswith("/comparison/comparison.html")
+        assert opened.value.frame_locator("iframe").locator("title").text_content() == "compared"
         assert compared == [["run-00002", "run-00005"]]
         page.bring_to_front()
         page.focus("#grid")
@@ -76,3 +81,101 @@ def test_by_keyboard(runs: int, tmp_path: Path, browser: Any) -> None:
         context.close()
         server.close()
         thread.join()
+
+
+@contextmanager
+def served(folder: Path) -> Iterator[ShelfServer]:
+    server = ShelfServer(Shelf(folder), 0, lambda folders: folders[0])
+    server.open()
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    try:
+        yield server
+    finally:
+        server.close()
+        thread.join()
+
+
+@pytest.fixture
+def elsewhere() -> Iterator[tuple[int, list[str]]]:
+    """A port of another server, and what has come there."""
+    heard: list[str] = []
+    taken = socket.create_server(("127.0.0.1", 0))
+    port = taken.getsockname()[1]
+
+    def take() -> None:
+        while True:
+            try:
+                line, _ = taken.accept()
+            except OSError:
+                return
+            heard.append("a connection")
+            line.close()
+
+    thread = threading.Thread(target=take, daemon=True)
+    thread.start()
+    yield port, heard
+    taken.shutdown(socket.SHUT_RDWR)
+    taken.close()
+    thread.join()
+
+
+# What a page could try to call somebody with, whose address is AT; WebRTC is missing, which no policy of a page keeps in.
+CALLS = {
+    "image": "new Image().src = AT + 'image';",
+    "fetch": "fetch(AT + 'fetch', { mode: 'no-cors' });",
+    "beacon": "navigator.sendBeacon(AT + 'beacon', 'x');",
+    "socket": "new WebSocket(AT.replace('http', 'ws'));",
+    "events": "new EventSource(AT + 'events');",
+    "script": "document.head.append(Object.assign(document.createElement('script'), { src: AT + 'script' }));",
+    "style": "document.head.append(Object.assign(document.createElement('link'), { rel: 'stylesheet', href: AT + 'style' }));",
+    "import": "document.head.append(Object.assign(document.createElement('style'), { textContent: `@import url(${AT}import);` }));",
+    "prefetch": "document.head.append(Object.assign(document.createElement('link'), { rel: 'prefetch', href: AT + 'prefetch' }));",
+    "module": "import(AT + 'module').catch(() => 0);",
+    "worker": "new Worker(URL.createObjectURL(new Blob([`fetch('${AT}worker')`])));",
+    "frame": "document.body.append(Object.assign(document.createElement('iframe'), { src: AT + 'frame' }));",
+    "object": "document.body.append(Object.assign(document.createElement('object'), { data: AT + 'object' }));",
+    "form": "const f = Object.assign(document.createElement('form'), { action: AT + 'form', method: 'post' }); document.body.append(f); f.submit();",
+    "window": "window.open(AT + 'window');",
+    "top": "top.location = AT + 'top';",
+    "self": "location = AT + 'self';",
+    "refresh": "document.head.append(Object.assign(document.createElement('meta'), { httpEquiv: 'refresh', content: `0;url=${AT}refresh` }));",
+    "link": "const a = Object.assign(document.createElement('a'), { href: AT + 'link', target: '_top' }); document.body.append(a); a.click();",
+    "blank": "const a = Object.assign(document.createElement('a'), { href: AT + 'blank', target: '_blank' }); document.body.append(a); a.click();",
+    "download": "const a = Object.assign(document.createElement('a'), { href: AT + 'download', download: 'x' }); document.body.append(a); a.click();",
+    "ping": "const a = Object.assign(document.createElement('a'), { href: '#x', ping: AT + 'ping' }); document.body.append(a); a.click();",
+    "preconnect": "document.head.append(Object.assign(document.createElement('link'), { rel: 'preconnect', href: AT }));",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("call", CALLS)
+def test_a_foreign_page_reaches_nobody(
+    call: str, tmp_path: Path, browser: Any, elsewhere: tuple[int, list[str]]
+) -> None:
+    port, heard = elsewhere
+    folder = tmp_path / "runs" / "theirs"
+    folder.mkdir(parents=True)
+    script = f"const AT = 'http://127.0.0.1:{port}/'; try {{ {CALLS[call]} }} catch (e) {{}} document.title = 'tried';"
+    page_text = f"<!doctype html><title>theirs</title><body><script>{script}</script></body>"
+    (folder / "report.html").write_text(page_text, encoding="utf-8")
+    with served(tmp_path / "runs") as server, browser.new_context() as context:
+        page = context.new_page()
+        page.goto(f"http://127.0.0.1:{server.port}/run/{server._key}/theirs/report.html")
+        page.wait_for_timeout(1500)
+        assert heard == []
+        assert len(context.pages) == 1
+
+
+def test_our_own_pages_work_in_their_frame(tmp_path: Path, browser: Any) -> None:
+    """Alone, and with what draws them in a folder for all."""
+    short = Scenario.load("hover").replace(duration_s=1.0, expect=[])
+    fly(short, tmp_path / "runs" / "one")
+    complaints: list[str] = []
+    with served(tmp_path / "runs") as server, browser.new_context() as context:
+        page = context.new_page()
+        page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.goto(f"http://127.0.0.1:{server.port}/run/{server._key}/one/report.html")
+        frame = page.frame_locator("iframe")
+        frame.locator("canvas").first.wait_for()
+        assert complaints == []

@@ -70,7 +70,18 @@ class Flown:
 
     @property
     def token(self) -> str:
-        found = re.search(r'name="token" content="([^"]+)"', self.get("/").read().decode())
+        """Of the printed address."""
+        return self.web.url.partition("?token=")[2]
+
+    @property
+    def home(self) -> str:
+        """The path of the page, as printed."""
+        return f"/?token={self.token}"
+
+    @property
+    def files(self) -> str:
+        """What the paths of its files begin with, as the page has it."""
+        found = re.search(r'src="(/[^"/]+)/main.js"', self.get(self.home).read().decode())
         assert found
         return found[1]
 
@@ -142,22 +153,23 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flown]:
 
 
 def test_the_page_is_served_with_everything_it_names(flown: Flown) -> None:
-    answer = flown.get("/")
+    answer = flown.get(flown.home)
     page = answer.read().decode()
     assert answer.status == 200
     named = re.findall(r'(?:src|href)="([^"]+)"', page)
+    named = [path.removeprefix(flown.files) for path in named]
     assert {"/main.js", "/page.css", "/assets/scene.js", "/assets/vendor/uPlot.iife.min.js"} <= set(named)
     for script in STATIC.glob("*.js"):
         named += [f"/{each}" for each in re.findall(r'from "\./([^"]+)"', script.read_text(encoding="utf-8"))]
     for path in named:
-        found = flown.get(path)
+        found = flown.get(flown.files + path)
         assert found.status == 200, path
         there = ASSETS / path.removeprefix("/assets/") if path.startswith("/assets/") else STATIC / path[1:]
         assert found.read() == there.read_bytes()
 
 
 def test_nothing_comes_from_elsewhere_and_nothing_is_inline(flown: Flown) -> None:
-    policy = flown.get("/").headers["Content-Security-Policy"]
+    policy = flown.get(flown.home).headers["Content-Security-Policy"]
     rules = {rule.split()[0]: rule.split()[1:] for rule in policy.split(";")}
     assert rules["default-src"] == ["'none'"]
     assert rules["script-src"] == rules["style-src"] == ["'self'"]
@@ -187,7 +199,7 @@ def test_nothing_comes_from_elsewhere_and_nothing_is_inline(flown: Flown) -> Non
     ],
 )
 def test_there_are_no_other_files(flown: Flown, path: str) -> None:
-    assert flown.get(path).status == 404
+    assert flown.get(flown.files + path).status == 404
 
 
 def test_the_parts_of_others_are_as_stated() -> None:
@@ -217,6 +229,15 @@ def test_only_get_is_answered_with_a_page(flown: Flown, method: str) -> None:
     assert b"token" not in answer
 
 
+@pytest.mark.parametrize("path", ["/", "/?token=", "/?token=guessed", "/main.js", "/guessed/main.js", "/index.html"])
+def test_without_the_printed_address_there_is_nothing(flown: Flown, path: str) -> None:
+    """Another account of the machine reaches the port as well as this one; the files' key is no token."""
+    for each in (path, f"/?token={flown.files.removeprefix('/')}"):
+        answer = flown.get(each)
+        assert answer.status == 403
+        assert answer.read().startswith(b"Open the address that hexjet has printed")
+
+
 def test_another_name_for_this_machine_is_refused(flown: Flown) -> None:
     """A foreign name that resolves to the loopback makes a foreign page of the same origin: no page, no token."""
     port = flown.web.port
@@ -228,10 +249,10 @@ def test_another_name_for_this_machine_is_refused(flown: Flown) -> None:
         (f"127.0.0.1:{port}",) * 2,
         (f"127.0.0.1:{port}.evil.example",),
     ]:
-        answer = flown.get("/", *hosts)
+        answer = flown.get(flown.home, *hosts)
         assert answer.status in (400, 421), hosts
         assert b"token" not in answer.read()
-    assert flown.get("/", f"localhost:{port}").status == 200
+    assert flown.get(flown.home, f"localhost:{port}").status == 200
     with pytest.raises(InvalidStatus) as refused, flown.dial(additional_headers={"Host": f"evil.example:{port}"}):
         pass
     assert refused.value.response.status_code in (400, 421)

@@ -46,7 +46,7 @@ def component(folder: Path, name: str, fmi: int) -> Path:
     ]  # fmt: skip
     engine = Engine(name, folder, name, name, (source,), STEP, {}, {}, 0.0, {}, tuple(variables))
     target = folder / f"{name}.fmu"
-    build_one(engine, data_folder("engines") / "fmi", fmi, target)
+    build_one(engine, data_folder("engines") / "fmi", fmi, target, {})
     return target
 
 

@@ -1,4 +1,4 @@
-"""The folder for what others take from files alone; it goes when the process ends.
+"""The folder for all temporary files of a process; it goes when the process ends.
 
 There is one for all flights of a process, because on a disk that is busy it takes milliseconds to remove a folder.  A
 process that is killed leaves its folder, which the next one removes: nobody holds its lock any more.
@@ -11,7 +11,8 @@ import fcntl
 import os
 import shutil
 import tempfile
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from cosim.base.errors import InputError
@@ -31,6 +32,19 @@ def scratch() -> Path:
         except OSError as error:
             raise InputError(f"temporary files: {one_line(error)}; TMPDIR can name another folder for them") from error
     return folder
+
+
+@contextmanager
+def temporary(prefix: str) -> Iterator[Path]:
+    """A new folder below :func:`scratch`, until the end of the block, or of the process however that comes.
+
+    Raises InputError where there is no place for one.
+    """
+    folder = Path(tempfile.mkdtemp(prefix=prefix, dir=scratch()))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _make() -> Path:

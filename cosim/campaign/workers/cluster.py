@@ -88,6 +88,7 @@ class DaskWorkers:
             threads_per_worker=count,
             processes=False,
             dashboard_address="127.0.0.1:0",
+            worker_dashboard_address="127.0.0.1:0",  # without it the worker's pages are on all interfaces
             silence_logs=logging.CRITICAL,
             memory_limit=0,
             local_directory=str(scratch()),

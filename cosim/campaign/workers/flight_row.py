@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import tempfile
 import time
 from functools import cache
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from cosim.autopilots.prepare import Setup, own_instance, prepare, program_of
 from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError
+from cosim.base.storage.scratch import temporary
 from cosim.campaign.study.plan import Flight, scenario_of
 from cosim.flight import fly
 from cosim.results import metrics
@@ -73,8 +73,8 @@ def fly_one(study: Study, flight: Flight) -> Row:
     try:
         scenario = scenario_of(study, flight)
         if study.autopilot is not None:
-            with tempfile.TemporaryDirectory(prefix="hexjet-autopilot-") as folder:
-                outcome, _ = with_autopilot(study, scenario, Path(folder) / "run", page=False)
+            with temporary("autopilot-") as folder:
+                outcome, _ = with_autopilot(study, scenario, folder / "run", page=False)
         else:
             sink = _sink(scenario)
             outcome = _outcome_row(study, fly(scenario, sink=sink), sink.hexdigest())

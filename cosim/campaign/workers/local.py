@@ -31,6 +31,7 @@ from cosim.base.compiled import environment
 from cosim.base.errors import FlightError, InputError
 from cosim.base.runtime.processes import Child, python_command
 from cosim.base.runtime.threads import ONE_THREAD
+from cosim.base.storage.scratch import scratch
 from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
 from cosim.campaign.workers.protocol import (
     LOSSES,
@@ -219,7 +220,10 @@ class _Process:
         self._begun = time.monotonic()
         self._study: Study | None = None
         try:
-            self._folder = tempfile.mkdtemp(prefix="hexjet-worker-")  # whatever its flights put aside, it goes with it
+            # whatever its flights put aside, it goes with it
+            self._folder = tempfile.mkdtemp(prefix="worker-", dir=scratch())
+        except InputError as error:
+            raise FlightError(f"no process could be started: {error}") from error
         except OSError as error:
             raise FlightError(f"no process could be started: {tempfile.gettempdir()}: {error.strerror}") from error
         self.connection, theirs = Pipe()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from html import escape
 from pathlib import Path
 
 import click
 
 from cosim.base.errors import InputError
+from cosim.base.storage.scratch import scratch
 from cosim.cli.options import DONE, example
 
 PORT = 8766
@@ -21,8 +23,9 @@ def open_(folder: Path, port: int, browser: bool) -> int:
     """Look through the runs in DIR: search, sort by any metric, tag, compare, delete.
 
     Logs of other flight controllers that lie there (.ulg, .bin, .bbl, .bfl, .cfusdlog) are listed too, to be compared.
-    A page at http://127.0.0.1:8766/ for this machine alone, until Ctrl-C.  What is in the folder is read once and
-    remembered in DIR/.index.json; tags are kept with the runs.  Nothing is deleted without asking.
+    A page for this machine alone, and there for who has the address that is printed, until Ctrl-C.  What is in the
+    folder is read once and remembered in DIR/.index.json; tags are kept with the runs.  Nothing is deleted without
+    asking.
     """
     from cosim.shelf.index import Shelf
     from cosim.shelf.server import ShelfServer
@@ -33,12 +36,19 @@ def open_(folder: Path, port: int, browser: bool) -> int:
     if browser:
         import webbrowser
 
-        webbrowser.open(server.url)
+        webbrowser.open(_way_to(server.url).as_uri())
     try:
         server.run()
     except KeyboardInterrupt:
         server.close()
     return DONE
+
+
+def _way_to(url: str) -> Path:
+    """A page that leads there: what is on a browser's command line every account of the machine can read."""
+    page = scratch() / "open.html"  # in a folder that nobody else may enter
+    page.write_text(f'<!doctype html><meta http-equiv="refresh" content="0;url={escape(url)}">', encoding="utf-8")
+    return page
 
 
 def _compared(folders: Sequence[Path], runs: Path) -> Path:

@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
 from io import BytesIO
@@ -16,6 +15,7 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.base.runtime.processes import python_command, run_child
 from cosim.base.storage.files import replacing
+from cosim.base.storage.scratch import temporary
 from cosim.engine.fmu.archive import platform_folder
 from cosim.engine.fmu.container import (
     DESCRIPTION,
@@ -80,7 +80,8 @@ def compile_archive(path: Path, out: Path | None = None, windows: bool = False) 
         raise InputError(f"{path}: {reason}") from reason
     if description.coSimulation is None or not has_sources(names):
         raise InputError(f"{path}: has no sources of a co-simulation interface; nothing to compile")
-    with tempfile.TemporaryDirectory(prefix="hexjet-compile-") as folder:
+    with temporary("compile-") as place:
+        folder = str(place)
         with Zip(BytesIO(data)) as fmu:
             fmu.extractall(folder)
         Path(folder, DESCRIPTION).write_bytes(with_initial(xml))

@@ -19,9 +19,7 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 import sys
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -33,6 +31,7 @@ from cosim.base.constants import SERVOS
 from cosim.base.errors import InputError, nearest
 from cosim.base.runtime.processes import python_command
 from cosim.base.signals import MOST_JETS
+from cosim.base.storage.scratch import temporary
 from cosim.base.storage.toml import read_toml
 from cosim.engine.fmu.archive import platform_folder
 from cosim.engine.fmu.container import DAMAGE, UnusableError, Zip, fmi_of, one_line, open_archive, parse, read_bytes
@@ -253,22 +252,19 @@ def serve(path: str) -> None:
     if fmu.level == "controller":
         fmu = read_controller_fmu(Path(path), told["servos"])
     asked, answered = wire.frame(len(told["inputs"])), wire.frame(len(told["outputs"]))
-    folder = Path(tempfile.mkdtemp(prefix="hexjet-controller-"))
     try:
-        if told["outputs"] != [*fmu.outputs, *columns] or columns != [_word(v) for v in fmu.shown]:
-            moved = f"servos {', '.join(own)}" if own else "no servos"
-            raise RuntimeError(
-                f"is for {fmu.jets} jets and {moved}; {told['vehicle']['name']} has {len(told['vehicle']['jets'])} and "
-                + (f"servos {', '.join(told['servos'])}" if told["servos"] else "no servos")
-            )
-        instance = _Instance(fmu, folder, told)
-        while len(frame := sys.stdin.buffer.read(asked.size)) == asked.size:
-            k, *values = asked.unpack(frame)
-            _write(out, answered.pack(k, *instance.step(int(k), dict(zip(told["inputs"], values, strict=True)))))
+        with temporary("controller-") as folder:
+            if told["outputs"] != [*fmu.outputs, *columns] or columns != [_word(v) for v in fmu.shown]:
+                moved = f"servos {', '.join(own)}" if own else "no servos"
+                has = f"servos {', '.join(told['servos'])}" if told["servos"] else "no servos"
+                name, jets = told["vehicle"]["name"], len(told["vehicle"]["jets"])
+                raise RuntimeError(f"is for {fmu.jets} jets and {moved}; {name} has {jets} and {has}")
+            instance = _Instance(fmu, folder, told)
+            while len(frame := sys.stdin.buffer.read(asked.size)) == asked.size:
+                k, *values = asked.unpack(frame)
+                _write(out, answered.pack(k, *instance.step(int(k), dict(zip(told["inputs"], values, strict=True)))))
     except Exception as error:
         _write(out, answered.pack(-1.0, *[0.0] * len(told["outputs"])) + f"{one_line(error)}\n".encode())
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _by_type(keys: list[Any], variables: Sequence[Any]) -> list[tuple[str, list[Any], list[int]]]:

@@ -13,7 +13,6 @@ import selectors
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.runtime.processes import Child, python_command
+from cosim.base.storage.scratch import temporary
 from cosim.engine.fmu.container import one_line
 
 POLL_S = 0.02  # how often time and memory are looked at
@@ -66,8 +66,7 @@ def run_apart(task: Mapping[str, Any], limits: Limits) -> Apart:
     Nothing of it is left when this returns: processes that the child started are ended with it.
     """
     apart = Apart()
-    folder = tempfile.TemporaryDirectory(prefix="engine-apart-", ignore_cleanup_errors=True)
-    with folder as scratch, _child(task, limits, scratch) as (child, pipe):
+    with temporary("engine-apart-") as folder, _child(task, limits, folder) as (child, pipe):
         assert child.stdout is not None
         readers = {pipe: _lines_into(apart), child.stdout.fileno(): _output_into(apart)}
         had = _Had(child.pid)
@@ -88,7 +87,7 @@ def run_apart(task: Mapping[str, Any], limits: Limits) -> Apart:
 
 
 @contextlib.contextmanager
-def _child(task: Mapping[str, Any], limits: Limits, scratch: str) -> Iterator[tuple[Child, int]]:
+def _child(task: Mapping[str, Any], limits: Limits, folder: Path) -> Iterator[tuple[Child, int]]:
     read, write = os.pipe()
     try:
         child = Child(
@@ -97,7 +96,7 @@ def _child(task: Mapping[str, Any], limits: Limits, scratch: str) -> Iterator[tu
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             pass_fds=(write,),
-            cwd=scratch,
+            cwd=folder,
         )
     finally:
         os.close(write)

@@ -257,7 +257,7 @@ def _load(trial: Trial) -> Findings:
 
 
 def _load_library(trial: Trial, library: Path) -> None:
-    import fmpy
+    import fmpy  # type: ignore[import-untyped]
 
     here = Path.cwd()
     trial.say({"at": "when its shared library was loaded"})

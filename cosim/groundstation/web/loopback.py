@@ -1,4 +1,10 @@
-"""What the servers of pages on this machine share: who may come in, and headers that keep a page to itself."""
+"""What the servers of pages on this machine share: who may come in, and headers that keep a page to itself.
+
+A machine may have other accounts, and each can connect to its loopback.  Who was told the printed address gets the
+page, which has the token that commands; its files and the pages that it shows are below a key of their own, which a
+page that somebody else wrote may see and which commands nothing.  No cookie is set: browsers hand those of one port to
+every other port of the machine.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +15,7 @@ import socket
 from collections.abc import Container
 from http import HTTPStatus
 from typing import Any
+from urllib.parse import parse_qs
 
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
@@ -58,6 +65,18 @@ def no_socket(request: Request) -> Response | None:
     if request.headers.get("Upgrade", "").lower() == "websocket":
         return None
     return response(HTTPStatus.UPGRADE_REQUIRED, b"A WebSocket.\n")
+
+
+def shows_token(request: Request, token: str) -> bool:
+    """Return whether a request is of the printed address, ``/?token=...``."""
+    path, _, query = request.path.partition("?")
+    return path == "/" and any(is_token(shown, token) for shown in parse_qs(query).get("token", []))
+
+
+def without_token() -> Response:
+    """Return the refusal of a request that shows no token, which says where to find it."""
+    text = "Open the address that hexjet has printed, with its token: this page is for those who were told it.\n"
+    return response(HTTPStatus.FORBIDDEN, text.encode())
 
 
 def is_token(shown: Any, token: str) -> bool:

@@ -1,8 +1,8 @@
 """The server of the local page: a few files and one WebSocket, in a thread of its own, on the loopback alone.
 
-Who may command: a page that this server has given out.  Every request must name this server in ``Host``, so that no
-other name resolved to the loopback gets in; a WebSocket must come from this server's own origin; and its first message
-must carry the token that is written into the page, which no foreign page can read.
+Who may command: a page that this server has given out, to who asked for the printed address with its token.  Every
+request must name this server in ``Host``, so that no other name resolved to the loopback gets in; a WebSocket must come
+from this server's own origin; and its first message must carry the token, which no foreign page can read.
 """
 
 from __future__ import annotations
@@ -41,7 +41,9 @@ from cosim.groundstation.web.loopback import (
     no_socket,
     quiet_logger,
     response,
+    shows_token,
     stranger,
+    without_token,
 )
 from cosim.results.report.page import ASSETS, SCENE, THREE, licence_file
 
@@ -58,7 +60,7 @@ HELLO_S = 5.0  # for the token to arrive
 _STRIP = 4000  # points of the strip chart that may wait: a second at 16 times real time
 _POINTS = 40  # of the strip chart in one frame; 20 frames a second show four times the bandwidth of any loop here
 _VALUES = 10  # frames between two looks at the parameters: half a second
-_TOKEN = "@TOKEN@"
+_TOKEN, _FILES = "@TOKEN@", "@FILES@"
 _ASSETS = (  # of reports; the page draws with them too
     "vendor/uPlot.iife.min.js", "vendor/uPlot.min.css", THREE, SCENE, licence_file("uPlot"), licence_file("three"),
 )  # fmt: skip
@@ -96,7 +98,7 @@ class WebServer:
         self.port = port
         self.refused = 0  # connections and messages that were not taken
         self.skipped = 0  # frames that a slow page missed
-        self._token = secrets.token_urlsafe(32)
+        self._token, self._key = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
         self._pages: dict[ServerConnection, _Page] = {}
         self._strip: deque[tuple[int, Sample]] = deque(maxlen=_STRIP)
         self._drawn = (0, -1)  # flight and step of the newest point
@@ -106,8 +108,8 @@ class WebServer:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
-        return f"http://127.0.0.1:{self.port}/"
+        """Where the page is, with the token: for those alone who may command."""
+        return f"http://127.0.0.1:{self.port}/?token={self._token}"
 
     @property
     def clients(self) -> int:
@@ -121,7 +123,7 @@ class WebServer:
         listening, self._hosts = listen(self.port, "--web")
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, KERNEL_BUFFER)  # its connections have it from here
         self.port = listening.getsockname()[1]
-        self._files = _read(self._token, self._hosts)
+        self._files = _read(self._token, self._key, self._hosts)
         running = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._main(listening, running)), name="web")
         self._thread.daemon = True  # a session that ends badly is not kept alive by its page
@@ -183,7 +185,11 @@ class WebServer:
         path = request.path.partition("?")[0]
         if path == "/live":
             return no_socket(request)
-        file = self._files.get(path)
+        key, _, name = path.removeprefix("/").partition("/")
+        if not (shows_token(request, self._token) or is_token(key, self._key)):
+            self.refused += 1
+            return without_token()
+        file = self._files.get(f"/{name}")
         if file is None:
             return response(HTTPStatus.NOT_FOUND, b"Not found.\n")
         kind, body, policy = file
@@ -395,8 +401,8 @@ def _dump(message: dict[str, Any]) -> str:
     return json.dumps(message, separators=(",", ":"), allow_nan=False)
 
 
-def _read(token: str, hosts: set[str]) -> dict[str, tuple[str, bytes, str]]:
-    """Every file of the page by its path: kind, content, and the policy of a document."""
+def _read(token: str, key: str, hosts: set[str]) -> dict[str, tuple[str, bytes, str]]:
+    """Every file of the page by its path behind the key: kind, content, and the policy of a document."""
     sockets = " ".join(sorted(f"ws://{host}" for host in hosts))
     policy = (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
@@ -411,7 +417,7 @@ def _read(token: str, hosts: set[str]) -> dict[str, tuple[str, bytes, str]]:
         if path.rpartition(".")[2] in TYPES
     }
     kind, body, _ = served.pop("/index.html")
-    page = body.decode().replace(_TOKEN, escape(token)).encode()
+    page = body.decode().replace(_TOKEN, escape(token)).replace(_FILES, f"/{key}").encode()
     return served | {"/": (kind, page, policy)}
 
 

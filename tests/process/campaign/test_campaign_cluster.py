@@ -167,6 +167,9 @@ def test_threads_of_this_process_do_the_same(capfd: pytest.CaptureFixture[str]) 
     with LocalWorkers(2) as workers:
         here = list(workers.fly(asked, flights(asked)))
     with DaskWorkers(None, 2) as workers:
+        open_ = [each.laddr for each in psutil.Process().net_connections("inet") if each.status == psutil.CONN_LISTEN]
+        assert open_  # the pages of the scheduler and of the worker
+        assert {address.ip for address in open_} == {"127.0.0.1"}
         there = list(workers.fly(asked, flights(asked)))
     assert in_order(there) == in_order(here)
     assert len({row["worker"] for row in there}) == 2

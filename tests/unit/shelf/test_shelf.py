@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import re
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -21,7 +22,7 @@ from cosim.base.errors import InputError
 from cosim.groundstation.web.loopback import WRONG_TOKEN
 from cosim.shelf import index
 from cosim.shelf.index import CAMPAIGN, INDEX, LOG, PAGE, RUN, UNFINISHED, Shelf
-from cosim.shelf.server import SANDBOX, ShelfServer
+from cosim.shelf.server import ALLOWED, ShelfServer
 
 
 @pytest.fixture
@@ -174,8 +175,18 @@ def get(server: ShelfServer, path: str, **headers: str) -> http.client.HTTPRespo
 
 
 def token(server: ShelfServer) -> str:
-    page = get(server, "/").text  # type: ignore[attr-defined]
-    return str(page.partition('name="token" content="')[2].partition('"')[0])
+    """Of the printed address."""
+    return server.url.partition("?token=")[2]
+
+
+def home(server: ShelfServer) -> http.client.HTTPResponse:
+    """The page, by the printed address."""
+    return get(server, f"/?token={token(server)}")
+
+
+def below(server: ShelfServer, path: str = "") -> str:
+    """A path of the runs' files, as the page has it."""
+    return str(re.search(r'const address = row => "([^"]+)', home(server).text)[1]) + path  # type: ignore[attr-defined, index]
 
 
 def asked(server: ShelfServer, *questions: dict[str, Any]) -> list[dict[str, Any]]:
@@ -190,7 +201,7 @@ def asked(server: ShelfServer, *questions: dict[str, Any]) -> list[dict[str, Any
 
 
 def test_the_page_asks_nobody_else(server: ShelfServer) -> None:
-    answer = get(server, "/")
+    answer = home(server)
     policy = answer.headers["Content-Security-Policy"]
     assert "default-src 'none'" in policy
     assert "frame-ancestors 'none'" in policy
@@ -204,23 +215,67 @@ def test_the_page_asks_nobody_else(server: ShelfServer) -> None:
 
 
 def test_a_runs_page_is_shown_without_an_origin(server: ShelfServer) -> None:
-    answer = get(server, "/run/run-00001/report.html")
-    assert answer.status == 200
-    assert answer.headers["Content-Security-Policy"] == SANDBOX
-    assert "allow-same-origin" not in SANDBOX
+    """In a frame, whose policy keeps it there, and with one of its own by which it loads nothing from elsewhere."""
+    place = below(server, "run-00001/report.html")
+    around, itself = get(server, place), get(server, f"{place}?page")
+    hosts = f"http://127.0.0.1:{server.port}", f"http://localhost:{server.port}"
+    only = " ".join(f"{host}{below(server)}" for host in hosts)
+    rules = [
+        dict(rule.split(maxsplit=1) for rule in answer.headers["Content-Security-Policy"].split("; "))
+        for answer in (around, itself)
+    ]
+    assert (around.status, itself.status) == (200, 200)
+    assert rules[0]["default-src"] == rules[1]["default-src"] == "'none'"
+    assert rules[0]["frame-src"] == rules[1]["frame-src"] == only
+    assert rules[1]["sandbox"] == ALLOWED == "allow-scripts allow-downloads"
+    assert f'sandbox="{ALLOWED}"' in around.text  # type: ignore[attr-defined]
+    assert "connect-src" not in rules[1]
+    assert rules[1]["frame-ancestors"] == " ".join(hosts)
+    assert get(server, f"{place}?page", **{"Sec-Fetch-Dest": "document"}).text == around.text  # type: ignore[attr-defined]
+    assert get(server, place, **{"Sec-Fetch-Dest": "iframe"}).text == itself.text  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
     "path",
-    ["/run/../secret.html", "/run/%2e%2e/secret.html", "/run//etc/passwd", "/run/run-00001/", "/run/other/note.txt",
-     "/run/.index.json", "/run/linked/summary.json", "/run/run-00001/%00.html", "/nothing"],
+    [
+        "/",
+        "/?token=",
+        "/?token=guessed",
+        "/run/run-00001/report.html",
+        "/run/guessed/run-00001/report.html",
+        "/nothing",
+        "/run/",
+    ],
+)
+def test_without_the_printed_address_there_is_nothing(server: ShelfServer, path: str) -> None:
+    """Another account of the machine reaches the port as well as this one."""
+    answer = get(server, path)
+    assert answer.status == 403
+    assert (
+        answer.text
+        == "Open the address that hexjet has printed, with its token: this page is for those who were told it.\n"
+    )  # type: ignore[attr-defined]
+
+
+def test_a_runs_page_does_not_have_what_commands(server: ShelfServer) -> None:
+    """It sees the key in its own address, which opens neither the page nor the socket."""
+    key = below(server).split("/")[2]
+    assert key != token(server)
+    assert get(server, f"/?token={key}").status == 403
+    assert key not in server.url
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["../secret.html", "%2e%2e/secret.html", "/etc/passwd", "run-00001/", "other/note.txt",
+     ".index.json", "linked/summary.json", "run-00001/%00.html", "nothing"],
 )  # fmt: skip
 def test_no_other_file_is_given_out(server: ShelfServer, runs: Path, path: str) -> None:
     (runs.parent / "secret.html").write_text("secret")
     (runs.parent / "away").mkdir()
     (runs.parent / "away" / "summary.json").write_text("secret")
     (runs / "linked").symlink_to(runs.parent / "away")
-    assert get(server, path).status == 404
+    assert get(server, below(server, path)).status == 404
 
 
 def test_another_name_of_this_machine_gets_nothing(server: ShelfServer) -> None:
@@ -252,10 +307,10 @@ def test_what_the_page_asks_for_is_done(server: ShelfServer, runs: Path) -> None
     assert len(first["rows"]) - len(rows["rows"]) == 2
     assert deleted == {"said": "2 deleted"}
     assert tagged == {"said": "1 tagged"}
-    assert compared["open"] == "/run/comparison-001/comparison.html"
+    assert compared["open"] == below(server, "comparison-001/comparison.html")
     assert wrong == {"said": "../outside: is not here", "failed": True}
     assert {row[0]: row[3] for row in last["rows"]}["run-00002"] == ["kept"]
-    assert get(server, compared["open"]).text == "run-00002 run-00003"  # type: ignore[attr-defined]
+    assert get(server, compared["open"] + "?page").text == "run-00002 run-00003"  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
@@ -265,3 +320,29 @@ def test_what_makes_no_sense_does_nothing(server: ShelfServer, question: dict[st
     first, answer, rows = asked(server, question)
     assert not answer.get("failed")
     assert rows == first
+
+
+def test_the_browser_is_told_the_way_by_a_file_that_nobody_else_may_read(
+    hexjet: Hexjet, runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What stands on its command line every account of the machine can read."""
+    told: list[str] = []
+    serve = ShelfServer.run
+
+    def serve_shortly(self: ShelfServer) -> None:
+        thread = threading.Thread(target=serve, args=(self,))
+        thread.start()
+        self.close()
+        thread.join()
+
+    monkeypatch.setattr("webbrowser.open", told.append)
+    monkeypatch.setattr(ShelfServer, "run", serve_shortly)
+    done = hexjet("open", str(runs), "--browser", "--port", "0")
+    printed = re.search(r"http://127.0.0.1:\d+/\?token=(\S+)", done.err)
+    assert printed
+    (address,) = told
+    assert address.startswith("file:///")
+    assert printed[1] not in address
+    page = Path(address.removeprefix("file://"))
+    assert f"url={printed[0]}" in page.read_text()
+    assert page.parent.stat().st_mode & 0o077 == 0

@@ -7,6 +7,7 @@ they are told for the true one.
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import tempfile
 from collections import OrderedDict
@@ -19,6 +20,7 @@ from pathlib import Path
 from threading import Thread
 
 from cosim.base.runtime.processes import Child, python_command
+from cosim.base.storage.scratch import scratch
 from cosim.groundstation.mavlink.services.ftp import Bytes, File
 from cosim.groundstation.mavlink.services.service import MAX_CLIENTS, Client, Outgoing, Peer, RateLimit, Service
 from cosim.groundstation.mavlink.wire.dialect import Message
@@ -77,7 +79,7 @@ class LogStore:
 
     def __init__(self, runs: Callable[[], Sequence[Path]]) -> None:
         self._runs = runs
-        self._folder = tempfile.TemporaryDirectory(prefix="hexjet-logs-")
+        self._folder = Path(tempfile.mkdtemp(prefix="logs-", dir=scratch()))
         self._known: set[Path] = set()
         self._maker: tuple[Child, Log, float] | None = None
         self._made = 0  # how many of them are done with
@@ -159,7 +161,7 @@ class LogStore:
         self._stop()
         if self._search is not None:
             self._search.join()
-        self._folder.cleanup()
+        shutil.rmtree(self._folder, ignore_errors=True)
 
     def _stop(self) -> None:
         if self._maker is not None:
@@ -167,7 +169,7 @@ class LogStore:
             self._maker = None
 
     def _path(self, log: Log) -> Path:
-        return Path(self._folder.name) / f"{log.number}.ulg"
+        return self._folder / f"{log.number}.ulg"
 
 
 class LogService(Service):
