@@ -16,8 +16,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from queue import Queue
-from threading import Thread
 from typing import Any
 
 from cosim.base.errors import FlightError, InputError
@@ -27,7 +25,7 @@ from cosim.base.signals import Sample
 from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.autopilot.estimation.position import Fix
 from cosim.control.autopilot.modes import Home, LandedState, Mode, Severity
-from cosim.control.autopilot.parameters import Parameters, table
+from cosim.control.autopilot.parameters import Caution, Parameters, table
 from cosim.control.autopilot.requests import (
     Answer,
     MissionClear,
@@ -40,9 +38,19 @@ from cosim.control.autopilot.requests import (
 )
 from cosim.control.autopilot.status import Status
 from cosim.flight import record, reserve_folder, with_page
-from cosim.groundstation.exchange import Exchange, Restart, SessionInfo, Shutdown, Snapshot
+from cosim.groundstation.exchange import Exchange, Restart, SessionInfo, Shutdown, Snapshot, Waiting
 from cosim.groundstation.log_limit import LIMIT_MB, LogLimit
-from cosim.groundstation.parameter_store import ParameterStore
+from cosim.groundstation.parameter_guard import (
+    Judge,
+    ParameterGuard,
+    ParameterWriter,
+    differing,
+    kept_cautions,
+    refusal,
+    tell,
+    warnings_of,
+)
+from cosim.groundstation.stick_owner import StickOwner
 from cosim.results.autopilot.autopilot_record import PilotRecord
 from cosim.results.autopilot.request_log import REQUESTS, RequestLog
 from cosim.results.run import AUTOPILOT, Recording, Run, claim_folder
@@ -99,9 +107,10 @@ class Session:
         self._out = out
         self._report, self._log_mb = report, log_mb
         self._begun, self._over = begun, over
-        self._parameters = _ParameterWriter(
+        self._parameters = ParameterWriter(
             parameters, vehicle_key(scenario), lambda text: exchange.say(Severity.WARNING, text)
         )
+        self._guard = ParameterGuard()
         self._stopping = ""
         self._restart = False
         self._numbered = 1  # of the last folder beside ``out``
@@ -118,6 +127,16 @@ class Session:
         """Where parameters are kept."""
         return self._parameters.path
 
+    def judged_by(self, judge: Judge) -> None:
+        """Have changes of the parameters that tune a loop judged by this; without one every change is taken."""
+        self._guard.judge = judge
+
+    def kept_lines(self) -> list[str]:
+        """Return what there is to say of the parameters that are kept: what differs, and what that makes worse."""
+        parameters, values = self.facts.parameters, self._parameters.values
+        cautions = kept_cautions(self._guard.judge, parameters, values)
+        return [*differing(parameters, values), *(caution.text for caution in cautions)]
+
     def stop(self, why: str) -> None:
         """End the session after the present step; from any thread, and from a signal handler."""
         self._stopping = self._stopping or why
@@ -128,6 +147,7 @@ class Session:
             return self._fly_on()
         finally:
             self._parameters.close()
+            self._guard.close()
 
     def _fly_on(self) -> list[Run]:
         while True:
@@ -176,12 +196,15 @@ class Session:
         simulation, exchange = flight.simulation, self.exchange
         recording = flight.begin(self._log_mb)
         assert flight.noting is not None
-        while flight.facts.number > 1 and (late := exchange.take(1)):  # meant for the flight before
+        # meant for the flight before
+        while flight.facts.number > 1 and (late := [*self._guard.left(), *exchange.take(1)]):
             for waiting in late:
                 waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "a new flight begins"))
         self._parameters.restore(flight.put)
         self._begun(flight.facts)
         exchange.say(Severity.INFO, f"flight {flight.facts.number}: {flight.facts.vehicle.name}")
+        parameters = flight.pilot.parameters
+        tell(exchange.say, self._guard.judge, parameters, parameters.changed())
         flight.publish(None, None)
         with steady():
             begin = time.perf_counter()
@@ -215,21 +238,43 @@ class Session:
                 break
             until = until or time.perf_counter() + _REQUEST_TIME
             for waiting in taken:
-                request = waiting.request
-                if isinstance(request, (Restart, Shutdown)):
-                    answer = self._refuse_or_leave(flight, request, waiting.sender)
-                else:
-                    answer = flight.ask(waiting.sender, request, k)
-                if isinstance(request, SetParameter) and answer.accepted:
-                    self._parameters.keep(flight.pilot.parameters.changed())
-                elif isinstance(request, (MissionUpload, MissionClear)):
-                    flight.publish(None, None)  # who has the answer may read the mission back
-                waiting.answer(answer)
+                if not self._guard.holds(waiting):
+                    waiting.answer(self._serve(flight, waiting, k))
             if time.perf_counter() > until:
                 break
+        if judged := self._guard.judged(flight.pilot.parameters.values):
+            waiting, cautions = judged
+            waiting.answer(self._serve_judged(flight, waiting, cautions, k))
         if self._restart:
             return Ending("completed", "a restart was asked for")
         return None
+
+    def _serve(self, flight: _Flight, waiting: Waiting, k: int) -> Answer:
+        """Do what was asked, and give the answer."""
+        request = waiting.request
+        if isinstance(request, (Restart, Shutdown)):
+            return self._refuse_or_leave(flight, request, waiting.sender)
+        answer = flight.ask(waiting.sender, request, k)
+        if isinstance(request, SetParameter) and answer.accepted:
+            self._parameters.keep(flight.pilot.parameters.changed())
+        elif isinstance(request, (MissionUpload, MissionClear)):
+            flight.publish(None, None)  # who has the answer may read the mission back
+        return answer
+
+    def _serve_judged(self, flight: _Flight, waiting: Waiting, cautions: list[Caution], k: int) -> Answer:
+        """Make a change of a loop, with what is to be said of it; or refuse it, which is recorded too."""
+        request, pilot = waiting.request, flight.pilot
+        assert isinstance(request, SetParameter)
+        in_air = pilot.armed and pilot.status.landed is not LandedState.ON_GROUND
+        if why := refusal(request, cautions, in_air, pilot.parameters.values):
+            self.exchange.say(Severity.ERROR, why, k)
+            answer = Answer(False, Result.TEMPORARILY_REJECTED, why)
+            flight.refuse(waiting.sender, request, answer, k)
+            return answer
+        answer = self._serve(flight, waiting, k)
+        for text in warnings_of(request, cautions) if answer.accepted else ():
+            self.exchange.say(Severity.WARNING, text, k)
+        return answer
 
     def _refuse_or_leave(self, flight: _Flight, request: Restart | Shutdown, sender: str) -> Answer:
         if flight.pilot.armed:
@@ -252,37 +297,25 @@ class Session:
             left = max(0.0, self.duration - flight.simulation.k * flight.simulation.dt)
             patience = time.monotonic() + (left / self.factor if self.factor else 0.0)
         while not (self._restart or self._stopping) and (patience is None or time.monotonic() < patience):
-            for waiting in exchange.take(_MOST_A_STEP):
+            for waiting in [*self._guard.left(), *exchange.take(_MOST_A_STEP)]:
                 answer = Answer(False, Result.FAILED, f"the flight is over: {ending.reason}")
                 if isinstance(waiting.request, (Restart, Shutdown)):
                     self._leave(waiting.request, waiting.sender)
                     answer = Answer(True, Result.ACCEPTED, "")
+                elif isinstance(waiting.request, SetParameter):
+                    answer = self._keep_for_next(flight, waiting.request)
                 waiting.answer(answer)
             flight.publish(None, ending)
             time.sleep(_OVER_EVERY)
 
-
-class _StickOwner:
-    """Whose sticks count: those of who had them first, until they are let go; as PX4 chooses between its sources."""
-
-    def __init__(self, parameters: Parameters, step: float) -> None:
-        self._parameters, self._step = parameters, step
-        self._holder, self._at = "", 0
-        self._announced = False
-
-    def others(self, sender: str, k: int) -> str:
-        """Who else has them at step ``k``; empty: from now on ``sender`` has."""
-        fresh = (k - self._at) * self._step <= self._parameters["HJ_STICK_TIME"]
-        if self._holder not in ("", sender) and fresh:
-            return self._holder
-        self._announced = self._announced and self._holder == sender
-        self._holder, self._at = sender, k
-        return ""
-
-    def first_time(self) -> bool:
-        """Is this the first time since they changed hands?  It is said once, however many others there are."""
-        announced, self._announced = self._announced, True
-        return not announced
+    def _keep_for_next(self, flight: _Flight, request: SetParameter) -> Answer:
+        """A parameter that is set after the end of a flight is the next one's; the vehicle is not flown any more."""
+        answer = flight.pilot.handle(request, flight.simulation.k)
+        if answer.accepted:
+            self._parameters.keep(flight.pilot.parameters.changed())
+            value = flight.pilot.parameters[request.name]
+            self.exchange.say(Severity.NOTICE, f"{request.name} {value:g} from the next flight on")
+        return answer
 
 
 @dataclass
@@ -301,7 +334,7 @@ class _Flight:
     last_message: int = 0  # messages of the pilot that have been passed on
 
     def __post_init__(self) -> None:
-        self.hands = _StickOwner(self.pilot.parameters, self.simulation.dt)
+        self.hands = StickOwner(self.pilot.parameters, self.simulation.dt)
 
     def begin(self, log_mb: float | None = LIMIT_MB) -> LogLimit:
         """Make the run's folder, for a log of so many MB.  Raises InputError if it is not usable."""
@@ -323,6 +356,11 @@ class _Flight:
         answer = self.pilot.handle(request, k)
         self.log.write(k, sender, request, answer)
         return answer
+
+    def refuse(self, sender: str, request: Request, answer: Answer, k: int) -> None:
+        """Write down what was not put to the pilot.  Raises FlightError."""
+        assert self.log is not None
+        self.log.write(k, sender, request, answer, asked=False)
 
     def put(self, name: str, value: float) -> None:
         """A parameter that was kept.  Raises InputError where it is refused."""
@@ -402,57 +440,6 @@ class _Publisher:
                 f"{missed} deadlines missed in {_WARN_EVERY:g} s, latest by {1e3 * report.worst:.1f} ms",
                 self._flight.simulation.k,
             )
-
-
-class _ParameterWriter:
-    """Writes parameters to their file in a thread of its own: a disk may take longer than a step.
-
-    ``path`` None: they are kept for the session alone.  Raises InputError for a file that cannot be used.
-    """
-
-    def __init__(self, path: Path | None, vehicle: str, complain: Callable[[str], None]) -> None:
-        self.path = path
-        self._store = None if path is None else ParameterStore(path, vehicle)
-        self._complain = complain
-        self._values = self._store.load() if self._store else {}
-        self._first = True
-        self._work: Queue[dict[str, float] | None] = Queue()
-        self._thread: Thread | None = None
-
-    def restore(self, put: Callable[[str, float], None]) -> None:
-        """Hand what is kept to a new flight."""
-        if self._store is not None and self._first:
-            for text in self._store.restore(put):
-                self._complain(text)
-        else:
-            for name, value in self._values.items():
-                put(name, value)
-        self._first = False
-
-    def keep(self, values: dict[str, float]) -> None:
-        """These from now on."""
-        self._values = values
-        if self._store is None:
-            return
-        if self._thread is None:
-            self._thread = Thread(target=self._write, name="parameters")
-            self._thread.start()
-        self._work.put(values)
-
-    def close(self) -> None:
-        """Everything is written."""
-        if self._thread is not None:
-            self._work.put(None)
-            self._thread.join()
-            self._thread = None
-
-    def _write(self) -> None:
-        assert self._store is not None
-        while (values := self._work.get()) is not None:
-            try:
-                self._store.save(values)
-            except InputError as error:
-                self._complain(f"parameters not saved: {error}")
 
 
 class ReadOnlyObserver:

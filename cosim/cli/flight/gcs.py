@@ -131,6 +131,7 @@ def gcs(
     repeats it without a ground station.  Status as of hexjet fly, for the last flight: 0 flown as planned; 1 it failed
     or went beyond its limits; 2 wrong input.
     """
+    from cosim.design.measured.judge import LoopJudge
     from cosim.groundstation.links import Links
     from cosim.groundstation.parameter_store import default_file
     from cosim.groundstation.session import (
@@ -162,6 +163,7 @@ def gcs(
             begun=opened.begin,
             over=opened.end,
         )
+        session.judged_by(LoopJudge(session.scenario))
         print_gcs(session, opened, log_limit, to_stderr=as_json)
         with stopped_by_signals(session), live_line(opened, quiet=as_json):
             runs = session.run()
@@ -189,6 +191,7 @@ def print_gcs(session: Session, links: Links, log_mb: float, to_stderr: bool) ->
         *([("page", links.page)] if links.page else []),
         *([("Foxglove", links.foxglove)] if links.foxglove else []),
         ("parameters", f"{session.parameters or 'not kept'}"),
+        *[("", line) for line in session.kept_lines()],
         ("run", str(session.facts.folder)),
         ("log", f"{hourly_mb(session.facts):.0f} MB an hour of flight, {log_mb:g} MB a flight at most (--log-limit)"),
         ("pace", "as fast as it goes" if session.factor is None else f"{session.factor:g} x real time"),

@@ -46,6 +46,15 @@ class Parameter:
     decimals: int = field(default=3)
 
 
+class Caution(NamedTuple):
+    """What is to be said of a loop that a change of parameters makes worse."""
+
+    axis: str  # "roll", "pitch", "yaw", "altitude"
+    unstable: bool
+    loses: bool  # it was stable before
+    text: str
+
+
 NOTHING, HOLD, RETURN, LAND = range(4)  # what a failsafe does
 _ACTIONS = (Meaning(0, "message only"), Meaning(1, "hold"), Meaning(2, "return"), Meaning(3, "land"))
 
@@ -238,6 +247,9 @@ def _failsafes(pilot: PilotSettings) -> Iterator[Parameter]:
     yield line("HJ_FUEL_MARGIN", 30.0, 200.0, "%", text, 5.0)
     yield line("HJ_ENDURANCE", pilot.endurance_s, 1e5, "s", "hover on a full battery, 0: not estimated")
     yield action("HJ_ENG_ACT", LAND, "when an engine fails in the air")
+    off_on = (Meaning(0, "refused"), Meaning(1, "taken"))
+    text = "parameters set in the air that make a loop unstable"
+    yield Parameter("HJ_FORCE", "int", 0, 0, 1, "", "Failsafe", text, off_on)
     yield action("HJ_SENS_ACT", RETURN, "when the barometer fails or the gyro is biased")
     yield line("HJ_ARM_LEAN", 10.0, 30.0, "deg", "most lean that may be armed at", 1.0)
     yield line("HJ_TIP_LEAN", 60.0, 90.0, "deg", "a lean for half a second that counts as lost control", 20.0)

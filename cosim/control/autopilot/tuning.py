@@ -15,7 +15,7 @@ from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.control.autopilot.parameters import Parameters
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.rate import RateController
-from cosim.spec.vehicle import Control, PredictorTuning, RateGains
+from cosim.spec.vehicle import AltitudeGains, AttitudeGains, Control, PredictorTuning, RateGains
 
 CATCH_UP_STEPS = 1000  # that a predictor that comes in flight is told of: 4 s at 250 Hz, 40 delays of a jet
 
@@ -70,33 +70,17 @@ class Live:
         parameters.set(name, value)
 
     def _predict(self, values: Mapping[str, float]) -> None:
-        tuning = self._control.predictor
-        for spec in PREDICTORS.values():
-            live = {own.name: values[own.mavlink] for own in spec.parameters if own.mavlink}
-            tuning = spec.tuned(tuning, live)
-        name = next(spec.name for spec in PREDICTORS.values() if spec.value == values["HJ_PRED_TYPE"])
+        name = controller_of(values)
+        assert name is not None  # the table has no other values
+        tuning = _predictor_tuning(self._control, values)
         made = self._blocks.predictors(name, values["HJ_PRED_DELAY"], tuning)
         self._blocks.rate.retune(rate_gains(self._control, values), made)
 
     def _aim(self, values: Mapping[str, float]) -> None:
-        old = self._control.attitude
-        gain = [values[f"HJ_ATT_{axis.upper()}"] for axis in AXES]
-        limit = [radians(values[f"HJ_RLIM_{axis.upper()}"]) for axis in AXES]
-        changed = {"gain_1_s": tuple(gain), "rate_limit_rad_s": tuple(limit)}
-        self._blocks.attitude.retune(old.model_copy(update=changed), self._step)
+        self._blocks.attitude.retune(_attitude(self._control, values), self._step)
 
     def _climb(self, values: Mapping[str, float]) -> None:
-        self._blocks.altitude.retune(
-            self._control.altitude.model_copy(
-                update={
-                    "position_1_s": values["HJ_ALT_P"],
-                    "velocity_1_s": values["HJ_CLIMB_P"],
-                    "integral_1_s2": values["HJ_CLIMB_I"],
-                    "climb_limit_m_s": values["HJ_SPEED_UP"],
-                    "descent_limit_m_s": values["HJ_SPEED_DN"],
-                }
-            )
-        )
+        self._blocks.altitude.retune(_altitude(self._control, values))
 
 
 _RATE_NAMES = frozenset(f"HJ_{axis.upper()}_{term}" for axis in AXES for term in "PID")
@@ -108,3 +92,47 @@ def rate_gains(control: Control, values: Mapping[str, float]) -> list[RateGains]
         law.model_copy(update={term: values[f"HJ_{axis.upper()}_{term.upper()}"] for term in "pid"})
         for axis, law in zip(AXES, (control.rate.roll, control.rate.pitch, control.rate.yaw), strict=True)
     ]
+
+
+def controller_of(values: Mapping[str, float]) -> str | None:
+    """Return the name of the predictor that HJ_PRED_TYPE stands for; None for one from outside."""
+    return next((spec.name for spec in PREDICTORS.values() if spec.value == values["HJ_PRED_TYPE"]), None)
+
+
+def control_of(control: Control, values: Mapping[str, float]) -> Control:
+    """Return a vehicle's loops with the gains of ``values``: rate, attitude, height, predictor."""
+    roll, pitch, yaw = rate_gains(control, values)
+    return control.model_copy(
+        update={
+            "rate": control.rate.model_copy(update={"roll": roll, "pitch": pitch, "yaw": yaw}),
+            "attitude": _attitude(control, values),
+            "altitude": _altitude(control, values),
+            "predictor": _predictor_tuning(control, values),
+        }
+    )
+
+
+def _predictor_tuning(control: Control, values: Mapping[str, float]) -> PredictorTuning:
+    tuning = control.predictor
+    for spec in PREDICTORS.values():
+        live = {own.name: values[own.mavlink] for own in spec.parameters if own.mavlink}
+        tuning = spec.tuned(tuning, live)
+    return tuning
+
+
+def _attitude(control: Control, values: Mapping[str, float]) -> AttitudeGains:
+    gain = [values[f"HJ_ATT_{axis.upper()}"] for axis in AXES]
+    limit = [radians(values[f"HJ_RLIM_{axis.upper()}"]) for axis in AXES]
+    return control.attitude.model_copy(update={"gain_1_s": tuple(gain), "rate_limit_rad_s": tuple(limit)})
+
+
+def _altitude(control: Control, values: Mapping[str, float]) -> AltitudeGains:
+    return control.altitude.model_copy(
+        update={
+            "position_1_s": values["HJ_ALT_P"],
+            "velocity_1_s": values["HJ_CLIMB_P"],
+            "integral_1_s2": values["HJ_CLIMB_I"],
+            "climb_limit_m_s": values["HJ_SPEED_UP"],
+            "descent_limit_m_s": values["HJ_SPEED_DN"],
+        }
+    )

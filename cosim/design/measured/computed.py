@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,11 +32,17 @@ class Computed:
     loop: Complex
 
 
-def computed(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[str]) -> dict[str, Computed] | str:
-    """By axis; or why it cannot be computed.  What the scenario's mismatch changes is not in it.
+@dataclass(frozen=True)
+class Plants:
+    """A vehicle's channels in hover, with its engine as it is swept there."""
 
-    The engine is swept around the thrust that the vehicle hovers with.
-    """
+    channels: Mapping[str, Channel]
+    spec: EngineSpec
+    share: float  # of the engines' range, at which it hovers
+
+
+def plants_of(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Plants | str:
+    """Return the channels of a scenario's vehicle with the fuel that it begins with; or why there are none."""
     if scenario.controller not in PREDICTORS:
         return "a controller from outside: there is nothing to compute from"
     if PREDICTORS[scenario.controller].response is None:
@@ -46,17 +53,33 @@ def computed(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[
     there = vehicle if vehicle.fuel is None or fuel == 1.0 else lighter(vehicle, fuel)
     try:
         engine = Actuator.of(spec.name, dynamics_of(identify_there(scenario, there, spec, None)))
-        plants = channels(scenario, there, spec, engine)
+        return Plants(channels(scenario, there, spec, engine), spec, hover_share(there, spec))
     except InputError as error:
         return str(error)
-    tunings = {axis: _tuning(plants[axis], scenario, vehicle, spec) for axis in (*LEVELLED, *axes)}
-    plan, step = vehicle.control.schedule, scenario.step_s
+
+
+def tunings_of(plants: Plants, scenario: Scenario, vehicle: Vehicle, axes: Sequence[str]) -> dict[str, Tuning]:
+    """Return what flies on the axes, with the schedule's gains where the vehicle has one."""
+    tunings = {axis: _tuning(plants.channels[axis], scenario, vehicle, plants.spec) for axis in (*LEVELLED, *axes)}
+    plan = vehicle.control.schedule
     if plan:
         levelled = {axis: tunings[axis] for axis in LEVELLED}
-        tunings |= at_share(plan, levelled, hover_share(there, spec), step)
+        tunings |= at_share(plan, levelled, plants.share, scenario.step_s)
+    return tunings
+
+
+def computed(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[str]) -> dict[str, Computed] | str:
+    """By axis; or why it cannot be computed.  What the scenario's mismatch changes is not in it.
+
+    The engine is swept around the thrust that the vehicle hovers with.
+    """
+    plants = plants_of(scenario, vehicle, spec)
+    if isinstance(plants, str):
+        return plants
+    tunings, step = tunings_of(plants, scenario, vehicle, axes), scenario.step_s
     margins = {}
     for axis in axes:
-        closed = ClosedLoop(FrequencyGrid(plants[axis], close=FINE), tunings[axis])
+        closed = ClosedLoop(FrequencyGrid(plants.channels[axis], close=FINE), tunings[axis])
         if closed.unstable_poles:
             return f"{axis}: the linear loop is not stable"
         below = closed.points.theta < np.pi * (1.0 - 1e-9)

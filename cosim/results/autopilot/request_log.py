@@ -21,7 +21,7 @@ from cosim.control.autopilot.requests import (
 )
 
 REQUESTS = "requests.jsonl"
-_OURS = ("step", "sender", "result", "text")  # keys of a line that are not the request's
+_OURS = ("step", "sender", "result", "text", "asked")  # keys of a line that are not the request's
 
 
 class Entry(NamedTuple):
@@ -31,6 +31,7 @@ class Entry(NamedTuple):
     sender: str
     request: Request
     result: str  # of the answer it got
+    asked: bool = True  # False: it was refused before the pilot was asked
 
 
 class RequestLog:
@@ -46,11 +47,16 @@ class RequestLog:
         except OSError as error:
             raise InputError(f"{path}: {error.strerror or error}") from error
 
-    def write(self, k: int, sender: str, request: Request, answer: Answer) -> None:
-        """A request that was handled before step ``k``.  Raises FlightError if it cannot be written."""
+    def write(self, k: int, sender: str, request: Request, answer: Answer, asked: bool = True) -> None:
+        """Append a request that was handled before step ``k``, or refused without asking the pilot.
+
+        Raises FlightError if it cannot be written.
+        """
         line: dict[str, Any] = {"step": k, "sender": sender, "result": answer.result.value}
         if answer.text:
             line["text"] = answer.text
+        if not asked:
+            line["asked"] = False
         rest = memoryview((json.dumps(line | to_dict(request), allow_nan=False) + "\n").encode())
         try:
             while rest:
@@ -95,7 +101,8 @@ def _entry(line: str, where: str) -> Entry:
         raise InputError(f"{where}: step = {step!r}: must be a whole number, 0 or more")
     rest = {key: value for key, value in data.items() if key not in _OURS}
     try:
-        return Entry(step, str(data.get("sender", "")), from_dict(rest), str(data.get("result", "")))
+        asked = data.get("asked") is not False
+        return Entry(step, str(data.get("sender", "")), from_dict(rest), str(data.get("result", "")), asked)
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
 
@@ -113,6 +120,8 @@ class Replay:
         while self._next < len(self._entries) and self._entries[self._next].step <= k:
             entry = self._entries[self._next]
             self._next += 1
+            if not entry.asked:
+                continue
             answer = self._pilot.handle(entry.request, k)
             if entry.result and answer.result.value != entry.result:
                 name = type(entry.request).__name__

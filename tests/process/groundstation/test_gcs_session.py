@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 from patience import PATIENCE
+from session_pilot import Pilot, flown
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot import requests as rq
@@ -31,7 +32,6 @@ from cosim.groundstation.exchange import (
     Exchange,
     Restart,
     Shutdown,
-    Snapshot,
 )
 from cosim.groundstation.session import ReadOnlyObserver, Session, place_at
 from cosim.results.autopilot.request_log import REQUESTS, RequestLog, read_requests
@@ -225,70 +225,6 @@ def test_messages_are_numbered_and_only_the_last_are_kept() -> None:
 
 
 # --- sessions ----------------------------------------------------------------------------------------------------
-
-
-class Pilot:
-    """A person at a ground station, in a thread of their own, who never waits for the wall clock."""
-
-    def __init__(self, exchange: Exchange, name: str = "test") -> None:
-        self.exchange, self.name = exchange, name
-        self._news = threading.Event()
-        exchange.subscribe(self._news.set)
-
-    def ask(self, request: Any) -> Answer:
-        got: list[Answer] = []
-        here = threading.Event()
-        self.exchange.ask(request, lambda answer: (got.append(answer), here.set())[0], self.name)
-        assert here.wait(PATIENCE), request
-        return got[0]
-
-    def ok(self, *requests: Any) -> None:
-        for request in requests:
-            answer = self.ask(request)
-            assert answer.accepted, (request, answer)
-
-    def until(self, true: Callable[[Snapshot], bool]) -> Snapshot:
-        end = time.monotonic() + PATIENCE
-        while time.monotonic() < end:
-            snapshot = self.exchange.snapshot
-            if snapshot is not None and true(snapshot):
-                return snapshot
-            self._news.wait(0.1)
-            self._news.clear()
-        last = self.exchange.snapshot
-        raise AssertionError(f"not in time: {last and last.status}, {self.exchange.messages[-5:]}")
-
-    def take_off(self, height: float) -> None:
-        self.until(lambda s: s.status.ready)
-        self.ok(rq.Arm(), rq.Takeoff(height))
-        self.until(lambda s: s.status.mode is Mode.HOLD and s.measured.altitude > height - 1.0)
-
-    def land(self) -> None:
-        self.ok(rq.Land())
-        self.until(lambda s: not s.status.armed)
-
-
-def flown(folder: Path, script: Callable[[Pilot, Session], None], **options: Any) -> Session:
-    """A session that flies a script as fast as it goes, and stops."""
-    scenario = options.pop("scenario", Scenario.load("hover").replace(name="gcs"))
-    session = Session(scenario, Exchange(), factor=None, out=folder, report=False, **options)
-    failed: list[BaseException] = []
-
-    def run() -> None:
-        try:
-            script(Pilot(session.exchange), session)
-        except BaseException as error:
-            failed.append(error)
-        finally:
-            session.stop("the script is over")
-
-    thread = threading.Thread(target=run)
-    thread.start()
-    session.run()
-    thread.join()
-    if failed:
-        raise failed[0]
-    return session
 
 
 def differing(one: Log, other: Log) -> list[str]:

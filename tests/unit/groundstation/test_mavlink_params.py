@@ -38,7 +38,7 @@ from cosim.spec.vehicle import load_vehicle
 
 CONTROL = load_vehicle("hexjet")[0].control
 REAL32, INT32 = mav.MAV_PARAM_TYPE_REAL32, mav.MAV_PARAM_TYPE_INT32
-NONE, UNKNOWN, RANGE, READ_ONLY, NO_TYPE, OTHER_TYPE = 0, 1, 2, 5, 6, 7
+NONE, UNKNOWN, RANGE, NOT_PERMITTED, READ_ONLY, NO_TYPE, OTHER_TYPE = 0, 1, 2, 3, 5, 6, 7
 TO = (1, 1)
 
 
@@ -292,6 +292,17 @@ def test_the_pilots_own_refusal_is_told() -> None:
     vehicle.bench.tick(0.1)
     error, value = vehicle.station.take()
     assert (error.get_type(), error.error, as_int(value.param_value)) == ("PARAM_ERROR", RANGE, 1)
+
+
+def test_what_would_lose_the_vehicle_is_not_permitted_now() -> None:
+    """Refused in the air for what it does to a loop: no value is out of range."""
+    vehicle = Vehicle()
+    vehicle.bench.pilot = lambda request: refuse("roll: the loop is unstable", Result.TEMPORARILY_REJECTED)
+    vehicle.station.send("PARAM_SET", *TO, b"HJ_ROLL_P", 0.0, REAL32)
+    vehicle.bench.tick(0.1)
+    error, value = vehicle.station.take()
+    assert (error.get_type(), error.error) == ("PARAM_ERROR", NOT_PERMITTED)
+    assert (value.param_id, as_float("<f", value.param_value)) == ("HJ_ROLL_P", as_float("<f", 0.02))
 
 
 def test_a_flood_of_sets_is_bounded() -> None:

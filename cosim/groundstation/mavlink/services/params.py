@@ -16,7 +16,7 @@ import numpy as np
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot.parameters import Parameter, Parameters
-from cosim.control.autopilot.requests import Answer, SetParameter
+from cosim.control.autopilot.requests import Answer, Result, SetParameter
 from cosim.groundstation.mavlink.about import Personality
 from cosim.groundstation.mavlink.services.service import (
     MAX_CLIENTS,
@@ -41,7 +41,7 @@ LIST_BURST = 10
 REAL32, INT32, UINT32 = wire.MAV_PARAM_TYPE_REAL32, wire.MAV_PARAM_TYPE_INT32, wire.MAV_PARAM_TYPE_UINT32
 _WHOLE = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # MAV_PARAM_TYPE: its bytes
 # MAV_PARAM_ERROR; the last two are in the MAVLink project's own definitions, not in pymavlink's
-UNKNOWN, OUT_OF_RANGE, READ_ONLY, UNSUPPORTED_TYPE, OTHER_TYPE = 1, 2, 5, 6, 7
+UNKNOWN, OUT_OF_RANGE, NOT_NOW, READ_ONLY, UNSUPPORTED_TYPE, OTHER_TYPE = 1, 2, 3, 5, 6, 7
 
 
 class ParameterService(Service):
@@ -146,7 +146,8 @@ class ParameterService(Service):
 
     def _done(self, answer: Answer, client: Client, name: str) -> Outgoing:
         if not answer.accepted:
-            return [(client.peer, message) for message in self._refuse(client, name, OUT_OF_RANGE)]
+            code = NOT_NOW if answer.result is Result.TEMPORARILY_REJECTED else OUT_OF_RANGE
+            return [(client.peer, message) for message in self._refuse(client, name, code)]
         self._sent[name] = self._parameters[name]
         return [(None, self._value(self._index[name]))]
 

@@ -1,0 +1,126 @@
+"""What a change of the autopilot's parameters does to the loops that they tune: stable or not, and with which margins.
+
+The loops are those of :mod:`cosim.design.measured.computed`: the vehicle's own channels with the engine as it is swept,
+once, in a second or two; a change then costs some milliseconds.  What is not linear, a limit of the throttle or of a
+rate, is not in it: a loop that is called unstable leaves its rest, how far is not said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import inf
+from threading import Lock
+from typing import TYPE_CHECKING, NamedTuple
+
+from cosim.base.errors import InputError
+from cosim.base.signals import AXES
+from cosim.control.autopilot.parameters import Caution
+from cosim.control.autopilot.tuning import control_of, controller_of
+from cosim.control.predictors.registry import PREDICTORS
+from cosim.spec.scenario import Scenario
+
+if TYPE_CHECKING:  # a session begins without the mathematics of designs: most are never asked for it
+    from cosim.design.loop.closed_loop import FrequencyGrid
+    from cosim.design.loop.tuning import Tuning
+    from cosim.design.measured.computed import Plants
+
+CHANNELS = (*AXES, "altitude")
+POINTS = 1500  # of the circle: half of what a report takes
+# Margins below these are told, where they are less than before; chosen by us: half of the usual 6 dB and 40 deg.
+LEAST_DB, LEAST_DEG = 3.0, 20.0
+_OF_AXIS = {axis: (f"HJ_{axis.upper()}_", f"HJ_ATT_{axis.upper()}", "HJ_PRED_") for axis in AXES}
+_NAMES = {**_OF_AXIS, "altitude": ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_I")}
+
+
+class _Loop(NamedTuple):
+    """One loop."""
+
+    stable: bool
+    share: float  # of the least margin that is not told, 1 at the bound; infinite where nothing is crossed
+    text: str  # its margins that are less
+
+
+class LoopJudge:
+    """Judges the parameters of one vehicle with its engine; may be asked from any thread."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._vehicle, _ = scenario.resolved_vehicle()
+        self._plants: Plants | str | None = None
+        self._points: dict[str, FrequencyGrid] = {}
+        self._lock = Lock()
+
+    def concerns(self, name: str) -> bool:
+        """Return whether a parameter tunes a loop that can be computed."""
+        known = self._scenario.controller in PREDICTORS and not isinstance(self._plants, str)
+        return known and any(name.startswith(begin) for names in _NAMES.values() for begin in names)
+
+    def cautions(self, before: Mapping[str, float], after: Mapping[str, float]) -> list[Caution]:
+        """Return what is to be said of every loop that a change makes worse; nothing where it cannot be computed."""
+        changed = [name for name, value in after.items() if value != before[name]]
+        axes = [axis for axis in CHANNELS if any(name.startswith(_NAMES[axis]) for name in changed)]
+        if not axes:
+            return []
+        with self._lock:
+            try:
+                old, new = self._loops(before, axes), self._loops(after, axes)
+            except (InputError, ValueError, ArithmeticError):
+                return []
+        said = []
+        for axis in new:
+            then, now = old[axis], new[axis]
+            if not now.stable:
+                said.append(Caution(axis, True, then.stable, f"{axis}: the loop is unstable"))
+            elif now.share < min(1.0, then.share):
+                said.append(Caution(axis, False, False, f"{axis}: {now.text}"))
+        return said
+
+    def _loops(self, values: Mapping[str, float], axes: list[str]) -> dict[str, _Loop]:
+        from cosim.design.measured.computed import plants_of, tunings_of
+        from cosim.engine import load_engine
+
+        if self._plants is None:
+            scenario = self._scenario
+            engine, unchecked, apart = scenario.engine, scenario.engine_unchecked, scenario.engine_isolated
+            spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, apart=apart)
+            self._plants = plants_of(scenario, self._vehicle, spec)
+        if isinstance(self._plants, str):
+            return {}
+        controller = controller_of(values)
+        if controller is None or PREDICTORS[controller].response is None:
+            return {}
+        plants, scenario = self._plants, self._scenario.replace(controller=controller)
+        family = plants.spec.family
+        vehicle = self._vehicle.model_copy(update={"control": control_of(self._vehicle.control, values)})
+        models = dict(vehicle.identified.get(family, {}))
+        if "roll" in models:  # what the controller adds itself is in the parameter, and comes on top again
+            samples = values["HJ_PRED_DELAY"] - scenario.added_delay_samples
+            models["roll"] = models["roll"].model_copy(update={"delay_samples": max(0.0, samples)})
+            vehicle = vehicle.model_copy(update={"identified": {**vehicle.identified, family: models}})
+        tunings = tunings_of(plants, scenario, vehicle, axes)
+        return {axis: self._loop(plants, axis, tunings[axis]) for axis in axes}
+
+    def _loop(self, plants: Plants, axis: str, tuning: Tuning) -> _Loop:
+        from cosim.design.design import margins
+        from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
+
+        if axis not in self._points:
+            self._points[axis] = FrequencyGrid(plants.channels[axis], close=POINTS)
+        closed = ClosedLoop(self._points[axis], tuning)
+        if closed.unstable_poles:
+            return _Loop(False, 0.0, "")
+        found = margins(closed)
+        sizes = [
+            (_share(found.gain_db, LEAST_DB), f"gain margin {_size(found.gain_db)} dB"),
+            (_share(found.gain_down_db, LEAST_DB), f"gain margin {_size(found.gain_down_db)} dB downwards"),
+            (_share(found.phase_deg, LEAST_DEG), f"phase margin {_size(found.phase_deg)} deg"),
+        ]
+        return _Loop(True, min(sizes)[0], ", ".join(text for share, text in sizes if share < 1.0))
+
+
+def _share(margin: float | None, least: float) -> float:
+    return inf if margin is None else abs(margin) / least
+
+
+def _size(margin: float | None) -> str:
+    return "none" if margin is None else f"{abs(margin):.1f}"

@@ -1,0 +1,131 @@
+"""Parameters that lose the vehicle: told, refused in the air, taken where forced, and told again after a reboot."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from session_pilot import Pilot, flown
+
+from cosim.control.autopilot import requests as rq
+from cosim.control.autopilot.modes import Mode
+from cosim.control.autopilot.requests import Result
+from cosim.design.measured.judge import LoopJudge
+from cosim.flight import fly
+from cosim.groundstation.exchange import Exchange, Restart
+from cosim.groundstation.session import Session
+from cosim.results.autopilot.request_log import REQUESTS, read_requests
+from cosim.spec.scenario import Scenario
+
+SCENARIO = Scenario.load("hover").replace(name="gcs")
+
+
+@pytest.fixture(scope="module")
+def judge() -> LoopJudge:
+    return LoopJudge(SCENARIO)
+
+
+def texts(session: Session) -> list[str]:
+    return [message.text for message in session.exchange.messages]
+
+
+def test_a_lost_loop_is_refused_in_the_air_and_taken_where_forced(tmp_path: Path, judge: LoopJudge) -> None:
+    said: list[str] = []
+
+    def script(pilot: Pilot, session: Session) -> None:
+        def value(name: str) -> float:
+            return (
+                session.facts.parameters[name] if session._next else pilot.until(lambda s: True).facts.parameters[name]
+            )
+
+        pilot.ok(rq.SetParameter("HJ_PITCH_P", 0.0))  # on the ground: taken, and told
+        assert "HJ_PITCH_P 0: pitch: the loop is unstable" in texts(session)
+        pilot.ok(rq.SetParameter("HJ_PITCH_P", 0.15))
+        pilot.take_off(4.0)
+        pilot.ok(rq.SetParameter("HJ_ROLL_P", 0.019))
+        said.extend(texts(session))
+        assert not any("HJ_ROLL_P" in text for text in said)
+        answer = pilot.ask(rq.SetParameter("HJ_ROLL_P", 0.0))
+        assert (answer.accepted, answer.result) == (False, Result.TEMPORARILY_REJECTED)
+        assert answer.text == (
+            "HJ_ROLL_P 0 refused in the air: roll: the loop is unstable; HJ_FORCE 1 takes it all the same"
+        )
+        assert answer.text in texts(session)
+        assert value("HJ_ROLL_P") == 0.019
+        pilot.ok(rq.SetParameter("HJ_PITCH_P", 1.5))
+        assert "HJ_PITCH_P 1.5: pitch: phase margin 8.0 deg" in texts(session)
+        pilot.ok(rq.SetParameter("HJ_PITCH_P", 0.15), rq.SetParameter("HJ_FORCE", 1.0))
+        pilot.ok(rq.SetParameter("HJ_ROLL_P", 0.0))
+        assert value("HJ_ROLL_P") == 0.0
+        assert "HJ_ROLL_P 0: roll: the loop is unstable" in texts(session)
+        pilot.ok(rq.SetParameter("HJ_ROLL_P", 0.02))
+        pilot.land()
+
+    session = flown(tmp_path / "run", script, judge=judge)
+    (run,) = session.runs
+    entries = read_requests(tmp_path / "run" / REQUESTS)
+    refused = [entry for entry in entries if not entry.asked]
+    assert [entry.request for entry in refused] == [rq.SetParameter("HJ_ROLL_P", 0.0)]
+    line = next(line for line in (tmp_path / "run" / REQUESTS).read_text().splitlines() if '"asked"' in line)
+    assert json.loads(line)["text"].startswith("HJ_ROLL_P 0 refused in the air")
+    # nobody judges it then, and it is the same flight
+    again = fly(tmp_path / "run" / "scenario.toml", report=False)
+    assert "answered otherwise" not in again.reason
+    assert all(np.array_equal(run.log[name], again.log[name], equal_nan=True) for name in run.log.columns)
+
+
+def test_after_a_crash_a_parameter_is_set_and_a_reboot_tells_what_is_kept(tmp_path: Path, judge: LoopJudge) -> None:
+    kept = tmp_path / "kept.toml"
+
+    def script(pilot: Pilot, session: Session) -> None:
+        pilot.ok(rq.SetParameter("HJ_FORCE", 1.0))
+        pilot.take_off(4.0)
+        pilot.ok(rq.SetParameter("HJ_ROLL_P", 0.0), rq.Goto(8.0, 8.0))
+        pilot.until(lambda s: s.ending is not None)
+        count = len(texts(session))
+        pilot.ok(Restart())
+        pilot.until(lambda s: s.facts.number == 2 and s.k > 0)
+        new = texts(session)[count:]
+        assert "not the default: HJ_ROLL_P 0 (default 0.02)" in new
+        assert "parameters: roll: the loop is unstable" in new
+        pilot.take_off(2.0)  # straight up, and then it is lost again
+        pilot.ok(rq.Goto(8.0, 8.0))
+        pilot.until(lambda s: s.ending is not None)
+        count = len(texts(session))
+        pilot.ok(rq.SetParameter("HJ_ROLL_P", 0.02), rq.SetParameter("HJ_FORCE", 0.0))
+        assert pilot.until(lambda s: True).facts.parameters["HJ_ROLL_P"] == 0.02
+        assert "HJ_ROLL_P 0.02 from the next flight on" in texts(session)[count:]
+        assert not pilot.ask(rq.SetParameter("HJ_ROLL_P", 1e6)).accepted
+        assert pilot.ask(rq.Arm()).result is Result.FAILED
+        pilot.ok(Restart())
+        count = len(texts(session))
+        pilot.until(lambda s: s.facts.number == 3 and s.k > 0)
+        assert not any(text.startswith(("not the default", "parameters:")) for text in texts(session)[count:])
+        pilot.take_off(3.0)
+        pilot.ok(rq.Goto(4.0, 4.0))
+        pilot.until(lambda s: s.status.mode is Mode.HOLD and s.measured.position[0] > 3.0)
+        pilot.land()
+
+    session = flown(tmp_path / "run", script, judge=judge, parameters=kept)
+    assert [run.outcome == "completed" for run in session.runs] == [False, False, True]
+    assert not tomllib.loads(kept.read_text()).get("parameters")
+
+
+def test_parameters_of_a_file_that_lose_the_vehicle_are_told_before_anybody_connects(
+    tmp_path: Path, judge: LoopJudge
+) -> None:
+    kept = tmp_path / "kept.toml"
+    head = 'format = 1\nvehicle = "hexjet-edf-as-flown-smith"\n[parameters]\n'
+    kept.write_text(f"{head}HJ_PRED_DELAY = 100.0\nMPC_XY_VEL_MAX = 3.0\n")
+    session = Session(SCENARIO, Exchange(), out=tmp_path / "run", parameters=kept, report=False)
+    session.judged_by(judge)
+    assert session.kept_lines() == [
+        "HJ_PRED_DELAY 100 (default 25)",
+        "MPC_XY_VEL_MAX 3 (default 4)",
+        "roll: the loop is unstable",
+    ]
+    assert session._next is not None
+    session._next.close()
