@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import tempfile
 import warnings
@@ -13,7 +14,8 @@ from typing import Any
 import click
 
 from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError, Notice
-from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, WRONG_INPUT, Terminated
+from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, WRONG_INPUT, Terminated, terminated_as_interrupted
+from cosim.cli.start import OUTPUT
 
 INTERRUPTED, TERMINATED = 130, 143  # as a shell has them
 COMMANDS = {  # where each is, so that none is read for another
@@ -71,7 +73,8 @@ def main(arguments: list[str] | None = None) -> None:
     output = sys.stdout
     warnings.showwarning = _say(warnings.showwarning)
     try:
-        status = cli.main(args=arguments, prog_name="hexjet", standalone_mode=False)
+        with terminated_as_interrupted():
+            status = cli.main(args=arguments, prog_name="hexjet", standalone_mode=False)
     except InputError as error:
         _complain(str(error))
         status = WRONG_INPUT
@@ -93,7 +96,7 @@ def main(arguments: list[str] | None = None) -> None:
     except OSError as error:
         if error.errno not in MACHINE_TROUBLE:
             raise
-        _complain(f"{error.strerror}; temporary files are in {tempfile.gettempdir()}")
+        _complain(_machine_trouble(error))
         status = FLIGHT_FAILED
     except (click.Abort, KeyboardInterrupt) as error:
         stop = error.__cause__ or error
@@ -101,6 +104,16 @@ def main(arguments: list[str] | None = None) -> None:
             _complain("stopped; what was written before is kept")
         status = TERMINATED if isinstance(stop, Terminated) else INTERRUPTED
     sys.exit(status if isinstance(status, int) else DONE)
+
+
+def _machine_trouble(error: OSError) -> str:
+    """Return in words what the machine has no more of; what standard output did not take is dropped."""
+    if error.filename != OUTPUT:
+        return f"{error.strerror}; temporary files are in {tempfile.gettempdir()}"
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nothing, sys.stdout.fileno())  # else Python tries again at its end, and fails with words of its own
+    os.close(nothing)
+    return f"{OUTPUT}: {error.strerror}"
 
 
 def _say(others: Callable[..., None]) -> Callable[..., None]:

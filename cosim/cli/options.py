@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from math import isfinite
@@ -40,16 +41,21 @@ class Terminated(KeyboardInterrupt):
 
 @contextmanager
 def terminated_as_interrupted() -> Iterator[None]:
-    """Answer SIGTERM as Ctrl-C is answered."""
+    """Answer SIGTERM, and the end of the terminal (SIGHUP), as Ctrl-C is answered; not what is ignored (nohup)."""
 
     def end(number: int, frame: object) -> None:
         raise Terminated
 
-    before = signal.signal(signal.SIGTERM, end)
+    kept = {}
+    if threading.current_thread() is threading.main_thread():  # no other may say what a signal does
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                kept[number] = signal.signal(number, end)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, before in kept.items():
+            signal.signal(number, before)
 
 
 def example(text: str) -> str:

@@ -2,13 +2,59 @@
 
 from __future__ import annotations
 
+import io
+import os
 import signal
+import sys
+from typing import Any, Final
+
+OUTPUT: Final = "standard output"  # as a message calls it
 
 
 def main() -> None:
     """The command ``hexjet``."""
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    open_standard_streams()
+    sys.stdout = named_output()
     from cosim.cli.main import main as command
 
     signal.signal(signal.SIGINT, before)
     command()
+
+
+def open_standard_streams() -> None:
+    """Open to nothing whatever of standard input, output and error is closed, as in a daemon's child.
+
+    Else the next files that are opened get their numbers, and what a library prints is written into a log.
+    """
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            opened = os.open(os.devnull, os.O_RDWR)
+            if opened != number:  # a lower number was free
+                os.dup2(opened, number)
+                os.close(opened)
+            os.set_inheritable(number, True)
+            setattr(sys, name, os.fdopen(number, mode, closefd=False))
+
+
+class _Output(io.FileIO):
+    """Standard output, which says so where it takes no more: the system's error has no name."""
+
+    def write(self, data: Any, /) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, OUTPUT) from None
+
+
+def named_output() -> io.TextIOWrapper:
+    """Return standard output as it is, but that an error of it has its name."""
+    now = sys.stdout
+    return io.TextIOWrapper(
+        io.BufferedWriter(_Output(1, "w", closefd=False)),
+        encoding=now.encoding,
+        errors=now.errors,
+        line_buffering=now.isatty(),
+    )

@@ -21,7 +21,6 @@ from cosim.cli.options import (
     aircraft_settings,
     brought_settings,
     example,
-    terminated_as_interrupted,
 )
 
 if TYPE_CHECKING:
@@ -95,7 +94,7 @@ def sweep(
     study, folder = opened(name, out, resume, **options)
     for text in study.notes() if study is not None else ():
         click.echo(f"hexjet: note: {text}", err=True)
-    with terminated_as_interrupted(), output_to_stderr(as_json), sweep_progress(folder, quiet=as_json) as tell:
+    with output_to_stderr(as_json), sweep_progress(folder, quiet=as_json) as tell:
         with workers_at(workers, cluster, time_limit) as flying:
             campaign = run_campaign(study, folder, flying, resume, tell)
         page = write_campaign_report(campaign)
@@ -186,7 +185,6 @@ def search(
         raise InputError("--resume: give the folder of the search with --out")
     folder = out if out is not None else new_folder(Path("runs"), f"search-{study.name}")
     with (
-        terminated_as_interrupted(),
         output_to_stderr(as_json),
         search_progress(folder, quiet=as_json) as tell,
         workers_at(workers, cluster, time_limit) as flying,
