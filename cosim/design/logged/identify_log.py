@@ -22,6 +22,8 @@ LONGEST_DELAY_S = 0.4  # looked for; four times that of the Hex-Jet's engines
 LEAST_DEVIANCE_FALL = 30.0  # that the command is worth: chance alone gives 10 once in 25 (four parameters)
 MISFIT = 0.02  # share of the residuals' power that may follow the command; chosen by us
 SMALL_MISFIT = 1e-3  # of what the command explains: less left over is little, however little noise there is
+FED_BACK = 0.25  # of what the command explains: if more than that follows it, it is no misfit; chosen by us
+ENOUGH = 0.2  # of what is left over, that the command explains in flights whose delay comes out (docs/logs.py)
 NOISELESS = 1e-6  # of the output's standard deviation: residuals below it are rounding, and no test says anything
 SIGNIFICANCE = 1e-3  # p-value below which a test is said to have failed
 TEST_LAGS = 12  # of the set-point and of the command, that the residuals are tested against
@@ -172,10 +174,7 @@ def identify_log(
     notes = [*log.remarks, *of_sums, *prepared.notes, *_doubts(chosen, problem)]
     checks = _checks(problem, chosen, log.signal(signals.setpoint) if signals.setpoint else None)
     if _misfit(problem, chosen, checks[1]):
-        raise InputError(
-            f"{where}: no model of this form fits: {100.0 * checks[1].share:.0f} % of what is left over still follows "
-            "the command; try --lags, a known --hold, a shorter --longest-delay, or hexjet identify engine"
-        )
+        raise InputError(f"{where}: {_why_refused(problem, chosen, checks)}")
     notes += _failed(checks) if _noisy(problem, chosen) else [NO_NOISE]
     band = _band(chosen, problem.working_step)
     notes += _advice(chosen, bounds(estimates), prepared, band)
@@ -325,12 +324,41 @@ def _noisy(problem: Problem, chosen: Estimate) -> bool:
     return float(np.sqrt(chosen.loss / chosen.count)) > NOISELESS * float(np.std(problem.output[problem.present]))
 
 
+def _explained(problem: Problem, chosen: Estimate) -> float:
+    """The sum of squares by which the command lowers that of what is left over, made white."""
+    return float(np.exp(problem.without_command(chosen) / chosen.count) * chosen.count - chosen.loss)
+
+
 def _misfit(problem: Problem, chosen: Estimate, command: Check) -> bool:
     """Whether more of what the command does is left over than a small misfit of the form leaves."""
     if not command.failed or command.share <= MISFIT or not _noisy(problem, chosen):
         return False
-    explained = np.exp(problem.without_command(chosen) / chosen.count) * chosen.count - chosen.loss
-    return command.share * chosen.loss > SMALL_MISFIT * float(explained)
+    return command.share * chosen.loss > SMALL_MISFIT * _explained(problem, chosen)
+
+
+def _why_refused(problem: Problem, chosen: Estimate, checks: Sequence[Check]) -> str:
+    """Why what is left over follows the command: the form, or a disturbance that the loop feeds back into the command.
+
+    A form that does not fit leaves a part of what the command does, and it leaves the set-point too, which contains no
+    disturbance.  Where the command explains little, and about as much follows it as it explains at all, it is the
+    disturbance: the model of the noise is of finite order, and what it lacks is in command and residual alike.
+    """
+    follows = f"{100.0 * checks[1].share:.0f} % of what is left over still follows the command"
+    explained = max(_explained(problem, chosen), 0.0)
+    by_setpoint = any(check.failed for check in checks[2:])
+    strong = explained > ENOUGH * chosen.loss
+    if strong or by_setpoint or checks[1].share * chosen.loss <= FED_BACK * explained:
+        return (
+            f"no model of this form fits: {follows}; try --lags, a known --hold, a shorter --longest-delay, or hexjet "
+            "identify engine"
+        )
+    share = max(explained / chosen.loss, 1e-4)
+    larger = max(2.0, (ENOUGH / share) ** 0.5)
+    return (
+        f"the disturbance is too large beside what the command does, which explains {100.0 * share:.1g} % as much as "
+        f"is left over; the loop feeds it back into the command ({follows}); a stronger manoeuvre is needed: doublets "
+        f"or a sweep about {larger:.0f} times as large, or calmer air"
+    )
 
 
 def _against(name: str, white: Array, use: NDArray[np.bool_], signal: Array, spread: int) -> Check:

@@ -16,6 +16,7 @@ from cosim.base.errors import InputError
 from cosim.base.storage.cache import Memory
 from cosim.engine.build import ADAPTER, ADAPTER_MADE, GENERATION_TOOL
 from cosim.engine.fmu.container import (
+    DESCRIPTION,
     UnusableError,
     Zip,
     fmi_of,
@@ -231,8 +232,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
     cosimulation = description.coSimulation
     _need_library(names, fmi, cosimulation.modelIdentifier)
     _read_unsigned(root, description)
-    bases = _bases(description)
-    elements = [element for v in description.modelVariables if v.type in TYPES for element in _elements(v, bases)]
+    elements = _all_elements(description)
     inputs, outputs, parameters = (
         tuple(v for v in elements if v.causality == causality) for causality in ("input", "output", "parameter")
     )
@@ -422,6 +422,15 @@ def _bases(description: Any) -> dict[str, Unit]:
             exponents = (base.kg, base.m, base.s, base.A, base.K, base.mol, base.cd, base.rad)
             bases[unit.name] = Unit(exponents, float(base.factor), float(base.offset))
     return bases
+
+
+def _all_elements(description: Any) -> list[Variable]:
+    """The variables, arrays by element.  Raises UnusableError for a number that is none."""
+    try:
+        bases = _bases(description)
+        return [element for v in description.modelVariables if v.type in TYPES for element in _elements(v, bases)]
+    except (ValueError, OverflowError) as error:
+        raise UnusableError(f"{DESCRIPTION} cannot be used: {one_line(error)}") from error
 
 
 def _elements(v: Any, bases: Mapping[str, Unit]) -> list[Variable]:

@@ -218,7 +218,7 @@ def need_harmless_xml(name: str, xml: bytes) -> None:
 
     if xml.startswith((b"\xfe\xff", b"\xff\xfe")) or b"\0" in xml[:4]:
         raise UnusableError(f"{name} is in UTF-16 or UTF-32; allowed: {', '.join(sorted(ENCODINGS))}")
-    parser = expat.ParserCreate()
+    parser = expat.ParserCreate(namespace_separator="}")  # a prefix that is not bound is an error, as to ElementTree
     parser.XmlDeclHandler = declaration
     parser.StartDoctypeDeclHandler = doctype
     parser.StartElementHandler = start

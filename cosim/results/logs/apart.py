@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from cosim.base.runtime.processes import end_group
+from cosim.base.compiled import environment
+from cosim.base.runtime.processes import Child, python_command
 
 _START = """
-import resource, runpy, sys
-for what, most in ((resource.RLIMIT_CPU, {seconds}), (resource.RLIMIT_AS, {size}), (resource.RLIMIT_CORE, 0)):
+import resource, runpy
+for what, most in ((resource.RLIMIT_CPU, seconds), (resource.RLIMIT_AS, size), (resource.RLIMIT_CORE, 0)):
     try:
         resource.setrlimit(what, (most, resource.getrlimit(what)[1]))
     except (ValueError, OSError):  # a lower limit is there, or the system has none
         pass
-sys.path[:], sys.argv[:] = {paths!r}, {arguments!r}
+del sys.argv[0]
 runpy.run_path(sys.argv[0], run_name="__main__")
 """
 MOST_SILENT = 30.0  # times its limit of CPU that a child may take by the clock: on a machine that is busy, or asleep
@@ -31,29 +30,23 @@ class EndedError(Exception):
 def run_apart(program: Path, arguments: Sequence[str], seconds: float, megabytes: float) -> bytes:
     """Run a Python program with the packages of this process and return what it wrote on standard output.
 
-    It may take ``seconds`` of CPU and ``megabytes`` of address space, and sees neither the current folder's modules nor
-    the environment's.  Raises EndedError where it did not come to its end.
+    It may take ``seconds`` of CPU and ``megabytes`` of address space, and does not see the current folder's modules.
+    Raises EndedError where it did not come to its end.
     """
-    start = _START.format(
-        paths=[os.path.abspath(path) for path in sys.path if path],
-        seconds=int(seconds) + 1,
-        size=int(megabytes * 2**20),
-        arguments=[str(program), *arguments],
-    )
-    child = subprocess.Popen(
-        [sys.executable, "-I", "-c", start],
+    limits = f"seconds, size = {int(seconds) + 1}, {int(megabytes * 2**20)}"
+    child = Child(
+        python_command(f"{limits}\n{_START}", str(program), *arguments),
+        environ={**environment(), "OPENBLAS_NUM_THREADS": "1"},  # each of its threads would ask for address space
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # each of its threads would ask for address space
-        start_new_session=True,
     )
     try:
         answer, _ = child.communicate(timeout=MOST_SILENT * seconds)
     except subprocess.TimeoutExpired:
         raise EndedError(f"was not done within {MOST_SILENT * seconds:.3g} s") from None
     finally:
-        end_group(child)
+        child.end()
         if child.stdout is not None:
             child.stdout.close()
     if child.returncode == -signal.SIGXCPU:

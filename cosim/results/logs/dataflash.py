@@ -81,7 +81,7 @@ def _rows(
 ) -> np.ndarray | None:
     """The messages of one kind as a table; None where there are none, or its format is none that can be read."""
     at = np.array(places, np.int64)
-    if not at.size or any(column not in TYPES for column in columns):
+    if not at.size or not columns or any(column not in TYPES for column in columns):
         return None
     layout = np.dtype([(label, TYPES[c][0]) for label, c in zip(labels, columns, strict=True)])
     if layout.itemsize + 3 != length:

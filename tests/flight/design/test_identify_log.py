@@ -110,6 +110,30 @@ def test_a_form_that_leaves_the_command_in_what_is_left_over_is_refused() -> Non
             identify_log(flight, "engine:1", LogSignals("u", "y"), longest_delay=0.3, lags=0)
 
 
+def test_weak_doublets_in_turbulence_are_refused_for_the_disturbance_and_stronger_ones_answered() -> None:
+    """The form is the truth: what is left over follows the command because the loop feeds the disturbance back.
+
+    The manoeuvre that the refusal asks for is enough.
+    """
+    truth = Truth(gain=300.0, rate=0.5, lags=(0.05,), delay_samples=20.0)
+    flaws = Flaws(gyro=0.01, turbulence=0.25, jitter=0.0, lost=0.0)
+
+    def flown(size: float) -> list[Log]:
+        return closed_loops(2, 20.0, 5, truth, flaws, p=0.015, attitude=1.2, size=size)
+
+    signals = LogSignals("u", "y", "r")
+    for log in flown(0.12):
+        with pytest.raises(InputError, match="the disturbance is too large beside what the command does") as refused:
+            identify_log(flight_log(log), "roll", signals, longest_delay=0.3)
+        assert "--lags" not in str(refused.value)
+        asked = re.search(r"about (\d+) times as large", str(refused.value))
+        assert asked
+        assert int(asked.group(1)) == 2
+    for log in flown(0.27):
+        low, high = identify_log(flight_log(log), "roll", signals, longest_delay=0.3).delay_bounds
+        assert low < 0.08 < high
+
+
 def test_wrong_stamps_are_told_from_jitter() -> None:
     for stamps, jitter, clock in ((0.15, 0.0, "even clock"), (0.0, 0.15, "stamps")):
         flaws = Flaws(gyro=0.001, turbulence=0.02, jitter=jitter, stamps=stamps, lost=0.0)

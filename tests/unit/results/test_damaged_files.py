@@ -1,5 +1,7 @@
 """Damaged files of every kind: each is read, or refused in one line, in bounded time and memory, and nothing is left."""
 
+import re
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -26,6 +28,29 @@ def test_two_thousand_damaged_files(name: str) -> None:
     assert outcome.faults == []
     assert outcome.refused > 0
     assert outcome.read > 0
+
+
+@pytest.mark.parametrize(
+    ("pattern", "instead", "said"),
+    [
+        (rb'start="[^"]*"', b'start=""', "could not convert string to float"),
+        (rb"<CoSimulation", b"<a:b/><CoSimulation", "unbound prefix"),
+    ],
+)
+def test_what_was_found_in_descriptions(tmp_path: Path, pattern: bytes, instead: bytes, said: str) -> None:
+    file = KINDS["description"].make(tmp_path)
+    file.write_bytes(re.sub(pattern, instead, file.read_bytes()))
+    refusal = damaged_files.attempt(KINDS["description"], file)
+    assert refusal.startswith("=")
+    assert said in refusal
+
+
+def test_a_message_of_nothing_but_its_head_is_left_out(tmp_path: Path) -> None:
+    """A format of no fields is possible, and its length is that of the head."""
+    file = KINDS["dataflash"].make(tmp_path)
+    nothing = b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", 9, 3, b"NONE", b"", b"") + b"\xa3\x95\x09" * 5
+    file.write_bytes(file.read_bytes() + nothing)
+    assert damaged_files.attempt(KINDS["dataflash"], file) == ""
 
 
 def _for_ever(path: Path) -> None:
