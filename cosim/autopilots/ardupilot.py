@@ -116,6 +116,7 @@ class ArduPilot:
         self._transmitter = Transmitter(launch.parameters, launch.channels, step)
         self._socket: socket.socket | None = None
         self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._out.bind((LOCAL, 0))
         self._program: Program | None = None
         self._peer: tuple[str, int] | None = None
         self._pulses: list[int] = []

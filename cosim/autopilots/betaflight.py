@@ -187,6 +187,7 @@ class Betaflight:
         self._program: Program | None = None
         self._in: socket.socket | None = None
         self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._out.bind((LOCAL, 0))
 
     def start(self) -> None:
         """Configure it through its console in a first life, and start the second under the flight's clock."""

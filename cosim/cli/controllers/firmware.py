@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cosim.base.errors import FlightError
+from cosim.base.errors import FlightError, InputError
 from cosim.cli.options import load_scenario
 
 if TYPE_CHECKING:
     from cosim.design.loop.firmware import Firmware
+    from cosim.spec.scenario import Scenario
 
 
 def firmware_for(autopilot: str, aircraft: str, settings: Sequence[str]) -> Firmware:
@@ -25,6 +26,38 @@ def firmware_for(autopilot: str, aircraft: str, settings: Sequence[str]) -> Firm
     if autopilot == "betaflight":
         return Firmware(autopilot, units=units(vehicle), most=MOST_GAIN, common_filter=True, common_angle=True)
     return Firmware(autopilot, common_filter=autopilot == "px4")
+
+
+def search_gains(autopilot: str, scenario: Scenario, settings: Sequence[str], out: Path, quiet: bool) -> Path:
+    """Search gains for an autopilot's own loops with a scenario's aircraft and engine; return the controller file.
+
+    As ``hexjet design --for`` does, with its defaults; the file is ``out``, its page beside it.  Raises InputError
+    where no gains keep the requirements.
+    """
+    from cosim.cli.console import part_progress
+    from cosim.control.predictors.registry import BASELINE
+    from cosim.design.design import design
+    from cosim.design.result import write
+
+    firmware = firmware_for(autopilot, scenario.aircraft, settings)
+    with part_progress(f"gains for {autopilot}", quiet=quiet) as tell:
+        made = design(
+            scenario.engine,
+            scenario.aircraft,
+            controller=BASELINE.name,
+            settings=settings,
+            lead=False,
+            scheduled=False,
+            firmware=firmware,
+            say=lambda text: tell(text, 0, 1),
+        )
+    paths = write(made, out)
+    if not made.ok:
+        raise InputError(
+            f"{autopilot}: no gains of its own loops keep the requirements of a design for {scenario.aircraft} with "
+            f"engine {scenario.engine}, see {paths['report']}; allowed: --gains vehicle, stock, or a file"
+        )
+    return paths["controller"]
 
 
 def write_parameters(autopilot: str, aircraft: str, controller: Path, step: float) -> Path:

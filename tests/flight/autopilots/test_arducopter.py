@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arducopter_standin import Radio
+from arducopter_standin import HOLDS_S, Radio
 from patience import FLIGHT_PATIENCE, PATIENCE
+from stated_figures import stated
 
 from cosim.autopilots.ardupilot import HANDLING, Channel, Transmitter, parse_channel
 from cosim.autopilots.lockstep import Frame, Sticks
@@ -80,6 +81,20 @@ def test_it_flies_again_without_the_program(flown: tuple[Run, str, str], tmp_pat
     assert run.folder is not None
     again = fly(run.folder / "scenario.toml", tmp_path, report=False)
     assert all(again.log[name].tobytes() == run.log[name].tobytes() for name in again.log.columns)
+
+
+def test_the_page_says_what_it_is_flown_with() -> None:
+    page = "docs/autopilots.md"
+    stated(
+        page,
+        "{} s, until its estimator has a position; armed {} s before the flight, because it holds its motors for {} s "
+        "after that; the throttle of hover from {} s before",
+        HANDLING.before_s,
+        HANDLING.arming_s,
+        HOLDS_S,
+        HANDLING.throttle_s,
+    )
+    stated(page, "full stick {}° and {}°/s", HANDLING.lean_deg, HANDLING.turn_deg_s)
 
 
 def heard(pulses: list[int], stated: dict[str, float]) -> Radio:

@@ -7,12 +7,14 @@ import os
 import re
 import signal
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from autopilot_standins import free_port
+from command_tools import Hexjet
 from stated_figures import stated
 
 from cosim.autopilots import betaflight as theirs
@@ -179,10 +181,12 @@ def test_at_its_own_gains_the_delay_loses_it(minute: AutopilotRun, tmp_path: Pat
     """And at those of the vehicle, which are for a predictor; without the delay they fly.  As the page has it."""
     hover, doublet = Scenario.load("hover").replace(duration_s=10.0), Scenario.load("roll-doublet")
     stock = flown(hover, tmp_path / "stock", "stock").run
+    still = flown(hover.replace(duration_s=20.0), tmp_path / "still").run
     ours = flown(doublet, tmp_path / "ours").run
     quick = flown(doublet.replace(engine="edf"), tmp_path / "quick").run
     turned = flown(doublet.replace(vehicle=DESIGNED), tmp_path / "doublet").run
-    assert [run.outcome for run in (stock, ours, quick, turned)] == ["diverged", "diverged", "completed", "completed"]
+    assert [run.outcome for run in (stock, still, ours)] == ["diverged"] * 3
+    assert [run.outcome for run in (quick, turned)] == ["completed"] * 2
     settled = turned.metrics["roll"].settling_time_s
     assert settled is not None
     assert quick.metrics["roll"].settling_time_s is not None
@@ -190,9 +194,10 @@ def test_at_its_own_gains_the_delay_loses_it(minute: AutopilotRun, tmp_path: Pat
         "docs/autopilots.md",
         "With the Hex-Jet's engines as flown, 0.1 s late, Betaflight as it ships "
         "is lost {} s after the start of a hover. With the gains of `vehicle.toml`, which are made for a predictor, it is lost "
-        "in the roll doublet at {} s; without the delay (`--engine edf`) that settles. With the gains that "
+        "in a hover at {} s and in the roll doublet at {} s; without the delay (`--engine edf`) that settles. With the gains that "
         "`hexjet design --controller baseline --no-lead` finds it holds roll within {}° for a minute, and the doublet settles in {} s",
         stock.summary.duration_s,
+        still.summary.duration_s,
         ours.summary.duration_s,
         np.degrees(minute.run.metrics["roll"].max_abs_error_rad),
         settled,
@@ -293,6 +298,56 @@ def test_a_rate_loop_of_ours_flies_it_from_outside(tmp_path: Path) -> None:
     assert all(run.metrics[axis].max_abs_error_rad < np.radians(1.0) for axis in ("pitch", "yaw"))
     again = fly(tmp_path / "run" / "scenario.toml", tmp_path / "again", report=False)
     assert again.log["roll_rad"].tobytes() == run.log["roll_rad"].tobytes()
+
+
+CONTROLLER_FILE = """controller = "baseline"
+[vehicle.control.attitude]
+gain_1_s = [1.6, 1.6, 6.0]
+[vehicle.control.rate]
+roll = { p = 0.0104602, i = 0.0133019, d = 0.00086382, d_filter_s = 0.00757881 }
+pitch = { p = 0.445844, i = 3.66571, d = 0.007935, d_filter_s = 0.00757881 }
+yaw = { p = 0.172957, i = 1.59825, d = 0.00482448, d_filter_s = 0.00757881 }
+[vehicle.control.altitude]
+position_1_s = 0.707
+velocity_1_s = 1.37
+integral_1_s2 = 0.198
+[design]
+aircraft = "hexjet"
+engine = "edf-as-flown"
+family = "edf-as-flown"
+engine_sha256 = ""
+step_s = 0.004
+substeps = 4
+model = "as the page has it"
+requirements = {}
+axes = {}
+"""  # of IN_ITS_LOOP, as the design writes it
+SEARCHED = [pytest.param(False, id="found before"), pytest.param(True, id="searched", marks=pytest.mark.long)]
+
+
+@pytest.mark.parametrize("searches", SEARCHED)
+def test_the_first_command_of_the_page_does_not_lose_its_vehicle(
+    searches: bool, hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It asks for gains of its own loops first, and hovers with them."""
+    page = (Path(__file__).parents[3] / "docs" / "autopilots.md").read_text(encoding="utf-8")
+    first = re.search(r"^\.venv/bin/hexjet (sitl betaflight.*?)\s*#", page, re.MULTILINE)
+    assert first is not None
+
+    def found(autopilot: str, scenario: Scenario, settings: Sequence[str], out: Path, quiet: bool) -> Path:
+        assert (autopilot, scenario.aircraft, scenario.engine) == ("betaflight", "hexjet", "edf-as-flown")
+        out.parent.mkdir(parents=True)
+        out.write_text(CONTROLLER_FILE)
+        return out
+
+    if not searches:
+        monkeypatch.setattr("cosim.cli.controllers.firmware.search_gains", found)
+    done = hexjet(*first[1].split(), "--port", str(free_port()), "--timeout", "60")
+    assert done.status == 0, done.out + done.err
+    assert "hover: completed, flew 5000 steps; as planned" in done.out
+    books = json.loads(Path("runs/hover-betaflight-001", LOCKSTEP).read_text())
+    assert (books["gains"], books["answers"]) == ("designed", books["frames"] - 2)
+    assert Path("runs/hover-betaflight-001/betaflight/gains.toml").is_file()
 
 
 class Strike:

@@ -106,4 +106,4 @@ def test_what_is_no_program_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
 def test_wrong_gains_are_one_line(hexjet: Hexjet) -> None:
     done = hexjet("sitl", "betaflight", "--gains", "mine")
     assert done.status == 2
-    assert done.err == "hexjet: --gains mine: must be vehicle, stock, or a file of hexjet design (.toml)\n"
+    assert done.err == "hexjet: --gains mine: must be designed, vehicle, stock, or a file of hexjet design (.toml)\n"

@@ -70,7 +70,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "benchmarks/README.md": ("test_pages.py",),
     "docs/accuracy.md": ("marks", "test_accuracy.py"),
     "docs/api.md": ("marks", "test_docstrings.py"),
-    "docs/autopilots.md": ("test_adapters.py", "test_betaflight.py", "test_lockstep.py"),
+    "docs/autopilots.md": ("test_adapters.py", "test_arducopter.py", "test_betaflight.py", "test_lockstep.py"),
     "docs/benchmarks.md": ("marks", "test_bench.py", "test_flight_page.py"),
     "docs/campaigns.md": ("test_pages.py", "test_campaign_docs.py", "test_campaign_limits.py"),
     "docs/control-design.md": ("marks", "test_pages.py"),
