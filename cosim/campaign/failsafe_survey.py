@@ -1,29 +1,28 @@
 """Every failsafe flown to its end: how it ended, how fast it touched the ground, what the engines gave afterwards.
 
-A flight begins in the air, holding, in a steady wind from abeam (the axis on which the engines' delay is felt); what
-loses the position begins moving ahead, too.  Then something fails, the autopilot is told nothing but what a ground
-station would say, and the flight goes on until the vehicle has been disarmed for ten seconds, has crashed, or time is
-up.
+A flight takes off and hovers for a time that is drawn, in a steady wind from abeam (the axis on which the engines'
+delay is felt), or begins in the air, trimmed, holding; what loses the position begins moving ahead, too.  Then
+something fails, the autopilot is told nothing but what a ground station would say, and the flight goes on until the
+vehicle has been disarmed for ten seconds, has crashed, or time is up.
 """
 
 from __future__ import annotations
 
-import csv
-import json
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from math import atan2, hypot, inf, isnan, nan, radians, sqrt
 from pathlib import Path
+from random import Random
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.storage.files import finite
-from cosim.base.storage.toml import toml_text
 from cosim.campaign.fault_survey import Say, controllers_for, step_of
 from cosim.campaign.workers.tasks import in_order
 from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.control.autopilot.requests import (
+    Arm,
     Goto,
     InjectFault,
     LinkLost,
@@ -32,22 +31,23 @@ from cosim.control.autopilot.requests import (
     SetMode,
     SetParameter,
     Sticks,
-    to_dict,
+    Takeoff,
 )
 from cosim.control.predictors.registry import BASELINE, SMITH
 from cosim.results.autopilot.request_log import Entry
 from cosim.results.columns import log_columns, logged_vehicle
 from cosim.results.digest import DigestSink
 from cosim.results.recorder import Recorder
-from cosim.results.report import marks
 from cosim.simulation.build import build
 from cosim.simulation.with_autopilot import with_autopilot
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_seen_from, engine_of, load_vehicle
 
 if TYPE_CHECKING:
+    from cosim.base.signals import Sample
     from cosim.control.autopilot.autopilot import Autopilot
-    from cosim.results.recorder import Recorder
+    from cosim.control.autopilot.energy import Energy
+    from cosim.simulation.ending import Ending
     from cosim.simulation.step import Simulation
 
 Verdict = Literal["landed", "slid", "holds", "flies on", "stands armed", "crashed", "lost"]
@@ -55,6 +55,7 @@ Verdict = Literal["landed", "slid", "holds", "flies on", "stands armed", "crashe
 # Of docs/failsafes.md, every one that ships with an autopilot; vehicles of one's own by their names.
 TABLED = ("hexjet", "hexjet-100", "hexjet-p220", "quadrotor", "octojet", "quadjet", "trijet", "jetwing")
 HEIGHTS_M = (3.0, 10.0, 30.0)
+TALL_M = (100.0, 300.0)  # for what waits for the fuel, one flight each
 WINDS_M_S = (0.0, 5.0, 10.0)
 # Chosen by us.
 SPEED_M_S = (
@@ -67,7 +68,11 @@ SETTLED_S = 5.0  # holding before anything fails, at least
 SLOW_M_S, SLOW_S = 0.3, 1.0  # and slower than this for so long, so that it does hold where the wind took it at first
 LONGEST_SETTLING_S = 60.0  # it fails then, whatever the speed
 LONGEST_S = 180.0  # from the failure on: three times the descent from 30 m at the landing's rate
+PER_METRE_S = 4.0  # beside that, for each metre of height: slower than any vehicle climbs or descends
 LATER_S = 10.0  # after disarming
+DISARMED_S = 1.0  # the same of all flights of a cell but the first
+STANDING_S = 1.1  # on the ground before it is armed: home is known by then
+HOVER_S = (2.0, 20.0)  # from the end of a take-off until something fails, drawn evenly
 HELD_S = 8.0  # it is to hold for at least so long, and until it is slow near its place
 HELD_M = 1.5  # and counts as holding within this of the place: what a waypoint is reached within (HJ_ACC_RADIUS)
 HELD_HEIGHT_M = 0.4  # and within this of the height: what a climb is over within
@@ -84,6 +89,7 @@ class Case:
     calls: tuple[Request, ...]
     holds: bool = False  # it ends in HOLD, not on the ground
     moving: bool = False  # flown without a position from then on, so it also begins moving
+    waits: bool = False  # nothing is called: the fuel runs down until the autopilot acts
 
 
 class Start(NamedTuple):
@@ -116,6 +122,8 @@ class Row:
     off_m: float
     height_off_m: float
     log_sha256: str  # of every sample of the flight (cosim.results.digest): what flies it again must have the same
+    number: int = 0  # of the flights of its cell; 0: it began in the air
+    hover_s: float = nan  # from the end of the take-off until it failed, or less where the fuel did not last; NaN: none
 
     @property
     def start(self) -> Start:
@@ -141,6 +149,7 @@ class Failsafes:
     limit_m_s: float  # a leg that touches faster counts as a crash
     trip_m_s: float  # of a leg that touches faster sideways it is said
     flights: list[FailsafeFlight]
+    airborne: bool = False  # they began in the air
 
     @property
     def rows(self) -> list[Row]:
@@ -158,8 +167,8 @@ class Failsafes:
         }
 
 
-def cases(vehicle: Vehicle) -> list[Case]:
-    """Every failsafe of the autopilot, sensors singly and the GNSS with each."""
+def cases(vehicle: Vehicle, airborne: bool = False) -> list[Case]:
+    """Every failsafe of the autopilot, sensors singly and the GNSS with each; the fuel's not if begun in the air."""
     allowed = (SetParameter("SYS_FAILURE_EN", 1.0),)
     gnss = InjectFault("sensor_dropout", sensor="gnss")
     others = (
@@ -179,7 +188,7 @@ def cases(vehicle: Vehicle) -> list[Case]:
     return [
         *kinds,
         Case("ground station lost", (), (LinkLost(),)),
-        Case("energy critical", (SetParameter("HJ_ENDURANCE", 1000.0),), (SetParameter("HJ_FUEL_CRIT", 100.0),)),
+        *([] if airborne else [Case("fuel runs down", (), (), waits=True)]),
         Case("fence passed", (Goto(8.0, 0.0),), (SetParameter("HJ_FENCE_RAD", 1.0),)),
         Case("sticks lost", (), (centred, SetMode("POSCTL")), True),
         Case("set-points lost", (), (OffboardVelocity(0.0, 0.0, 0.0), SetMode("OFFBOARD")), True),
@@ -218,6 +227,58 @@ def starts(case: Case, heights: Sequence[float], winds: Sequence[float], speed: 
     return begun
 
 
+class Task(NamedTuple):
+    """One flight that is to be flown."""
+
+    case: Case
+    start: Start
+    scenario: Scenario
+    number: int = 0  # of the flights of its cell; 0: it begins in the air
+    hover: float = 0.0  # s from the end of the take-off until something fails
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What failsafes are flown in.
+
+    ``heights`` empty: 3, 10 and 30 m, and for what waits for the fuel 100 and 300 m too; ``speed`` 0: nothing moves.
+    ``flights``: of a cell, each in another of the winds, at a moment drawn by ``seed`` and its place in the table.
+    ``airborne``: one flight for each height and wind, which begins in the air, trimmed.
+    """
+
+    heights: Sequence[float] = ()
+    winds: Sequence[float] = WINDS_M_S
+    speed: float = SPEED_M_S
+    flights: int = 3
+    airborne: bool = False
+    seed: int = 0
+
+    def check(self) -> None:
+        """Raises InputError for what cannot be flown."""
+        if not 0.0 <= self.speed <= 20.0:
+            raise InputError(f"speed {self.speed:g} m/s: must be from 0 to 20 m/s")
+        for height in self.heights:
+            if not 1.0 <= height <= 1000.0:
+                raise InputError(f"height {height:g} m: must be from 1 to 1000 m")
+        for wind in self.winds:
+            if not 0.0 <= wind <= 50.0:
+                raise InputError(f"wind {wind:g} m/s: must be from 0 to 50 m/s")
+
+    def starts(self, case: Case) -> list[tuple[Start, int]]:
+        """Where the flights of a failsafe are when it fails, each with its number in its cell; 0: begun in the air."""
+        heights = self.heights or HEIGHTS_M
+        if self.airborne:
+            return [(start, 0) for start in starts(case, heights, self.winds, self.speed)]
+        if case.waits and not self.heights:
+            heights = (*heights, *TALL_M)
+        begun = []
+        for place in starts(case, heights, (min(self.winds),), self.speed):
+            for number in range(1, 1 + (1 if place.height in TALL_M else self.flights)):
+                wind = place.wind if place.speed else self.winds[(number - 1) % len(self.winds)]
+                begun.append((place._replace(wind=wind), number))
+        return begun
+
+
 @dataclass(frozen=True)
 class _Plan:
     """What is to be flown with one vehicle."""
@@ -225,7 +286,7 @@ class _Plan:
     aircraft: str
     engine: str
     controller: str
-    flights: list[tuple[Case, Start, Scenario]]
+    flights: list[Task]
 
 
 def failsafes(
@@ -233,13 +294,11 @@ def failsafes(
     engine: str | None = None,
     controller: str | None = None,
     kinds: Sequence[str] = (),
-    heights: Sequence[float] = HEIGHTS_M,
-    winds: Sequence[float] = WINDS_M_S,
+    conditions: Conditions = Conditions(),
     workers: int = 2,
     say: Say = lambda what, done, of: None,
-    speed: float = SPEED_M_S,
 ) -> Iterator[Failsafes]:
-    """Fly every failsafe from every one of :func:`starts`, one vehicle after the other.
+    """Fly every failsafe in all ``conditions``, one vehicle after the other.
 
     ``kinds`` are the beginnings of those to be flown.  ``engine`` None is the one that the aircraft is made for,
     ``controller`` None smith, or baseline where there is no model.  ``say`` is told what was flown, how many are, of
@@ -247,9 +306,8 @@ def failsafes(
     Raises InputError for an unknown kind, aircraft, engine or controller, and for a vehicle without an autopilot; all
     of that is found before the first flight.
     """
-    if not 0.0 <= speed <= 20.0:
-        raise InputError(f"speed {speed:g} m/s: must be from 0 to 20 m/s")
-    plans = [_plan(name, engine, controller, kinds, heights, winds, speed) for name in aircraft]
+    conditions.check()
+    plans = [_plan(name, engine, controller, kinds, conditions) for name in aircraft]
     done, of = 0, sum(len(plan.flights) for plan in plans)
     for plan in plans:
         flights: list[FailsafeFlight] = []
@@ -258,50 +316,60 @@ def failsafes(
             done += 1
             say(f"{aircraft_name(plan.aircraft)}: {flight.row.failsafe}, {flight.row.start}", done, of)
         vehicle, _ = load_vehicle(plan.aircraft)
-        limit = vehicle.limits.touchdown_m_s
-        yield Failsafes(aircraft_name(plan.aircraft), plan.engine, plan.controller, limit, trip_speed(vehicle), flights)
+        limits = vehicle.limits.touchdown_m_s, trip_speed(vehicle)
+        name = aircraft_name(plan.aircraft)
+        yield Failsafes(name, plan.engine, plan.controller, *limits, flights, conditions.airborne)
 
 
 def _plan(
-    aircraft: str,
-    engine: str | None,
-    controller: str | None,
-    kinds: Sequence[str],
-    heights: Sequence[float],
-    winds: Sequence[float],
-    speed: float,
+    aircraft: str, engine: str | None, controller: str | None, kinds: Sequence[str], conditions: Conditions
 ) -> _Plan:
-
     aircraft = aircraft_seen_from(aircraft, Path())
     vehicle, _ = load_vehicle(aircraft)
     engine = engine or engine_of(aircraft) or Scenario.model_fields["engine"].default
     step = step_of(aircraft)
-    chosen = [case for case in cases(vehicle) if not kinds or case.name.startswith(tuple(kinds))]
+    known = cases(vehicle, conditions.airborne)
+    chosen = [case for case in known if not kinds or case.name.startswith(tuple(kinds))]
     if not chosen:
-        names = ", ".join(case.name for case in cases(vehicle))
+        names = ", ".join(case.name for case in known)
         raise InputError(f"no failsafe begins with {' or '.join(map(repr, kinds))}; there are: {names}")
-    for height in heights:
-        if not 1.0 <= height <= 1000.0:
-            raise InputError(f"height {height:g} m: must be from 1 to 1000 m")
-    for wind in winds:
-        if not 0.0 <= wind <= 50.0:
-            raise InputError(f"wind {wind:g} m/s: must be from 0 to 50 m/s")
     if controller is None:
         modelled = SMITH.name in controllers_for(aircraft, engine, step)
         controller = SMITH.name if modelled else BASELINE.name
-    flights = [
-        (case, start, scenario_of(aircraft, engine, controller, step, start.height, start.wind))
+    tasks = [
+        Task(case, start, scenario_of(aircraft, engine, controller, step, start.height, start.wind), number)
         for case in chosen
-        for start in starts(case, heights, winds, speed)
+        for start, number in conditions.starts(case)
     ]
-    with build(flights[0][2]) as simulation:
+    with build(tasks[0].scenario) as simulation:
         # wrong input is found here, before anything is spent on it
-        with_autopilot(simulation, airborne=True)
-    return _Plan(aircraft, engine, controller, flights)
+        energy = with_autopilot(simulation, airborne=True).energy
+        tasks = [drawn(task, vehicle, energy, conditions.seed) if task.number else task for task in tasks]
+    return _Plan(aircraft, engine, controller, tasks)
+
+
+def drawn(task: Task, vehicle: Vehicle, energy: Energy, seed: int) -> Task:
+    """A flight from the ground on: the moment and the noise's seed drawn, the tank as full as the failsafe needs."""
+    case, start = task.case, task.start
+    draw = Random(f"{seed} {vehicle.name} {case.name} {start} {task.number}")
+    hover = float(round(draw.uniform(*HOVER_S)))
+    initial: dict[str, Any] = {"on_ground": True}
+    if case.waits:
+        # of the tank at the end of the hover: what the way down takes with its margin, or the least in per cent
+        seconds = (1.0 + energy.margin) * energy.down(start.height)
+        least = energy.least
+        if vehicle.fuel is None:
+            endurance = max(hover / (1.0 - least), hover + seconds)
+            case = replace(case, before=(SetParameter("HJ_ENDURANCE", float(round(endurance))),))
+        else:
+            up = energy.burn * (energy.climbing(start.height) + hover)
+            initial["fuel"] = min(1.0, round(up + max(least, energy.burn * seconds), 3))
+    scenario = task.scenario.replace(initial=initial, seed=draw.randrange(2**31))
+    return task._replace(case=case, scenario=scenario, hover=hover)
 
 
 def scenario_of(aircraft: str, engine: str, controller: str, step: float, height: float, wind: float) -> Scenario:
-    """The flight of one cell of the table, without what is asked in it."""
+    """The flight of one cell of the table, without what is asked in it; it begins in the air."""
     return Scenario.from_table(
         {
             "name": "failsafe",
@@ -309,7 +377,7 @@ def scenario_of(aircraft: str, engine: str, controller: str, step: float, height
             "engine": engine,
             "controller": controller,
             "step_s": step,
-            "duration_s": LONGEST_SETTLING_S + MOVING_S + LONGEST_S,
+            "duration_s": LONGEST_SETTLING_S + MOVING_S + LONGEST_S + 2.0 * PER_METRE_S * height,
             "monitor": load_vehicle(aircraft)[0].control.monitor is not None,
             "initial": {"altitude_m": height},
             "environment": {"wind_ned_m_s": [0.0, wind, 0.0]},
@@ -319,99 +387,144 @@ def scenario_of(aircraft: str, engine: str, controller: str, step: float, height
     )
 
 
-def fly_case(task: tuple[Case, Start, Scenario]) -> FailsafeFlight:
+def fly_case(task: Task) -> FailsafeFlight:
     """One flight, in this process."""
-
-    case, start, scenario = task
-    with build(scenario) as simulation:
-        pilot = with_autopilot(simulation, airborne=True)
-        dt = simulation.dt
-        sink = DigestSink(())
-        columns = log_columns(logged_vehicle(simulation.vehicle), simulation.columns)
-        sink.begin(columns)
-        recorder = Recorder(dt, sink, columns)
-        _ask(pilot, case.name, case.before, 0)
-        entries = [Entry(0, "table", request, "") for request in case.before]
-        begin = _settle(simulation, recorder)
-        if start.speed:
+    with build(task.scenario) as simulation:
+        flight = _Flown(task, simulation, with_autopilot(simulation, airborne=not task.number))
+        if task.number:
+            flight.take_off()
+            flight.ask(task.case.before)
+            flight.fly(task.hover, lambda: task.case.waits and bool(flight.pilot.failsafe))
+        else:
+            flight.ask(task.case.before)
+            flight.settle()
+        if task.start.speed:
             # whatever it was on its way to; further than it comes, so that it does not brake
-            away = Goto(FAR_M, speed=start.speed)
-            _ask(pilot, case.name, (away,), begin)
-            entries.append(Entry(begin, "table", away, ""))
-            begin += round(MOVING_S / dt)
-            while simulation.k < begin:
-                recorder.observe(simulation.step())
-        place = HoldTarget(pilot, simulation, start.speed)
-        _ask(pilot, case.name, case.calls, begin)
-        entries += [Entry(begin, "table", request, "") for request in case.calls]
-        touchdown = sideways = after = thrust = nan
-        there = simulation.state.position
-        disarmed: int | None = None
-        acted = ""
-        ending = None
-        before = simulation.state
-        last = begin + round((LONGEST_HOLD_S if case.holds else LONGEST_S) / dt)
-        while simulation.k < last:
-            k = simulation.k
-            sample = simulation.step()
-            recorder.observe(sample)
-            state = simulation.state
-            acted = acted or pilot.failsafe
-            if state.on_ground and not before.on_ground:
-                north, east, down = before.velocity
-                touchdown = max(down, 0.0 if isnan(touchdown) else touchdown)
-                sideways = max(hypot(north, east), 0.0 if isnan(sideways) else sideways)
-                after = (simulation.k - begin) * dt if isnan(after) else after
-            before = state
-            ending = simulation.judge.look(state, simulation.k * dt)
-            if ending is not None:
-                recorder.observe(sample._replace(k=k + 1, time=(k + 1) * dt, state=state, measured=simulation.measured))
+            flight.ask((Goto(FAR_M, speed=task.start.speed),))
+            flight.fly(MOVING_S)
+        if task.case.waits:
+            flight.fly(LONGEST_SETTLING_S, lambda: bool(flight.pilot.failsafe))
+        return flight.fail()
+
+
+class _Flown:
+    """A flight as it is flown, and what is told of it."""
+
+    def __init__(self, task: Task, simulation: Simulation, pilot: Autopilot) -> None:
+        self.task, self.simulation, self.pilot = task, simulation, pilot
+        self._sink = DigestSink(())
+        columns = log_columns(logged_vehicle(simulation.vehicle), simulation.columns)
+        self._sink.begin(columns)
+        self._recorder = Recorder(simulation.dt, self._sink, columns)
+        self._entries: list[Entry] = []
+        self._sample: Sample | None = None
+        self._ending: Ending | None = None
+        self._touchdown = self._sideways = self._touched = nan
+        self._acted = ""
+
+    def ask(self, requests: Sequence[Request]) -> None:
+        """Ask for these before the next step.  Raises InputError where one is refused."""
+        k = self.simulation.k
+        for request in requests:
+            answer = self.pilot.handle(request, k)
+            if not answer.accepted:
+                name = self.task.case.name
+                raise InputError(f"{name}: {type(request).__name__} is refused before step {k}: {answer.text}")
+            self._entries.append(Entry(k, "table", request, ""))
+
+    def fly(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
+        """Step on for so long, until something is true, or it has crashed."""
+        last = self.simulation.k + round(seconds / self.simulation.dt)
+        while self.simulation.k < last and self._ending is None and not until():
+            self._step()
+
+    def settle(self) -> None:
+        """Fly until the vehicle holds."""
+        simulation, slow = self.simulation, 0
+        dt = simulation.dt
+        while simulation.k * dt < LONGEST_SETTLING_S:
+            self._step()
+            north, east, down = simulation.state.velocity
+            slow = slow + 1 if hypot(north, east) < SLOW_M_S and abs(down) < SLOW_M_S else 0
+            if simulation.k * dt >= SETTLED_S and slow * dt >= SLOW_S:
                 break
-            if pilot.armed:
-                disarmed = None
-            elif disarmed is None:
-                disarmed = k
-            if disarmed is not None and (k - disarmed) * dt >= LATER_S:
-                thrust = sum(sample.engines.thrust)
+
+    def take_off(self) -> None:
+        """From standing, as soon as home is known, to the height; it holds then."""
+        height = self.task.start.height
+        self.fly(STANDING_S)
+        self.ask((Arm(), Takeoff(height)))
+        there = lambda: self.pilot.mode is Mode.HOLD or bool(self.pilot.failsafe)  # noqa: E731
+        self.fly(LONGEST_SETTLING_S + PER_METRE_S * height, there)
+
+    def fail(self) -> FailsafeFlight:
+        """Let it fail, and fly until it has been disarmed for long enough, has crashed, or time is up."""
+        task, simulation, pilot, case = self.task, self.simulation, self.pilot, self.task.case
+        dt, begin = simulation.dt, simulation.k
+        place, there = HoldTarget(pilot, simulation, task.start.speed), simulation.state.position
+        self.ask(case.calls)
+        self._touchdown = self._sideways = self._touched = nan
+        self._acted = pilot.failsafe if case.waits else ""
+        last = begin + round((LONGEST_HOLD_S if case.holds else LONGEST_S + PER_METRE_S * task.start.height) / dt)
+        later, disarmed, thrust = LATER_S if task.number <= 1 else DISARMED_S, -1, nan
+        while simulation.k < last and self._ending is None:
+            k = simulation.k
+            sample = self._step()
+            self._acted = self._acted or pilot.failsafe
+            disarmed = -1 if pilot.armed else k if disarmed < 0 else disarmed
+            if disarmed >= 0 and (k - disarmed) * dt >= later:
+                thrust = sum(sample.engines.thrust) if later == LATER_S else nan
                 break
             if case.holds and place.held() and (k - begin) * dt >= HELD_S:
                 break
-        recorder.flush()
+        self._recorder.flush()
         x, y, _ = simulation.state.position
-        verdict: Verdict
-        if ending is not None:
-            verdict = "crashed" if ending.outcome == "crashed" else "lost"
-        elif disarmed is not None:
-            fast = sideways > trip_speed(simulation.vehicle)
-            verdict = "crashed" if not simulation.state.on_ground else "slid" if fast else "landed"
-        elif pilot.landed is LandedState.ON_GROUND or simulation.state.on_ground:
-            verdict = "stands armed"
-        else:
-            verdict = "holds" if case.holds and place.held() else "flies on"
         row = Row(
             case.name,
-            *start,
-            verdict,
-            touchdown,
-            sideways,
+            *task.start,
+            self._verdict(disarmed >= 0, place),
+            self._touchdown,
+            self._sideways,
             thrust,
-            after,
+            self._touched * dt - begin * dt,
             hypot(x - there[0], y - there[1]),
-            ending.reason if ending is not None else acted or _last(pilot.messages),
+            self._ending.reason if self._ending is not None else self._acted or _last(pilot.messages),
             *(place.off() if case.holds else (nan, nan)),
-            sink.hexdigest(),
+            self._sink.hexdigest(),
+            task.number,
+            task.hover if task.number else nan,
         )
         # times are rounded to steps, so what a product of floats is off does not matter; the file shall be readable
-        return FailsafeFlight(
-            row, simulation.scenario.replace(fault=[], duration_s=round(simulation.k * dt, 9)), tuple(entries)
-        )
+        scenario = simulation.scenario.replace(fault=[], duration_s=round(simulation.k * dt, 9))
+        return FailsafeFlight(row, scenario, tuple(self._entries))
 
+    def _step(self) -> Sample:
+        simulation, before = self.simulation, self.simulation.state
+        sample = simulation.step()
+        self._recorder.observe(sample)
+        k, state = simulation.k, simulation.state
+        if state.on_ground and not before.on_ground:
+            north, east, down = before.velocity
+            self._touchdown = max(down, 0.0 if isnan(self._touchdown) else self._touchdown)
+            self._sideways = max(hypot(north, east), 0.0 if isnan(self._sideways) else self._sideways)
+            self._touched = k if isnan(self._touched) else self._touched
+        self._ending = simulation.judge.look(state, k * simulation.dt)
+        if self._ending is not None:
+            seen = simulation.measured
+            self._recorder.observe(sample._replace(k=k, time=k * simulation.dt, state=state, measured=seen))
+        return sample
 
-def _ask(pilot: Autopilot, name: str, requests: Sequence[Request], k: int) -> None:
-    for request in requests:
-        answer = pilot.handle(request, k)
-        if not answer.accepted:
-            raise InputError(f"{name}: {type(request).__name__} is refused before step {k}: {answer.text}")
+    def _verdict(self, disarmed: bool, place: HoldTarget) -> Verdict:
+        """What became of it in a word."""
+        simulation, pilot = self.simulation, self.pilot
+        if self._ending is not None:
+            return "crashed" if self._ending.outcome == "crashed" else "lost"
+        if disarmed:
+            fast = self._sideways > trip_speed(simulation.vehicle)
+            return "crashed" if not simulation.state.on_ground else "slid" if fast else "landed"
+        if pilot.landed is LandedState.ON_GROUND or simulation.state.on_ground:
+            return "stands armed"
+        return "holds" if self.task.case.holds and place.held() else "flies on"
 
 
 class HoldTarget:
@@ -443,134 +556,6 @@ class HoldTarget:
         return self._pilot.mode is Mode.HOLD and away < self._within and abs(above) < HELD_HEIGHT_M and slow
 
 
-def _settle(simulation: Simulation, recorder: Recorder) -> int:
-    """Fly until the vehicle holds; the step that comes next."""
-    dt, slow = simulation.dt, 0
-    while simulation.k * dt < LONGEST_SETTLING_S:
-        recorder.observe(simulation.step())
-        north, east, down = simulation.state.velocity
-        slow = slow + 1 if hypot(north, east) < SLOW_M_S and abs(down) < SLOW_M_S else 0
-        if simulation.k * dt >= SETTLED_S and slow * dt >= SLOW_S:
-            break
-    return simulation.k
-
-
 def _last(messages: Any) -> str:
     texts = [message.text for message in messages if "holding" in message.text]
     return texts[-1] if texts else ""
-
-
-def write(result: Failsafes, folder: Path) -> Path:
-    """``failsafes.csv`` in ``folder``, and in ``flights/`` a scenario with its requests for every row: ``hexjet fly``.
-
-    Raises InputError if they cannot be written.
-    """
-    table = folder / "failsafes.csv"
-    flights = folder / "flights"
-    try:
-        flights.mkdir(parents=True, exist_ok=True)
-        with open(table, "w", newline="", encoding="utf-8") as file:
-            lines = csv.writer(file)
-            names = [field.name for field in fields(Row)]
-            lines.writerow([*names, "flight"])
-            for flight in result.flights:
-                name = file_name(flight.row)
-                lines.writerow([*(getattr(flight.row, column) for column in names), f"flights/{name}.toml"])
-                write_flight(flights, name, flight.scenario, flight.entries)
-    except OSError as error:
-        raise InputError(f"{folder}: {error.strerror or error}") from error
-    return table
-
-
-def write_flight(folder: Path, name: str, scenario: Scenario, entries: Sequence[Entry]) -> Path:
-    """What ``hexjet fly`` flies again: the scenario, and beside it what was asked in it.  Raises OSError."""
-    requests = [{"step": entry.step, "sender": entry.sender} | to_dict(entry.request) for entry in entries]
-    text = "".join(json.dumps(line, allow_nan=False) + "\n" for line in requests)
-    (folder / f"{name}.jsonl").write_text(text, encoding="utf-8")
-    stated = scenario.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
-    stated |= {"name": name, "requests": f"{name}.jsonl"}
-    path = folder / f"{name}.toml"
-    path.write_text(toml_text(stated), encoding="utf-8")
-    return path
-
-
-def file_name(row: Row) -> str:
-    """Of the flight's files, without what they end in."""
-    return f"{row.failsafe.lower().replace(' ', '-')}-{row.height_m:g}m-{row.wind_m_s:g}m_s" + (
-        f"-at-{row.speed_m_s:g}m_s" if row.speed_m_s else ""
-    )
-
-
-@dataclass(frozen=True)
-class FailsafeSummary:
-    """One failsafe in one wind and at one speed, all heights together."""
-
-    failsafe: str
-    wind_m_s: float
-    speed_m_s: float
-    ends: str  # what became of the flights, the same words once
-    touchdown_m_s: float  # the fastest; NaN: none touched
-    sideways_m_s: float
-    thrust_n: float  # the most; NaN: none was disarmed
-
-
-def summary(result: Failsafes) -> list[FailsafeSummary]:
-    """For each failsafe, wind and speed what became of it at all heights."""
-    table = []
-    for name, wind, speed in dict.fromkeys((row.failsafe, row.wind_m_s, row.speed_m_s) for row in result.rows):
-        rows = [row for row in result.rows if (row.failsafe, row.wind_m_s, row.speed_m_s) == (name, wind, speed)]
-        verdicts = [row.verdict for row in rows]
-        known = dict.fromkeys(verdicts)
-        if len(known) == 1:
-            ends: str = verdicts[0]
-        else:
-            ends = ", ".join(
-                f"{verdict} from {', '.join(f'{row.height_m:g}' for row in rows if row.verdict == verdict)} m"
-                for verdict in known
-            )
-        down, sideways, thrust = (
-            max((value for value in values if not isnan(value)), default=nan)
-            for values in (
-                [row.touchdown_m_s for row in rows],
-                [row.sideways_m_s for row in rows],
-                [row.thrust_n for row in rows],
-            )
-        )
-        table.append(FailsafeSummary(name, wind, speed, ends, down, sideways, thrust))
-    return table
-
-
-def mark(aircraft: str) -> str:
-    """The name of the mark in a page between which a vehicle's table goes."""
-    return f"failsafes, {aircraft}"
-
-
-def markdown(result: Failsafes) -> str:
-    """The part of a page: the table by failsafe and wind, every flight of it in the columns of the starts."""
-    columns = sorted(dict.fromkeys(row.start for row in result.rows), key=lambda start: start.speed > 0.0)
-    cells = {(row.failsafe, row.start): row for row in result.rows}
-    rows = [
-        [name, *(cell(cells[name, start]) if (name, start) in cells else "-" for start in columns)]
-        for name in dict.fromkeys(row.failsafe for row in result.rows)
-    ]
-    return (
-        f"Engine `{result.engine}`, controller `{result.controller}`; a leg that touches faster than "
-        f"{result.limit_m_s:.2f} m/s counts as a crash, and what touches faster than {result.trip_m_s:.2f} m/s "
-        "sideways has slid.\n\n" + marks.table(["failsafe", *map(str, columns)], rows)
-    )
-
-
-def cell(row: Row) -> str:
-    """A flight as it stands in the page's table."""
-    parts: list[str] = [row.verdict]
-    if not isnan(row.off_m):
-        parts.append(f"{row.off_m:.2f} m off")
-    if not isnan(row.touchdown_m_s):
-        parts.append(f"{row.touchdown_m_s:.2f} m/s")
-        if row.failsafe.startswith("GNSS"):
-            # what it does without a position; elsewhere the position is held, and failsafes.csv has it
-            parts.append(f"sideways {row.sideways_m_s:.2f} m/s")
-            parts.append(f"{row.drift_m:.1f} m away")
-    if not isnan(row.thrust_n):
-        parts.append(f"{row.thrust_n:.1f} N")
-    return ", ".join(parts)

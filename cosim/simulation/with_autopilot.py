@@ -73,9 +73,7 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
         scenario.sensor_noise,
         "" if own is None else own.level,
     )
-    burn = _burn_in_hover(simulation)
-    if burn is not None:
-        pilot.expect(burn)
+    pilot.energy.hovering = _burn_in_hover(simulation)
     pilot.reset(simulation.measured)
     simulation.pilot = pilot
     return pilot

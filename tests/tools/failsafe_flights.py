@@ -8,6 +8,7 @@ from typing import Any
 from pilot_flights import Asked
 
 from cosim.campaign import failsafe_survey as table
+from cosim.campaign import failsafe_table as tables
 from cosim.campaign.fault_survey import controllers_for, step_of
 from cosim.control.autopilot import requests as rq
 from cosim.flight import fly
@@ -33,7 +34,7 @@ def again(scenario: Path, digest: str) -> Run:
 def again_of_the_table(flight: table.FailsafeFlight, folder: Path) -> Run:
     """The same of a flight of the table."""
     row = flight.row
-    return again(table.write_flight(folder, table.file_name(row), flight.scenario, flight.entries), row.log_sha256)
+    return again(tables.write_flight(folder, tables.file_name(row), flight.scenario, flight.entries), row.log_sha256)
 
 
 class Flight(Asked):
@@ -85,4 +86,4 @@ class Flight(Asked):
         self._recorder.flush()
         simulation = self.simulation
         scenario = simulation.scenario.replace(fault=[], duration_s=round(simulation.k * simulation.dt, 9))
-        return again(table.write_flight(folder, "again", scenario, self._entries), self._digest.hexdigest())
+        return again(tables.write_flight(folder, "again", scenario, self._entries), self._digest.hexdigest())

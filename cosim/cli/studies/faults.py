@@ -155,8 +155,24 @@ def _engine_out(
 @click.option("--engine", metavar="NAME|FILE", help="See: hexjet list engines.  [default: the aircraft's own]")
 @click.option("--controller", metavar="NAME", help="[default: smith, or baseline where there is no model]")
 @click.option("kinds", "--failsafe", metavar="NAME", multiple=True, help="Only those that begin so.  [default: all]")
-@click.option("heights", "--height", type=float, metavar="M", multiple=True, help="[default: 3, 10 and 30 m]")
+@click.option(
+    "heights",
+    "--height",
+    type=float,
+    metavar="M",
+    multiple=True,
+    help="[default: 3, 10 and 30 m, and 100 and 300 m where the fuel runs down]",
+)
 @click.option("winds", "--wind", type=float, metavar="M/S", multiple=True, help="[default: 0, 5 and 10 m/s]")
+@click.option(
+    "--flights",
+    type=click.IntRange(1, 1000),
+    default=3,
+    show_default=True,
+    help="From each height, each in the next of the winds and at a moment of its own.",
+)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the moments and the noise.")
+@click.option("--airborne", is_flag=True, help="Begin in the air, trimmed, from every height in every wind once.")
 @click.option(
     "--moving",
     type=float,
@@ -178,6 +194,9 @@ def failsafes(
     kinds: tuple[str, ...],
     heights: tuple[float, ...],
     winds: tuple[float, ...],
+    flights: int,
+    seed: int,
+    airborne: bool,
     moving: float,
     workers: int,
     out: Path | None,
@@ -186,20 +205,14 @@ def failsafes(
 ) -> int:
     """Let everything fail that the autopilot has an answer to, and tell how each flight ended.
 
-    Flown from every height in every wind, and moving, with the speeds of touch-down and the thrust ten seconds after
-    disarming.  Leaves
+    Flown after a take-off to every height and some hover, several times, and moving, with the speeds of touch-down and
+    the thrust ten seconds after disarming.  Leaves
     failsafes.csv in DIR, and in DIR/flights every flight as a scenario with its requests: hexjet fly flies it again.
     With several aircraft each has a folder of its name in DIR.
     """
-    from cosim.campaign.failsafe_survey import (
-        HEIGHTS_M,
-        TABLED,
-        WINDS_M_S,
-        mark,
-        markdown,
-        write,
-    )
+    from cosim.campaign.failsafe_survey import TABLED, WINDS_M_S, Conditions
     from cosim.campaign.failsafe_survey import failsafes as fly_all
+    from cosim.campaign.failsafe_table import mark, markdown, write
     from cosim.flight import new_folder
     from cosim.results.report.marks import check_marks, write_marks
     from cosim.spec.vehicle import aircraft_name
@@ -211,12 +224,12 @@ def failsafes(
     aircraft = tuple(dict.fromkeys(aircraft))
     several = len(aircraft) > 1
     if page is not None:
-        check_marks(page, [mark(aircraft_name(name)) for name in aircraft])
+        check_marks(page, [mark(aircraft_name(name), airborne) for name in aircraft])
     results: list[Failsafes] = []
     folder = out
     with part_progress("failsafes", quiet=as_json) as say:
-        conditions = (kinds, heights or HEIGHTS_M, winds or WINDS_M_S)
-        for survey in fly_all(aircraft, engine, controller, *conditions, workers, say, moving):
+        conditions = Conditions(heights, winds or WINDS_M_S, moving, flights, airborne, seed)
+        for survey in fly_all(aircraft, engine, controller, kinds, conditions, workers, say):
             if folder is None:
                 folder = new_folder(Path("runs"), "failsafes" if several else f"failsafes-{survey.aircraft}")
             table = write(survey, folder / survey.aircraft if several else folder)
@@ -224,7 +237,7 @@ def failsafes(
                 print_failsafes(survey, table)
             results.append(survey)
     if page is not None:
-        write_marks(page, {mark(survey.aircraft): markdown(survey) for survey in results})
+        write_marks(page, {mark(survey.aircraft, airborne): markdown(survey) for survey in results})
     if as_json:
         tables = [survey.to_dict() for survey in results]
         click.echo(json.dumps({"tables": tables} if several else tables[0], allow_nan=False))
@@ -310,35 +323,35 @@ def print_engine_out(result: EngineOut, paths: Sequence[Path]) -> None:
 
 
 def print_failsafes(result: Failsafes, table: Path) -> None:
-    """What became of each failsafe in each wind, and where the flights are."""
+    """What became of each failsafe from each start, and where the flights are."""
     from rich import box
     from rich.table import Table
 
-    from cosim.campaign.failsafe_survey import summary
+    from cosim.campaign.failsafe_table import grid, summary
 
     console = terminal()
     shown = Table(box=box.SIMPLE_HEAD)
-    for title in (
-        "failsafe",
-        "wind, m/s",
-        "moving, m/s",
-        "ended",
-        "down, m/s",
-        "sideways, m/s",
-        "thrust 10 s later, N",
-    ):
-        shown.add_column(title, justify="left" if title in ("failsafe", "ended") else "right")
-    for row in summary(result):
-        numbers = [
-            "-" if value != value else f"{value:{form}}"
-            for value, form in ((row.touchdown_m_s, ".2f"), (row.sideways_m_s, ".2f"), (row.thrust_n, ".1f"))
-        ]
-        shown.add_row(row.failsafe, f"{row.wind_m_s:g}", f"{row.speed_m_s:g}", row.ends, *numbers)
+    if result.airborne:
+        numbers = ("wind, m/s", "moving, m/s", "ended", "down, m/s", "sideways, m/s", "thrust 10 s later, N")
+        for title in ("failsafe", *numbers):
+            shown.add_column(title, justify="left" if title in ("failsafe", "ended") else "right")
+        for row in summary(result):
+            worst = [
+                "-" if value != value else f"{value:{form}}"
+                for value, form in ((row.touchdown_m_s, ".2f"), (row.sideways_m_s, ".2f"), (row.thrust_n, ".1f"))
+            ]
+            shown.add_row(row.failsafe, f"{row.wind_m_s:g}", f"{row.speed_m_s:g}", row.ends, *worst)
+    else:
+        head, *lines = grid(result)
+        for title in head:
+            shown.add_column(title)
+        for line in lines:
+            shown.add_row(*line)
     console.print(shown)
     console.print(
         f"{result.aircraft}, {result.engine}, {result.controller}: the fastest touch-down and the most thrust of all "
-        f"heights; a leg that touches faster than {result.limit_m_s:.2f} m/s counts as a crash; faster than "
-        f"{result.trip_m_s:.2f} m/s sideways it has slid",
+        f"{'heights' if result.airborne else 'flights of a cell'}; a leg that touches faster than "
+        f"{result.limit_m_s:.2f} m/s counts as a crash; faster than {result.trip_m_s:.2f} m/s sideways it has slid",
         highlight=False,
         soft_wrap=True,
     )

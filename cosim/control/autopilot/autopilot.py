@@ -95,8 +95,8 @@ class Autopilot:
         self._places = places = Places()
         guide = Guide(tracker, position, parameters, self._envelope.height_limits(), step)
         self._course = course = Course(parameters, estimates, places, guide)
-        self._energy = energy = Energy(course, hover, step)
-        self._watch = watch = Watch(parameters, energy, step, self._fail_safe)
+        self.energy = Energy(course, hover, step)
+        self._watch = watch = Watch(parameters, self.energy, step, self._fail_safe)
         self._remote = Remote(course, limits, hover, step)
         self._arming = Arming(course, self._remote, watch, step)
         self._take_off = TakeOff(course, hover, least, step)
@@ -153,10 +153,6 @@ class Autopilot:
     @property
     def landed(self) -> LandedState:
         return self._state.landed
-
-    def expect(self, burn: float) -> None:
-        """Until the gauge has told: the share of a full tank that a second of hover takes."""
-        self._energy.hovering = burn
 
     @property
     def failsafe(self) -> str:
@@ -222,7 +218,7 @@ class Autopilot:
             mission.reached,
             mission.done and bool(mission.items),
             self.failsafe,
-            self._energy.remaining,
+            self.energy.remaining,
             self._remote.sticks_fresh(self._state.k),
             self._watch.link_lost >= 0,
             self._watch.zones,
@@ -264,7 +260,7 @@ class Autopilot:
             self._places.home = Home(*self._estimates.fix.position, 0.0)
         self._course.begin(k, self._spins and lost, self._carried and lost)
         self._landing.look(report, self.landed is LandedState.IN_AIR and not self._course.descending)
-        self._energy.consume(report, self.engines is EngineState.FLY, self.landed is LandedState.IN_AIR)
+        self.energy.consume(report, self.engines is EngineState.FLY, self.landed is LandedState.IN_AIR)
 
     def _notice_starts(self, k: int, report: Report) -> None:
         """Say when engines that start have come up; a vehicle that stands armed waits for them."""

@@ -18,7 +18,7 @@ from cosim.control.autopilot.guidance.descent import descent_for
 _MEASURED_S = 10.0  # over so long the burn is measured: what climbs and gusts change in it is gone by then
 _KNOWN_S = 5.0  # in the air before what was measured stands for the hover's
 _MOST = 0.05  # 1/s: a gauge that falls faster has been read anew; no tank is emptied within 20 s
-_END_S = 3.0  # from the ground's touch until it stands, and for what the descent takes to begin and to slow down
+_END_S = 3.0  # from the ground's touch until it stands, or from spooling up until it climbs
 
 
 class Energy:
@@ -28,7 +28,7 @@ class Energy:
         self._course, self._parameters, self._places = course, course.parameters, course.places
         self._estimates = course.estimates
         self._hover, self._step = hover, step
-        self.hovering: float | None = None  # share of the tank in a second of hover, as the engines have it
+        self.hovering: float | None = None  # share in a second of hover, of a full tank, by the engines
         self.reset()
 
     def reset(self) -> None:
@@ -92,6 +92,10 @@ class Energy:
         level = distance / self._course.speed + self._settling() if distance > 0.0 else 0.0
         return max(level, abs(climb) / rate)
 
+    def climbing(self, height: float) -> float:
+        """How long a take-off to a height takes, from idle on."""
+        return self._parameters["HJ_SPOOL_TIME"] + self._course.guide.limits.late + self.along(0.0, height) + _END_S
+
     def _settling(self) -> float:
         """How long reaching a speed and coming to rest take beside the way at that speed."""
         p = self._parameters
@@ -127,6 +131,11 @@ class Energy:
         """Of a way home, as a share of what it takes."""
         return self._parameters["HJ_FUEL_MARGIN"] / 100.0
 
+    @property
+    def least(self) -> float:
+        """Share at which it returns whatever the way takes."""
+        return self._parameters["HJ_FUEL_LOW"] / 100.0
+
     def short_of(self, seconds: float, place: Pair, altitude: float) -> str:
         """Why what is left does not do for a way of ``seconds`` to a place and home from there; empty: it does."""
         if self.remaining is None or not self.burn:
@@ -140,8 +149,7 @@ class Energy:
 
     def short_of_climb(self, altitude: float) -> str:
         """The same of a take-off from here straight up to an altitude."""
-        p, climb = self._parameters, altitude - self._estimates.altitude
-        seconds = p["HJ_SPOOL_TIME"] + self.along(0.0, climb)
+        seconds = self.climbing(altitude - self._estimates.altitude)
         return self.short_of(seconds, self._estimates.fix.position, altitude)
 
     def short_of_place(self, place: Pair, altitude: float) -> str:

@@ -129,7 +129,7 @@ def test_the_time_of_the_descent_is_that_of_its_profile(aircraft: str, height: f
             h = height * (n + 0.5) / pieces
             rate = end if h < slow else min(p["HJ_DESC_AUTO"], descent_for(h - slow, limits.braking, limits.late, end))
             time += height / pieces / rate
-        assert pilot._energy.down(height) - limits.late - 3.0 == pytest.approx(time, rel=2e-3)
+        assert pilot.energy.down(height) - limits.late - 3.0 == pytest.approx(time, rel=2e-3)
 
 
 @pytest.mark.parametrize("aircraft", ["hexjet-p220", "trijet"])

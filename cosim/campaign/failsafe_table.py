@@ -1,0 +1,191 @@
+"""The tables of failsafes: the file of every flight, with what flies it again, and the parts of a page."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from math import isnan, nan
+from pathlib import Path
+
+from cosim.base.errors import InputError
+from cosim.base.storage.toml import toml_text
+from cosim.campaign.failsafe_survey import HOVER_S, Failsafes, Row
+from cosim.control.autopilot.requests import to_dict
+from cosim.results.autopilot.request_log import Entry
+from cosim.results.report import marks
+from cosim.spec.scenario import Scenario
+
+
+def write(result: Failsafes, folder: Path) -> Path:
+    """``failsafes.csv`` in ``folder``, and in ``flights/`` a scenario with its requests for every row: ``hexjet fly``.
+
+    Raises InputError if they cannot be written.
+    """
+    table = folder / "failsafes.csv"
+    flights = folder / "flights"
+    try:
+        flights.mkdir(parents=True, exist_ok=True)
+        with open(table, "w", newline="", encoding="utf-8") as file:
+            lines = csv.writer(file)
+            names = [field.name for field in fields(Row)]
+            lines.writerow([*names, "flight"])
+            for flight in result.flights:
+                name = file_name(flight.row)
+                lines.writerow([*(getattr(flight.row, column) for column in names), f"flights/{name}.toml"])
+                write_flight(flights, name, flight.scenario, flight.entries)
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror or error}") from error
+    return table
+
+
+def write_flight(folder: Path, name: str, scenario: Scenario, entries: Sequence[Entry]) -> Path:
+    """What ``hexjet fly`` flies again: the scenario, and beside it what was asked in it.  Raises OSError."""
+    requests = [{"step": entry.step, "sender": entry.sender} | to_dict(entry.request) for entry in entries]
+    text = "".join(json.dumps(line, allow_nan=False) + "\n" for line in requests)
+    (folder / f"{name}.jsonl").write_text(text, encoding="utf-8")
+    stated = scenario.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    stated |= {"name": name, "requests": f"{name}.jsonl"}
+    path = folder / f"{name}.toml"
+    path.write_text(toml_text(stated), encoding="utf-8")
+    return path
+
+
+def file_name(row: Row) -> str:
+    """Of the flight's files, without what they end in."""
+    return (
+        f"{row.failsafe.lower().replace(' ', '-')}-{row.height_m:g}m-{row.wind_m_s:g}m_s"
+        + (f"-at-{row.speed_m_s:g}m_s" if row.speed_m_s else "")
+        + (f"-{row.number}" if row.number else "")
+    )
+
+
+@dataclass(frozen=True)
+class FailsafeSummary:
+    """One failsafe in one wind and at one speed, all heights together."""
+
+    failsafe: str
+    wind_m_s: float
+    speed_m_s: float
+    ends: str  # what became of the flights, the same words once
+    touchdown_m_s: float  # the fastest; NaN: none touched
+    sideways_m_s: float
+    thrust_n: float  # the most; NaN: none was disarmed
+
+
+def summary(result: Failsafes) -> list[FailsafeSummary]:
+    """For each failsafe, wind and speed what became of it at all heights."""
+    table = []
+    for name, wind, speed in dict.fromkeys((row.failsafe, row.wind_m_s, row.speed_m_s) for row in result.rows):
+        rows = [row for row in result.rows if (row.failsafe, row.wind_m_s, row.speed_m_s) == (name, wind, speed)]
+        verdicts = [row.verdict for row in rows]
+        known = dict.fromkeys(verdicts)
+        if len(known) == 1:
+            ends: str = verdicts[0]
+        else:
+            ends = ", ".join(
+                f"{verdict} from {', '.join(f'{row.height_m:g}' for row in rows if row.verdict == verdict)} m"
+                for verdict in known
+            )
+        down, sideways, thrust = (
+            max((value for value in values if not isnan(value)), default=nan)
+            for values in (
+                [row.touchdown_m_s for row in rows],
+                [row.sideways_m_s for row in rows],
+                [row.thrust_n for row in rows],
+            )
+        )
+        table.append(FailsafeSummary(name, wind, speed, ends, down, sideways, thrust))
+    return table
+
+
+def mark(aircraft: str, airborne: bool = False) -> str:
+    """The name of the mark in a page between which a vehicle's table goes."""
+    return f"failsafes, {aircraft}" if airborne else f"failsafes after a take-off, {aircraft}"
+
+
+def markdown(result: Failsafes) -> str:
+    """The part of a page: a line for each failsafe, a column for each start."""
+    limits = (
+        f"Engine `{result.engine}`, controller `{result.controller}`; a leg that touches faster than "
+        f"{result.limit_m_s:.2f} m/s counts as a crash, and what touches faster than {result.trip_m_s:.2f} m/s "
+        "sideways has slid."
+    )
+    if not result.airborne:
+        low, high = HOVER_S
+        winds = ", ".join(f"{wind:g}" for wind in sorted({row.wind_m_s for row in result.rows}))
+        limits += (
+            f" After a take-off and {low:g} to {high:g} s of hover, a moment drawn for each flight; winds of {winds} "
+            "m/s in turn."
+        )
+    head, *lines = grid(result)
+    return f"{limits}\n\n" + marks.table(head, lines)
+
+
+def grid(result: Failsafes) -> list[list[str]]:
+    """Return the head and the lines of the table: of flights begun in the air a cell each, else several in a cell."""
+
+    def start(row: Row) -> str:
+        return str(row.start) if result.airborne else _column(row)
+
+    rows = sorted(result.rows, key=lambda row: row.speed_m_s > 0.0)
+    if not result.airborne:
+        rows.sort(key=lambda row: (row.speed_m_s > 0.0, row.height_m))
+    columns = list(dict.fromkeys(map(start, rows)))
+    cells: dict[tuple[str, str], list[Row]] = {}
+    for row in result.rows:
+        cells.setdefault((row.failsafe, start(row)), []).append(row)
+
+    def shown(name: str, column: str) -> str:
+        those = cells.get((name, column))
+        return "-" if those is None else cell(those[0]) if result.airborne else cell_of_several(those)
+
+    names = dict.fromkeys(row.failsafe for row in result.rows)
+    return [["failsafe", *columns], *([name, *(shown(name, column) for column in columns)] for name in names)]
+
+
+def _column(row: Row) -> str:
+    """What heads the column of a flight whose wind is one of several in its cell."""
+    return f"{row.height_m:g} m" + (f", moving at {row.speed_m_s:g} m/s" if row.speed_m_s else "")
+
+
+def cell_of_several(rows: Sequence[Row]) -> str:
+    """Several flights as they stand in the page's table: how many ended how, and the worst numbers of all."""
+    counts: dict[str, list[Row]] = {}
+    for row in sorted(rows, key=lambda row: row.verdict not in ("landed", "holds")):
+        counts.setdefault(row.verdict, []).append(row)
+    ends = []
+    for verdict, those in counts.items():
+        end = f"{len(those)} of {len(rows)} {verdict}"
+        if verdict not in ("landed", "holds"):
+            end += f" (wind {' and '.join(f'{wind:g}' for wind in sorted({row.wind_m_s for row in those}))} m/s)"
+        ends.append(end)
+
+    def worst(of: Callable[[Row], float]) -> float:
+        return max((value for value in map(of, rows) if not isnan(value)), default=nan)
+
+    numbers = (
+        (worst(lambda row: row.off_m), "{:.2f} m off"),
+        (worst(lambda row: row.touchdown_m_s), "{:.2f} m/s"),
+        (worst(lambda row: row.sideways_m_s), "sideways {:.2f} m/s"),
+        (worst(lambda row: row.drift_m) if rows[0].failsafe.startswith("GNSS") else nan, "{:.1f} m away"),
+        (worst(lambda row: row.thrust_n), "{:.1f} N"),
+    )
+    return ", ".join([*ends, *(form.format(value) for value, form in numbers if not isnan(value))])
+
+
+def cell(row: Row) -> str:
+    """A flight as it stands in the page's table."""
+    parts: list[str] = [row.verdict]
+    if not isnan(row.off_m):
+        parts.append(f"{row.off_m:.2f} m off")
+    if not isnan(row.touchdown_m_s):
+        parts.append(f"{row.touchdown_m_s:.2f} m/s")
+        if row.failsafe.startswith("GNSS"):
+            # what it does without a position; elsewhere the position is held, and failsafes.csv has it
+            parts.append(f"sideways {row.sideways_m_s:.2f} m/s")
+            parts.append(f"{row.drift_m:.1f} m away")
+    if not isnan(row.thrust_n):
+        parts.append(f"{row.thrust_n:.1f} N")
+    return ", ".join(parts)
