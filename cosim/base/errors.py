@@ -8,6 +8,7 @@ from collections.abc import Iterable
 
 # Of a failed system call: the machine has no more to give, and nobody's input is wrong.
 MACHINE_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EMFILE, errno.ENFILE)
+OUTPUT = "standard output"  # as an error of it is named
 
 
 class InputError(ValueError):

@@ -13,9 +13,8 @@ from typing import Any
 
 import click
 
-from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError, Notice
+from cosim.base.errors import MACHINE_TROUBLE, OUTPUT, FlightError, InputError, Notice
 from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, WRONG_INPUT, Terminated, terminated_as_interrupted
-from cosim.cli.start import OUTPUT
 
 INTERRUPTED, TERMINATED = 130, 143  # as a shell has them
 COMMANDS = {  # where each is, so that none is read for another

@@ -6,9 +6,9 @@ import io
 import os
 import signal
 import sys
-from typing import Any, Final
+from typing import Any
 
-OUTPUT: Final = "standard output"  # as a message calls it
+from cosim.base.errors import OUTPUT
 
 
 def main() -> None:

@@ -38,6 +38,7 @@ from cosim.vehicle.executive import Complaint, Executive, Property
 from cosim.vehicle.jsbsim_model import MOMENTUM, PRODUCT_SIGN, PRODUCTS, render, structural
 from cosim.vehicle.jsbsim_units import FOOT, INCH, JSBSIM_POUNDS_PER_SLUG, POUND_FOOT, POUND_FORCE, SLUG, SLUG_FT2
 from cosim.vehicle.model_file import read_model
+from cosim.vehicle.proof import prove
 
 NEAR_GROUND: Final = 2.0  # m: below this height the contacts are looked at
 # JSBSim's methods, by the end of their property's name and its number for them
@@ -141,7 +142,10 @@ class Airframe:
         try:
             xml = render(vehicle, self._source, rotors)
             self.sha256 = hashlib.sha256(xml).hexdigest()  # of the model with the vehicle's numbers in it
-            self.file_sha256 = hashlib.sha256(read_model(self._source)).hexdigest()
+            text = read_model(self._source)
+            self.file_sha256 = hashlib.sha256(text).hexdigest()
+            if self._source is not None:
+                prove(xml, self._source, text)
             self._file.write_bytes(xml)
             self._load()
         except BaseException:

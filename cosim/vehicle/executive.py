@@ -27,6 +27,7 @@ from cosim.vehicle._properties import use
 from cosim.vehicle.model_file import ACTING, acting, find_line
 
 Property = jsbsim.FGPropertyNode
+VERSION: Final[str] = jsbsim.__version__
 # JSBSim's exceptions, and those of C++ that its binding turns into ones of Python
 Complaint: Final = RuntimeError
 MOST_SAID: Final = 20  # lines of JSBSim's that are kept of one model

@@ -20,7 +20,7 @@ from xml.parsers import expat
 from cosim.base.errors import InputError, Notice
 from cosim.base.storage.cache import Memory
 
-# The parts of which JSBSim makes what flies
+# The parts of which JSBSim makes what flies, in the order in which it reads them
 FLOWN: Final = (
     "fileheader", "planet", "metrics", "mass_balance", "ground_reactions", "external_reactions", "buoyant_forces",
     "propulsion", "system", "autopilot", "flight_control", "aerodynamics",

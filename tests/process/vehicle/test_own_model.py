@@ -76,3 +76,20 @@ def test_what_is_left_out_of_a_model_is_said_once(tmp_path: Path) -> None:
     assert notes[0].endswith("mine/own.xml: left out, as no part of what flies: <output> (line 2)")
     assert not written.exists()
     assert b"<output" not in (tmp_path / "flown" / "own.xml").read_bytes()
+
+
+CRASHES = {
+    "SIGSEGV": '<aerodynamics><axis name="LIFT"><function name="f"/></axis></aerodynamics>',
+    "SIGABRT": '<system name="late"><channel name="c"><pure_gain name="g"><input>velocities/p-rad_sec</input><gain>1</gain>'
+    "<delay>1e9</delay></pure_gain></channel></system>",  # 20 TB of memory
+}
+
+
+@pytest.mark.parametrize("crash", CRASHES)
+def test_a_file_that_crashes_jsbsim_is_one_line(crash: str, tmp_path: Path) -> None:
+    with_model(tmp_path, "own.xml", f"<fdm_config>\n{CRASHES[crash]}\n</fdm_config>")
+    done = hexjet(tmp_path, "aircraft", "check", "./mine")
+    assert done.returncode == 2, done.stderr
+    (line,) = [line for line in done.stderr.splitlines() if "runs from source" not in line]
+    part = "own.xml, line 2: system late" if crash == "SIGABRT" else "own.xml: aerodynamics"
+    assert f"{part}: JSBSim crashes with it ({crash})" in line

@@ -26,6 +26,17 @@ READS = '<system name="s"><channel name="c"><pure_gain name="g"><input>{}</input
 WRITES = '<system name="s"><channel name="c"><fcs_function name="{}"><function><value>1</value></function></fcs_function></channel></system>'
 
 
+@pytest.fixture
+def tried(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
+    """What a process of its own would have been started for, without starting it: that takes most of a second."""
+    models: list[bytes] = []
+    monkeypatch.setattr("cosim.vehicle.proof._end_with", lambda xml: models.append(xml) or "")
+    return models
+
+
+pytestmark = pytest.mark.usefixtures("tried")
+
+
 def brought(folder: Path, parts: str, **files: str) -> Path:
     """A folder with a model of these parts, and files beside it by their names without ``.xml``."""
     for name, text in files.items():
@@ -279,3 +290,22 @@ def test_jsbsims_own_aircraft_fly_or_are_refused_in_a_line(name: str, expected: 
             fly(model)
     assert str(caught.value).startswith(str(model.parent)) or caught.type is FlightError
     assert "\n" not in str(caught.value)
+
+
+def test_a_file_is_tried_once_for_what_it_says(
+    tried: list[bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By another process again only where it, or a file that it names, says something else; what is shipped never."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    model = brought(tmp_path, '<system file="part"/>', part='<system name="s"/>')
+    for _ in range(2):
+        fly(model)
+    assert len(tried) == 1
+    (tmp_path / "part.xml").write_text('<system name="t"/>')
+    fly(model)
+    assert len(tried) == 2
+    vehicle, folder = load_vehicle("jetwing")
+    Airframe(vehicle, folder, Environment(), 0.004, 4, 1).close()
+    vehicle, folder = load_vehicle("hexjet-p220")
+    Airframe(vehicle, folder, Environment(), 0.004, 4, 1).close()
+    assert len(tried) == 2
