@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cosim.cli.console import terminal
+from cosim.cli.console import output_to_stderr, terminal
 from cosim.cli.options import DONE, FLIGHT_FAILED, example
 
 if TYPE_CHECKING:
@@ -56,7 +56,8 @@ def aircraft_check(aircraft: str, engine: str | None, out: Path | None, as_json:
     from cosim.spec.vehicle import aircraft_name
 
     folder = Path("runs") / f"check-{aircraft_name(aircraft)}" if out is None else out
-    report = check_aircraft(aircraft, engine, folder)
+    with output_to_stderr(as_json):
+        report = check_aircraft(aircraft, engine, folder)
     if as_json:
         click.echo(json.dumps(report.to_dict()))
     else:

@@ -26,6 +26,7 @@ def output_to_stderr(active: bool) -> Iterator[None]:
     try:
         yield
     finally:
+        sys.stdout.flush()  # what Python code has printed
         ctypes.CDLL(None).fflush(None)  # what C code has printed but not yet written
         os.dup2(kept, 1)
         os.close(kept)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from cosim.base.errors import InputError
-from cosim.cli.console import part_progress, terminal
+from cosim.cli.console import output_to_stderr, part_progress, terminal
 from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, offer_to_compile
 
 if TYPE_CHECKING:
@@ -155,7 +155,8 @@ def _check_controller(path: Path, as_json: bool) -> int:
 
     fmu = read_controller_fmu(path)
     description = describing(fmu)
-    run = fly(Scenario.load("hover").replace(duration_s=1.0, expect=[], controller=str(path.absolute())))
+    with output_to_stderr(as_json):
+        run = fly(Scenario.load("hover").replace(duration_s=1.0, expect=[], controller=str(path.absolute())))
     own = run.summary.own_controller
     report = {
         "controller": path.name,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from cosim.base.errors import InputError
-from cosim.cli.console import part_progress, terminal
+from cosim.cli.console import output_to_stderr, part_progress, terminal
 from cosim.cli.options import DONE, FLIGHT_FAILED, Number, engine_for, example, offer_to_compile, warn_of_blemishes
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ def design(
         min_bandwidth_hz=min_bandwidth,
         noise_share=noise_share,
     )
-    with part_progress("design", quiet=as_json) as tell:
+    with output_to_stderr(as_json), part_progress("design", quiet=as_json) as tell:
         search = partial(
             make,
             engine,

@@ -11,7 +11,7 @@ import click
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
-from cosim.cli.console import terminal
+from cosim.cli.console import output_to_stderr, terminal
 from cosim.cli.options import DONE, Number, example, log_options
 
 if TYPE_CHECKING:
@@ -60,7 +60,9 @@ def identify_engine(
     from cosim.base.storage.toml import parse_numbers
     from cosim.design.identify import identify_engine as identify
 
-    identification = identify(name, parse_numbers(settings, "--set"), hold=parse_numbers(holds, "--hold"), **choices)
+    with output_to_stderr(as_json):
+        numbers, hold = parse_numbers(settings, "--set"), parse_numbers(holds, "--hold")
+        identification = identify(name, numbers, hold=hold, **choices)
     return _finish_identification(identification, out, f"identify-{Path(name).stem}", as_json)
 
 
@@ -70,7 +72,8 @@ def _identify_axis(
     from cosim.base.storage.toml import parse_numbers
     from cosim.design.identify import identify_axis
 
-    identification = identify_axis(axis, settings=settings, hold=parse_numbers(holds, "--hold"), **choices)
+    with output_to_stderr(as_json):
+        identification = identify_axis(axis, settings=settings, hold=parse_numbers(holds, "--hold"), **choices)
     return _finish_identification(identification, out, f"identify-{axis}", as_json)
 
 

@@ -11,7 +11,7 @@ import click
 from click.core import ParameterSource
 
 from cosim.base.errors import InputError
-from cosim.cli.console import part_progress, terminal
+from cosim.cli.console import output_to_stderr, part_progress, terminal
 from cosim.cli.options import DONE, example, refuse_others
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def faults(
         refuse_others(context, why, "docs", "limits", "workers", "out", "as_json")
         check_marks(page, PARTS)
 
-    with part_progress("faults", quiet=as_json) as say:
+    with output_to_stderr(as_json), part_progress("faults", quiet=as_json) as say:
         named = [seen_from(controller, Path()) for controller in controllers]
         result = survival(aircraft, engine, named, kinds, workers, say, limits or page is not None)
     paths = write(result, out if out is not None else new_folder(Path("runs"), f"faults-{result.aircraft}"))
@@ -137,7 +137,7 @@ def _engine_out(
         if aircraft or engines:
             raise InputError("--docs: the pages hold every aircraft and engine; leave out --aircraft and --engine")
         check_pages(docs)
-    with part_progress("engine out", quiet=as_json) as say:
+    with output_to_stderr(as_json), part_progress("engine out", quiet=as_json) as say:
         result = engine_out(aircraft, engines, designs or folder / "designs", workers, say)
     path = write(result, folder)
     pages = write_pages(result, docs) if docs is not None else []
@@ -227,7 +227,7 @@ def failsafes(
         check_marks(page, [mark(aircraft_name(name), airborne) for name in aircraft])
     results: list[Failsafes] = []
     folder = out
-    with part_progress("failsafes", quiet=as_json) as say:
+    with output_to_stderr(as_json), part_progress("failsafes", quiet=as_json) as say:
         conditions = Conditions(heights, winds or WINDS_M_S, moving, flights, airborne, seed)
         for survey in fly_all(aircraft, engine, controller, kinds, conditions, workers, say):
             if folder is None:

@@ -100,3 +100,11 @@ def test_an_output_that_is_full_is_named(arguments: list[str], tmp_path: Path) -
     assert line == "hexjet: standard output: No space left on device"
     if arguments is SHORT:  # nothing recorded is lost
         assert open_run(tmp_path / "flown").summary.steps == 100
+
+
+def test_what_a_flight_prints_in_python_is_not_in_the_json() -> None:
+    """Standard output is a pipe here, where Python keeps what is printed for later."""
+    code = "from cosim.cli.console import output_to_stderr\nwith output_to_stderr(True):\n    print('a block of yours')\nprint('{}')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    assert done.stdout == "{}\n"
+    assert "a block of yours" in done.stderr
