@@ -19,7 +19,7 @@ from pathlib import Path
 from types import TracebackType
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import lock, one_line
+from cosim.base.storage.files import lock, one_line, own_file
 from cosim.campaign.folder import (
     FLIGHTS,
     JOURNAL,
@@ -390,7 +390,7 @@ def _journal(folder: Path, of: int) -> Iterator[Row]:
 
 def _open_journal(folder: Path, how: int) -> int:
     """Open the journal and take its lock.  Raises InputError if another process has it, OSError."""
-    file = os.open(folder / JOURNAL, os.O_RDWR | os.O_APPEND | how, 0o666)
+    file = own_file(folder / JOURNAL, os.O_RDWR | os.O_APPEND | how)
     if not lock(file):
         os.close(file)
         raise InputError(f"{folder}: in use by another process; wait until it ends")

@@ -19,6 +19,8 @@ from cosim.base.errors import FlightError, InputError
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary file beside ``path`` that takes its name if all goes well and is removed if not."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with suppress(OSError):
+        temporary.unlink()  # what has the name already: a link, in a folder from elsewhere, that leads to another file
     try:
         yield temporary
         with open(temporary, "rb+") as file:
@@ -27,6 +29,11 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def own_file(path: str | Path, flags: int) -> int:
+    """Open a file to be written, never what a link in a folder from elsewhere leads to; an opener for ``open``."""
+    return os.open(path, flags | os.O_NOFOLLOW, 0o666)
 
 
 def write_whole(path: Path, content: str | bytes, failure: type[Exception] | None = None) -> None:

@@ -9,7 +9,7 @@ from math import ceil
 from pathlib import Path
 
 from cosim.base.errors import FlightError
-from cosim.base.storage.files import one_line
+from cosim.base.storage.files import one_line, own_file
 from cosim.campaign.study.keys import Value
 from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.study import Study
@@ -141,7 +141,7 @@ class Journal:
         try:
             if not self.path.exists():
                 return known
-            with open(self.path, "rb+") as file:
+            with open(self.path, "rb+", opener=own_file) as file:
                 while line := file.readline():
                     if not line.endswith(b"\n"):
                         file.truncate(file.tell() - len(line))
@@ -158,7 +158,7 @@ class Journal:
         """Write one row.  Raises FlightError if that fails."""
         line = {"controller": point.controller, "seed": seed, "values": dict(point.values), "row": row}
         try:
-            with open(self.path, "a", encoding="utf-8") as file:
+            with open(self.path, "a", encoding="utf-8", opener=own_file) as file:
                 file.write(json.dumps(line) + "\n")
         except OSError as error:
             raise FlightError(f"{self.path}: {one_line(error)}") from error

@@ -34,6 +34,7 @@ from typing import Any
 from cosim.base.errors import FlightError, InputError
 from cosim.base.frames import to_euler
 from cosim.base.signals import Sample
+from cosim.base.storage.files import own_file
 from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.autopilot.status import Status
 from cosim.results.run import AUTOPILOT
@@ -57,7 +58,7 @@ class PilotRecord:
         self._waiting: list[bytes] = []
         self._size = 0
         try:
-            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+            self._file = own_file(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         except OSError as error:
             raise InputError(f"{path}: {error.strerror or error}") from error
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.base.errors import FlightError, InputError
+from cosim.base.storage.files import own_file
 from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.autopilot.requests import (
     Answer,
@@ -43,7 +44,7 @@ class RequestLog:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+            self._file = own_file(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         except OSError as error:
             raise InputError(f"{path}: {error.strerror or error}") from error
 

@@ -67,15 +67,16 @@ def test_what_is_left_out_of_a_model_is_said_once(tmp_path: Path) -> None:
     """And what it would have written is not there."""
     written = tmp_path / "written.csv"
     output = f'<output name="{written}" type="CSV" rate="50"><rates>ON</rates></output>'
-    with_model(tmp_path, "own.xml", f"<fdm_config>\n{output}\n</fdm_config>")
+    with_model(tmp_path, "../own.xml", f"<fdm_config>\n{output}\n</fdm_config>")  # a path may lead out: it is read
     done = hexjet(tmp_path, "fly", "hover", "--aircraft", "./mine", "--set", "duration_s=1", "--out", "flown")
     assert done.returncode == 0, done.stderr
     notes = [line for line in done.stderr.splitlines() if "left out" in line]
     assert len(notes) == 1
     assert notes[0].startswith("hexjet: note: ")
-    assert notes[0].endswith("mine/own.xml: left out, as no part of what flies: <output> (line 2)")
+    assert notes[0].endswith("mine/../own.xml: left out, as no part of what flies: <output> (line 2)")
     assert not written.exists()
     assert b"<output" not in (tmp_path / "flown" / "own.xml").read_bytes()
+    assert {path.name for path in tmp_path.iterdir()} == {"mine", "own.xml", "flown"}  # nothing is written elsewhere
 
 
 CRASHES = {
