@@ -124,8 +124,9 @@ class _Had:
 
     def __init__(self, process: int) -> None:
         self._process = process
-        self._looked = time.monotonic()
+        self._begun = self._looked = time.monotonic()
         self.seconds = self.processor = 0.0
+        self.answered()
 
     def look(self) -> None:
         """Count what has passed since the last look; without a ``/proc`` all of it."""
@@ -139,12 +140,27 @@ class _Had:
             waits = all(thread.read_text().rpartition(")")[2].split()[0] != "R" for thread in threads)
         self.seconds += max(self.processor - before, passed if waits else 0.0)
 
+    def answered(self) -> None:
+        """It has given a sign of life."""
+        self._told, self._heard, self._computed = self._looked, self.seconds, self.processor
+
+    def beyond(self, limits: Limits) -> str | None:
+        """Return in words which limit of time it has passed, None for none; by the clock they are ten times as long."""
+        if self.seconds > limits.seconds or self._looked - self._begun > BUSIEST * limits.seconds:
+            return f"takes too long: was not done within {limits.seconds:.3g} s, and ended {{moment}}"
+        if self.seconds - self._heard > limits.silence:
+            busy = self.processor - self._computed > 0.5 * limits.silence
+            slow = " of processor time, if it is not that slow" if busy else ""
+            return f"{HANGS} {{moment}}: no answer within {limits.silence:g} s{slow}"
+        if self._looked - self._told > BUSIEST * limits.silence:  # a busy machine is no fault of the FMU
+            return f"takes too long {{moment}}: no answer within {BUSIEST * limits.silence:g} s of the clock"
+        return None
+
 
 def _watch(
     child: subprocess.Popen[bytes], readers: Mapping[int, Callable[[bytes], bool]], limits: Limits, had: _Had
 ) -> str | None:
     """Read what the child says until it ends; the words for what it was ended for, None if it ended by itself."""
-    begin, heard, computed = time.monotonic(), 0.0, 0.0
     with selectors.DefaultSelector() as selector:
         for descriptor in readers:
             os.set_blocking(descriptor, False)
@@ -157,14 +173,10 @@ def _watch(
                 if not data:
                     selector.unregister(key.fd)
                 elif readers[key.fd](data):
-                    heard, computed = had.seconds, had.processor
+                    had.answered()
             had.look()
-            if had.seconds > limits.seconds or time.monotonic() - begin > BUSIEST * limits.seconds:
-                return f"takes too long: was not done within {limits.seconds:.3g} s, and ended {{moment}}"
-            if had.seconds - heard > limits.silence:
-                busy = had.processor - computed > 0.5 * limits.silence
-                slow = " of processor time, if it is not that slow" if busy else ""
-                return f"{HANGS} {{moment}}: no answer within {limits.silence:g} s{slow}"
+            if late := had.beyond(limits):
+                return late
             if megabytes(child.pid) > limits.megabytes:
                 return f"took more than {limits.megabytes:g} MB of memory {{moment}}"
     return None

@@ -34,6 +34,7 @@ from cosim.control.autopilot import requests as rq
 from cosim.groundstation.exchange import Done, Exchange, GroundRequest, Restart, Snapshot, ignore_answer
 from cosim.groundstation.web import feed
 from cosim.groundstation.web.loopback import (
+    TEXT,
     TYPES,
     WRONG_TOKEN,
     is_token,
@@ -408,13 +409,14 @@ def _read(token: str, key: str, hosts: set[str]) -> dict[str, tuple[str, bytes, 
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
         f"connect-src 'self' {sockets}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
+    kinds = TYPES | {"txt": TEXT}  # the licences
     served = {
-        path: (TYPES[path.rpartition(".")[2]], body, policy)
+        path: (kinds[path.rpartition(".")[2]], body, policy)
         for path, body in [
             *_walk(files("cosim.groundstation.web") / "static", "/"),
             *((f"/assets/{name}", (ASSETS / name).read_bytes()) for name in _ASSETS),
         ]
-        if path.rpartition(".")[2] in TYPES
+        if path.rpartition(".")[2] in kinds
     }
     kind, body, _ = served.pop("/index.html")
     page = body.decode().replace(_TOKEN, escape(token)).replace(_FILES, f"/{key}").encode()
