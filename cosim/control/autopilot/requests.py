@@ -231,7 +231,7 @@ class ItemKind(Enum):
     RETURN = "return"
     SPEED = "speed"  # speed
     DELAY = "delay"  # hold_s
-    JUMP = "jump"  # to item `target`, `repeat` times
+    JUMP = "jump"  # to item `target`, `repeat` times; -1: without end
     CIRCLE = "circle"  # round north, east at altitude: radius, clockwise, turns
     STAY = "stay"  # at north, east, altitude until something else is asked; yaw
     ALTITUDE = "altitude"  # to north and east, if given, at the height that it has, and there to altitude
@@ -262,7 +262,7 @@ class MissionItem(_Checked):
     acceptance_m: Annotated[float, Bounds(0.0, 1e3)] = 0.0  # 0: the parameter's
     speed: Annotated[float, Bounds(0.1, 1e3)] | None = None
     target: Index | None = None
-    repeat: Annotated[int, Bounds(0, 1000)] = 0
+    repeat: Annotated[int, Bounds(-1, 1000)] = 0
     radius: Annotated[float, Bounds(1.0, 1e4)] | None = None
     clockwise: bool = True
     turns: Annotated[float, Bounds(0.0, 1e4)] = 1.0  # 0: without end

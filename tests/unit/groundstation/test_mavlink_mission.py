@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from math import cos, isnan, nan, radians
 from types import SimpleNamespace
 from typing import Any
@@ -29,12 +30,14 @@ from cosim.control.autopilot.requests import (
     ZoneKind,
 )
 from cosim.groundstation.mavlink.services.items import (
+    PARAM5,
     Item,
     ItemError,
     to_item,
     to_mission_item,
 )
 from cosim.groundstation.mavlink.services.missions import MissionService
+from cosim.groundstation.mavlink.services.service import status_text
 from cosim.spec.scenario import Environment, Initial
 from cosim.spec.vehicle import load_vehicle
 from cosim.vehicle.airframe import Airframe
@@ -183,6 +186,38 @@ def test_an_uploaded_mission_is_flown_as_it_was_meant_and_comes_back_as_it_was_s
     assert [m.current for m in received] == [1] + [0] * 7
 
 
+def test_a_jump_for_ever_is_taken_and_given_back() -> None:
+    vehicle = Vehicle()
+    items = [do(22, 0, 0, 0, nan, z=10.0, frame=RELATIVE), at(20.0, 0.0, 10.0), do(177, 1.0, -1.0)]
+    assert upload(vehicle.station, items) == ACCEPTED
+    assert (vehicle.items[2].target, vehicle.items[2].repeat) == (1, -1)
+    assert all(same(a, b) for a, b in zip(download(vehicle.station), items, strict=True))
+    assert to_item(vehicle.items[2], PLACE).params[:2] == (1.0, -1.0)
+    assert upload(vehicle.station, [at(20.0, 0.0, 10.0), do(177, 0.0, -2.0)]) != ACCEPTED
+
+
+def test_a_place_far_away_is_refused_as_a_pilot_says_it() -> None:
+    vehicle = Vehicle()
+    far = Item(RELATIVE, 16, (0.0, 0.0, 0.0, nan), 650_000_000, 1_135_900_000, 10.0)
+    assert upload(vehicle.station, [far]) == PARAM5
+    texts = [message for message in vehicle.station.take() if message.get_type() == "STATUSTEXT"]
+    said = "".join(text.text for text in sorted(texts, key=lambda text: text.chunk_seq))
+    assert re.fullmatch(r"mission item 0 refused: 4,3\d\d km from home, 100 km at most", said)
+    high = Item(RELATIVE, 16, (0.0, 0.0, 0.0, nan), round(1e7 * 22.35), round(1e7 * 113.59), 4e6)
+    with pytest.raises(ItemError, match="4,000 km above the ground, 100 km at most"):
+        to_mission_item(high, PLACE, 0.0)
+
+
+def test_a_text_that_fills_its_last_piece_is_ended() -> None:
+    """Without a NUL a station waits for more; and no text of a service has a number of one of the vehicle's own."""
+    (one,) = status_text("a" * 49, 4)
+    assert one.id == 0
+    two = status_text("a" * 100, 4)
+    assert [piece.chunk_seq for piece in two] == [0, 1, 2]
+    assert two[-1].text == ""
+    assert two[0].id > 0x8000
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_up_and_down_with_a_fifth_of_the_frames_lost(seed: int) -> None:
     vehicle = Vehicle(loss=0.2, seed=seed)
@@ -290,7 +325,7 @@ BAD = [
     (do(178, 1.0, nan), P2),
     (do(177, 0.5, 1.0), P1),
     (do(177, nan, 1.0), P1),
-    (do(177, 0.0, -1.0), P2),  # for ever
+    (do(177, 0.0, -2.0), P2),
     (do(177, 0.0, 1e9), P2),
     (do(17), FRAME),  # loiter without end, nowhere
     (at(0, 0, 10, command=18, p1=0.0, p3=5.0), P1),  # no turns

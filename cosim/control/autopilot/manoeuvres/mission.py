@@ -55,7 +55,9 @@ class Mission:
             if item is None or item.kind is not ItemKind.JUMP or item.target is None:
                 return item
             made = self._jumps.get(self.current, 0)
-            if made < item.repeat:
+            if item.repeat < 0:
+                self.current = item.target
+            elif made < item.repeat:
                 self._jumps[self.current] = made + 1
                 self.current = item.target
             else:
@@ -64,3 +66,24 @@ class Mission:
                 self.current += 1
         self.current = len(self.items)
         return None
+
+
+_NO_TIME = (ItemKind.LEFT_OUT, ItemKind.SPEED, ItemKind.DELAY)
+
+
+def idle_jump(items: Sequence[MissionItem]) -> int | None:
+    """Return the first jump without end that comes back to itself with nothing flown and nothing waited for."""
+    for jump, first in enumerate(items):
+        at, seen = jump, set[int]()
+        while first.kind is ItemKind.JUMP and first.repeat < 0 and at < len(items):
+            item = items[at]
+            if at in seen:
+                return jump
+            seen.add(at)
+            if item.kind is ItemKind.JUMP and item.repeat < 0 and item.target is not None:
+                at = item.target
+            elif item.kind in _NO_TIME and not item.hold_s:
+                at += 1
+            else:
+                break
+    return None

@@ -11,7 +11,7 @@ from cosim.control.autopilot.failsafes import Watch
 from cosim.control.autopilot.guidance.course import ABOVE_M, REACHED_M, Course
 from cosim.control.autopilot.manoeuvres.circle import Circle
 from cosim.control.autopilot.manoeuvres.homeward import Homeward
-from cosim.control.autopilot.manoeuvres.mission import Mission
+from cosim.control.autopilot.manoeuvres.mission import Mission, idle_jump
 from cosim.control.autopilot.requests import ItemKind, MissionItem, MissionUpload, Orbit
 
 _MOST_ITEMS = 1000  # of a mission that are reckoned with, jumps and all; chosen by us
@@ -39,7 +39,9 @@ class MissionFlight:
         self._there = False  # where the item's height changes, or where it lands
 
     def load(self, request: MissionUpload, watch: Watch) -> None:
-        """Another mission.  Raises InputError where an item is outside the fence."""
+        """Take another mission.  Raises InputError where an item is outside the fence or jumps on the spot for ever."""
+        if (jump := idle_jump(request.items)) is not None:
+            raise InputError(f"mission item {jump} refused: it jumps for ever, and nothing is flown on the way")
         for index, item in enumerate(request.items):
             if item.north is not None and item.east is not None:
                 height = item.altitude if item.altitude is not None else self._estimates.altitude

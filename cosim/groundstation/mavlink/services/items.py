@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from math import degrees, isfinite, isnan, nan, pi, radians
-from typing import NamedTuple
+from math import degrees, hypot, isfinite, isnan, nan, pi, radians
+from typing import NamedTuple, get_args
 
 from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
-from cosim.control.autopilot.requests import ItemKind, MissionItem
+from cosim.control.autopilot.requests import ItemKind, Metres, MissionItem
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 
@@ -65,6 +65,7 @@ LEFT_OUT: dict[int, str] = {
 
 _SEA = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_GLOBAL_INT)  # z above the sea
 _HOME = (wire.MAV_FRAME_GLOBAL_RELATIVE_ALT, wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)  # z above home
+FARTHEST: float = get_args(Metres)[1].most  # m, either way, that the pilot takes
 NOWHERE = 2**31 - 1  # x or y that is not given
 
 
@@ -110,13 +111,14 @@ def to_mission_item(item: Item, geodesy: Geodesy, home_altitude: float) -> Missi
             return MissionItem(ItemKind.DELAY, hold_s=_number(p1, PARAM1, "delay", 0.0))
         if command == JUMP:
             target = _whole(p1, PARAM1, "item to jump to")
-            return MissionItem(ItemKind.JUMP, target=target, repeat=_whole(p2, PARAM2, "number of jumps"))
+            repeat = -1 if p2 == -1.0 else _whole(p2, PARAM2, "number of jumps")  # -1: for ever
+            return MissionItem(ItemKind.JUMP, target=target, repeat=repeat)
         if command == SPEED:
             if p1 not in (0.0, 1.0):
                 raise ItemError(PARAM1, "only the horizontal speed can be set")
             return MissionItem(ItemKind.SPEED, speed=_number(p2, PARAM2, "speed", 0.1))
     except InputError as error:  # a number beyond what the pilot flies
-        raise ItemError(_code_of(str(error)), str(error)) from error
+        raise ItemError(_code_of(str(error)), str(error).removeprefix("MissionItem.")) from error
     raise ItemError(UNSUPPORTED, f"command {command} is not known here")
 
 
@@ -222,6 +224,9 @@ def place_of(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, floa
     if item.frame not in (*_SEA, *_HOME):
         raise ItemError(WRONG_FRAME, f"frame {item.frame} is not known here")
     north, east, _ = geodesy.to_local(item.x * 1e-7, item.y * 1e-7, geodesy.ground + altitude)
+    if max(abs(north), abs(east)) > FARTHEST:
+        away = hypot(north, east) / 1e3
+        raise ItemError(PARAM5, f"{away:,.0f} km from home, {FARTHEST / 1e3:g} km at most")
     return north, east
 
 
@@ -231,7 +236,10 @@ def altitude_of(item: Item, geodesy: Geodesy, home_altitude: float) -> float:
         raise ItemError(WRONG_FRAME, f"frame {item.frame} is not known here")
     if not isfinite(item.z):
         raise ItemError(PARAM7, "it has no height")
-    return item.z - geodesy.ground if item.frame in _SEA else item.z + home_altitude
+    height = item.z - geodesy.ground if item.frame in _SEA else item.z + home_altitude
+    if abs(height) > FARTHEST:
+        raise ItemError(PARAM7, f"{height / 1e3:,.0f} km above the ground, {FARTHEST / 1e3:g} km at most")
+    return height
 
 
 def _yaw(angle: float) -> float | None:

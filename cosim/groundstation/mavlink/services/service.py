@@ -11,8 +11,8 @@ from collections.abc import Callable, Hashable, Sequence
 from typing import NamedTuple
 
 from cosim.control.autopilot.requests import Answer, Request
+from cosim.groundstation.mavlink.telemetry import statustext
 from cosim.groundstation.mavlink.wire.dialect import Message
-from cosim.groundstation.mavlink.wire.dialect import mav as wire
 
 Peer = Hashable  # an address, as the link knows it
 Outgoing = list[tuple[Peer | None, Message]]
@@ -20,7 +20,7 @@ Outgoing = list[tuple[Peer | None, Message]]
 Ask = Callable[[Request, Callable[[Answer], None], str], None]
 
 MAX_CLIENTS = 16  # that a service remembers something of; chosen by us: more than anybody connects
-_TEXT = 50  # bytes of a STATUSTEXT
+_OWN_IDS = 0x8000  # from here on texts of services are numbered
 _text_id = 0
 
 
@@ -108,13 +108,10 @@ class Answers:
 
 
 def status_text(text: str, severity: int) -> list[Message]:
-    """STATUSTEXT, in as many pieces as it needs (at most five)."""
+    """Return STATUSTEXT, in as many pieces as it needs; their numbers are none of those that the vehicle's own have."""
     global _text_id
-    data = text.encode("ascii", "replace")[: 5 * _TEXT]
-    pieces = [data[start : start + _TEXT] for start in range(0, len(data), _TEXT)]
-    _text_id = _text_id % 65535 + 1
-    number = _text_id if len(pieces) > 1 else 0  # 0: it is one piece
-    return [wire.MAVLink_statustext_message(severity, piece, number, i) for i, piece in enumerate(pieces)]
+    _text_id = (_text_id + 1) % _OWN_IDS
+    return statustext(severity, text, _OWN_IDS + _text_id)
 
 
 def text_of(value: str | bytes) -> str:
