@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import fmpy
+import psutil
 import pytest
 from fmpy.fmi2 import FMU2Slave
 from places import ROOT, TOOLS
@@ -161,6 +162,25 @@ while len(frame := read.read(asked.size)) == asked.size:
     write.write(answer.pack(k, *given.throttle, *given.tilt, *given.unallocated, *shown))
     write.flush()
 """
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="told by /proc")
+def test_what_a_process_has_started_ends_with_the_flight(tmp_path: Path) -> None:
+    """In a session of its own, which a signal to the process's group does not reach."""
+    program, started = of_page("script", tmp_path / "loop.py"), tmp_path / "started"
+    text = program.read_text(encoding="utf-8")
+    more = (
+        "import os, subprocess\n"
+        "quiet = dict.fromkeys(('stdin', 'stdout', 'stderr'), subprocess.DEVNULL)\n"
+        "helper = subprocess.Popen(['sleep', '1000'], start_new_session=True, **quiet)\n"
+        f"open({str(started)!r}, 'a').write(f'{{helper.pid}}\\n')\n"
+    )
+    program.write_text(more + text, encoding="utf-8")
+    assert fly(ROLL.replace(controller=f"process:{program}", duration_s=0.1), report=False).outcome == "completed"
+    helpers = [int(line) for line in started.read_text().splitlines()]
+    assert helpers
+    for helper in helpers:
+        assert not psutil.pid_exists(helper) or psutil.Process(helper).status() == psutil.STATUS_ZOMBIE
 
 
 def test_the_whole_cascade_in_a_process_leaves_the_log_of_ours(tmp_path: Path) -> None:
