@@ -138,6 +138,8 @@ def fixed(vehicle: Vehicle) -> list[str]:
         "set acc_calibration = 0,0,0,1",  # said to be calibrated: the accelerometer that it is told has no zero to find
         "set small_angle = 180",  # it may be armed at any lean
         "set min_check = 1010",
+        "set deadband = 0",
+        "set yaw_deadband = 0",
         "set airmode_start_throttle_percent = 0",
         "set rates_type = ACTUAL",
         *[

@@ -277,7 +277,7 @@ def ardupilot(
     )
     click.echo(
         f"hexjet: ArduPilot listens for sticks at UDP port {RC_PORT + APART * instance} on every network interface of "
-        "this machine, and cannot be told otherwise; keep that port closed to others",
+        "this machine, for states at one that the system draws, and cannot be told otherwise: close them to others",
         err=True,
     )
     return _fly(options, options.read(gains), "ardupilot", setup)
