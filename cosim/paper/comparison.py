@@ -11,10 +11,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import log, radians
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, BeforeValidator, ConfigDict
 
 from cosim.base.signals import AXES
 from cosim.design.loop.frequency import margins
@@ -84,6 +84,14 @@ class Row(BaseModel):
         return _deviation(self.flight, self.paper)
 
 
+def _loop(key: object) -> object:
+    """Return the vehicle and the controller that a key of JSON, which is one text, names."""
+    return tuple(key.split(",")) if isinstance(key, str) else key
+
+
+Loop = Annotated[tuple[str, str], BeforeValidator(_loop)]  # vehicle, controller
+
+
 @dataclass(frozen=True)
 class LinearPart:
     """What the linear plant says."""
@@ -94,10 +102,10 @@ class LinearPart:
     sweeps: dict[str, Sweep]  # measured in the loop
     conditions: list[Condition]
     maps: list[extensions.RobustnessMap]
-    delays: dict[tuple[str, str], list[extensions.DelayPoint]]
+    delays: dict[Loop, list[extensions.DelayPoint]]
     offsets: list[extensions.Offset]
     smith_offset: float  # rad, closed form
-    noise: dict[tuple[str, str], float | None]
+    noise: dict[Loop, float | None]
     turbojet: list[extensions.Reach]
 
 

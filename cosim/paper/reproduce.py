@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import pickle
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
@@ -278,19 +278,20 @@ def _run(
     tasks: Mapping[str, tuple[Callable[..., Any], tuple[Any, ...]]], folder: Path, say: Say, workers: int
 ) -> dict[str, Any]:
     made_from = _fingerprint()
-    files = {name: folder / f"{name}-{made_from}.pickle" for name in tasks}
-    parts = {name: part for name, file in files.items() if (part := _taken_up(file)) is not None}
+    files = {name: folder / f"{name}-{made_from}.json" for name in tasks}
+    kinds = {name: TypeAdapter(get_type_hints(function)["return"]) for name, (function, _) in tasks.items()}
+    parts = {name: part for name, file in files.items() if (part := _taken_up(file, kinds[name])) is not None}
     say("parts", len(parts), len(tasks))
     names = [name for name in tasks if name not in parts]
     try:
         for place, part in as_finished(_do, [tasks[name] for name in names], workers):
             name = names[place]
             parts[name] = part
-            write_whole(files[name], pickle.dumps(part))
+            write_whole(files[name], json.dumps(kinds[name].dump_python(part, mode="json")))
             say(name, len(parts), len(tasks))
     except FlightError as error:
         raise FlightError(f"{error}; what was finished is kept, call again") from error
-    for old in set(folder.glob("*.pickle")) - set(files.values()):
+    for old in {*folder.glob("*.json"), *folder.glob("*.pickle")} - set(files.values()):
         if old.name.rsplit("-", 1)[0] in tasks:
             old.unlink()  # of other sources: nothing will take it up
     return {name: parts[name] for name in tasks}
@@ -311,11 +312,14 @@ def _check_writable(folder: Path) -> None:
         raise InputError(f"--out {folder}: cannot be written to: {error.strerror or error}") from error
 
 
-def _taken_up(file: Path) -> Any:
-    """A part of an earlier call; None if there is none or it cannot be read."""
+def _taken_up(file: Path, kind: TypeAdapter[Any]) -> Any:
+    """Return a part of an earlier call, read as data of its kind; None if there is none or it cannot be read.
+
+    The folder may be somebody else's: nothing in it is more than text and numbers.
+    """
     try:
-        return pickle.loads(file.read_bytes())
-    except Exception:
+        return kind.validate_python(json.loads(file.read_bytes()))
+    except (OSError, ValueError, RecursionError):  # a ValidationError is a ValueError
         return None
 
 

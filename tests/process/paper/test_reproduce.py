@@ -21,6 +21,7 @@ import psutil
 import pytest
 from patience import PATIENCE
 from places import ROOT, TOOLS
+from pydantic import TypeAdapter
 
 from cosim.base.errors import InputError
 from cosim.cli.main import main
@@ -114,7 +115,7 @@ def test_a_damaged_part_is_run_again(tmp_path: Path) -> None:
     parts = tmp_path / "parts"
     parts.mkdir()
     reproduce._run(tasks, parts, quiet, 1)
-    (file,) = parts.glob("a-*.pickle")
+    (file,) = parts.glob("a-*.json")
     file.write_bytes(file.read_bytes()[:-3])
     assert reproduce._run(tasks, parts, quiet, 1)["a"] == "result of a"
     assert [times_run(tmp_path, name) for name in "ab"] == [2, 1]
@@ -127,7 +128,7 @@ def test_parts_of_other_sources_are_not_taken_up(tmp_path: Path, monkeypatch: py
         monkeypatch.setattr(reproduce, "_fingerprint", lambda made_from=made_from: made_from)
         reproduce._run(tasks, tmp_path / "parts", quiet, 1)
     assert times_run(tmp_path, "a") == 2
-    assert [file.name for file in (tmp_path / "parts").iterdir()] == ["a-two.pickle"]  # nothing will take up the other
+    assert [file.name for file in (tmp_path / "parts").iterdir()] == ["a-two.json"]  # nothing will take up the other
 
 
 def test_what_was_finished_before_a_failure_stays(tmp_path: Path) -> None:
@@ -135,7 +136,34 @@ def test_what_was_finished_before_a_failure_stays(tmp_path: Path) -> None:
     parts.mkdir()
     with pytest.raises(InputError, match="this part fails"):
         reproduce._run(cheap(tmp_path, "a") | {"b": (fail, ())}, parts, quiet, 1)
-    assert [pickle.loads(file.read_bytes()) for file in parts.glob("a-*.pickle")] == ["result of a"]
+    assert [json.loads(file.read_bytes()) for file in parts.glob("a-*.json")] == ["result of a"]
+
+
+class Trap:
+    """What leaves a mark when it is unpickled."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (self.mark,)
+
+
+def test_a_part_of_somebody_elses_runs_nothing(tmp_path: Path) -> None:
+    """Whatever lies in the folder under whatever name a part has or had: it is data, or it is made again."""
+    parts, mark = tmp_path / "parts", tmp_path / "ran"
+    parts.mkdir()
+    for ending in ("json", "pickle"):
+        (parts / f"a-{reproduce._fingerprint()}.{ending}").write_bytes(pickle.dumps(Trap(mark)))
+    assert reproduce._run(cheap(tmp_path, "a"), parts, quiet, 1) == {"a": "result of a"}
+    assert not mark.exists()
+    assert [file.name for file in parts.iterdir()] == [f"a-{reproduce._fingerprint()}.json"]
+
+
+def test_what_is_kept_of_the_linear_part_is_the_same_to_the_last_bit(found: Reproduction) -> None:
+    for part in (found.linear, found.manual, *found.flight_sweeps.values(), *found.flight_results.values()):
+        kind: TypeAdapter[Any] = TypeAdapter(type(part))
+        assert kind.validate_python(json.loads(json.dumps(kind.dump_python(part, mode="json")))) == part
 
 
 KILLED = """
@@ -159,7 +187,7 @@ def test_after_an_interruption_finished_parts_are_not_repeated(tmp_path: Path, h
     first = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     try:
         end = time.monotonic() + PATIENCE
-        while len(list((tmp_path / "parts").glob("[abc]-*.pickle"))) < 3:
+        while len(list((tmp_path / "parts").glob("[abc]-*.json"))) < 3:
             assert time.monotonic() < end
             time.sleep(0.02)
         workers = psutil.Process(first.pid).children()
