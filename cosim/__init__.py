@@ -19,6 +19,7 @@ from cosim.base.runtime.kernels import same_kernels
 
 if TYPE_CHECKING:
     from cosim.base.signals import Command
+    from cosim.base.trust import trust
     from cosim.flight import fly
     from cosim.results.report.flight_figures import plot
     from cosim.results.run import Run, open_run
@@ -37,6 +38,7 @@ __all__ = [
     "fly",
     "open_run",
     "plot",
+    "trust",
 ]
 
 _WHERE = {
@@ -48,6 +50,7 @@ _WHERE = {
     "Run": "cosim.results.run",
     "open_run": "cosim.results.run",
     "plot": "cosim.results.report.flight_figures",
+    "trust": "cosim.base.trust",
 }
 
 choose()  # before any module that may be compiled is imported

@@ -40,6 +40,7 @@ from cosim.results.run import (
 )
 from cosim.simulation.brought import Brought, metrics_of
 from cosim.simulation.build import build
+from cosim.simulation.code import need_trust_of
 from cosim.simulation.controllers.source import OBJECT, Source, of_object
 from cosim.simulation.controllers.source import names as own_controllers
 from cosim.simulation.ending import Ending
@@ -116,6 +117,7 @@ def fly(
         If the scenario, the vehicle, the engine or the folder is not usable; nothing is written then.
     """
     scenario, own = opened(scenario, controller)
+    need_trust_of(scenario)  # before its metrics are asked for their names
     check_expected(scenario)
     with build(scenario, own) as simulation:
         replay = pilot = None
@@ -541,10 +543,7 @@ def _controllers_like(controller: str) -> list[str]:
 def expectation(scenario: Scenario) -> Expectation | None:
     """What the scenario expects of its controller with its engine on its aircraft, if it says so."""
     flown = (scenario.controller, scenario.engine, scenario.aircraft)
-    for entry in scenario.expect:
-        if (entry.controller, entry.engine, entry.aircraft) == flown:
-            return entry
-    return None
+    return next((e for e in scenario.expect if (e.controller, e.engine, e.aircraft) == flown), None)
 
 
 def new_folder(parent: Path, name: str) -> Path:

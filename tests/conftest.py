@@ -152,9 +152,11 @@ def _kind(item: pytest.Item) -> str:
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """What is remembered about engines is remembered for these tests alone."""
+    """What is remembered about engines, and whose code is trusted, is remembered for these tests alone."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("XDG_CONFIG_HOME", str(tmp_path_factory.mktemp("settings")))
+        patch.setenv("HEXJET_TRUST", "1")  # what a test writes is the test's; test_trust.py is a stranger's
         scratch()  # now, so that a test which looks for temporary files finds all others
         yield
 

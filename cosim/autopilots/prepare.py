@@ -24,6 +24,7 @@ from cosim.autopilots.run import AutopilotRun, fly_autopilot, outside_rates
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import Vector3
+from cosim.base.trust import code_of, need_trust
 from cosim.spec.controller_name import is_design
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
@@ -111,8 +112,13 @@ def find_program(name: str, binary: Path | None) -> Path | None:
 
 
 def program_of(name: str, binary: Path | None) -> Path:
-    """As :func:`find_program`, where nobody is there to start one by hand.  Raises InputError for none."""
+    """As :func:`find_program`, where nobody is there to start one by hand, and a study states it.
+
+    Raises InputError for none, and for one that the user does not trust.
+    """
     program = find_program(name, binary)
+    if binary is not None:
+        need_trust([code_of(binary)], name)
     if program is None:
         raise InputError(f"{name}: no program is named; allowed: binary in the table [autopilot], or {VARIABLES[name]}")
     return program

@@ -28,8 +28,8 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import is_file, is_own
 
 STUDY, SCENARIO = "study.toml", "scenario.toml"
-FLIGHTS, JOURNAL, REPORT, CASES = "flights", "flights.jsonl", "report.html", "cases"
-OWN_FILES = (STUDY, SCENARIO, FLIGHTS, JOURNAL, REPORT, CASES)
+FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS = "flights", "flights.jsonl", "report.html", "cases", "columns.json"
+OWN_FILES = (STUDY, SCENARIO, FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS)
 
 
 @dataclass(frozen=True)

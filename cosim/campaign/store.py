@@ -20,7 +20,10 @@ from types import TracebackType
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import lock, one_line, own_file
+from cosim.base.trust import looking
+from cosim.campaign.columns import stored_kinds, write_columns
 from cosim.campaign.folder import (
+    COLUMNS,
     FLIGHTS,
     JOURNAL,
     OWN_FILES,
@@ -31,7 +34,7 @@ from cosim.campaign.folder import (
     is_campaign,
     load,
 )
-from cosim.campaign.study.plan import flights
+from cosim.campaign.study.plan import flight_count, flights
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import (
     Kinds,
@@ -130,7 +133,7 @@ class Store:
         try:
             return cls._begin_with(folder, journal, frozen)
         except InputError:
-            for name in (*frozen.files, SCENARIO, STUDY, JOURNAL):
+            for name in (*frozen.files, SCENARIO, STUDY, JOURNAL, COLUMNS):
                 (folder / name).unlink(missing_ok=True)
             with suppress(OSError):
                 (folder / FLIGHTS).rmdir()
@@ -141,7 +144,9 @@ class Store:
         try:
             (folder / FLIGHTS).mkdir(exist_ok=True)
             frozen.write(folder)
-            return cls(folder, journal)
+            store = cls(folder, journal)
+            write_columns(folder, store.study)
+            return store
         except (OSError, InputError) as error:
             os.close(journal)
             raise InputError(f"{folder}: {one_line(error)}" if isinstance(error, OSError) else str(error)) from error
@@ -311,12 +316,14 @@ def open_campaign(folder: Path | str) -> Campaign:
     >>> campaign.columns["success"].count(True) / len(campaign)
     1.0
 
-    Raises InputError if there is none, or a file cannot be read.
+    None of the code that it names is run.  Raises InputError if there is none, or a file cannot be read.
     """
     folder = Path(folder)
-    study = load(folder)
-    of = len(flights(study))
-    return Campaign(folder, study, _Columns(folder, kinds(study), of), of)
+    with looking():
+        study = load(folder)
+        of = flight_count(study)
+        known = stored_kinds(folder, study, lambda: _names_in_rows(folder, of))
+    return Campaign(folder, study, _Columns(folder, known, of), of)
 
 
 class _Columns(Mapping[str, list[Value]]):
@@ -358,6 +365,14 @@ def _hardly_begun(folder: Path) -> bool:
     journal = folder / JOURNAL
     begun = journal.is_file() and not (folder / STUDY).exists()
     return begun and not journal.stat().st_size and not any((folder / FLIGHTS).glob("*"))
+
+
+def _names_in_rows(folder: Path, of: int) -> Iterator[str]:
+    """The names of the columns in the first part and in the journal."""
+    for path in _parts(folder)[:1]:
+        yield from read_table(path)
+    for row in _journal(folder, of):
+        yield from row
 
 
 def _parts(folder: Path) -> list[Path]:

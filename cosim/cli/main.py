@@ -14,7 +14,9 @@ from typing import Any
 import click
 
 from cosim.base.errors import MACHINE_TROUBLE, OUTPUT, FlightError, InputError, Notice
+from cosim.base.trust import at_a_command
 from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, WRONG_INPUT, Terminated, terminated_as_interrupted
+from cosim.cli.trust import asks, with_trust
 
 INTERRUPTED, TERMINATED = 130, 143  # as a shell has them
 COMMANDS = {  # where each is, so that none is read for another
@@ -55,7 +57,7 @@ class Commands(click.Group):
             return None
         module, _, name = COMMANDS[cmd_name].partition(":")
         command: click.Command = getattr(import_module(f"cosim.cli.{module}"), name)
-        return command
+        return with_trust(command, cmd_name)
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -71,9 +73,10 @@ def main(arguments: list[str] | None = None) -> None:
             stream.reconfigure(errors="replace")
     output = sys.stdout
     warnings.showwarning = _say(warnings.showwarning)
+    given = sys.argv[1:] if arguments is None else arguments
     try:
-        with terminated_as_interrupted():
-            status = cli.main(args=arguments, prog_name="hexjet", standalone_mode=False)
+        with terminated_as_interrupted(), at_a_command(asks(), given):
+            status = cli.main(args=given, prog_name="hexjet", standalone_mode=False)
     except InputError as error:
         _complain(str(error))
         status = WRONG_INPUT

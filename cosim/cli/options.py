@@ -84,7 +84,7 @@ def refuse_others(context: click.Context, why: str, *allowed: str) -> None:
     """Refuse what was given on the command line and is not allowed beside the rest, and say ``why``."""
     for parameter in context.command.params:
         name = parameter.name or ""
-        if name not in allowed and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+        if name not in (*allowed, "trust") and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
             given = max(parameter.opts, key=len)
             raise InputError(f"{given}: {why}")
 

@@ -73,6 +73,7 @@ class _Server:
 
     def __init__(self, socket: _Socket, folder: Path) -> None:
         from cosim.base.errors import InputError
+        from cosim.base.trust import trust
         from cosim.codegen.vehicle_ports import Parts
         from cosim.results.run import versions
         from cosim.spec.scenario import Scenario
@@ -86,6 +87,7 @@ class _Server:
                 "it all the same"
             )
         self._parts = Parts(made["engines_inside"], made["controller_inside"])
+        trust(folder)  # its code is the FMU's, which the importer runs
         self._scenario = Scenario.read(folder / FLIGHT / "scenario.toml")
         self._flight = self._built(self._scenario.seed)
         inputs = [number.name for number in self._flight.inputs]

@@ -14,6 +14,7 @@ from typing import NamedTuple
 from cosim.base.errors import InputError, nearest
 from cosim.base.storage.cache import Memory
 from cosim.base.storage.paths import data_folder
+from cosim.base.trust import Code
 from cosim.engine import build
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive, read_archive
@@ -185,6 +186,11 @@ class EngineSource:
     archive: Archive
     engine: build.Engine | None  # its definition, if it is one of the library
     mapping: MappingFile
+
+    @property
+    def code(self) -> list[Code]:
+        """What of it runs: its archive, unless it is one of the library."""
+        return [] if self.engine is not None else [Code(self.archive.path, self.archive.sha256, (self.path,))]
 
 
 def find_source(name_or_path: str) -> EngineSource:

@@ -59,7 +59,7 @@ from cosim.results.recorder import (
     MemorySink,
     Recorder,
 )
-from cosim.simulation.brought import OwnMetric, metrics_of
+from cosim.simulation.brought import OwnMetric, unmeasured
 from cosim.simulation.pacing import PaceReport
 from cosim.spec.scenario import Expectation, Scenario
 
@@ -611,7 +611,7 @@ def _recover(folder: Path) -> None:
                 setup = Setup.model_validate_json(note)
             except ValidationError as error:
                 raise InputError(f"{stream}: not a stream of this program") from error
-            own = metrics_of(Scenario.read(folder / SCENARIO)) if (folder / SCENARIO).is_file() else []
+            own = [unmeasured(block.name) for block in setup.brought if block.key == "metrics"]
             summary, log = _settle(folder, setup, "failed", "interrupted", None, own=own)
             _shorten(folder, summary, len(log))
         elif not (folder / LOG).is_file():

@@ -23,13 +23,13 @@ from typing import TYPE_CHECKING, Any
 from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.protocols import Column, Columns, Sensors
 from cosim.base.signals import Measured, Sample, State, Vector3
+from cosim.simulation.controllers.execute import imported
 from cosim.simulation.controllers.guard import columns_from, described
 from cosim.simulation.controllers.source import (
     Source,
     check_method,
     file_of,
     from_file,
-    imported,
     loaded,
     version_of,
 )
@@ -258,6 +258,15 @@ def own_metric(source: Source) -> OwnMetric:
     if columns is not None and (isinstance(columns, str) or not all(isinstance(column, str) for column in columns)):
         raise InputError(f"{where}: columns = {columns!r}: must be names of columns of the log")
     return OwnMetric(source, tuple(PREFIX + n for n in names), None if columns is None else tuple(columns))
+
+
+def unmeasured(name: str) -> OwnMetric:
+    """A metric that says why it has no number: whoever finishes a killed flight only looks, and runs no code."""
+
+    def refuse() -> Any:
+        raise InputError("not measured: the flight was killed, and what finishes such a flight runs no code")
+
+    return OwnMetric(Source(name, "metric", refuse, {}), (), ())
 
 
 def metrics_of(scenario: Scenario) -> list[OwnMetric]:

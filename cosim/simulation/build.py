@@ -42,6 +42,7 @@ from cosim.engine import (
 from cosim.engine.fmu.port_kinds import ASIDE
 from cosim.engine.wrappers import EngineChain
 from cosim.simulation.brought import bring
+from cosim.simulation.code import need_trust_of
 from cosim.simulation.controllers.deadline import Deadline
 from cosim.simulation.controllers.guard import (
     GuardedAttitude,
@@ -86,10 +87,10 @@ T = TypeVar("T")
 def build(scenario: Scenario, own: Source | None = None) -> Simulation:
     """Wire a flight; ``own`` is a controller that a program hands over, else the scenario's is found by its name.
 
-    Raises InputError for anything in the scenario, the vehicle, the engine or the controller that does not fit.
+    Raises InputError for anything in scenario, vehicle, engine or controller that does not fit, or is not trusted.
     """
-    if own is None:
-        own = find_controller(scenario)
+    need_trust_of(scenario)
+    own = own or find_controller(scenario)
     told = own_parameters(scenario, own)
     brought = bring(scenario)
     scenario.count(scenario.duration_s, "duration_s")
@@ -103,9 +104,10 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
     flown = as_flown(vehicle, scenario.mismatch)
     rotors = RotorDynamics(flown.jets, stations, step, flown.hinges)
     with ExitStack() as made:
-        plugged = None if own is None else _Plugged(own, told, scenario, vehicle, engine, stations)
-        end = made.callback(plugged.close) if plugged is not None else None
-        if plugged is not None:
+        plugged = end = None
+        if own is not None:
+            plugged = _Plugged(own, told, scenario, vehicle, engine, stations)
+            end = made.callback(plugged.close)
             plugged.make()
         controller = _cascade(scenario, vehicle, engine, stations, plugged)
         airframe = Airframe(flown, folder, scenario.environment, step, scenario.substeps, scenario.seed, rotors.any)
@@ -213,15 +215,12 @@ def _starts_in_flight(scenario: Scenario, stations: Sequence[EngineSpec]) -> boo
     if scenario.engine_start == "before flight":
         return False
     if not any(spec.archive.starting.stages for spec in stations):
+        names = ", ".join(dict.fromkeys(spec.name for spec in stations))
         raise InputError(
-            f'scenario {scenario.name}: engine_start = "in flight": {_names(stations)} has no start; state one in '
+            f'scenario {scenario.name}: engine_start = "in flight": {names} has no start; state one in '
             "[start] of its mapping file, or leave engine_start out"
         )
     return True
-
-
-def _names(stations: Sequence[EngineSpec]) -> str:
-    return ", ".join(dict.fromkeys(spec.name for spec in stations))
 
 
 def _engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:

@@ -12,6 +12,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import one_line, write_whole
 from cosim.base.storage.toml import toml_text
+from cosim.base.trust import CodeRefusedError, is_looking
 from cosim.campaign.analysis.summary import SUCCESS, missing, places
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.campaign.folder import CASES, SCENARIO
@@ -133,10 +134,21 @@ def write_case(campaign: Campaign, row: int) -> tuple[str, str]:
     stated = ("flight", "draw", "controller", "seed", *(vary.key for vary in campaign.study.vary))
     try:
         flight = flight_of(campaign.study, {name: campaign.columns[name][row] for name in stated})
+        name = f"flight-{flight.number:06d}"
+        if is_looking() and (there := _written(campaign.folder, name)):
+            return there, ""
         scenario = scenario_of(campaign.study, flight)
-        return write_flight(scenario, campaign.folder, f"flight-{flight.number:06d}"), ""
+        return write_flight(scenario, campaign.folder, name), ""
+    except CodeRefusedError:
+        return "", "its code is not run to look at it; hexjet fly flies it, and hexjet sweep --resume writes the file"
     except (InputError, FlightError) as error:
         return "", str(error)
+
+
+def _written(folder: Path, name: str) -> str:
+    """The place of a case's scenario that is there already; empty where none is."""
+    places = [Path(CASES) / name / SCENARIO, Path(CASES) / f"{name}.toml"]
+    return next((place.as_posix() for place in places if (folder / place).is_file()), "")
 
 
 def write_flight(scenario: Scenario, folder: Path, name: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 from cosim.campaign.search.probe import Point
 from cosim.campaign.search.search import Plan, SearchResult
-from cosim.campaign.study.keys import Value
+from cosim.campaign.study.keys import Value, with_values
 from cosim.simulation.build import find_controller
 from cosim.spec.controller_name import is_design
 from cosim.spec.scenario import Scenario
@@ -67,7 +67,7 @@ def _sha256(base: Scenario, controller: str) -> str | None:
     """Of a controller from outside."""
     if is_design(controller):
         return None
-    own = find_controller(base.replace(controller=controller))
+    own = find_controller(with_values(base, {"controller": controller}))
     return None if own is None else own.sha256
 
 

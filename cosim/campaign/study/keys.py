@@ -23,6 +23,7 @@ from pydantic.fields import FieldInfo
 
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import merge, split_key
+from cosim.base.trust import CodeRefusedError, is_looking
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import engine_names
 from cosim.engine.fmu.variables import INTEGERS
@@ -265,21 +266,19 @@ def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[d
 
 
 def own_keys(scenario: Scenario) -> list[Key]:
-    """The parameters of the scenario's controller where it is one from outside."""
+    """The parameters of the scenario's controller where it is one from outside; none while that is only looked at."""
     if is_design(scenario.controller):
         return []
-    own = find(scenario.controller, scenario.folder, f"unknown controller {scenario.controller!r}")
+    try:
+        own = find(scenario.controller, scenario.folder, f"unknown controller {scenario.controller!r}")
+    except CodeRefusedError:
+        if is_looking():
+            return []
+        raise
     stated = scenario.controller_parameters
     return [
-        Key(
-            f"{OWN_PARAMETERS}{parameter.name}",
-            "float",
-            stated.get(parameter.name, parameter.default),
-            parameter.unit,
-            parameter.least,
-            parameter.most,
-        )
-        for parameter in (() if own is None else own.parameters)
+        Key(f"{OWN_PARAMETERS}{p.name}", "float", stated.get(p.name, p.default), p.unit, p.least, p.most)
+        for p in (() if own is None else own.parameters)
     ]
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from cosim.base.errors import InputError, nearest, similar
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import parse_setting, read_toml, validate
+from cosim.base.trust import mention
 from cosim.campaign.study.distributions import parse_vary
 from cosim.campaign.study.study import (
     DESIGNS,
@@ -43,6 +44,7 @@ def open_study(
     for it, and ``controllers`` replace the study's.  Without a ``design`` a scenario is flown over a grid if every key
     has levels or values and no ``runs`` are given, and else over a Latin hypercube.  Raises InputError.
     """
+    mention([*controllers, *settings, *vary], Path())
     data, folder, where = _opened(name)
     listed = [_seen_from_here(parse_vary(text).model_dump(mode="json", exclude_none=True)) for text in vary]
     data["vary"] = _written_over(data.get("vary", []), listed, lambda table: table.get("key"))

@@ -65,6 +65,11 @@ def flights(study: Study) -> Sequence[Flight]:
     return _Flights(draws(study), controllers(study))
 
 
+def flight_count(study: Study) -> int:
+    """How many flights ``study`` has."""
+    return study.draws * len(controllers(study))
+
+
 def controllers(study: Study) -> list[str]:
     """What each draw is flown with, as the rows name it: a file by its name as seen from the study's folder."""
     return [_seen_from(study.folder, name) for name in study.controller_names]

@@ -7,6 +7,7 @@ with every controller of the study, so that controllers are compared on the same
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from math import pi, prod, sin
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -18,6 +19,7 @@ from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.storage.files import write_whole
 from cosim.base.storage.paths import data_folder, files_in
 from cosim.base.storage.toml import Model, read_toml, set_path, split_key, toml_text, validate
+from cosim.base.trust import Code, code_of, is_looking, need_trust
 from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.distributions import Vary, parse_vary
 from cosim.campaign.study.keys import (
@@ -30,6 +32,7 @@ from cosim.campaign.study.keys import (
 from cosim.campaign.study.values import check_vary
 from cosim.results.metrics import metric_names
 from cosim.simulation.brought import metrics_of
+from cosim.simulation.code import aircraft_code, block_code, engine_code, scenario_code
 from cosim.simulation.controllers.source import find
 from cosim.spec.controller_name import is_design, seen_from
 from cosim.spec.scenario import Range, Scenario, find_scenario
@@ -142,6 +145,10 @@ class Study(Model):
             self._keys[name] = find_key(base, name)
         return self._keys[name]
 
+    def know(self, keys: Mapping[str, Key]) -> None:
+        """Take these varied keys as they are, rather than from the scenario and the code that it names."""
+        self._keys |= keys
+
     def correlations(self) -> np.ndarray[Any, np.dtype[np.float64]]:
         """The correlation matrix of normal variables that gives the ranks asked for, in the order of ``vary``."""
         places = {vary.key: place for place, vary in enumerate(self.vary)}
@@ -212,7 +219,9 @@ class Study(Model):
         study._folder, study._where = folder, where
         files = [seen_from(name, folder) for name in study.controllers]
         study = study.model_copy(update={"controllers": files}) if files != study.controllers else study
-        check(study, where)
+        if not is_looking():  # else it was checked when it was flown
+            need_trust(study_code(study), where)
+            check(study, where)
         return study
 
     @model_validator(mode="after")
@@ -275,6 +284,25 @@ class Study(Model):
         if pairs and self.design == "latin-hypercube" and (self.runs or 0) < needed:
             raise ValueError(f"runs = {self.runs}: a latin-hypercube with these correlations needs at least {needed}")
         return self
+
+
+def study_code(study: Study) -> list[Code]:
+    """Return the files that a study names and that run: of its scenario, its controllers and what it varies."""
+    base = study.base()
+    code = [*scenario_code(base), *(each for name in study.controllers for each in block_code(name, study.folder))]
+    for vary in study.vary:
+        kind = vary.key.split(".")[-1]
+        for value in [value for value in vary.values or [] if isinstance(value, str)]:
+            if kind == "engine":
+                code += engine_code(value, base.folder)
+            elif kind == "controller":
+                code += block_code(value, base.folder)
+            elif kind == "aircraft":
+                code += aircraft_code(value, base.folder, with_its_own=True)
+    if study.autopilot is not None and study.autopilot.binary:
+        with suppress(OSError):
+            code.append(code_of(Path(study.autopilot.seen_from(study.folder).binary)))
+    return list(dict.fromkeys(code))
 
 
 def check(study: Study, where: str) -> None:

@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 import time
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from socket import gethostname
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING
 from cosim.autopilots.prepare import Setup, own_instance, prepare, program_of
 from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError
 from cosim.base.storage.scratch import temporary
+from cosim.campaign.study.keys import OWN_PARAMETERS
 from cosim.campaign.study.plan import Flight, scenario_of
 from cosim.flight import fly
 from cosim.results import metrics
@@ -52,14 +54,14 @@ _LOCKSTEP: Kinds = {"autopilot": str, "autopilot_frames": int, "autopilot_missin
 _KINDS: Kinds = {"float": float, "int": int, "bool": bool, "choice": str}
 
 
-def kinds(study: Study) -> Kinds:
-    """The columns of a study's rows in their order, and what is in each.
+def kinds(study: Study, own: Sequence[str] | None = None) -> Kinds:
+    """The columns of a study's rows in their order, and what is in each; ``own``: the metrics of the user's, if known.
 
     What was not measured is None; flight, draw, controller, seed, what was varied, outcome, reason and success always
     have a value.
     """
     varied = {vary.key: _kind(study, vary.key) for vary in study.vary}
-    measured = dict.fromkeys([*_metrics(), *own_names(study)], float)
+    measured = dict.fromkeys([*_metrics(), *(own_names(study) if own is None else own)], float)
     lockstep = _LOCKSTEP if study.autopilot is not None else {}
     return _FIRST | varied | _OUTCOME | measured | _LAST | _brought(study) | lockstep
 
@@ -190,6 +192,8 @@ def _brought_sha256(run: Run) -> str:
 
 
 def _kind(study: Study, key: str) -> type[Value]:
+    if key.startswith(OWN_PARAMETERS):
+        return float
     known = study.key(key)
     return type(known.choices[0]) if known.kind == "choice" and known.choices else _KINDS[known.kind]
 

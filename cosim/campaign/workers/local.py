@@ -32,6 +32,7 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.runtime.processes import Child, python_command
 from cosim.base.runtime.threads import ONE_THREAD
 from cosim.base.storage.scratch import scratch
+from cosim.base.trust import decision, inherit
 from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
 from cosim.campaign.workers.protocol import (
     LOSSES,
@@ -254,7 +255,7 @@ class _Process:
 
     def give(self, study: Study, flight: Flight, limit: float) -> None:
         if self._study is not study:
-            self._send((study, limit))
+            self._send((study, limit, decision()))
             self._study = study
         self._send(flight)
         if not self.given and self.since is not None:
@@ -314,11 +315,11 @@ def _fly_what_comes(connection: Connection[Any, Any], folder: str) -> None:
     sys.path[:] = connection.recv()
     fly: Fly = connection.recv()
     connection.send(READY)
-    study, limit = connection.recv()
     while True:
         message = connection.recv()
         if isinstance(message, tuple):
-            study, limit = message
+            study, limit, decided = message
+            inherit(decided)  # whoever started this has asked the user
             continue
         signal.setitimer(signal.ITIMER_REAL, limit + BACKSTOP_S)
         try:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from cosim.base.storage.cache import Memory
 from cosim.base.storage.paths import data_folder
+from cosim.base.trust import trust
 from cosim.campaign.folder import STUDY, Frozen, load
 from cosim.campaign.workers.flight_row import Row
 from cosim.campaign.workers.local import LocalWorkers
@@ -79,6 +80,7 @@ def fly_together(frozen: Frozen, digest: str, flights: Sequence[Flight], limit: 
     """The rows of some flights of the study with this digest; ``folder`` is one that goes when the worker goes."""
     with _unpacking:  # a worker has several threads
         _unpack(frozen, folder / digest)
+        trust(folder / digest)  # whoever sent it has looked at its code: that is what a cluster is for
         study = _studies.get((digest, folder), lambda: load(folder / digest))
     workers = _processes.take(limit)
     try:

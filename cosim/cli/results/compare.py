@@ -14,6 +14,7 @@ import click
 from cosim.base.errors import InputError
 from cosim.cli.console import output_to_stderr, terminal
 from cosim.cli.options import DONE, example
+from cosim.cli.trust import looks
 
 if TYPE_CHECKING:
     from cosim.results.comparison import ComparedFlight, Pair
@@ -101,8 +102,9 @@ def compare(
     return DONE
 
 
+@looks
 def write_page(names: Sequence[str], folder: Path) -> Path:
-    """The comparison of these flights as a page in a new folder."""
+    """The comparison of these flights as a page in a new folder; none is flown."""
     from cosim.results.comparison import pairs
     from cosim.results.report.comparison import write_comparison
 

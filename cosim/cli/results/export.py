@@ -10,6 +10,7 @@ import click
 
 from cosim.base.errors import InputError
 from cosim.cli.options import DONE, FLIGHT_FAILED, example, load_scenario, offer_to_compile
+from cosim.cli.trust import looks
 
 if TYPE_CHECKING:
     from cosim.codegen.export import Exported
@@ -71,6 +72,7 @@ _FILES = {
     show_default=True,
     help="ULog: every step, or each topic about as often as PX4 logs it.",
 )
+@looks
 def log(folder: Path, target: str, out: Path | None, rates: Literal["all", "px4"]) -> int:
     """Write the log of the run in DIR for other tools.
 

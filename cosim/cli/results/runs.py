@@ -13,6 +13,7 @@ from cosim.base.storage.paths import data_folder, files_in, names_in
 from cosim.base.storage.toml import read_toml
 from cosim.cli.console import terminal
 from cosim.cli.options import DONE, example, shared_assets
+from cosim.cli.trust import looks
 
 KINDS = ("scenarios", "studies", "engines", "aircraft", "controllers")
 
@@ -20,6 +21,7 @@ KINDS = ("scenarios", "studies", "engines", "aircraft", "controllers")
 @click.command("list", epilog=example("hexjet list engines"))
 @click.argument("kind", required=False, type=click.Choice(KINDS))
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object.")
+@looks
 def list_(kind: str | None, as_json: bool) -> int:
     """List what can be flown: scenarios, studies, engines, aircraft, controllers."""
 
@@ -34,6 +36,7 @@ def list_(kind: str | None, as_json: bool) -> int:
 @click.command(epilog=example("hexjet report runs/roll-doublet-smith-001"))
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 @shared_assets
+@looks
 def report(folder: Path, shared_assets: bool) -> int:
     """Write the report of the run or the campaign in DIR again.
 

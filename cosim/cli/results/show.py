@@ -15,6 +15,7 @@ from cosim.base.storage.toml import read_toml
 from cosim.cli.console import terminal
 from cosim.cli.options import DONE, example
 from cosim.cli.results.runs import KINDS, catalogue
+from cosim.cli.trust import looks
 
 _UNITS = {  # what a key ends with, the longest first
     "_kg_m2": "kg m^2", "_rad_s": "rad/s", "_samples": "samples", "_percent": "%", "_N_m": "N m", "_m_s": "m/s",
@@ -64,6 +65,7 @@ class Number(NamedTuple):
     "--kind", type=click.Choice(KINDS), help="Where several kinds have the name.  [default: all that have it]"
 )
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
+@looks
 def show(name: str, kind: str | None, as_json: bool) -> int:
     """Show what NAME, of hexjet list, is: its numbers, their units and what they mean, from its files.
 

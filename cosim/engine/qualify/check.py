@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
+from cosim.base.storage.user import cache_folder
+from cosim.base.trust import need_trust
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive, named_ports
 from cosim.engine.fmu.container import DAMAGE, Zip
@@ -25,7 +27,7 @@ from cosim.engine.fmu.ports import plain
 from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.fmu.variables import Port, Variable
 from cosim.engine.measure import Measured, measure_once
-from cosim.engine.qualify.remembered import cache_folder, misbehaves, remember_misbehaviour, write
+from cosim.engine.qualify.remembered import misbehaves, remember_misbehaviour, write
 from cosim.engine.qualify.supervisor import READ, STARTED, Apart, Limits, run_apart
 from cosim.engine.response import (
     NO_CHANGE,
@@ -227,6 +229,7 @@ def _check(
     air: Air = STANDARD_AIR,
 ) -> tuple[CheckReport, Measured | None]:
     source = find_source(name_or_path)
+    need_trust(source.code, f"engine {source.path.name}")
     archive = source.archive
     step = step or (source.engine.internal_step if source.engine else DEFAULT_STEP_S)
     need_whole_steps(archive, source.engine, step)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 
+from cosim.base.trust import need_trust
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.load import load_unchecked
 from cosim.engine.measure import Measured
@@ -30,10 +31,12 @@ def load_engine(
     before this one loads it, and refused if ``hexjet fmu check`` finds it unfit; ``unchecked`` leaves that out.  One
     that was found to crash, hang, print or bring a run time of its own asks for a process of its own, unless its
     mapping file says ``isolated = false``.  This process loads none that asks for one, nor any where ``apart`` is set.
+    An archive is code, which the user has to trust.
 
     Raises InputError: one line that names the engine, what is wrong, and what is allowed.
     """
     source = find_source(name_or_path)
+    need_trust(source.code, f"engine {source.path.name}")
     mine = source.engine is not None or source.mapping.isolated is False  # or stated to be harmless
     apart = apart or bool(source.mapping.isolated or (not mine and misbehaves(source.archive.sha256)))
     foreign: Callable[[str, Mapping[str, float], float, Air], Measured] | None

@@ -6,18 +6,11 @@ Files there may be deleted at any time; one that cannot be read counts as none.
 from __future__ import annotations
 
 import os
-import sys
 import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-
-def cache_folder() -> Path:
-    """Where this user's machine keeps what can be made again."""
-    stated = os.environ.get("XDG_CACHE_HOME")
-    if stated and Path(stated).is_absolute():
-        return Path(stated) / "hexjet"
-    return Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache") / "hexjet"
+from cosim.base.storage.user import cache_folder
 
 
 def write(place: Path, text: str) -> None:

@@ -12,14 +12,11 @@ from __future__ import annotations
 import ast
 import copy
 import hashlib
-import importlib
 import inspect
 import linecache
 import pickle
 import re
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, packages_distributions, version
@@ -32,8 +29,10 @@ from cosim.base.controller_wire import EXTRAS
 from cosim.base.errors import InputError, nearest
 from cosim.base.protocols import Column, Parameter
 from cosim.base.storage.cache import Memory
+from cosim.base.trust import Code, code_of, need_trust
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.simulation.controllers import recorded
+from cosim.simulation.controllers.execute import executed, imported, program_code
 from cosim.simulation.controllers.guard import columns_from, described
 from cosim.simulation.controllers.process import Command, ProcessBlock, describe, program
 from cosim.spec.controller_name import file_name, is_design
@@ -50,7 +49,6 @@ LEVELS: dict[str, tuple[str, ...]] = {
 OBJECT = "python:"  # before the name of one that a program handed over, and that no file can make again
 _MODULE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 _NAME = re.compile(r"[A-Za-z_]\w*")
-_OURS = "hexjet_controller_"  # modules that were made of files here
 
 
 def _sha256(path: Path) -> str:
@@ -241,6 +239,8 @@ def from_file(
     ``key``: what is stated of it.  Raises InputError.
     """
     held = [(file, _sha256(file)) for file in _last_files.get(path, [path]) if file.is_file()]
+    if path in _last_files:  # else it is run now, and what it imports is not known before
+        need_trust([Code(file, sha256, (path,)) for file, sha256 in held], where)
 
     def load() -> Source:
         module, neighbours = executed(path, where)
@@ -253,67 +253,8 @@ def from_file(
 _last_files: dict[Path, list[Path]] = {}  # by path what it was made of when it was last read
 
 
-def executed(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
-    """The module of a file, and the files beside it that it imports.  Raises InputError."""
-    folder = path.resolve().parent
-    module = ModuleType(f"{_OURS}{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}")
-    module.__file__ = str(path)
-    sys.modules[module.__name__] = module
-    try:
-        with _beside(folder) as imported:
-            exec(compile(path.read_bytes(), str(path), "exec"), module.__dict__)
-    except Exception as error:
-        line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
-        raise InputError(f"{where}: {path}{line}: {described(error)}") from error
-    deep = [file for file in imported if file.parent != folder]
-    if deep:
-        raise InputError(
-            f"{where}: imports {deep[0]}, which is in a package beside it: install that, and name it as "
-            "package.module:Class"
-        )
-    return module, sorted(imported)
-
-
-@contextmanager
-def _beside(folder: Path) -> Iterator[list[Path]]:
-    """Let a file import its neighbours, and note which; nobody else's modules of the same names are mixed up with them.
-
-    What is below the folder and found from anywhere, as an installed package is, is no neighbour.
-    """
-    anywhere = any(entry and Path(entry).resolve() == folder for entry in sys.path)
-
-    def neighbours() -> dict[str, ModuleType]:
-        modules = {}
-        for name, module in list(sys.modules.items()):
-            stated = getattr(module, "__file__", None)
-            path = Path(stated).resolve() if stated else None
-            if path is None or path.suffix != ".py" or name.startswith(_OURS) or not path.is_relative_to(folder):
-                continue
-            inner = path.relative_to(folder).parts
-            if len(inner) == 1 or not (anywhere or {"site-packages", "lib"} & set(inner)):
-                modules[name] = module
-        return modules
-
-    outside = {name: module for name, module in neighbours().items() if "." not in name and name != "__main__"}
-    for name in outside:
-        del sys.modules[name]
-    before, written = set(sys.modules), sys.dont_write_bytecode
-    imported: list[Path] = []
-    sys.path.insert(0, str(folder))
-    sys.dont_write_bytecode = True
-    try:
-        yield imported
-    finally:
-        sys.path.remove(str(folder))
-        sys.dont_write_bytecode = written
-        for name, module in neighbours().items():
-            if name not in before:
-                imported.append(Path(str(module.__file__)).resolve())
-                del sys.modules[name]
-        sys.modules.update(outside)
-
-
 def _of_process(controller: str, path: Path, arguments: str) -> Source:
+    need_trust(program_code(path, arguments), f"controller {label_of(controller)}")
     command = program(path, arguments)
     key = (controller, str(path), _sha256(path))
 
@@ -331,6 +272,7 @@ def _of_fmu(controller: str, path: Path) -> Source:
         fmu = read_controller_fmu(path)
     except InputError as error:
         raise InputError(f"controller {controller}: {error}") from error
+    need_trust([code_of(fmu.path, path)], f"controller {label_of(controller)}")
     key = (controller, str(path), *[_sha256(file) for file in fmu.files.values()])
     run = command(path)
     return _known.get(key, lambda: _described(controller, describing(fmu), fmu.files, lambda: run, path.parent))
@@ -383,16 +325,6 @@ def _of_module(controller: str) -> Source:
     module, path, files = imported(module_name, f"controller {controller}")
     kind = _class(module, name, controller, path)
     return _stated(controller, kind, None, files, version_of(module_name), copied=False)
-
-
-def imported(module_name: str, where: str) -> tuple[ModuleType, Path, dict[str, Path]]:
-    """A module that Python finds, its path, and its file by name where it has one.  Raises InputError."""
-    try:
-        module = importlib.import_module(module_name)
-    except Exception as error:
-        raise InputError(f"{where}: {module_name} cannot be imported: {described(error)}") from error
-    path = Path(module.__file__ or "")
-    return module, path, {path.name: path} if path.is_file() else {}
 
 
 def _of_entry(entry: EntryPoint) -> Source:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -23,6 +23,7 @@ from cosim.base.storage.toml import (
     set_path,
     validate,
 )
+from cosim.base.trust import mention
 from cosim.spec.scenario.commands import CommandEntry
 from cosim.spec.scenario.disturbances import DisturbanceEntry
 from cosim.spec.scenario.faults import FaultEntry, SensorBias, SensorDropout, ServoJam, StationNumber
@@ -386,6 +387,8 @@ class Scenario(Model):
     def replace(self, **changes: Any) -> Scenario:
         """A copy with something changed.
 
+        Code that is named in the changes is named by whoever calls: it is trusted (:func:`cosim.trust`).
+
         Parameters
         ----------
         **changes : Any
@@ -401,6 +404,7 @@ class Scenario(Model):
         InputError
             For a wrong key or value.
         """
+        mention(_named(changes), self.folder)
         data = self.stated()
         if changes.get("controller", self.controller) != self.controller:  # what was said of the other one
             data = {
@@ -408,6 +412,16 @@ class Scenario(Model):
             }
         data = merge(data, changes)
         return self.from_table(data, self.folder, f"scenario {self.name}")
+
+
+def _named(changes: Mapping[str, Any]) -> Iterator[str]:
+    """The texts in a change that may name code."""
+    for key in ("controller", "metrics", "observers", "sensors", "wind", "engine"):
+        value = changes.get(key)
+        yield from (text for text in (value if isinstance(value, list) else [value]) if isinstance(text, str))
+    for station in (changes.get("stations") or {}).values():
+        engine = station.get("engine") if isinstance(station, Mapping) else getattr(station, "engine", None)
+        yield from [engine] if isinstance(engine, str) else []
 
 
 def scenario_names() -> list[str]:

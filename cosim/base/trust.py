@@ -1,0 +1,248 @@
+"""Whose code is run: what the user named, accepted or has flown before, and nothing else.
+
+A scenario, a study, a campaign, a vehicle or a run names code: files of Python, FMUs, programs.  Whatever loads such a
+file says so here first (:func:`need_trust`).  It is run if the user named it himself (on the command line, in his
+program), if it is shipped, or if the very same bytes were run before with his consent: their SHA-256 is in the file
+``trusted`` of his settings.  Of anything else he is asked on a terminal, and without one it is refused.
+
+While something is only looked at (:func:`looking`), no code is run, whoever trusts it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass
+from pathlib import Path
+
+from cosim.base.errors import InputError
+from cosim.base.storage.paths import data_folder
+from cosim.base.storage.user import settings_folder
+
+ENVIRONMENT = "HEXJET_TRUST"  # set to 1, it says --trust to every command and program
+REMEMBERED = "trusted"  # in the settings: lines as sha256sum writes them
+_SHIPPED = ("aircraft", "engines", "fmus", "scenarios", "studies")
+_MOST_NAMED = 4  # files in a refusal
+_HASH = re.compile(r"[0-9a-f]{64}")
+_BETWEEN = re.compile(r"[\s\"'\[\],=]+")  # names on a command line, also within KEY=["NAME"]
+
+
+class CodeRefusedError(InputError):
+    """Code was not run: nobody trusts it, or there is only somebody who looks."""
+
+
+@dataclass(frozen=True)
+class Code:
+    """A file that is to be run: where it is, and the SHA-256 of what is run of it.
+
+    ``named_by``: what the user may have named in its place, such as the file that imports it or a mapping file.
+    """
+
+    path: Path
+    sha256: str
+    named_by: tuple[Path | str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What may be run in this process beside what is remembered: handed to the processes that work for it."""
+
+    places: frozenset[Path] = frozenset()  # files that were named, and folders with all that is below them
+    words: frozenset[str] = frozenset()  # modules that were named
+    hashes: frozenset[str] = frozenset()  # what was accepted, or is made here
+    by_program: bool = True  # a program names code when it changes a scenario; a command names it in its arguments
+
+
+_known: dict[Path, tuple[tuple[int, int], frozenset[str]]] = {}  # what is remembered, by the file's size and time
+_decision = Decision()
+_ask: Callable[[Sequence[Path]], bool] | None = None  # on a terminal
+_looking: ContextVar[bool] = ContextVar("looking", default=False)
+
+
+def code_of(path: Path, *named_by: Path | str, arguments: str = "") -> Code:
+    """Return a file as code; ``arguments`` are part of what is run.  Raises OSError."""
+    content = path.read_bytes() + (b"\0" + arguments.encode() if arguments else b"")
+    return Code(path, hashlib.sha256(content).hexdigest(), named_by)
+
+
+def need_trust(code: Iterable[Code], what: str) -> None:
+    """Refuse code that nobody trusts, and remember what is run; on a terminal the user is asked.
+
+    ``what`` wants to run it, in words.  Raises CodeRefusedError: one line with the files, and what to do.
+    """
+    files = list(code)
+    if not files:
+        return
+    if _looking.get():
+        names = _listed([file.path for file in files])
+        raise CodeRefusedError(f"{what}: {names}: is code, and nothing is run to look at something")
+    strange = {file.sha256: file for file in files if not _is_shipped(file.path)}
+    for sha256 in strange.keys() & _remembered():
+        del strange[sha256]
+    unknown = [file for file in strange.values() if not _is_accepted(file)]
+    if unknown and not _consent([file.path for file in unknown]):
+        names = _listed([file.path for file in unknown])
+        raise CodeRefusedError(
+            f"{what}: {names}: is code that you have not flown before; look at it, then --trust (in Python: "
+            "cosim.trust) runs it and remembers it"
+        )
+    remember(strange.values())
+
+
+def trust(*places: Path | str) -> None:
+    """Accept the code in these files and folders, in this process and, once it was run, from then on.
+
+    Parameters
+    ----------
+    *places : Path or str
+        Files, and folders with all that is below them, now or later.
+
+    Raises
+    ------
+    InputError
+        For one that is not there.
+    """
+    for place in places:
+        if not Path(place).exists():
+            raise InputError(f"trust: {place}: is not there")
+    _add(places=frozenset(Path(place).resolve() for place in places))
+
+
+def mention(texts: Iterable[str], folder: Path) -> None:
+    """Take the files and modules in these texts, with which a program changes a scenario, as named by the user.
+
+    Files are seen from ``folder``.  A command has its arguments for that, and changes scenarios by what files say too.
+    """
+    if _decision.by_program:
+        _name(texts, folder)
+
+
+def _name(texts: Iterable[str], folder: Path) -> None:
+    places, words = set[Path](), set[str]()
+    for text in texts:
+        for chunk in (text, text.partition("=")[2], *_BETWEEN.split(text)):
+            name = chunk.removeprefix("process:")
+            words |= {name, name.rpartition(":")[0]}
+    for word in words - {""}:
+        with suppress(OSError, ValueError):
+            if (folder / word).is_file():
+                places.add((folder / word).resolve())
+    _add(frozenset(places), frozenset(words))
+
+
+def remember(code: Collection[Code]) -> None:
+    """Note in the user's settings that this code is run; a folder that cannot be written to forgets it.
+
+    What was made here is noted when it is made.
+    """
+    new = {file.sha256: file for file in code}
+    if not new:
+        return
+    _add(hashes=frozenset(new))
+    known = _remembered()
+    lines = [f"{sha256}  {file.path.absolute()}" for sha256, file in new.items() if sha256 not in known]
+    place = settings_folder() / REMEMBERED
+    with suppress(OSError):
+        if lines:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            text = "".join(f"{' '.join(line.splitlines())}\n" for line in lines)
+            file = os.open(place, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+            try:
+                os.write(file, text.encode(errors="replace"))  # at once, beside other processes
+            finally:
+                os.close(file)
+
+
+@contextmanager
+def looking() -> Iterator[None]:
+    """Run no code within: something is looked at."""
+    token = _looking.set(True)
+    try:
+        yield
+    finally:
+        _looking.reset(token)
+
+
+def is_looking() -> bool:
+    """Whether something is only looked at."""
+    return _looking.get()
+
+
+@contextmanager
+def at_a_command(ask: Callable[[Sequence[Path]], bool] | None, arguments: Sequence[str]) -> Iterator[None]:
+    """Decide anew for one command: what its arguments name is the user's, and ``ask`` asks him of the rest."""
+    global _ask, _decision
+    before, stated = (_ask, _decision), os.environ.get(ENVIRONMENT)
+    _ask, _decision = ask, Decision(by_program=False)
+    try:
+        _name(arguments, Path())
+        yield
+    finally:
+        _ask, _decision = before
+        os.environ.pop(ENVIRONMENT, None)
+        if stated is not None:
+            os.environ[ENVIRONMENT] = stated
+
+
+def trust_everything() -> None:
+    """Run whatever is named anywhere, and remember it; so do the processes that are started from now on."""
+    os.environ[ENVIRONMENT] = "1"
+
+
+def decision() -> Decision:
+    """What was decided here, for a process that works for this one."""
+    return _decision
+
+
+def inherit(decided: Decision) -> None:
+    """Run what the process runs for which this one works."""
+    global _decision
+    _decision = decided
+
+
+def _add(
+    places: frozenset[Path] = frozenset(), words: frozenset[str] = frozenset(), hashes: frozenset[str] = frozenset()
+) -> None:
+    global _decision
+    known = _decision
+    _decision = Decision(known.places | places, known.words | words, known.hashes | hashes, known.by_program)
+
+
+def _is_shipped(path: Path) -> bool:
+    return any(path.resolve().is_relative_to(data_folder(name).resolve()) for name in _SHIPPED)
+
+
+def _is_accepted(file: Code) -> bool:
+    if os.environ.get(ENVIRONMENT) == "1" or file.sha256 in _decision.hashes:
+        return True
+    names = {file.path.resolve(), *(name.resolve() if isinstance(name, Path) else name for name in file.named_by)}
+    if names & (_decision.places | _decision.words):
+        return True
+    return any(parent in _decision.places for parent in file.path.resolve().parents)
+
+
+def _remembered() -> frozenset[str]:
+    """The hashes in the user's settings; a line that is none of ours is none."""
+    place = settings_folder() / REMEMBERED
+    try:
+        found = place.stat()
+        stamp = found.st_size, found.st_mtime_ns
+        if _known.get(place, (None,))[0] != stamp:
+            lines = place.read_text(encoding="utf-8", errors="replace").splitlines()
+            _known[place] = stamp, frozenset(line[:64] for line in lines if _HASH.match(line))
+    except OSError:
+        return frozenset()
+    return _known[place][1]
+
+
+def _consent(files: Sequence[Path]) -> bool:
+    return _ask is not None and _ask(files)
+
+
+def _listed(paths: Sequence[Path]) -> str:
+    rest = len(paths) - _MOST_NAMED
+    return ", ".join(map(str, paths[:_MOST_NAMED])) + (f" and {rest} more" if rest > 0 else "")

@@ -1,0 +1,46 @@
+"""What a campaign's folder says of its columns, so that looking at it runs none of the code that it brings.
+
+``columns.json`` has the names of the user's metrics, and the keys that are varied.  Campaigns of earlier versions have
+none; there the rows say the first.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import InputError
+from cosim.base.storage.files import one_line, write_whole
+from cosim.campaign.folder import COLUMNS
+from cosim.campaign.study.keys import Key
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.flight_row import Kinds, kinds, own_names
+from cosim.simulation.brought import PREFIX
+
+
+def write_columns(folder: Path, study: Study) -> None:
+    """Write what is known of a study's columns into its folder.  Raises OSError, and InputError as the study's code."""
+    keys = [asdict(study.key(vary.key)) for vary in study.vary]
+    write_whole(folder / COLUMNS, json.dumps({"own": own_names(study), "keys": keys}, indent=1) + "\n")
+
+
+def stored_kinds(folder: Path, study: Study, in_rows: Callable[[], Iterable[str]]) -> Kinds:
+    """Return the columns of a campaign's rows and what is in each, from what its folder says.
+
+    ``in_rows`` gives the names in its rows.  Raises InputError for a file that says something else.
+    """
+    path = folder / COLUMNS
+    if not path.is_file():
+        names = in_rows() if study.base().metrics else ()
+        return kinds(study, [name for name in names if name.startswith(PREFIX)])
+    try:
+        said: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        own = [str(name) for name in said["own"]]
+        known = [Key(**{**key, "choices": tuple(key["choices"])}) for key in said["keys"]]
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise InputError(f"{path}: not the columns of a campaign: {one_line(error)}") from error
+    study.know({key.path: key for key in known})
+    return kinds(study, own)

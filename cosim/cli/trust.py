@@ -1,0 +1,58 @@
+"""What commands have in common about code: the ones that fly ask whether it is trusted, the ones that look run none."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from cosim.base.trust import looking, trust_everything
+
+R = TypeVar("R")
+RUN_NONE = (  # commands that run nothing of what a file or a folder of the user's names
+    "aircraft new", "bench", "fmu build", "fmu compile", "list", "open", "paper", "report", "show", "sitl params",
+)  # fmt: skip
+_HELP = "Run what files name though you never flew it, Python, FMUs and programs, and remember it."
+
+
+def looks(command: Callable[..., R]) -> Callable[..., R]:
+    """Let a command run no code of what it looks at, whoever trusts that."""
+
+    @functools.wraps(command)
+    def look(*arguments: Any, **options: Any) -> R:
+        with looking():
+            return command(*arguments, **options)
+
+    return look
+
+
+def with_trust(command: click.Command, name: str) -> click.Command:
+    """Return a command with the option ``--trust``, where it may run code; of a group, every such command."""
+    if isinstance(command, click.Group):
+        for inner in command.commands.values():
+            with_trust(inner, f"{name} {inner.name}")
+    elif name not in RUN_NONE and not any("--trust" in parameter.opts for parameter in command.params):
+        option = click.Option(["--trust"], is_flag=True, expose_value=False, is_eager=True, help=_HELP, callback=_trust)
+        command.params.append(option)
+    return command
+
+
+def _trust(context: click.Context, parameter: click.Parameter, given: bool) -> None:
+    if given:
+        trust_everything()
+
+
+def asks() -> Callable[[Sequence[Path]], bool] | None:
+    """Return what asks the user whether files are run; None where nobody is at a terminal."""
+    return _asked if sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty() else None
+
+
+def _asked(files: Sequence[Path]) -> bool:
+    click.echo("Code that you have not flown before:", err=True)
+    for file in files:
+        click.echo(f"  {file}", err=True)
+    return click.confirm("Run it, with your rights, and remember it?", err=True)

@@ -1,0 +1,71 @@
+"""What of a scenario is code: so that the user is asked once, for all of it, before any of it is run."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+from cosim.base.errors import InputError
+from cosim.base.storage.toml import read_toml
+from cosim.base.trust import Code, code_of, need_trust
+from cosim.engine.make.controller_fmu import MAPPING
+from cosim.engine.spec import find_source
+from cosim.simulation.controllers.execute import program_code, python_code
+from cosim.spec.controller_name import file_name
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import is_file, is_own, load_vehicle
+
+
+def need_trust_of(scenario: Scenario) -> None:
+    """Refuse a scenario that names code which the user does not trust.  Raises CodeRefusedError."""
+    need_trust(scenario_code(scenario), f"scenario {scenario.name}")
+
+
+def scenario_code(scenario: Scenario) -> list[Code]:
+    """Return the files that a scenario names and that run: of its controller, its own blocks and its engines.
+
+    What cannot be read is left out: whatever loads it says what is wrong.
+    """
+    blocks = [scenario.controller, *scenario.metrics, *scenario.observers, scenario.sensors, scenario.wind]
+    code = [each for name in blocks if name for each in block_code(name, scenario.folder)]
+    engines = [scenario.engine, *(station.engine for station in scenario.stations.values())]
+    code += [each for engine in engines if engine for each in engine_code(engine, scenario.folder)]
+    return list(dict.fromkeys([*code, *aircraft_code(scenario.aircraft, scenario.folder)]))
+
+
+def aircraft_code(aircraft: str, folder: Path, with_its_own: bool = False) -> list[Code]:
+    """Return what the engines run that stand at single jets of an aircraft; ``with_its_own``: and the one for all."""
+    if not is_own(aircraft):
+        return []
+    try:
+        vehicle, place = load_vehicle(aircraft, folder=folder)
+    except InputError:
+        return []
+    engines = [vehicle.engine if with_its_own else None, *(jet.engine for jet in vehicle.jets)]
+    return [each for engine in dict.fromkeys(engines) if engine for each in engine_code(engine, place)]
+
+
+def engine_code(engine: str, folder: Path) -> list[Code]:
+    """Return what an engine runs that is no shipped one; a file is seen from ``folder``."""
+    if is_file(engine):
+        with suppress(InputError, OSError):
+            return find_source(str(folder / engine)).code
+    return []
+
+
+def block_code(name: str, folder: Path) -> list[Code]:
+    """Return what a controller or another block of the user's runs; a file is seen from ``folder``."""
+    named = file_name(name)
+    if named is None:
+        return []
+    path = Path(named.seen_from(folder).file)
+    with suppress(InputError, OSError, KeyError, TypeError):
+        if named.before:
+            return program_code(path, named.after)
+        if named.after:
+            return python_code(path)
+        if path.name.lower().endswith(MAPPING):
+            return [code_of(path.parent / read_toml(path)["fmu"], path)]
+        if path.suffix.lower() == ".fmu":
+            return [code_of(path)]
+    return []

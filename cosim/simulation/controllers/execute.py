@@ -1,0 +1,217 @@
+"""The user's Python, executed: the one place where a file or a module of his becomes code that runs.
+
+A file is run from the bytes that were looked at, never from a compiled copy that lies beside it, and so is whatever it
+imports from beside it; each of these needs the user's trust (:mod:`cosim.base.trust`).
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from importlib.abc import MetaPathFinder
+from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec, PathFinder, SourceFileLoader
+from importlib.metadata import packages_distributions
+from importlib.util import find_spec
+from pathlib import Path
+from sysconfig import get_paths
+from types import CodeType, ModuleType
+
+from cosim.base.errors import InputError
+from cosim.base.trust import Code, CodeRefusedError, code_of, is_looking, need_trust
+from cosim.simulation.controllers.guard import described
+
+_OURS = "hexjet_controller_"  # modules that were made of files here
+
+
+def executed(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
+    """The module of a file, and the files beside it that it imports.  Raises InputError."""
+    folder = path.resolve().parent
+    text = path.read_bytes()
+    need_trust([Code(path, hashlib.sha256(text).hexdigest()), *_imports(path, path)], where)
+    module = ModuleType(f"{_OURS}{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module
+    try:
+        with _beside(folder, _Neighbours(path, where)) as imported:
+            exec(compile(text, str(path), "exec"), module.__dict__)
+    except CodeRefusedError:
+        raise
+    except Exception as error:
+        line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
+        raise InputError(f"{where}: {path}{line}: {described(error)}") from error
+    deep = [file for file in imported if file.parent != folder]
+    if deep:
+        raise InputError(
+            f"{where}: imports {deep[0]}, which is in a package beside it: install that, and name it as "
+            "package.module:Class"
+        )
+    return module, sorted(imported)
+
+
+def python_code(path: Path) -> list[Code]:
+    """Return a file of Python and what it is seen to import from beside it, as code.  Raises OSError."""
+    return [code_of(path), *_imports(path, path)]
+
+
+def program_code(path: Path, arguments: str) -> list[Code]:
+    """Return what a program runs, as code: its file with its arguments, and the files beside it that it is given.
+
+    Raises OSError.
+    """
+    beside = [file for word in arguments.split() if (file := path.parent / word).is_file()]
+    code = [code_of(path, arguments=arguments), *(code_of(file, path) for file in beside)]
+    scripts = [file for file in (path, *beside) if file.suffix == ".py"]
+    return [*code, *(each for script in scripts for each in _imports(script, path))]
+
+
+def _imports(path: Path, first: Path) -> list[Code]:
+    """The files beside one of Python that it, or one of these, is seen to import, as code that ``first`` names."""
+    found, waiting = dict[Path, None](), [path]
+    while waiting:
+        with suppress(OSError, SyntaxError, ValueError):  # what is wrong with it is said when it is run
+            for name in _names(waiting.pop()):
+                for file in _files_of(path.parent, name):
+                    if file != path and file not in found:
+                        found[file] = None
+                        waiting += [file] if file.suffix == ".py" else []
+    code: list[Code] = []
+    for file in found:
+        with suppress(OSError):
+            code.append(code_of(file, first))
+    return code
+
+
+def _names(path: Path) -> set[str]:
+    """The modules that a file of Python imports, anywhere in it, by the first part of their names."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names.add(node.module.partition(".")[0])
+    return names - set(sys.builtin_module_names)
+
+
+def _files_of(folder: Path, name: str) -> list[Path]:
+    """The files in a folder that an import of this name may run."""
+    endings = (".py", ".pyc", *EXTENSION_SUFFIXES)
+    files = [folder / f"{name}{ending}" for ending in endings]
+    return [file for file in (*files, *(folder / name / f"__init__{ending}" for ending in endings)) if file.is_file()]
+
+
+class _TrustedSource(SourceFileLoader):
+    """Runs a source file from the bytes that are trusted; a compiled copy of it is not looked at."""
+
+    def __init__(self, name: str, path: str, first: Path, where: str) -> None:
+        super().__init__(name, path)
+        self._first, self._where = first, where
+
+    def get_code(self, fullname: str) -> CodeType:
+        text = self.get_data(self.path)
+        need_trust([Code(Path(self.path), hashlib.sha256(text).hexdigest(), (self._first,))], self._where)
+        code: CodeType = self.source_to_code(text, self.path)
+        return code
+
+
+class _Neighbours(MetaPathFinder):
+    """Finds what a file imports from its folder, and lets none of it run that is not trusted."""
+
+    def __init__(self, first: Path, where: str) -> None:
+        self._first, self._where = first, where
+        self._folder = str(first.resolve().parent)
+        self._found: set[str] = set()
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """A module of the folder, or one in a package of it; None for any other."""
+        if path is not None and fullname.rpartition(".")[0] not in self._found:
+            return None
+        spec = PathFinder.find_spec(fullname, [self._folder] if path is None else path)
+        if spec is not None and spec.origin is None:  # a folder without __init__.py: a package elsewhere goes first
+            spec = PathFinder.find_spec(fullname, path)
+            if spec is None or spec.origin is not None:
+                return None
+        if spec is None:
+            return None
+        self._found.add(fullname)
+        if isinstance(spec.loader, SourceFileLoader):
+            spec.loader = _TrustedSource(fullname, spec.loader.path, self._first, self._where)
+            spec.cached = None
+        elif spec.origin is not None:
+            need_trust([code_of(Path(spec.origin), self._first)], self._where)
+        return spec
+
+
+@contextmanager
+def _beside(folder: Path, finder: MetaPathFinder) -> Iterator[list[Path]]:
+    """Let a file import its neighbours, and note which; nobody else's modules of the same names are mixed up with them.
+
+    What is below the folder and found from anywhere, as an installed package is, is no neighbour.
+    """
+    anywhere = any(entry and Path(entry).resolve() == folder for entry in sys.path)
+
+    def neighbours() -> dict[str, ModuleType]:
+        modules = {}
+        for name, module in list(sys.modules.items()):
+            stated = getattr(module, "__file__", None)
+            path = Path(stated).resolve() if stated else None
+            if path is None or path.suffix != ".py" or name.startswith(_OURS) or not path.is_relative_to(folder):
+                continue
+            inner = path.relative_to(folder).parts
+            if len(inner) == 1 or not (anywhere or {"site-packages", "lib"} & set(inner)):
+                modules[name] = module
+        return modules
+
+    outside = {name: module for name, module in neighbours().items() if "." not in name and name != "__main__"}
+    for name in outside:
+        del sys.modules[name]
+    before, written = set(sys.modules), sys.dont_write_bytecode
+    imported: list[Path] = []
+    sys.path.insert(0, str(folder))
+    sys.meta_path.insert(sys.meta_path.index(PathFinder), finder)
+    sys.dont_write_bytecode = True
+    try:
+        yield imported
+    finally:
+        sys.meta_path.remove(finder)
+        sys.path.remove(str(folder))
+        sys.dont_write_bytecode = written
+        for name, module in neighbours().items():
+            if name not in before:
+                imported.append(Path(str(module.__file__)).resolve())
+                del sys.modules[name]
+        sys.modules.update(outside)
+
+
+def imported(module_name: str, where: str) -> tuple[ModuleType, Path, dict[str, Path]]:
+    """A module that Python finds, its path, and its file by name where it has one.  Raises InputError."""
+    if is_looking():
+        raise CodeRefusedError(f"{where}: {module_name} is code, and nothing is run to look at something")
+    try:
+        _need_trust_of_module(module_name, where)
+        module = importlib.import_module(module_name)
+    except CodeRefusedError:
+        raise
+    except Exception as error:
+        raise InputError(f"{where}: {module_name} cannot be imported: {described(error)}") from error
+    path = Path(module.__file__ or "")
+    return module, path, {path.name: path} if path.is_file() else {}
+
+
+def _need_trust_of_module(module_name: str, where: str) -> None:
+    """Refuse a module that no installed package has, and that is not in use already.  Raises CodeRefusedError."""
+    top = module_name.partition(".")[0]
+    spec = None if top in sys.modules else find_spec(top)
+    if spec is None or spec.origin is None or not spec.has_location:
+        return
+    origin, places = Path(spec.origin), get_paths()
+    installed = any(origin.is_relative_to(places[name]) for name in ("stdlib", "platstdlib", "purelib", "platlib"))
+    if installed or top in packages_distributions():
+        return
+    files = sorted(origin.parent.rglob("*.py")) if spec.submodule_search_locations else [origin]
+    need_trust([code_of(file, module_name) for file in files], where)

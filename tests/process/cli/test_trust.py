@@ -1,0 +1,397 @@
+"""Whose code runs: commands that look run none, commands that fly run what the user named, accepted or flew before."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from command_tools import Hexjet
+from patience import PATIENCE
+
+import cosim
+from cosim.base import trust
+from cosim.base.errors import InputError
+from cosim.base.storage.paths import data_folder
+from cosim.campaign import open_campaign
+from cosim.cli.main import main
+from cosim.flight import fly, record
+from cosim.results.run import LOG, REPORT, SUMMARY, open_run
+from cosim.simulation.build import build
+from cosim.spec.scenario import Scenario
+
+REFUSED = "is code that you have not flown before"
+MARK = "import pathlib\n\n\ndef mark(word):\n    with open({mark!r}, 'a') as file:\n        file.write(word)\n\n\nmark('run ')\n"
+CONTROLLER = """
+class Mine:
+    level = "predictor"
+    parameters = (("share", 1.0, "", "of nothing", 0.0, 1.0),)
+
+    def reset(self):
+        pass
+
+    def update(self, measured, applied):
+        return measured
+"""
+METRIC = "\n\ndef worst(log, step_s):\n    mark('measured ')\n    return float(abs(log['roll_rad']).max())\n"
+PROGRAM = """
+import json, struct, sys
+mark("begun ")
+print(json.dumps({"level": "predictor"}), flush=True)
+told = json.loads(sys.stdin.buffer.readline())
+width = 8 * (1 + len(told["inputs"]))
+while len(frame := sys.stdin.buffer.read(width)) == width:
+    values = struct.unpack(f"={width // 8}d", frame)
+    sys.stdout.buffer.write(struct.pack("=2d", values[0], values[1]))
+    sys.stdout.buffer.flush()
+"""
+HOVER = 'name = "theirs"\nduration_s = 0.2\ncontroller = "baseline"\n'
+
+
+@pytest.fixture(autouse=True)
+def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A user who has flown nothing so far, and says nothing in the environment."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
+    monkeypatch.delenv(trust.ENVIRONMENT, raising=False)
+    monkeypatch.setattr(trust, "_decision", trust.Decision())
+
+
+def forget(tmp_path: Path) -> None:
+    shutil.rmtree(tmp_path / "settings", ignore_errors=True)
+    trust.inherit(trust.Decision())
+
+
+def code(mark: Path, text: str) -> str:
+    return MARK.format(mark=str(mark)) + text
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What somebody else has made: a folder with scenarios, a study and the code that they name, a run, a campaign."""
+    folder = tmp_path_factory.mktemp("made") / "theirs"
+    folder.mkdir()
+    mark = folder.parent / "ran"
+    (folder / "law.py").write_text(code(mark, "import helper\n" + CONTROLLER))
+    (folder / "helper.py").write_text("SHARE = 1.0\n")
+    (folder / "own.py").write_text(code(mark, METRIC))
+    (folder / "program.py").write_text(code(mark, PROGRAM))
+    shutil.copy(data_folder("fmus") / "edf-as-flown.fmu", folder / "their.fmu")
+    with (folder / "their.fmu").open("ab") as file:  # no shipped one
+        file.write(b"\0")
+    (folder / "scenario.toml").write_text(f'{HOVER}metrics = ["own.py:worst"]\n'.replace("baseline", "law.py:Mine"))
+    (folder / "engine.toml").write_text(f'{HOVER}engine = "their.fmu"\n')
+    (folder / "process.toml").write_text(HOVER.replace("baseline", "process:program.py"))
+    (folder / "study.toml").write_text(
+        'name = "many"\nscenario = "scenario.toml"\ncontrollers = ["law.py:Mine"]\ndesign = "random"\nruns = 2\n'
+        '[[vary]]\nkey = "controller_parameters.share"\nrange = [0.0, 1.0]\n'
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CONFIG_HOME", str(folder.parent / "settings"))
+        for command in (("fly", "scenario.toml", "--out", str(folder.parent / "run")),
+                        ("sweep", "study.toml", "--workers", "1", "--out", str(folder.parent / "many"))):  # fmt: skip
+            with pytest.raises(SystemExit) as end:
+                main([command[0], str(folder / command[1]), *command[2:], "--trust"])
+            assert end.value.code == 0
+    assert "run measured " in mark.read_text()
+    return folder.parent
+
+
+@pytest.fixture
+def mark(made: Path) -> Path:
+    """Where code leaves a mark when it runs; there is none."""
+    (made / "ran").unlink(missing_ok=True)
+    return made / "ran"
+
+
+@pytest.fixture
+def theirs(made: Path, mark: Path, tmp_path: Path) -> Path:
+    """The folder, as it was sent."""
+    return Path(shutil.copytree(made / "theirs", tmp_path / "theirs"))
+
+
+@pytest.fixture
+def flown(made: Path, mark: Path, tmp_path: Path) -> Path:
+    """The run and the campaign, as they were sent; nobody here has flown them."""
+    for name in ("run", "many"):
+        shutil.copytree(made / name, tmp_path / "box" / name)
+    return tmp_path / "box"
+
+
+# ---- looking
+
+
+def test_commands_that_look_run_nothing(flown: Path, mark: Path, hexjet: Hexjet, tmp_path: Path) -> None:
+    shutil.copytree(flown / "run", flown / "other")
+    run, many = str(flown / "run"), str(flown / "many")
+    looks: list[Sequence[str]] = [
+        ("report", run), ("report", many), ("compare", run, str(flown / "other"), "--out", str(tmp_path / "page")),
+        *(("export", run, "--to", to) for to in ("csv", "mat", "ulog")), ("list",), ("show", "smith"),
+    ]  # fmt: skip
+    for words in looks:
+        done = hexjet(*words)
+        assert done.status == 0, (words, done.err)
+        assert not mark.exists(), words
+    trust.trust(flown)  # nor does it matter what the user trusts
+    assert open_campaign(flown / "many").columns["own.worst"] != [None, None]
+    assert not mark.exists()
+    assert not (tmp_path / "settings").exists()
+
+
+def test_the_page_of_a_campaign_says_what_is_stored(made: Path, flown: Path, mark: Path, hexjet: Hexjet) -> None:
+    """Rows, metrics of one's own and the units of its parameters, without the code; older campaigns have no columns."""
+    page = (flown / "many" / REPORT).read_text(encoding="utf-8").replace(str(made / "many"), str(flown / "many"))
+    said = json.loads((flown / "many" / "columns.json").read_text())
+    assert said["own"] == ["own.worst"]
+    assert [key["path"] for key in said["keys"]] == ["controller_parameters.share"]
+    assert hexjet("report", str(flown / "many")).status == 0
+    assert (flown / "many" / REPORT).read_text(encoding="utf-8") == page
+    (flown / "many" / "columns.json").unlink()
+    done = hexjet("report", str(flown / "many"))
+    assert done.status == 0, done.err
+    campaign = open_campaign(flown / "many")
+    assert all(isinstance(value, float) for value in campaign.columns["own.worst"])
+    assert all(isinstance(value, float) for value in campaign.columns["controller_parameters.share"])
+    assert "own.worst" in (flown / "many" / REPORT).read_text(encoding="utf-8")
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"own": 1, "keys": []}', '{"own": [], "keys": [{"path": "a"}]}'])
+def test_columns_that_are_none(text: str, flown: Path, hexjet: Hexjet) -> None:
+    (flown / "many" / "columns.json").write_text(text)
+    done = hexjet("report", str(flown / "many"))
+    assert done.status == 2
+    assert done.err.count("\n") == 1
+    assert "columns.json: not the columns of a campaign" in done.err
+
+
+def test_what_was_killed_is_finished_without_its_metric(
+    theirs: Path, mark: Path, hexjet: Hexjet, tmp_path: Path
+) -> None:
+    trust.trust(theirs)
+    with build(Scenario.load(theirs / "scenario.toml")) as simulation:
+        recording = record(simulation, tmp_path / "killed")
+        simulation.run([recording])
+        recording._recorder.flush()
+        recording._sink.close()  # type: ignore[union-attr]
+    mark.unlink()
+    forget(tmp_path)
+    done = hexjet("report", str(tmp_path / "killed"))
+    assert done.status == 0, done.err
+    assert "metric own.py:worst: not measured: the flight was killed" in done.out
+    assert not mark.exists()
+    assert {LOG, SUMMARY} <= {path.name for path in (tmp_path / "killed").iterdir()}
+    assert len(open_run(tmp_path / "killed").log) == 50
+
+
+def test_a_page_of_the_folder_of_runs_compares_without_running(flown: Path, mark: Path) -> None:
+    from cosim.cli.results.compare import write_page
+
+    shutil.copytree(flown / "run", flown / "other")
+    write_page([str(flown / "run"), str(flown / "other")], flown / "comparison")
+    with pytest.raises(InputError, match="nothing is run to look at something"):
+        write_page([str(flown / "run"), f"{flown / 'many'}:0"], flown / "another")
+    assert not mark.exists()
+
+
+# ---- flying
+
+
+def commands(theirs: Path, flown: Path, out: Path) -> dict[str, tuple[list[str], list[Path]]]:
+    """What flies somebody else's code, and the files of it."""
+    run, many = flown / "run", flown / "many"
+    law = ("law.py", "own.py", "helper.py")
+    ours, runs, campaigns = [[folder / name for name in law] for folder in (theirs, run, many)]
+    return {
+        "fly": (["fly", str(theirs / "scenario.toml"), "--out", str(out)], ours),
+        "engine": (["fly", str(theirs / "engine.toml"), "--out", str(out)], [theirs / "their.fmu"]),
+        "process": (["fly", str(theirs / "process.toml"), "--out", str(out)], [theirs / "program.py"]),
+        "run": (["fly", str(run / "scenario.toml"), "--out", str(out)], runs),
+        "sweep": (["sweep", str(theirs / "study.toml"), "--workers", "1", "--out", str(out)], ours),
+        "resume": (["sweep", str(many), "--resume", "--workers", "1"], campaigns),
+        "again": (["fly", str(many), "--flight", "0", "--out", str(out)], campaigns),
+        "compare": (["compare", f"{many}:0", f"{many}:1", "--out", str(out)], campaigns),
+        "scenario": (["compare", str(run), str(theirs / "scenario.toml"), "--out", str(out)], ours),
+        "search": (["search", str(theirs / "scenario.toml"), "--vary", "vehicle.mass_kg=5.5:5.6:2", "--workers", "1",
+                    "--out", str(out)], ours),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "which", ["fly", "engine", "process", "run", "sweep", "resume", "again", "compare", "scenario", "search"]
+)
+def test_what_flies_asks_for_trust_once_and_again_for_another_byte(
+    which: str, theirs: Path, flown: Path, mark: Path, hexjet: Hexjet, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    words, files = commands(theirs, flown, out)[which]
+
+    def refused(by: Path) -> None:
+        mark.unlink(missing_ok=True)
+        done = hexjet(*words)
+        assert (done.status, done.err.count("\n")) == (2, 1), done.err
+        assert REFUSED in done.err
+        assert "--trust" in done.err
+        assert str(by) in done.err
+        assert not mark.exists()
+        assert not out.exists()
+
+    def flies(*more: str) -> None:
+        done = hexjet(*words, *more)
+        assert done.err == ""
+        assert done.status == 0
+        shutil.rmtree(out, ignore_errors=True)
+
+    refused(files[0])
+    flies("--trust")
+    flies()  # it is remembered
+    for file in files:
+        before = file.read_bytes()
+        file.write_bytes(before + b"\n")
+        refused(file)
+        file.write_bytes(before)
+
+
+def test_what_the_user_names_is_his_and_so_are_his_runs(
+    theirs: Path, mark: Path, hexjet: Hexjet, tmp_path: Path
+) -> None:
+    """Files of the command line are not asked for, with what they import; nor is the run that is made with them."""
+    shutil.copytree(theirs, tmp_path / "mine")  # the folder that the command is called in
+    (tmp_path / "mapped.toml").write_text('fmu = "mine/their.fmu"\n')
+    named = ["--controller", "mine/law.py:Mine", "--metric", "mine/own.py:worst", "--engine", "mapped.toml"]
+    assert hexjet("fly", "hover", "--set", "duration_s=0.2", *named, "--out", "run").status == 0
+    assert hexjet("fly", "run/scenario.toml", "--out", "again").status == 0
+    words = ["--vary", "vehicle.mass_kg=5.5,5.6", "--set", "duration_s=0.2", "--workers", "1", "--out", "many"]
+    assert hexjet("sweep", "hover", *words, *named[:4]).status == 0
+    assert hexjet("fly", "many", "--flight", "0").status == 0
+    remembered = (tmp_path / "settings" / "hexjet" / trust.REMEMBERED).read_text().splitlines()
+    assert {Path(line[66:]).name for line in remembered} == {"law.py", "helper.py", "own.py", "their.fmu"}
+    assert len({line[:64] for line in remembered}) == len(remembered)
+
+
+def test_the_engine_of_a_named_aircraft_is_asked_for(theirs: Path, hexjet: Hexjet, tmp_path: Path) -> None:
+    """Who names a folder has not named what it names in turn."""
+    assert hexjet("aircraft", "new", "drone").status == 0
+    table = (tmp_path / "drone" / "vehicle.toml").read_text()
+    assert "engine = " in table
+    lines = ['engine = "their.fmu"' if line.startswith("engine = ") else line for line in table.splitlines()]
+    (tmp_path / "drone" / "vehicle.toml").write_text("\n".join(lines) + "\n")
+    shutil.copy(theirs / "their.fmu", tmp_path / "drone" / "their.fmu")
+    for words in (("fly", "hover", "--aircraft", "./drone"), ("aircraft", "check", "./drone")):
+        done = hexjet(*words)
+        assert (done.status, done.err.count("\n")) == (2, 1), words
+        assert REFUSED in done.err
+        assert "their.fmu" in done.err
+
+
+def test_a_terminal_is_asked_once_for_all(
+    theirs: Path, mark: Path, hexjet: Hexjet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[list[str]] = []
+    answers = iter([False, True])
+
+    def ask(files: Sequence[Path]) -> bool:
+        asked.append(sorted(file.name for file in files))
+        return next(answers)
+
+    monkeypatch.setattr("cosim.cli.main.asks", lambda: ask)
+    assert hexjet("fly", str(theirs / "scenario.toml")).status == 2
+    assert not mark.exists()
+    assert hexjet("fly", str(theirs / "scenario.toml")).status == 0
+    assert hexjet("fly", str(theirs / "scenario.toml")).status == 0
+    assert asked == 2 * [["helper.py", "law.py", "own.py"]]
+
+
+def test_a_compiled_copy_is_not_what_was_looked_at(theirs: Path, mark: Path, hexjet: Hexjet, tmp_path: Path) -> None:
+    """Python would run it in place of the source beside which it lies, without a look at that."""
+    helper = theirs / "helper.py"
+    text = compile(code(mark, "SHARE = 1.0\nmark('compiled ')\n"), str(helper), "exec")
+    cached = Path(importlib.util.cache_from_source(str(helper)))
+    cached.parent.mkdir()
+    from importlib._bootstrap_external import _code_to_hash_pyc  # type: ignore[import-not-found]
+
+    cached.write_bytes(_code_to_hash_pyc(text, importlib.util.source_hash(helper.read_bytes()), False))
+    done = hexjet("fly", str(theirs / "scenario.toml"), "--trust")
+    assert done.status == 0, done.err
+    assert "compiled" not in mark.read_text()
+
+
+def test_what_is_imported_unseen_is_asked_for_too(theirs: Path, mark: Path, hexjet: Hexjet) -> None:
+    """An import that no reader of the file sees is met by the loader itself."""
+    (theirs / "law.py").write_text("import importlib\nhelper = importlib.import_module('hel' + 'per')\n" + CONTROLLER)
+    assert hexjet("fly", str(theirs / "scenario.toml"), "--trust").status == 0
+    mark.unlink()
+    (theirs / "helper.py").write_text(code(mark, "SHARE = 0.5\n"))
+    done = hexjet("fly", str(theirs / "scenario.toml"))
+    assert done.status == 2
+    assert "helper.py" in done.err
+    assert not mark.exists()
+
+
+def test_arguments_of_a_program_are_code(theirs: Path, hexjet: Hexjet) -> None:
+    assert hexjet("fly", str(theirs / "process.toml"), "--trust").status == 0
+    (theirs / "process.toml").write_text(HOVER.replace("baseline", "process:program.py --erase"))
+    done = hexjet("fly", str(theirs / "process.toml"))
+    assert done.status == 2
+    assert REFUSED in done.err
+
+
+def test_settings_that_cannot_be_written_forget(theirs: Path, hexjet: Hexjet, tmp_path: Path) -> None:
+    """The flight and its workers have the decision all the same."""
+    (tmp_path / "settings").write_text("a file")
+    words = ("sweep", str(theirs / "study.toml"), "--workers", "1")
+    assert hexjet(*words, "--trust", "--out", "a").status == 0
+    assert set(open_campaign("a").columns["outcome"]) == {"completed"}
+    assert hexjet(*words, "--out", "b").status == 2
+
+
+# ---- programs
+
+
+def test_a_program_names_its_own_code_and_not_that_of_files(theirs: Path, mark: Path, tmp_path: Path) -> None:
+    path = theirs / "scenario.toml"
+    for attempt in (lambda: fly(path), lambda: fly(Scenario.load(path)), lambda: cosim.Stepper(path)):
+        with pytest.raises(InputError, match=REFUSED):
+            attempt()
+    assert not mark.exists()
+    hover = Scenario.load("hover").replace(duration_s=0.2, expect=[])
+    assert fly(hover, controller=f"{theirs / 'law.py'}:Mine").outcome == "completed"
+    assert fly(hover.replace(metrics=[f"{theirs / 'own.py'}:worst"])).outcome == "completed"
+    assert fly(path).outcome == "completed"  # what was flown is remembered
+    with pytest.raises(InputError, match=r"trust: .*absent: is not there"):
+        cosim.trust(tmp_path / "absent")
+
+
+def test_a_program_trusts_a_folder(theirs: Path) -> None:
+    cosim.trust(theirs)
+    assert fly(theirs / "scenario.toml").outcome == "completed"
+    (theirs / "law.py").write_text((theirs / "law.py").read_text() + "\n")
+    assert fly(theirs / "scenario.toml").outcome == "completed"
+
+
+def test_the_environment_trusts(theirs: Path, hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(trust.ENVIRONMENT, "0")
+    assert hexjet("fly", str(theirs / "scenario.toml")).status == 2
+    monkeypatch.setenv(trust.ENVIRONMENT, "1")
+    assert hexjet("fly", str(theirs / "scenario.toml")).status == 0
+
+
+def test_a_real_terminal_lists_the_files(theirs: Path, mark: Path) -> None:
+    words = [sys.executable, "-c", "from cosim.cli.main import main; main()", "fly", str(theirs / "scenario.toml")]
+    ours, terminal = os.openpty()
+    asked = subprocess.Popen(words, stdin=terminal, stdout=terminal, stderr=terminal, cwd=theirs)
+    os.close(terminal)
+    said = ""
+    while "remember it?" not in said:
+        said += os.read(ours, 65536).decode()
+    os.write(ours, b"n\n")
+    assert asked.wait(PATIENCE) == 2
+    os.close(ours)
+    for name in ("law.py", "helper.py", "own.py"):
+        assert str(theirs / name) in said
+    assert not mark.exists()
