@@ -544,6 +544,8 @@ ENVIRONMENT = {
     "NO_COLOR": "set: no colours in the terminal",
     "TMPDIR": "where temporary files are made",
     "XDG_CACHE_HOME": "where it is remembered what an engine's check and its measured curve said; `~/.cache` without it",
+    "XDG_CONFIG_HOME": "where it is remembered whose code is run (`hexjet/trusted`); `~/.config` without it",
+    "HEXJET_TRUST": "1: code that files name is run and remembered without a question, as with `--trust`",
     "HEXJET_PURE": "set at run time: everything runs from source, nothing compiled; set at the build: nothing is compiled",
     "HEXJET_OPTIMISATION": "at the build: the C compiler's level for the compiled modules, `-O2` without it; the bits are the same",
     "HEXJET_PORT": "set by `hexjet sitl` for Betaflight: where its ports begin",

@@ -96,6 +96,8 @@ def need_trust(code: Iterable[Code], what: str) -> None:
 def trust(*places: Path | str) -> None:
     """Accept the code in these files and folders, in this process and, once it was run, from then on.
 
+    What a program names or hands over itself needs no such word; what a file names does, unless it was flown before.
+
     Parameters
     ----------
     *places : Path or str

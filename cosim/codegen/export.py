@@ -9,6 +9,7 @@ from pathlib import Path
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import Vector3
+from cosim.base.trust import code_of, remember
 from cosim.codegen.adapters import PROGRAM_LICENCES, adapter_texts
 from cosim.codegen.files import NO_LICENCE, TITLES, Labels, render, texts
 from cosim.codegen.fmu import build_fmus
@@ -70,6 +71,7 @@ def export_controller(
         archives, without = build_fmus(form, vectors, labels, made, folder) if fmus else ([], "left out, as asked")
         readme = _readme(form, vectors, labels, measured, archives, [*(inside or {})])
         (folder / "README.md").write_text(readme, encoding="utf-8")
+        remember([code_of(folder / archive) for archive in archives])
     except OSError as error:
         raise FlightError(f"{folder}: {error.strerror or error}") from error
     return Exported(folder, [*made, *archives, "README.md", *adapters], len(vectors.rows), measured, without)

@@ -13,6 +13,7 @@ from typing import Any
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.scratch import scratch
+from cosim.base.trust import code_of, remember
 from cosim.codegen.files import TEMPLATES, Labels
 from cosim.codegen.ssp import write_ssp
 from cosim.codegen.vehicle_ports import Flight, Parts
@@ -83,6 +84,7 @@ def export_vehicle(
                 write_ssp(flight, fmu, target, fmi, scenario.duration_s)
                 fmu.unlink()
             files.append(target.name)
+            remember([code_of(target)])
     except BuildError as error:
         raise InputError(f"export vehicle: {error}") from error
     except OSError as error:

@@ -40,7 +40,8 @@ def list_(kind: str | None, as_json: bool) -> int:
 def report(folder: Path, shared_assets: bool) -> int:
     """Write the report of the run or the campaign in DIR again.
 
-    A run that was killed is finished first, with all that it recorded; a campaign may still be flown.
+    A run that was killed is finished first, with all that it recorded; a campaign may still be flown.  No code of the
+    folder is run: metrics of your own are those that the flights left.
     """
     from cosim.campaign.folder import is_campaign
     from cosim.cli.flight.fly import print_run

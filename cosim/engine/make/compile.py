@@ -16,6 +16,7 @@ from cosim.base.errors import InputError
 from cosim.base.runtime.processes import python_command, run_child
 from cosim.base.storage.files import replacing
 from cosim.base.storage.scratch import temporary
+from cosim.base.trust import code_of, remember
 from cosim.engine.fmu.archive import platform_folder
 from cosim.engine.fmu.container import (
     DESCRIPTION,
@@ -103,6 +104,7 @@ def compile_archive(path: Path, out: Path | None = None, windows: bool = False) 
                             fmu.write(file, name)
         except OSError as error:
             raise InputError(f"{target}: {error.strerror or error}") from error
+    remember([code_of(target)])
     return target
 
 
