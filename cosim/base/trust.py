@@ -28,6 +28,8 @@ REMEMBERED = "trusted"  # in the settings: lines as sha256sum writes them
 _SHIPPED = ("aircraft", "engines", "fmus", "scenarios", "studies")
 _MOST_NAMED = 4  # files in a refusal
 _HASH = re.compile(r"[0-9a-f]{64}")
+_CODE = (".py", ".fmu", ".ssp")  # endings of files that are code by their names
+_ENGINES = ("--engine", "--engine=")  # behind which a mapping file is an engine
 _BETWEEN = re.compile(r"[\s\"'\[\],=]+")  # names on a command line, also within KEY=["NAME"]
 
 
@@ -39,7 +41,7 @@ class CodeRefusedError(InputError):
 class Code:
     """A file that is to be run: where it is, and the SHA-256 of what is run of it.
 
-    ``named_by``: what the user may have named in its place, such as the file that imports it or a mapping file.
+    ``named_by``: what the user names when he means it, the file itself if nothing else; a mapping file for its FMU, say.
     """
 
     path: Path
@@ -51,8 +53,8 @@ class Code:
 class Decision:
     """What may be run in this process beside what is remembered: handed to the processes that work for it."""
 
-    places: frozenset[Path] = frozenset()  # files that were named, and folders with all that is below them
-    words: frozenset[str] = frozenset()  # modules that were named
+    places: frozenset[Path] = frozenset()  # files and folders with all that is below them
+    named: frozenset[Path | str] = frozenset()  # files, modules, programs with their arguments, by the user
     hashes: frozenset[str] = frozenset()  # what was accepted, or is made here
     by_program: bool = True  # a program names code when it changes a scenario; a command names it in its arguments
 
@@ -115,25 +117,50 @@ def trust(*places: Path | str) -> None:
 
 
 def mention(texts: Iterable[str], folder: Path) -> None:
-    """Take the files and modules in these texts, with which a program changes a scenario, as named by the user.
+    """Take the code in these texts, with which a program changes a scenario, as named by the user.
 
     Files are seen from ``folder``.  A command has its arguments for that, and changes scenarios by what files say too.
     """
     if _decision.by_program:
-        _name(texts, folder)
+        _add(named=frozenset(name for text in texts for name in (*_names(text, folder), *_mapping(text, folder))))
 
 
-def _name(texts: Iterable[str], folder: Path) -> None:
-    places, words = set[Path](), set[str]()
-    for text in texts:
-        for chunk in (text, text.partition("=")[2], *_BETWEEN.split(text)):
-            name = chunk.removeprefix("process:")
-            words |= {name, name.rpartition(":")[0]}
-    for word in words - {""}:
-        with suppress(OSError, ValueError):
-            if (folder / word).is_file():
-                places.add((folder / word).resolve())
-    _add(frozenset(places), frozenset(words))
+def process_name(path: Path, arguments: str) -> str:
+    """What names a program with its arguments: with others it does something else."""
+    return f"process:{path.resolve()}{arguments}"
+
+
+def _names(text: str, folder: Path) -> Iterator[Path | str]:
+    """The code that a text names: files of Python and engines by path, programs, and what may be modules.
+
+    What is data is never taken for code, whatever else names it.
+    """
+    for whole in (text, text.partition("=")[2]):
+        if whole.startswith("process:"):
+            program, blank, arguments = whole.removeprefix("process:").partition(" ")
+            yield process_name(folder / program, blank + arguments)
+    for chunk in (text, text.partition("=")[2], *_BETWEEN.split(text)):
+        for word in (chunk, chunk.rpartition(":")[0]):
+            if word.lower().endswith(_CODE):
+                yield (folder / word).resolve()
+            elif word:
+                yield word
+
+
+def _mapping(text: str, folder: Path) -> Iterator[Path]:
+    """The mapping file that a text names as an engine or a controller, which names its FMU."""
+    for word in (text, text.partition("=")[2]):
+        if word.lower().endswith(".toml"):
+            yield (folder / word).resolve()
+
+
+def _named_in(arguments: Sequence[str]) -> Iterator[Path | str]:
+    """The code that the arguments of a command name."""
+    for before, text in zip(["", *arguments], arguments, strict=False):
+        yield from _names(text, Path())
+        engine = text.startswith(_ENGINES) or before in _ENGINES or arguments[0] in ("fmu", "identify")
+        if engine or text.lower().endswith(".fmu.toml"):
+            yield from _mapping(text.removeprefix("--engine="), Path())
 
 
 def remember(code: Collection[Code]) -> None:
@@ -181,7 +208,7 @@ def at_a_command(ask: Callable[[Sequence[Path]], bool] | None, arguments: Sequen
     before, stated = (_ask, _decision), os.environ.get(ENVIRONMENT)
     _ask, _decision = ask, Decision(by_program=False)
     try:
-        _name(arguments, Path())
+        _add(named=frozenset(_named_in(arguments)))
         yield
     finally:
         _ask, _decision = before
@@ -207,11 +234,13 @@ def inherit(decided: Decision) -> None:
 
 
 def _add(
-    places: frozenset[Path] = frozenset(), words: frozenset[str] = frozenset(), hashes: frozenset[str] = frozenset()
+    places: frozenset[Path] = frozenset(),
+    named: frozenset[Path | str] = frozenset(),
+    hashes: frozenset[str] = frozenset(),
 ) -> None:
     global _decision
     known = _decision
-    _decision = Decision(known.places | places, known.words | words, known.hashes | hashes, known.by_program)
+    _decision = Decision(known.places | places, known.named | named, known.hashes | hashes, known.by_program)
 
 
 def _is_shipped(path: Path) -> bool:
@@ -221,10 +250,9 @@ def _is_shipped(path: Path) -> bool:
 def _is_accepted(file: Code) -> bool:
     if os.environ.get(ENVIRONMENT) == "1" or file.sha256 in _decision.hashes:
         return True
-    names = {file.path.resolve(), *(name.resolve() if isinstance(name, Path) else name for name in file.named_by)}
-    if names & (_decision.places | _decision.words):
-        return True
-    return any(parent in _decision.places for parent in file.path.resolve().parents)
+    path = file.path.resolve()
+    names = {name.resolve() if isinstance(name, Path) else name for name in file.named_by or (path,)}
+    return bool(names & _decision.named) or any(place in _decision.places for place in (path, *path.parents))
 
 
 def _remembered() -> frozenset[str]:

@@ -190,7 +190,11 @@ class EngineSource:
     @property
     def code(self) -> list[Code]:
         """What of it runs: its archive, unless it is one of the library."""
-        return [] if self.engine is not None else [Code(self.archive.path, self.archive.sha256, (self.path,))]
+        return (
+            []
+            if self.engine is not None
+            else [Code(self.archive.path, self.archive.sha256, (self.path, self.archive.path))]
+        )
 
 
 def find_source(name_or_path: str) -> EngineSource:

@@ -65,7 +65,8 @@ def block_code(name: str, folder: Path) -> list[Code]:
         if named.after:
             return python_code(path)
         if path.name.lower().endswith(MAPPING):
-            return [code_of(path.parent / read_toml(path)["fmu"], path)]
+            fmu = path.parent / read_toml(path)["fmu"]
+            return [code_of(fmu, path, fmu)]
         if path.suffix.lower() == ".fmu":
             return [code_of(path)]
     return []

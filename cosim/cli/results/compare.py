@@ -68,10 +68,11 @@ def compare(
     """Lay two to eight flights over each other: metrics side by side, and every signal against that of the first.
 
     Each of A, B, C is the folder of a run; a flight of a campaign, DIR:N, which is flown again; a scenario, flown here
-    and now (what flies runs code: see --trust); a log of another tool, .csv or .parquet, with the time in seconds (time_s, time or t) and columns called
+    and now; a log of another tool, .csv or .parquet, with the time in seconds (time_s, time or t) and columns called
     as ours; or a log of another flight controller: ULog, DataFlash, Betaflight's blackbox, the Crazyflie's.
 
-    Leaves a page with all of it.  Status 0, whatever differs; 2: wrong input.
+    What is flown runs code (--trust); what was flown is only looked at.  Leaves a page with all of it.  Status 0,
+    whatever differs; 2: wrong input.
     """
     from cosim.flight import new_folder
     from cosim.results.comparison import pairs

@@ -15,13 +15,13 @@ from contextlib import contextmanager, suppress
 from importlib.abc import MetaPathFinder
 from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec, PathFinder, SourceFileLoader
 from importlib.metadata import packages_distributions
-from importlib.util import find_spec
+from importlib.util import cache_from_source, find_spec
 from pathlib import Path
 from sysconfig import get_paths
 from types import CodeType, ModuleType
 
 from cosim.base.errors import InputError
-from cosim.base.trust import Code, CodeRefusedError, code_of, is_looking, need_trust
+from cosim.base.trust import Code, CodeRefusedError, code_of, is_looking, need_trust, process_name
 from cosim.simulation.controllers.guard import described
 
 _OURS = "hexjet_controller_"  # modules that were made of files here
@@ -60,28 +60,33 @@ def python_code(path: Path) -> list[Code]:
 def program_code(path: Path, arguments: str) -> list[Code]:
     """Return what a program runs, as code: its file with its arguments, and the files beside it that it is given.
 
-    Raises OSError.
+    Of Python also what these are seen to import, with compiled copies that lie there: Python takes those first.  Raises
+    OSError.
     """
+    name = process_name(path, arguments)
     beside = [file for word in arguments.split() if (file := path.parent / word).is_file()]
-    code = [code_of(path, arguments=arguments), *(code_of(file, path) for file in beside)]
-    scripts = [file for file in (path, *beside) if file.suffix == ".py"]
-    return [*code, *(each for script in scripts for each in _imports(script, path))]
+    code = [code_of(path, name, arguments=arguments), *(code_of(file, name) for file in beside)]
+    for script in [file for file in (path, *beside) if file.suffix == ".py"]:
+        for each in _imports(script, name):
+            compiled = Path(cache_from_source(str(each.path)))
+            code += [each, *([code_of(compiled, name)] if compiled.is_file() else [])]
+    return code
 
 
-def _imports(path: Path, first: Path) -> list[Code]:
-    """The files beside one of Python that it, or one of these, is seen to import, as code that ``first`` names."""
+def _imports(path: Path, name: Path | str) -> list[Code]:
+    """The files beside one of Python that it, or one of these, is seen to import, as code that ``name`` names."""
     found, waiting = dict[Path, None](), [path]
     while waiting:
         with suppress(OSError, SyntaxError, ValueError):  # what is wrong with it is said when it is run
-            for name in _names(waiting.pop()):
-                for file in _files_of(path.parent, name):
+            for module in _names(waiting.pop()):
+                for file in _files_of(path.parent, module):
                     if file != path and file not in found:
                         found[file] = None
                         waiting += [file] if file.suffix == ".py" else []
     code: list[Code] = []
     for file in found:
         with suppress(OSError):
-            code.append(code_of(file, first))
+            code.append(code_of(file, name))
     return code
 
 

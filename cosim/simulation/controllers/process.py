@@ -275,7 +275,7 @@ def program(path: Path, arguments: str) -> Command:
 
     def command() -> Sequence[str]:
         if path.suffix == ".py":
-            return [sys.executable, str(path), *words]
+            return [sys.executable, "-B", str(path), *words]  # what it imports is not compiled into somebody's folder
         if os.access(path, os.X_OK):
             return [str(path), *words]
         folder = Path(

@@ -272,7 +272,7 @@ def _of_fmu(controller: str, path: Path) -> Source:
         fmu = read_controller_fmu(path)
     except InputError as error:
         raise InputError(f"controller {controller}: {error}") from error
-    need_trust([code_of(fmu.path, path)], f"controller {label_of(controller)}")
+    need_trust([code_of(fmu.path, path, fmu.path)], f"controller {label_of(controller)}")
     key = (controller, str(path), *[_sha256(file) for file in fmu.files.values()])
     run = command(path)
     return _known.get(key, lambda: _described(controller, describing(fmu), fmu.files, lambda: run, path.parent))

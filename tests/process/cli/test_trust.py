@@ -333,12 +333,51 @@ def test_what_is_imported_unseen_is_asked_for_too(theirs: Path, mark: Path, hexj
     assert not mark.exists()
 
 
+def test_a_compiled_copy_of_what_a_program_imports_is_code(theirs: Path, mark: Path, hexjet: Hexjet) -> None:
+    """Its own Python runs that first; it leaves none there itself."""
+    program = theirs / "program.py"
+    program.write_text("import helper\n" + program.read_text())
+    assert hexjet("fly", str(theirs / "process.toml"), "--trust").status == 0
+    assert not (theirs / "__pycache__").exists()
+    compiled = Path(importlib.util.cache_from_source(str(theirs / "helper.py")))
+    compiled.parent.mkdir()
+    compiled.write_bytes(b"another")
+    done = hexjet("fly", str(theirs / "process.toml"))
+    assert done.status == 2
+    assert str(compiled) in done.err
+
+
 def test_arguments_of_a_program_are_code(theirs: Path, hexjet: Hexjet) -> None:
     assert hexjet("fly", str(theirs / "process.toml"), "--trust").status == 0
     (theirs / "process.toml").write_text(HOVER.replace("baseline", "process:program.py --erase"))
     done = hexjet("fly", str(theirs / "process.toml"))
     assert done.status == 2
     assert REFUSED in done.err
+
+
+@pytest.mark.parametrize("itself", ["twice.toml", "table.csv"])
+def test_data_on_the_command_line_is_no_code(
+    itself: str, theirs: Path, mark: Path, hexjet: Hexjet, tmp_path: Path
+) -> None:
+    """A scenario that is a program too and names itself; one that names a table beside it."""
+    text = f'#!/bin/sh\n{HOVER}description = """\ntouch {mark}\n"""\n'
+    (theirs / "twice.toml").write_text(text.replace("baseline", f"process:{itself}"))
+    (theirs / "table.csv").write_text(f"#!/bin/sh\ntouch {mark}\n")
+    done = hexjet("compare", str(theirs / "twice.toml"), str(theirs / "table.csv"), "--out", str(tmp_path / "page"))
+    assert done.status == 2
+    assert REFUSED in done.err
+    assert not mark.exists()
+
+
+def test_a_named_program_is_named_with_its_arguments(theirs: Path, hexjet: Hexjet) -> None:
+    """Nor does naming an interpreter name whatever it can be told."""
+    program = theirs / "program.py"
+    assert hexjet("fly", "hover", "--set", "duration_s=0.2", "--controller", f"process:{program} 1").status == 0
+    for arguments in ("", " 2"):
+        (theirs / "process.toml").write_text(HOVER.replace("baseline", f"process:program.py{arguments}"))
+        done = hexjet("compare", str(theirs / "process.toml"), str(program), f"process:{program} 1", "--no-page")
+        assert done.status == 2
+        assert REFUSED in done.err
 
 
 def test_settings_that_cannot_be_written_forget(theirs: Path, hexjet: Hexjet, tmp_path: Path) -> None:
