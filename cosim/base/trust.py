@@ -16,7 +16,8 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 from cosim.base.errors import InputError
@@ -41,7 +42,7 @@ class CodeRefusedError(InputError):
 class Code:
     """A file that is to be run: where it is, and the SHA-256 of what is run of it.
 
-    ``named_by``: what the user names when he means it, the file itself if nothing else; a mapping file for its FMU, say.
+    ``named_by``: what the user names when he means it, such as the mapping file of an FMU; nothing: the file itself.
     """
 
     path: Path
@@ -174,9 +175,9 @@ def remember(code: Collection[Code]) -> None:
     _add(hashes=frozenset(new))
     known = _remembered()
     lines = [f"{sha256}  {file.path.absolute()}" for sha256, file in new.items() if sha256 not in known]
-    place = settings_folder() / REMEMBERED
-    with suppress(OSError):
+    with suppress(OSError, RuntimeError):  # a user without a home has no settings
         if lines:
+            place = settings_folder() / REMEMBERED
             place.parent.mkdir(parents=True, exist_ok=True)
             text = "".join(f"{' '.join(line.splitlines())}\n" for line in lines)
             file = os.open(place, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
@@ -228,9 +229,9 @@ def decision() -> Decision:
 
 
 def inherit(decided: Decision) -> None:
-    """Run what the process runs for which this one works."""
+    """Run what the process runs for which this one works, and nothing that is named here."""
     global _decision
-    _decision = decided
+    _decision = replace(decided, by_program=False)
 
 
 def _add(
@@ -240,31 +241,38 @@ def _add(
 ) -> None:
     global _decision
     known = _decision
-    _decision = Decision(known.places | places, known.named | named, known.hashes | hashes, known.by_program)
+    _decision = replace(known, places=known.places | places, named=known.named | named, hashes=known.hashes | hashes)
+
+
+@cache
+def _shipped() -> list[Path]:
+    return [data_folder(name).resolve() for name in _SHIPPED]
 
 
 def _is_shipped(path: Path) -> bool:
-    return any(path.resolve().is_relative_to(data_folder(name).resolve()) for name in _SHIPPED)
+    resolved = path.resolve()
+    return any(resolved.is_relative_to(folder) for folder in _shipped())
 
 
 def _is_accepted(file: Code) -> bool:
     if os.environ.get(ENVIRONMENT) == "1" or file.sha256 in _decision.hashes:
         return True
     path = file.path.resolve()
-    names = {name.resolve() if isinstance(name, Path) else name for name in file.named_by or (path,)}
+    itself = (path,) if path.name.lower().endswith(_CODE) else ()
+    names = {name.resolve() if isinstance(name, Path) else name for name in file.named_by or itself}
     return bool(names & _decision.named) or any(place in _decision.places for place in (path, *path.parents))
 
 
 def _remembered() -> frozenset[str]:
     """The hashes in the user's settings; a line that is none of ours is none."""
-    place = settings_folder() / REMEMBERED
     try:
+        place = settings_folder() / REMEMBERED
         found = place.stat()
         stamp = found.st_size, found.st_mtime_ns
         if _known.get(place, (None,))[0] != stamp:
             lines = place.read_text(encoding="utf-8", errors="replace").splitlines()
             _known[place] = stamp, frozenset(line[:64] for line in lines if _HASH.match(line))
-    except OSError:
+    except (OSError, RuntimeError):
         return frozenset()
     return _known[place][1]
 

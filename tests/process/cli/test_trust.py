@@ -64,7 +64,7 @@ def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def forget(tmp_path: Path) -> None:
     shutil.rmtree(tmp_path / "settings", ignore_errors=True)
-    trust.inherit(trust.Decision())
+    trust._decision = trust.Decision()
 
 
 def code(mark: Path, text: str) -> str:
