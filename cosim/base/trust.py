@@ -174,7 +174,7 @@ def remember(code: Collection[Code]) -> None:
         return
     _add(hashes=frozenset(new))
     known = _remembered()
-    lines = [f"{sha256}  {file.path.absolute()}" for sha256, file in new.items() if sha256 not in known]
+    lines = [f"{sha256}  {file.path.resolve()}" for sha256, file in new.items() if sha256 not in known]
     with suppress(OSError, RuntimeError):  # a user without a home has no settings
         if lines:
             place = settings_folder() / REMEMBERED

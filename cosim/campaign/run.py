@@ -12,6 +12,7 @@ from typing import Any
 
 from cosim.autopilots.prepare import program_of
 from cosim.base.errors import FlightError, InputError
+from cosim.base.trust import need_trust
 from cosim.campaign.folder import is_campaign
 from cosim.campaign.store import (
     Campaign,
@@ -22,7 +23,7 @@ from cosim.campaign.store import (
 from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import Flight, scenario_of
-from cosim.campaign.study.study import Study, study_names
+from cosim.campaign.study.study import Study, study_code, study_names
 from cosim.campaign.workers.flight_row import Row, inputs, inputs_sha256, with_autopilot
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.campaign.workers.protocol import Workers
@@ -160,9 +161,10 @@ def fly_again(campaign: Campaign, number: int, out: Path | str | None = None, **
     """Fly one finished flight of a campaign again, recorded in full, from what its row states.
 
     ``out`` and ``options`` are those of :func:`cosim.fly`.  Raises InputError if the flight is not finished, or cannot
-    be flown now; FlightError if it could not be flown then either.
+    be flown now, or is code that the user does not trust; FlightError if it could not be flown then either.
     """
     row = campaign.row(number)
+    need_trust(study_code(campaign.study), f"{campaign.folder}: flight {number}")
     try:
         scenario = scenario_of(campaign.study, flight_of(campaign.study, row))
         if campaign.study.autopilot is not None:
