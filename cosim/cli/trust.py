@@ -48,7 +48,7 @@ def _trust(context: click.Context, parameter: click.Parameter, given: bool) -> N
 
 def asks() -> Callable[[Sequence[Path]], bool] | None:
     """Return what asks the user whether files are run; None where nobody is at a terminal."""
-    return _asked if sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty() else None
+    return _asked if all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr)) else None
 
 
 def _asked(files: Sequence[Path]) -> bool:

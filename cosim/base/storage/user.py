@@ -9,16 +9,15 @@ from pathlib import Path
 
 def cache_folder() -> Path:
     """Where this user's machine keeps what can be made again."""
-    return _folder("XDG_CACHE_HOME", "Library/Caches", ".cache")
+    return _folder(os.environ.get("XDG_CACHE_HOME"), "Library/Caches", ".cache")
 
 
 def settings_folder() -> Path:
     """Where it keeps what the user has settled, such as whose code is run."""
-    return _folder("XDG_CONFIG_HOME", "Library/Application Support", ".config")
+    return _folder(os.environ.get("XDG_CONFIG_HOME"), "Library/Application Support", ".config")
 
 
-def _folder(variable: str, on_a_mac: str, elsewhere: str) -> Path:
-    stated = os.environ.get(variable)
+def _folder(stated: str | None, on_a_mac: str, elsewhere: str) -> Path:
     if stated and Path(stated).is_absolute():
         return Path(stated) / "hexjet"
     return Path.home() / (on_a_mac if sys.platform == "darwin" else elsewhere) / "hexjet"
