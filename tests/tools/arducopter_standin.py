@@ -281,10 +281,15 @@ class Copter:
             self._throttle = 0.0 if self._closed_since is not None else self._throttle
 
 
+def lines_of(text: str) -> list[str]:
+    """As it reads them, into 99 bytes: what is behind them is a line of its own, a note no more."""
+    return [line[k : k + 98] for line in text.splitlines() for k in range(0, max(1, len(line)), 98)]
+
+
 def read(path: str | None) -> dict[str, float]:
     """Its parameters, with those of a file over them; a name that it does not have is left out, and said."""
     parameters = dict(DEFAULTS)
-    for line in Path(path).read_text(encoding="utf-8").splitlines() if path else ():
+    for line in lines_of(Path(path).read_text(encoding="utf-8")) if path else ():
         words = line.split("#")[0].replace(",", " ").split()
         if words and words[0] not in parameters:
             say(f"Ignored unknown param {words[0]}")
