@@ -154,7 +154,7 @@ def read_entry(folder: Path) -> Entry:
         began = {"started": datetime.fromtimestamp(folder.stat().st_mtime, UTC).isoformat(timespec="seconds")}
         return Entry(folder.name, LOG if is_flight_log(folder) else "", began, {}, [], "")
     page = next((name for name in ("report.html", "comparison.html", "search.html") if (folder / name).is_file()), "")
-    page = page or next((path.name for path in sorted(folder.glob("*.html"))), "")
+    page = page or next((path.name for path in sorted(folder.glob("[!.]*.html"))), "")
     tags = _tags(folder / TAGS)
     with suppress(OSError, ValueError):
         summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))

@@ -67,6 +67,12 @@ def test_logs_of_other_controllers_lie_there_too(runs: Path) -> None:
     assert len(place.entries()) == 8
 
 
+def test_what_a_mac_keeps_beside_a_page_is_none(tmp_path: Path) -> None:
+    for name in ("._page.html", "page.html"):
+        (tmp_path / name).write_text("")
+    assert index.read_entry(tmp_path).page == "page.html"
+
+
 def test_a_real_run_and_a_real_campaign() -> None:
     folder = next(path for path in sorted((TESTS / "older").iterdir()))
     run, campaign = index.read_entry(folder / "run"), index.read_entry(folder / "campaign")
