@@ -36,7 +36,7 @@ typedef struct {
     X(delay_full, -1.0) X(lag, 0.1) X(lag2, 0.0) X(accelerates, 0.0) X(zero, 0.0) X(mode, 0.0) X(mode_hz, 9.0) \
     X(damping, 0.01) X(soak, 0.0) X(hunts, 0.0) X(noise, 0.0) X(flat, 1.0) X(exponent, 1.0) X(air, 0.0) X(idle, \
     0.0) X(sign, 1.0) X(drag, 0.0) X(crashes, 0.0) X(hangs, 0.0) X(floods, 0.0) X(engines, 1.0) \
-    X(over, 0.0) X(over_s, 4.0) X(warm, 0.0) X(warm_s, 45.0) X(more, 0.0) X(more_s, 0.05) \
+    X(over, 0.0) X(over_s, 4.0) X(warm, 0.0) X(warm_s, 45.0) X(more, 0.0) X(more_s, 0.05) X(delta, 0.0) \
     X(prints, 0.0) X(threads, 0.0) X(dies, 0.0) X(leaks, 0.0) X(uneven, 0.0) X(coupled, 0.0) \
     X(forward, 0.0) X(right, 0.0) X(torque, 0.0) X(clocked, 0.0) X(strict, 0.0)
 
@@ -102,7 +102,8 @@ static bool running(Engine *e)
 static void part(Engine *e, One *s, double u)
 {
     const double up = e->of.delay, down = (e->of.delay_down < 0.0 ? up : e->of.delay_down), sampled = e->of.sampled;
-    if (e->of.clocked == 0.0 && (sampled == 0.0 || e->k % lround(sampled / H) == 0))
+    const bool passes = fabs(u - s->held) > e->of.delta || e->of.delta == 0.0; /* a throttle told when it has changed by so much */
+    if (passes && e->of.clocked == 0.0 && (sampled == 0.0 || e->k % lround(sampled / H) == 0))
         s->held = u;
     s->line[e->k % LINE] = s->held;
     const double late = (e->of.delay_full < 0.0 ? up : e->of.delay_full); /* where the dead time goes with the throttle */

@@ -173,7 +173,7 @@ KINDS: dict[str, Engine] = {
         "overshoots-by-half": "lag=0.15,delay=0.048,over=0.5,over_s=4", "creeps": "lag=0.15,delay=0.048,over=-0.5,over_s=8",
         "leads": "lag=0.12,lag2=0.05,zero=0.35", "leads-by-far": "lag=0.12,lag2=0.05,zero=2",
         "warms": "lag=0.15,delay=0.048,warm=0.45,warm_s=45", "two-equal-lags": "lag=0.12,lag2=0.12,delay=0.02",
-        "six-lags": "lag=0.05,more=5,more_s=0.05", "delay-alone": "lag=0.00001,delay=0.1", "gain-alone": "lag=0.00001",
+        "six-lags": "lag=0.05,more=5,more_s=0.05", "delay-alone": "lag=0.00001,delay=0.1", "told-of-changes": "lag=0.15,delay=0.048,delta=0.015", "gain-alone": "lag=0.00001",
         "crashes-in-flight": "lag=0.1,crashes=1",
         "hangs-in-flight": "lag=0.1,hangs=1", "floods-in-flight": "lag=0.1,floods=1", "never-lit": "lag=0.1,start=20",
     }.items()},

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from foreign_engines import foreign, mapped
 
+from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml
 from cosim.design import design as making
 from cosim.design import prove as proving
@@ -329,3 +330,16 @@ def test_what_is_no_lag_is_a_model_all_the_same(made_of: str, place: Path) -> No
         closed = ClosedLoop(FrequencyGrid(channel), making.shipped(channel, vehicle, spec))
         assert np.isfinite(closed.steps.angle).all()
         assert closed.unstable_poles >= 0
+
+
+def test_an_engine_that_is_told_of_changes_alone_is_swept_by_more_where_asked(place: Path) -> None:
+    """A throttle that is passed on in steps of 1.5 %: half a per cent moves nothing, and the way out is named."""
+    path = str(foreign(place, "told", "lag=0.15,delay=0.048,delta=0.015"))
+    scenario, vehicle = making._scenario(path, "hexjet", ["engine_unchecked=true"])
+    spec = load_engine(path, {}, STEP, unchecked=True)
+    with pytest.raises(
+        InputError, match=r"does not answer the throttle around 0\.45\d*; raise --amplitude \(now 0\.005\)"
+    ):
+        making.identify_there(scenario, vehicle, spec, None)
+    found = making.identify_there(scenario, vehicle, spec, 0.15)
+    assert found.chosen.model.delay_samples == pytest.approx(12.0, abs=6.0)
