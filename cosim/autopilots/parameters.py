@@ -21,6 +21,7 @@ from cosim.spec.vehicle import RateGains, Vehicle
 
 _THRUST = 6.5  # CA_ROTOR_CT as it ships
 _SIDE = 0.01  # m, to the left or right, below which PX4 gives a tilt no yaw
+_MOST_ROTORS = 12  # of its control allocation
 _LEAST_IMU_HZ, _MOST_IMU_HZ = 100, 1000  # of IMU_INTEG_RATE
 
 
@@ -95,6 +96,8 @@ def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
     jets, control = vehicle.jets, vehicle.control
     if vehicle.allocation == "effectiveness":
         raise InputError(f"px4: {vehicle.name}: is flown by effectiveness, whose gains are not in PX4's torques")
+    if len(jets) > _MOST_ROTORS:
+        raise InputError(f"px4: {vehicle.name}: has {len(jets)} engines; allowed are {_MOST_ROTORS} at most")
     parameters: dict[str, float] = {"CA_AIRFRAME": 8 if vehicle.servo else 0, "CA_ROTOR_COUNT": len(jets)}
     back = vehicle.servo is not None and tilt_pitch(vehicle) > 0.0
     for index, jet in enumerate(jets):

@@ -323,8 +323,10 @@ class Px4Program:
             self.armed_at = self.times[-1]
 
     def _note(self, force: Array) -> None:
-        """Means of the accelerometer, as it stands and as it flies."""
-        total = self.sums.setdefault("disarmed" if self.armed_at is None else "armed", [0.0] * 4)
+        """Means of the accelerometer, as it stands disarmed and as it flies."""
+        if self.armed_at is not None and self.loops.thrust < 0.1:
+            return
+        total = self.sums.setdefault("stood" if self.armed_at is None else "flew", [0.0] * 4)
         for index, value in enumerate((*force, 1.0)):
             total[index] += float(value)
 

@@ -303,6 +303,8 @@ def params(autopilot: str, aircraft: str, gains: str | None, rate: int, target: 
     """
     from cosim.autopilots.dump import parameters_of
 
+    if target != "sitl" and autopilot != "px4":
+        raise InputError(f"--target {target}: {autopilot} has one set of parameters; allowed is px4")
     vehicle, _ = load_scenario("hover", gains, (), None, (), None, aircraft).resolved_vehicle()
     click.echo(parameters_of(autopilot, vehicle, 1.0 / rate, target), nl=False)
     return DONE

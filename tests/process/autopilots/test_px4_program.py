@@ -53,19 +53,20 @@ def errors(column: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "jets"),
+    ("arguments", "jets", "height"),
     [
-        (("--aircraft", "quadrotor"), 4),
-        (("--scenario", "full-scale-hover"), 6),
-        (("--scenario", "octojet-hover"), 8),
-        pytest.param(("--aircraft", "hexjet-100"), 6, marks=pytest.mark.long),
+        (("--aircraft", "quadrotor"), 4, 0.05),
+        (("--scenario", "full-scale-hover"), 6, 1.0),
+        pytest.param(("--scenario", "octojet-hover"), 8, 1.0, marks=pytest.mark.long),
+        pytest.param(("--aircraft", "hexjet-100"), 6, 1.0, marks=pytest.mark.long),
     ],
     ids=["quadrotor", "full-scale", "octojet", "hexjet-100"],
 )
 def test_it_hovers_with_jets_above_and_below_and_at_other_rates(
-    arguments: tuple[str, ...], jets: int, hexjet: Hexjet
+    arguments: tuple[str, ...], jets: int, height: float, hexjet: Hexjet
 ) -> None:
-    """The page's own command, and every vehicle that stands on jets below its centre of gravity."""
+    """The page's own command, and every vehicle that stands on jets below its centre of gravity; the quadrotor's hover
+    throttle is a third, which is not what mid-stick is to PX4 as it ships."""
     done = flown(hexjet, *arguments, "--set", "duration_s=3")
     assert done.status == 0, done.out + done.err
     counts = books()
@@ -73,6 +74,7 @@ def test_it_hovers_with_jets_above_and_below_and_at_other_rates(
     assert seen()["values"]["CA_ROTOR_COUNT"] == jets
     for angle in ("roll_rad", "pitch_rad"):
         assert np.abs(errors(angle)).max() < np.radians(3.0)
+    assert np.ptp(errors("altitude_m")) < height
 
 
 def test_nothing_is_stale_and_nothing_jumps_when_the_flight_begins(hexjet: Hexjet) -> None:
@@ -84,18 +86,24 @@ def test_nothing_is_stale_and_nothing_jumps_when_the_flight_begins(hexjet: Hexje
     told = seen()
     assert told["stale"] == {"mag": 0, "baro": 0}
     assert told["heard"]["baro"] > 1500
-    stood, flew = (np.array(told["force"][name]) for name in ("disarmed", "armed"))
+    stood, flew = (np.array(told["force"][name]) for name in ("stood", "flew"))
     assert stood == pytest.approx(flew, abs=0.01)
     assert told["gyro_bias"] == pytest.approx((0.01, -0.02, 0.015), abs=2e-4)
     assert np.abs(errors("altitude_m") - 10.0).max() < 0.1
     assert "none of that name" not in done.err
 
 
-def test_the_yaw_stick_turns_it_as_far_as_it_is_asked(hexjet: Hexjet) -> None:
-    """Through a dead zone or a bend heading would stay some degrees off."""
-    done = flown(hexjet, "--scenario", "yaw-doublet", "--set", "expect=[]")
+def test_the_yaw_stick_turns_it_as_far_and_as_fast_as_it_is_asked(hexjet: Hexjet) -> None:
+    """By two degrees, which a dead zone takes whole: the pilot's loop is first order, and a bend makes it slower."""
+    amplitude, start = 2.0, 1.0
+    done = flown(hexjet, "--scenario", "yaw-doublet", "--set", "expect=[]", "--set", f"command.0.amplitude={amplitude}",
+                 "--set", "duration_s=4")  # fmt: skip
     assert done.status == 0, done.out + done.err
-    assert abs(errors("yaw_rad")[-1]) < np.radians(0.3)
+    turned = np.degrees(errors("yaw_rad")) / amplitude
+    gain = Scenario.load("hover").resolved_vehicle()[0].control.attitude.gain_1_s[2]
+    after = round((start + 2.0 / gain) / 0.004)  # two time constants: 0.86, less what its own loops are late
+    assert 0.7 < turned[after] < 0.9
+    assert turned[-1] == pytest.approx(1.0, abs=0.1)
 
 
 def test_the_gains_of_a_design_are_flown_and_named(hexjet: Hexjet) -> None:
@@ -139,3 +147,10 @@ def test_an_estimator_at_another_pace_is_one_that_does_not_answer(hexjet: Hexjet
     done = flown(hexjet, "--aircraft", "quadrotor", "--param", "IMU_INTEG_RATE=250", "--timeout", "0.5")
     assert done.status == 1
     assert "px4 did not answer within 0.5 s, before the flight" in done.out
+
+
+def test_one_that_is_not_armed_says_what_it_needs(hexjet: Hexjet) -> None:
+    done = flown(hexjet, "--param", "RC_MAP_ARM_SW=7")
+    assert done.status == 1
+    said = "px4 was not armed within 30 s; one that you start needs the parameters of hexjet sitl params px4"
+    assert said in " ".join(done.out.split())

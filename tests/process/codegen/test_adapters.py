@@ -202,6 +202,15 @@ def test_ardupilot_hears_the_torques_of_the_controller(name: str, tmp_path: Path
 
 
 @pytest.mark.skipif(CXX is None, reason="no C++ compiler")
+def test_px4s_module_waits_for_no_target_that_is_made_after_it(tmp_path: Path) -> None:
+    """PX4 adds modules from outside before its platform's libraries, px4_work_queue among them."""
+    adapted("hexjet", "px4", tmp_path)
+    (lists,) = (tmp_path / "src" / "modules").glob("*/CMakeLists.txt")
+    text = lists.read_text()
+    assert "px4_add_module(" in text
+    assert "DEPENDS" not in text
+
+
 @pytest.mark.parametrize("name", ["hexjet", "quadrotor"])
 def test_px4_is_told_the_torques_of_the_controller(name: str, tmp_path: Path) -> None:
     """At the gyro samples nearest to the controller's steps, though their times are unsteady; started and stopped."""

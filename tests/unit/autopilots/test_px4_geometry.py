@@ -99,6 +99,12 @@ def test_banks_that_px4_has_no_words_for_are_refused(
         px4_parameters(moved(change))
 
 
+def test_more_engines_than_it_allocates_are_refused() -> None:
+    vehicle = load_vehicle("octojet")[0]
+    with pytest.raises(InputError, match="px4: octojet: has 16 engines; allowed are 12 at most"):
+        px4_parameters(vehicle.model_copy(update={"jets": [*vehicle.jets, *vehicle.jets]}))
+
+
 def test_its_estimator_runs_at_every_step() -> None:
     """At the rates of steps that vehicles have; the answer to a sample waits for it."""
     for step in (0.001, 0.0025, 1.0 / 300.0, 0.004, 0.005, 0.01, 0.02):
@@ -130,6 +136,8 @@ def test_a_target_is_told_of_what_it_has(hexjet: Hexjet) -> None:
     assert done.status == 0
     assert "PWM_MAIN_FUNC1\t101\t6" in done.out
     assert "RC_MAP" not in done.out
+    done = hexjet("sitl", "params", "ardupilot", "--target", "board", "--aircraft", "quadrotor")
+    assert (done.status, "--target board: ardupilot has one set of parameters" in done.err) == (2, True)
     assert "IMU_INTEG_RATE\t400\t6" in hexjet("sitl", "params", "px4", "--rate", "400").out
 
 
