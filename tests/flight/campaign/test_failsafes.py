@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import re
 from math import hypot, isnan, pi
 from pathlib import Path
 
@@ -696,6 +697,59 @@ def test_a_cell_of_several_flights_tells_how_many_landed_and_the_worst() -> None
     assert (
         tables.cell_of_several(rows) == "2 of 3 landed, 1 of 3 slid (wind 10 m/s), 0.70 m/s, sideways 2.50 m/s, 0.1 N"
     )
+
+
+def rows_of_the_page(aircraft: str) -> tuple[list[str], list[list[str]]]:
+    """The starts and the lines of a vehicle's table of flights after a take-off."""
+    text = marks.parts_of((DOCS / "failsafes.md").read_text(encoding="utf-8"), "")[tables.mark(aircraft)]
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:1] == "|"]
+    return lines[0][1:], lines[2:]
+
+
+@pytest.mark.parametrize("aircraft", table.TABLED)
+def test_after_a_take_off_what_does_not_land_is_what_the_page_explains(aircraft: str) -> None:
+    """How many of how many, the worst speeds within the vehicle's limits; the fuel from all its heights, every engine."""
+    vehicle = load_vehicle(aircraft)[0]
+    starts, rows = rows_of_the_page(aircraft)
+    engines = [f"engine {jet} out" for jet in range(1, len(vehicle.jets) + 1)]
+    assert [name for name, *_ in rows] == [*engines, "fuel runs down"]
+    for name, *cells in rows:
+        for start, cell in zip(starts, cells, strict=True):
+            if cell == "-":
+                assert start != ("3 m" if name in engines else "10 m"), (name, start)
+                continue
+            ends = re.match(r"(\d+) of (\d+) landed, ", cell)
+            if ends is not None and ends[1] == ends[2]:
+                down, sideways = (float(x) for x in re.findall(r"([\d.]+) m/s", cell))
+                assert down < vehicle.limits.touchdown_m_s
+                assert sideways < table.trip_speed(vehicle)
+                continue
+            assert name in engines
+            if aircraft in LOST_WITHOUT_ONE or (aircraft, start) == ("quadjet", "3 m"):
+                continue
+            # the text's: in the strongest wind, from the least height, too fast sideways
+            assert aircraft in ("jetwing", "hexjet-p220"), (name, start, cell)
+            assert start == "3 m"
+            assert "crashed" not in cell
+            assert "(wind 10 m/s)" in cell
+
+
+@pytest.mark.parametrize(
+    ("aircraft", "kind", "height"),
+    [
+        ("hexjet", "fuel runs down", 10.0),
+        pytest.param("quadrotor", "engine 1 out", 3.0, marks=pytest.mark.long),
+        pytest.param("jetwing", "engine 1 out", 3.0, marks=pytest.mark.long),
+        pytest.param("hexjet-p220", "fuel runs down", 300.0, marks=pytest.mark.long),
+    ],
+)
+def test_flights_after_a_take_off_are_the_pages(aircraft: str, kind: str, height: float) -> None:
+    starts, rows = rows_of_the_page(aircraft)
+    (cell,) = (cells[starts.index(f"{height:g} m")] for name, *cells in rows if name == kind)
+    flights = int(re.match(r"\d+ of (\d+)", cell)[1])  # type: ignore[index]
+    conditions = table.Conditions(heights=(height,), flights=flights)
+    (survey,) = table.failsafes([aircraft], kinds=[kind], conditions=conditions, workers=1)
+    assert tables.cell_of_several(survey.rows) == cell
 
 
 def test_docs_failsafes_md_states_what_an_engine_lost_between_its_heights_does() -> None:
