@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.base.errors import InputError
-from cosim.results.logs.flight_log import Channel, FlightLog, numbers
+from cosim.results.logs.flight_log import SEARCHED, Channel, FlightLog, numbers
 
 HEAD = b"\xa3\x95"
 FMT, FMT_LENGTH = 0x80, 89
@@ -45,6 +45,7 @@ def read(path: Path) -> FlightLog:
     Raises InputError where nothing can be read.
     """
     data = path.read_bytes()
+    data = data[max(data.find(MARK, 0, SEARCHED), 0) :]
     formats, places, passed, cut = _places(data)
     raw = np.frombuffer(data, np.uint8)
     tables = {

@@ -17,6 +17,7 @@ _QUOTED = r"""'[^']*'|"[^"]*\""""
 _NAME = rf"(?:deg|square)\(\s*(?:{_QUOTED})\s*\)|{_QUOTED}|[A-Za-z_][^\s+*'\"]*"
 _TERM = re.compile(rf"\s*([+-])?\s*(?:([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*\*\s*)?({_NAME})")
 DEGREE = np.pi / 180.0
+SEARCHED = 2**16  # bytes of a file in which the head of a log is looked for, behind what does not belong to it
 LEAST_SHARED = 0.5  # of the rows of the shorter of two channels: with fewer equal stamps they are of two clocks
 
 

@@ -9,7 +9,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.results.columns import RATES
 from cosim.results.logs import blackbox, crazyflie, dataflash, table, tlog, ulog
-from cosim.results.logs.flight_log import FlightLog, LogSignals
+from cosim.results.logs.flight_log import SEARCHED, FlightLog, LogSignals
 from cosim.results.logs.text_table import decoded
 
 KINDS = (
@@ -17,7 +17,6 @@ KINDS = (
     ".cfusdlog (Crazyflie), .tlog (MAVLink), tables as text (.csv, .tsv, .txt) and .parquet"
 )
 HEAD = 512  # bytes by which a file is recognised
-SEARCHED = 2**16  # bytes in which the head of a log is looked for, behind what does not belong to it
 
 _READERS = (
     (ulog.recognises, ulog.read),

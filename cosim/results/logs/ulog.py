@@ -12,11 +12,10 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.results.logs import apart
-from cosim.results.logs.flight_log import Channel, FlightLog
+from cosim.results.logs.flight_log import SEARCHED, Channel, FlightLog
 
 MAGIC = b"ULog\x01\x12\x35"
 HEAD_BYTES = 16
-SEARCHED = 2**16  # bytes in which the log may begin
 MOST_S, MOST_S_A_MB = 20.0, 3.0  # of CPU, to begin with and for every MB: some ten times what pyulog takes
 MOST_MB, MOST_MB_A_MB = 2048.0, 40.0  # of address space; what is resident is ten times the file
 _PROGRAM = Path(__file__).with_name("ulog_child.py")

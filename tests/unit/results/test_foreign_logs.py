@@ -161,6 +161,41 @@ def test_the_channels_as_json_are_one_object(tmp_path: Path, hexjet: Hexjet, flo
     assert len(listed) == 2 + len(held["channels"])
 
 
+# ---- known by what is in it
+
+
+@pytest.mark.parametrize(
+    "before", [b"\xef\xbb\xbf", b"\xff" * 4096, b"HTTP/1.1 200 OK\r\nContent-Type: x\r\n\r\n", bytes(60_000)]
+)
+@pytest.mark.parametrize("kind", ["ulog", "dataflash", "blackbox"])
+@pytest.mark.parametrize("name", ["x.csv", "x.ulg"])
+def test_a_log_is_found_behind_what_does_not_belong_to_it(
+    tmp_path: Path, flown: bytes, before: bytes, kind: str, name: str
+) -> None:
+    """Whatever it is called; what stands behind its end does no harm either."""
+    whole = {
+        "ulog": lambda: flown,
+        "blackbox": _blackbox,
+        "dataflash": lambda: dataflash(9, "CTUN", "Qf", "TimeUS,PD", ROWS),
+    }[kind]()
+    plain, found = read(tmp_path / name, whole), read(tmp_path / name, before + whole)
+    assert found.kind == plain.kind
+    assert found.remarks == (f"{len(before)} bytes before the head of the log are passed over", *plain.remarks)
+    for label, channel in plain.channels.items():
+        np.testing.assert_array_equal(found.channels[label].values, channel.values)
+    behind = read(tmp_path / name, whole + 3 * b"appended ")
+    assert set(behind.channels) == set(plain.channels)
+
+
+ROWS = [(1000 * n, 1.0 * n) for n in range(50)]
+
+
+def _blackbox() -> bytes:
+    count = np.arange(100)
+    table = {"loopIteration": count, "time": 10**6 + 500 * count, "gyroADC[0]": count}
+    return Writer().head() + b"".join(Writer().frames(table)) + END
+
+
 # ---- cut, damaged, endless
 
 
