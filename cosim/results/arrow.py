@@ -385,7 +385,8 @@ def _sorted_out(path: Path, table: pa.Table) -> Sorted:
             made.times.add(name)
         if pa.types.is_integer(kept) or pa.types.is_floating(kept) or kept in (pa.bool_(), pa.null()):
             column = pc.fill_null(column.cast(pa.float64(), safe=False), float("nan"))
-            made.numbers[name] = unit * np.concatenate([np.empty(0), *map(_numbers, column.chunks)])
+            values = np.concatenate([np.empty(0), *map(_numbers, column.chunks)])
+            made.numbers[name] = unit * np.where(np.isnan(values), np.nan, values)  # a NaN that signals would warn
         else:
             made.texts[name] = [None if value is None else str(value) for value in column.to_pylist()]
     return made
@@ -424,5 +425,5 @@ def _parquet(path: Path) -> Iterator[Any]:
     try:
         with pq.ParquetFile(path, pre_buffer=False) as file:
             yield file
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, UnicodeDecodeError, pa.ArrowException) as error:
         raise InputError(f"{path}: cannot be read as Parquet: {one_line(error)}") from error

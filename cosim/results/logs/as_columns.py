@@ -65,6 +65,22 @@ def as_columns(log: FlightLog) -> tuple[MemoryLog, tuple[str, ...]]:
 
 
 def _matching(log: FlightLog) -> dict[str, Channel]:
+    columns = _rates(log)
+    true, estimated = (log.has(_ATTITUDE.format(suffix, 3)) for suffix in (_TRUTH, ""))
+    for there, suffix, name in ((true, _TRUTH, "{}_rad"), (estimated, "", "{}_measured_rad" if true else "{}_rad")):
+        if there:
+            parts = [log.channels[_ATTITUDE.format(suffix, n)] for n in range(4)]
+            for axis, values in zip(AXES, _euler(*(part.values for part in parts)), strict=True):
+                columns[name.format(axis)] = Channel(parts[0].times, values)
+    for name, choices in _SUMS.items():
+        text = next((choice for choice in choices if log.has(choice)), None)
+        if text is not None and name not in columns:
+            columns[name] = _wrapped(log.signal(text)) if name in ANGLES else log.signal(text)
+    return columns | _engines(log)
+
+
+def _rates(log: FlightLog) -> dict[str, Channel]:
+    """Measured and asked for, of the axes that the log's kind has."""
     columns: dict[str, Channel] = {}
     for axis, rate in zip(AXES, RATES, strict=True):
         try:
@@ -76,16 +92,12 @@ def _matching(log: FlightLog) -> dict[str, Channel]:
             if signal:
                 channel = log.signal(signal)
                 columns[f"rate_{rate}_{what}_rad_s"] = channel._replace(values=sign * channel.values)
-    true, estimated = (log.has(_ATTITUDE.format(suffix, 3)) for suffix in (_TRUTH, ""))
-    for there, suffix, name in ((true, _TRUTH, "{}_rad"), (estimated, "", "{}_measured_rad" if true else "{}_rad")):
-        if there:
-            parts = [log.channels[_ATTITUDE.format(suffix, n)] for n in range(4)]
-            for axis, values in zip(AXES, _euler(*(part.values for part in parts)), strict=True):
-                columns[name.format(axis)] = Channel(parts[0].times, values)
-    for name, choices in _SUMS.items():
-        text = next((choice for choice in choices if log.has(choice)), None)
-        if text is not None and name not in columns:
-            columns[name] = _wrapped(log.signal(text)) if name in ANGLES else log.signal(text)
+    return columns
+
+
+def _engines(log: FlightLog) -> dict[str, Channel]:
+    """Throttles and thrusts."""
+    columns: dict[str, Channel] = {}
     for jet in range(1, MOST_JETS + 1):
         throttle, thrust = f"actuator_motors.control[{jet - 1}]", f"hexjet_thrust.newton[{jet - 1}]"
         if log.has(throttle) and np.isfinite(log.channels[throttle].values).any():

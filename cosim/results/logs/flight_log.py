@@ -143,9 +143,10 @@ def _unquoted(name: str) -> str:
 
 
 def numbers(values: Any) -> Array:
-    """As floats; bytes that are damaged may be any number, or none."""
+    """As floats; bytes that are damaged may be any number, or none, which is a NaN that does not signal."""
     with np.errstate(invalid="ignore"):
-        return np.asarray(values).astype(np.float64)
+        made = np.asarray(values).astype(np.float64)
+    return np.where(np.isnan(made), np.nan, made)
 
 
 def terms(text: str) -> list[tuple[float, str]]:

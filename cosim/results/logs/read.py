@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -51,13 +52,23 @@ _OTHERS = (  # what else a file may begin with, and what it is then
 
 
 def is_flight_log(path: Path) -> bool:
-    """Whether a file begins as the log of a flight controller that can be read; ``FILE:N`` as its file does."""
+    """Whether a file is the log of a flight controller that can be read; ``FILE:N`` as its file is."""
     try:
         with _file_and_number(path)[0].open("rb") as file:
-            head = file.read(HEAD)
+            return _reader(file.read(SEARCHED)) is not None
     except OSError:
         return False
-    return any(recognises(head) for recognises, _ in _READERS)
+
+
+def _reader(head: bytes) -> tuple[Callable[[Path], FlightLog], int] | None:
+    """What reads the log of a flight controller that begins so, and how many bytes do not belong to it."""
+    for recognises, read in _READERS:
+        if recognises(head[:HEAD]):
+            return read, 0
+    for mark, read in _MARKS:
+        if (before := head.find(mark)) > 0:
+            return read, before
+    return None
 
 
 def _file_and_number(path: Path) -> tuple[Path, int | None]:
@@ -89,13 +100,11 @@ def read_flight_log(path: Path, time: str | None = None, time_unit: str | None =
         if blackbox.MARKER in head:
             return blackbox.read(path, number)
         raise InputError(f"{path}: holds one log; {path}:{number} is for a blackbox file of several")
-    for recognises, read in _READERS:
-        if recognises(head[:HEAD]):
-            return read(path)
-    for mark, read in _MARKS:
-        if (before := head.find(mark)) > 0:
-            log = read(path)
-            return replace(log, remarks=(f"{before} bytes before the head of the log are passed over", *log.remarks))
+    if (found := _reader(head)) is not None:
+        read, before = found
+        log = read(path)
+        said = (f"{before} bytes before the head of the log are passed over",) if before else ()
+        return replace(log, remarks=(*said, *log.remarks))
     return _table_or_refusal(path, head, time, time_unit)
 
 

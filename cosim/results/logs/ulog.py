@@ -12,7 +12,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.results.logs import apart
-from cosim.results.logs.flight_log import SEARCHED, Channel, FlightLog
+from cosim.results.logs.flight_log import SEARCHED, Channel, FlightLog, numbers
 
 MAGIC = b"ULog\x01\x12\x35"
 HEAD_BYTES = 16
@@ -41,11 +41,11 @@ def read(path: Path) -> FlightLog:
         answer = apart.run_apart(_PROGRAM, [str(path), str(begin)], *limits)
     except apart.EndedError as error:
         raise InputError(f"{path}: cannot be read as ULog: it is damaged; the reader {error}") from None
-    head, _, numbers = answer.partition(b"\n")
+    head, _, doubles = answer.partition(b"\n")
     said = json.loads(head)
     if "error" in said:
         raise InputError(f"{path}: cannot be read as ULog: {said['error']}")
-    channels = _channels(said, np.frombuffer(numbers, "<f8"))
+    channels = _channels(said, numbers(np.frombuffer(doubles, "<f8")))
     if not channels:
         raise InputError(f"{path}: the ULog holds no data: it was cut short before the first message, or damaged")
     remarks = [f"left out, having no time: {', '.join(said['untimed'])}"] if said["untimed"] else []
@@ -59,13 +59,13 @@ def read(path: Path) -> FlightLog:
     return FlightLog(path, "ULog", channels, tuple(remarks), events)
 
 
-def _channels(said: dict[str, Any], numbers: Array) -> dict[str, Channel]:
+def _channels(said: dict[str, Any], columns: Array) -> dict[str, Channel]:
     channels = {}
     at = 0
     for topic in said["topics"]:
         fields, rows = topic["fields"], topic["rows"]
         count = (1 + len(fields)) * rows
-        table = numbers[at : at + count].reshape(1 + len(fields), rows)
+        table = columns[at : at + count].reshape(1 + len(fields), rows)
         at += count
         times = 1e-6 * table[0]
         if topic["name"] == "hexjet_thrust":  # ours: what the engine has at the end of the step that the message is of

@@ -4,13 +4,18 @@ import re
 import struct
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import damaged_files
+import numpy as np
 import pytest
 from damaged_files import KINDS, Kind, try_files
 
 from cosim.base.errors import InputError
+from cosim.base.protocols import Column
+from cosim.results.arrow import write_log
+from cosim.results.logs import read_flight_log
 
 SOME, MANY = 25, 2000
 DEAR = ("ulog", "summary", "rows", "stream")  # a process, or a table of a whole run, for each
@@ -43,6 +48,20 @@ def test_what_was_found_in_descriptions(tmp_path: Path, pattern: bytes, instead:
     refusal = damaged_files.attempt(KINDS["description"], file)
     assert refusal.startswith("=")
     assert said in refusal
+
+
+def test_a_nan_that_signals_is_a_nan(tmp_path: Path) -> None:
+    """Arithmetic with it would warn."""
+    file = KINDS["parquet"].make(tmp_path)
+    signals = np.full(120, 0x7FF0000000000001, np.uint64).view(np.float64)
+    write_log(
+        file, [Column(name, "", "", "") for name in ("time", "u")], iter([{"time": np.arange(120.0), "u": signals}]), {}
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert damaged_files.attempt(KINDS["parquet"], file) == ""
+        log = read_flight_log(file)
+        assert np.isnan(log.signal("deg(u)").values).all()
 
 
 def test_a_message_of_nothing_but_its_head_is_left_out(tmp_path: Path) -> None:
