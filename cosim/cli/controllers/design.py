@@ -136,7 +136,7 @@ def design(
     engine = engine_for(aircraft, engine)
     firmware = None
     if autopilot is not None:
-        from cosim.cli.controllers.firmware import firmware_for
+        from cosim.cli.firmware import firmware_for
         from cosim.control.predictors.registry import BASELINE
 
         if controller not in ("auto", BASELINE.name) or start is not None:
@@ -173,7 +173,7 @@ def design(
             made = proved(made, lambda text: tell(text, 0, 1), lambda unsure: search(unsure=unsure))
     paths = write(made, out)
     if autopilot is not None and made.ok:
-        from cosim.cli.controllers.firmware import write_parameters
+        from cosim.cli.firmware import write_parameters
 
         paths["parameters"] = write_parameters(autopilot, aircraft, paths["controller"], made.scenario.step_s)
     if as_json:

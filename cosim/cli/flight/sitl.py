@@ -148,7 +148,7 @@ def betaflight(options: Options, gains: str | None, rates: str | None, console: 
         raise InputError(f"--gains {gains}: must be designed, vehicle, stock, or a file of hexjet design (.toml)")
     scenario = options.read(designed)
     if gains == "designed":
-        from cosim.cli.controllers.firmware import search_gains
+        from cosim.cli.firmware import search_gains
 
         find_program("betaflight", options.binary)  # before the search
         folder = options.folder(scenario, "betaflight")

@@ -341,7 +341,7 @@ def test_the_first_command_of_the_page_does_not_lose_its_vehicle(
         return out
 
     if not searches:
-        monkeypatch.setattr("cosim.cli.controllers.firmware.search_gains", found)
+        monkeypatch.setattr("cosim.cli.firmware.search_gains", found)
     done = hexjet(*first[1].split(), "--port", str(free_port()), "--timeout", "60")
     assert done.status == 0, done.out + done.err
     assert "hover: completed, flew 5000 steps; as planned" in done.out
