@@ -104,8 +104,19 @@ def _engines(log: FlightLog) -> dict[str, Channel]:
             columns[f"throttle_{jet}"] = log.channels[throttle]
         if log.has(thrust) and log.has(throttle) and np.isfinite(log.channels[thrust].values).any():
             # of ours, which has it in the row of the step at whose end the engine has it, as our columns do
-            columns[f"thrust_{jet}_N"] = log.channels[thrust]._replace(times=log.channels[throttle].times)
+            columns[f"thrust_{jet}_N"] = _a_step_earlier(log.channels[thrust], log.channels[throttle].times)
     return columns
+
+
+def _a_step_earlier(thrust: Channel, throttle: Array) -> Channel:
+    """A thrust at the times of the commands that it answers; of a log that was cut or damaged not all may be there."""
+    before = np.searchsorted(throttle, thrust.times, side="left") - 1
+    step = (
+        float(np.median((thrust.times - throttle[np.maximum(before, 0)])[before >= 0])) if (before >= 0).any() else 0.0
+    )
+    times = thrust.times - step
+    same = len(times) == len(throttle) and bool(np.allclose(times, throttle, rtol=0.0, atol=1e-6))
+    return thrust._replace(times=throttle if same else times)
 
 
 def _held(channel: Channel, clock: Array) -> Array:

@@ -12,6 +12,7 @@ from flights import exported, samples, scenario, setup
 
 from cosim.base.errors import InputError
 from cosim.results.logs import FlightLog, read_flight_log, signals_of, ulog
+from cosim.results.logs.as_columns import as_columns
 from cosim.results.logs.flight_log import Channel
 from cosim.results.run import begin_run
 
@@ -205,6 +206,15 @@ def test_a_ulog_that_is_cut_says_so(tmp_path: Path, flown: bytes, share: float) 
     log = read(tmp_path / "x.ulg", flown[: int(share * len(flown))])
     assert any("cut short" in remark for remark in log.remarks)
     assert 0.5 * share < np.ptp(log.channels["vehicle_angular_velocity.xyz[0]"].times) / 0.8 < share + 0.05
+
+
+def test_a_ulog_that_is_cut_has_its_columns(tmp_path: Path, flown: bytes) -> None:
+    """Wherever it was cut: topics end in different rows then, and a thrust stands with the command that it answers."""
+    whole, _ = as_columns(read(tmp_path / "x.ulg", flown))
+    for cut in range(len(flown) - 900, len(flown), 180):
+        columns, _ = as_columns(read(tmp_path / "y.ulg", flown[:cut]))
+        for name in ("throttle_1", "thrust_1_N", "rate_p_measured_rad_s"):
+            np.testing.assert_allclose(columns[name][:-2], whole[name][: len(columns) - 2], rtol=1e-9)
 
 
 def test_a_ulog_that_its_reader_never_ends_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
