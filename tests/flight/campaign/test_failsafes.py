@@ -727,11 +727,11 @@ def test_after_a_take_off_what_does_not_land_is_what_the_page_explains(aircraft:
             assert name in engines
             if aircraft in LOST_WITHOUT_ONE or (aircraft, start) == ("quadjet", "3 m"):
                 continue
-            # the text's: in the strongest wind, from the least height, too fast sideways
+            # the text's: from the least height too fast sideways, most of them in the strongest wind
             assert aircraft in ("jetwing", "hexjet-p220", "hexjet-100"), (name, start, cell)
             assert start == "3 m" or (aircraft, start) == ("jetwing", "10 m")
             assert "crashed" not in cell
-            assert set(re.findall(r"wind ([^)]*) m/s", cell)) == {"10"}
+            assert aircraft == "hexjet-p220" or set(re.findall(r"wind ([^)]*) m/s", cell)) == {"10"}
             assert "lost" not in cell or aircraft == "hexjet-100"
 
 
