@@ -16,6 +16,7 @@ from cosim.base.errors import InputError
 from cosim.base.storage.cache import Memory
 from cosim.engine.build import ADAPTER, ADAPTER_MADE, GENERATION_TOOL
 from cosim.engine.fmu.container import (
+    DAMAGE,
     DESCRIPTION,
     UnusableError,
     Zip,
@@ -357,11 +358,17 @@ def equations_of(data: bytes, root: ElementTree.Element, description: Any) -> st
 
 
 def own_sources(data: bytes) -> list[tuple[str, bytes]]:
-    """The engine's own C sources in an archive that the library's build made, by name: what is not the adapter's."""
+    """The engine's own C sources in an archive that the library's build made, by name: what is not the adapter's.
+
+    Raises UnusableError where one is damaged.
+    """
     given = {f"sources/{name}" for name in (*ADAPTER, *ADAPTER_MADE, "fmi2.c", "fmi3.c")}
-    with Zip(io.BytesIO(data)) as fmu:
-        names = sorted(set(fmu.namelist()) - given)
-        return [(name, fmu.read(name)) for name in names if name.startswith("sources/")]
+    try:
+        with Zip(io.BytesIO(data)) as fmu:
+            names = sorted(set(fmu.namelist()) - given)
+            return [(name, fmu.read(name)) for name in names if name.startswith("sources/")]
+    except DAMAGE as error:
+        raise UnusableError(f"is damaged or truncated: {one_line(error)}") from error
 
 
 def named_ports(engines: Sequence[Mapping[str, Port]]) -> dict[str, Port]:

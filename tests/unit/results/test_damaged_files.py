@@ -5,6 +5,7 @@ import struct
 import subprocess
 import sys
 import warnings
+import zipfile
 from pathlib import Path
 
 import damaged_files
@@ -48,6 +49,16 @@ def test_what_was_found_in_descriptions(tmp_path: Path, pattern: bytes, instead:
     refusal = damaged_files.attempt(KINDS["description"], file)
     assert refusal.startswith("=")
     assert said in refusal
+
+
+def test_an_fmu_with_a_damaged_source_is_refused(tmp_path: Path) -> None:
+    file = KINDS["fmu"].make(tmp_path)
+    with zipfile.ZipFile(file) as archive:
+        entry = archive.getinfo(next(name for name in archive.namelist() if name.endswith("delayed_lag.c")))
+    content = bytearray(file.read_bytes())
+    content[entry.header_offset + 30 + len(entry.filename) + entry.compress_size // 2] ^= 0xFF
+    file.write_bytes(content)
+    assert "is damaged or truncated" in damaged_files.attempt(KINDS["fmu"], file)
 
 
 def test_a_nan_that_signals_is_a_nan(tmp_path: Path) -> None:
