@@ -168,6 +168,18 @@ def _frames(count: int) -> tuple[struct.Struct, struct.Struct]:
     return struct.Struct(f"<{2 * count + 3}d"), struct.Struct(f"<{len(EngineOutput._fields) * count}d")
 
 
+def _asked(bank: EngineBank, what: str, given: Sequence[Any]) -> Any:
+    """Return what the bank answers to one of the questions of :class:`IsolatedBank`."""
+    if what == "reset":
+        throttle, air = given
+        return tuple(bank.reset(throttle, Ambient(*air) if air else None))
+    if what == "run down":
+        return tuple(bank.run_down(*given))
+    if what == "run":
+        return bank.set_run(*given)
+    return bank.starting if what == "starting" else bank.shown
+
+
 def serve(number: int) -> None:
     """The child: make a bank and do with it what is asked for, until nobody asks any more."""
     from cosim.engine.qualify.child import die_with_parent
@@ -203,22 +215,9 @@ def serve(number: int) -> None:
                 row, answer = _frames(count)
                 bank = EngineBank(specs, count, step, in_flight)
                 result: Any = None
-            elif what == "reset":
-                assert bank is not None
-                throttle, air = given
-                result = tuple(bank.reset(throttle, Ambient(*air) if air else None))
-            elif what == "starting":
-                assert bank is not None
-                result = bank.starting
-            elif what == "run down":
-                assert bank is not None
-                result = tuple(bank.run_down(*given))
-            elif what == "shown":
-                assert bank is not None
-                result = bank.shown
             else:
                 assert bank is not None
-                result = bank.set_run(*given)
+                result = _asked(bank, what, given)
             pipe.send_bytes(b"p" + pickle.dumps((True, result)))
         except Exception as error:
             pipe.send_bytes(b"p" + pickle.dumps((False, (type(error).__name__, str(error)))))

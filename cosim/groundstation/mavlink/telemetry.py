@@ -5,25 +5,23 @@ What is not known is left out or told as unknown; nothing is made up for a gauge
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import atan2, ceil, degrees, hypot, isfinite, isnan, nan, pi
 
 from cosim.base.constants import GRAVITY
-from cosim.base.frames import conjugate, from_euler, rotate, to_euler
-from cosim.base.protocols import EngineState
-from cosim.base.signals import PerServo, Vector3
+from cosim.base.frames import conjugate, from_euler, rotate
+from cosim.base.signals import PerServo
 from cosim.control.autopilot.estimation.wind import estimate_wind
 from cosim.control.autopilot.modes import Home, LandedState, Mode
 from cosim.control.autopilot.status import Status
-from cosim.groundstation.exchange import Snapshot
 from cosim.groundstation.mavlink.about import VehicleInfo
 from cosim.groundstation.mavlink.modes import AUTOPILOT, LANDED, LIST, STANDARD, base_mode, custom_mode, vehicle_type
+from cosim.groundstation.mavlink.view import U32, View
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
 from cosim.vehicle.atmosphere import standard_density
 
-U8, U16, I16, U32, I32 = 0xFF, 0xFFFF, 0x7FFF, 0xFFFFFFFF, 0x7FFFFFFF
+U8, U16, I16, I32 = 0xFF, 0xFFFF, 0x7FFF, 0x7FFFFFFF
 KELVIN = 273.15
 # kg/m^3: in the middle of what Jet A-1 may be at 15 degC (775 to 840, ASTM D1655); fuel flow is asked for by volume
 KEROSENE = 808.0
@@ -43,84 +41,6 @@ PARAMETER_ENCODING = {"px4": _BYTEWISE, "ardupilot": _C_CAST, "generic": 0}
 _LOCAL_NED, _BODY_FRD = 1, 12  # MAV_FRAME
 _LIQUID = 1  # MAV_FUEL_TYPE
 _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5  # MISSION_STATE
-
-
-@dataclass
-class Since:
-    """What has to be remembered from one snapshot to the next: wall-clock times, microseconds since 1970."""
-
-    armed: int = 0
-    took_off: int = 0
-    landed_ms: int = 0  # simulation time
-    flights: int = 0
-    clock: Callable[[], float] = field(default=time.time)
-
-    def look(self, before: View | None, now: View) -> None:
-        """Note what has changed."""
-        was, status = before.status if before else None, now.status
-        if status.armed and not (was and was.armed):
-            self.armed, self.took_off, self.landed_ms = self._now(), 0, 0
-            self.flights += 1
-        if status.landed is LandedState.IN_AIR and not self.took_off:
-            self.took_off = self._now()
-        if was and status.landed is LandedState.ON_GROUND and was.landed is not LandedState.ON_GROUND:
-            self.landed_ms = now.ms
-
-    def _now(self) -> int:
-        return int(self.clock() * 1e6)
-
-
-class View:
-    """A snapshot with what several messages need of it, computed once."""
-
-    def __init__(self, about: VehicleInfo, snapshot: Snapshot, since: Since) -> None:
-        assert snapshot.sample is not None
-        self.about = about
-        self.snapshot = snapshot
-        self.since = since
-        self.time = snapshot.time
-        self.measured = snapshot.measured  # what the sensors say
-        # what is told is the instant after the step, beside what acted until then
-        self.sample = snapshot.sample._replace(
-            k=snapshot.k, time=snapshot.time, state=snapshot.state, measured=snapshot.measured
-        )
-        self.status, ending = snapshot.status, snapshot.ending
-        if self.status.engines is EngineState.OFF:  # the least throttle stands at their inputs, and none acts on it
-            still = self.sample.actuation._replace(throttle=(0.0,) * len(self.sample.actuation.throttle))
-            control = self.sample.control._replace(collective=0.0)
-            self.sample = self.sample._replace(actuation=still, control=control)
-        if ending is not None and ending.outcome != "completed":
-            self.status = self.status._replace(failsafe=ending.reason)
-        self.seen = self.status.seen or self.measured  # what the vehicle is thought to do
-        self.euler = to_euler(self.seen.attitude)
-        self.place = about.geodesy.to_geodetic(*self.status.fix.position, self.altitude)[:2]
-        self.ms = round(snapshot.time * 1e3) & U32  # in the 32 bits that there are for it
-        self.us = round(snapshot.time * 1e6)
-
-    @property
-    def predicting(self) -> tuple[Vector3, Vector3, Vector3]:
-        """Of roll, pitch and yaw: the model's rate without delay and with it [rad/s], and the delay [s]; NaN: none."""
-        roll, pitch, yaw = self.snapshot.diagnostics
-        step = self.snapshot.facts.scenario.step_s
-        return (
-            (roll[0], pitch[0], yaw[0]),
-            (roll[1], pitch[1], yaw[1]),
-            (roll[2] * step, pitch[2] * step, yaw[2] * step),
-        )
-
-    @property
-    def altitude(self) -> float:
-        """Above the origin, m, as estimated."""
-        return self.seen.altitude
-
-    @property
-    def height(self) -> float:
-        """Above home, m."""
-        return self.altitude - (self.status.home.altitude if self.status.home else 0.0)
-
-    @property
-    def sea_level(self) -> float:
-        return self.about.geodesy.ground + self.altitude
 
 
 def to_field(value: float, least: int, most: int) -> int:

@@ -22,8 +22,6 @@ from cosim.groundstation.mavlink.services.commands import OF_RESULT, Ack, Contex
 from cosim.groundstation.mavlink.services.service import Client
 from cosim.groundstation.mavlink.streams import Streams
 from cosim.groundstation.mavlink.telemetry import (
-    Since,
-    View,
     current_mode,
     extended_sys_state,
     gps_global_origin,
@@ -31,6 +29,7 @@ from cosim.groundstation.mavlink.telemetry import (
     home_position,
     statustext,
 )
+from cosim.groundstation.mavlink.view import Since, View
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message, Packed, mav, pack
 from cosim.groundstation.mavlink.wire.frames import Frame
 from cosim.groundstation.mavlink.wire.link import Link

@@ -22,7 +22,8 @@ from cosim.control.autopilot.estimation.estimates import LEAN_SURE, SPEED_SURE
 from cosim.control.autopilot.requests import Answer, Result
 from cosim.flight import fly
 from cosim.groundstation.mavlink.about import VehicleInfo
-from cosim.groundstation.mavlink.telemetry import STREAMS, Since, View
+from cosim.groundstation.mavlink.telemetry import STREAMS
+from cosim.groundstation.mavlink.view import Since, View
 from cosim.groundstation.session import waiting_scenario
 from cosim.groundstation.web.feed import state as web_state
 from cosim.results.autopilot.autopilot_record import read_pilot_record

@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 from mavlink_tools import ABOUT, sample, snapshot, status
 
-from cosim.groundstation.mavlink.telemetry import STREAMS, Since, View
+from cosim.groundstation.mavlink.telemetry import STREAMS
+from cosim.groundstation.mavlink.view import Since, View
 from cosim.groundstation.mavlink.wire.dialect import (
     BY_NAME,
     KINDS,

@@ -25,10 +25,9 @@ from cosim.groundstation.mavlink.modes import base_mode, custom_mode, from_custo
 from cosim.groundstation.mavlink.streams import BY_ID, DEFAULT
 from cosim.groundstation.mavlink.telemetry import (
     STREAMS,
-    Since,
-    View,
     statustext,
 )
+from cosim.groundstation.mavlink.view import Since, View
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 from cosim.spec.vehicle import load_vehicle
 from cosim.vehicle.atmosphere import standard_density

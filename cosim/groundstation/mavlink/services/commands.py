@@ -36,7 +36,8 @@ from cosim.control.autopilot.requests import (
 from cosim.groundstation.mavlink.about import VehicleInfo
 from cosim.groundstation.mavlink.modes import CUSTOM, FROM_STANDARD, LIST, UNSUPPORTED, from_custom, from_main_sub
 from cosim.groundstation.mavlink.streams import BY_ID, FASTEST, interval
-from cosim.groundstation.mavlink.telemetry import View, gps_global_origin, mode_line
+from cosim.groundstation.mavlink.telemetry import gps_global_origin, mode_line
+from cosim.groundstation.mavlink.view import View
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message, mav
 from cosim.groundstation.mavlink.wire.peer import Peer
 
