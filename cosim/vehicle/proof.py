@@ -33,7 +33,8 @@ def prove(xml: bytes, model: Path, text: bytes) -> None:
 
     ``xml``: what JSBSim loads; ``model`` and ``text``: the user's file, and what it says with the files that it names.
     """
-    from cosim.engine.qualify.remembered import cache_folder, write
+    from cosim.base.storage.user import cache_folder
+    from cosim.engine.qualify.remembered import write
 
     if model.resolve().is_relative_to(data_folder("aircraft").resolve()):
         return
