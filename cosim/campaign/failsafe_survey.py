@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from cosim.simulation.ending import Ending
     from cosim.simulation.step import Simulation
 
-Verdict = Literal["landed", "slid", "holds", "flies on", "stands armed", "crashed", "lost"]
+Verdict = Literal["landed", "slid", "holds", "flies on", "stands armed", "crashed", "lost", "refused"]
 
 # Of docs/failsafes.md, every one that ships with an autopilot; vehicles of one's own by their names.
 TABLED = ("hexjet", "hexjet-100", "hexjet-p220", "quadrotor", "octojet", "quadjet", "trijet", "jetwing")
@@ -392,7 +392,8 @@ def fly_case(task: Task) -> FailsafeFlight:
     with build(task.scenario) as simulation:
         flight = _Flown(task, simulation, with_autopilot(simulation, airborne=not task.number))
         if task.number:
-            flight.take_off()
+            if not flight.take_off():
+                return flight.fail()
             flight.ask(task.case.before)
             flight.fly(task.hover, lambda: task.case.waits and bool(flight.pilot.failsafe))
         else:
@@ -421,6 +422,7 @@ class _Flown:
         self._ending: Ending | None = None
         self._touchdown = self._sideways = self._touched = nan
         self._acted = ""
+        self.refused = ""  # why there is no take-off
 
     def ask(self, requests: Sequence[Request]) -> None:
         """Ask for these before the next step.  Raises InputError where one is refused."""
@@ -449,13 +451,19 @@ class _Flown:
             if simulation.k * dt >= SETTLED_S and slow * dt >= SLOW_S:
                 break
 
-    def take_off(self) -> None:
-        """From standing, as soon as home is known, to the height; it holds then."""
+    def take_off(self) -> bool:
+        """From standing, as soon as home is known, to the height; it holds then.  False: too little fuel for it."""
         height = self.task.start.height
         self.fly(STANDING_S)
-        self.ask((Arm(), Takeoff(height)))
+        self.ask((Arm(),))
+        if self.task.case.waits:
+            self.refused = self.pilot.energy.short_of_climb(self.pilot.status.altitude + height)
+            if self.refused:
+                return False
+        self.ask((Takeoff(height),))
         there = lambda: self.pilot.mode is Mode.HOLD or bool(self.pilot.failsafe)  # noqa: E731
         self.fly(LONGEST_SETTLING_S + PER_METRE_S * height, there)
+        return True
 
     def fail(self) -> FailsafeFlight:
         """Let it fail, and fly until it has been disarmed for long enough, has crashed, or time is up."""
@@ -467,7 +475,7 @@ class _Flown:
         self._acted = pilot.failsafe if case.waits else ""
         last = begin + round((LONGEST_HOLD_S if case.holds else LONGEST_S + PER_METRE_S * task.start.height) / dt)
         later, disarmed, thrust = LATER_S if task.number <= 1 else DISARMED_S, -1, nan
-        while simulation.k < last and self._ending is None:
+        while simulation.k < last and self._ending is None and not self.refused:
             k = simulation.k
             sample = self._step()
             self._acted = self._acted or pilot.failsafe
@@ -488,7 +496,7 @@ class _Flown:
             thrust,
             self._touched * dt - begin * dt,
             hypot(x - there[0], y - there[1]),
-            self._ending.reason if self._ending is not None else self._acted or _last(pilot.messages),
+            self._ending.reason if self._ending is not None else self.refused or self._acted or _last(pilot.messages),
             *(place.off() if case.holds else (nan, nan)),
             self._sink.hexdigest(),
             task.number,
@@ -517,6 +525,8 @@ class _Flown:
     def _verdict(self, disarmed: bool, place: HoldTarget) -> Verdict:
         """What became of it in a word."""
         simulation, pilot = self.simulation, self.pilot
+        if self.refused:
+            return "refused"
         if self._ending is not None:
             return "crashed" if self._ending.outcome == "crashed" else "lost"
         if disarmed:

@@ -158,7 +158,7 @@ def cell_of_several(rows: Sequence[Row]) -> str:
     ends = []
     for verdict, those in counts.items():
         end = f"{len(those)} of {len(rows)} {verdict}"
-        if verdict not in ("landed", "holds"):
+        if verdict not in ("landed", "holds", "refused"):
             end += f" (wind {' and '.join(f'{wind:g}' for wind in sorted({row.wind_m_s for row in those}))} m/s)"
         ends.append(end)
 
