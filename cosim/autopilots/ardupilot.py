@@ -35,10 +35,12 @@ from cosim.autopilots.lockstep import (
     Waiting,
     listen,
     pulse,
+    say_unknown,
 )
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.limits import clamp, clip
+from cosim.results.logs.dataflash import parameter_names
 from cosim.spec.vehicle import Vehicle
 
 PORT, RC_PORT, APART = 9002, 5501, 10
@@ -122,6 +124,7 @@ class ArduPilot:
         self._pulses: list[int] = []
         self._sticks_every = max(1, round(STICKS_S / step))
         self._count = -1  # frame count of the packet that was answered last, or is to be
+        self._logs_before: set[Path] = set()  # of another flight in the same folder
         self._anew = False  # a count that begins anew was seen
 
     @property
@@ -134,6 +137,7 @@ class ArduPilot:
         port = PORT + APART * self._launch.instance
         self._folder.mkdir(parents=True, exist_ok=True)
         self._socket = listen(socket.SOCK_DGRAM, port, "ardupilot")
+        self._logs_before = self._logs()
         if self._binary is not None:
             self._program = Program(self._command(), self._folder, self._folder / "ardupilot.log", {})
         waiting = Waiting("ardupilot", _START_S, self._program, f"sent nothing to port {port}")
@@ -232,6 +236,27 @@ class ArduPilot:
         return _STATE % (
             frame.time, *frame.rate, *frame.force, *frame.position, *frame.attitude, *frame.velocity,
         )  # fmt: skip
+
+    def check_parameters(self) -> str:
+        """See :class:`cosim.autopilots.lockstep.Autopilot`.
+
+        It says nothing of a name that it does not have; but when it is armed it begins a log, with all that it has.
+        What belongs to a group that is switched off is not among them: it would do nothing either.
+        """
+        if self._program is None or self._launch.defaults is None or self.counts.answers == 0:
+            return ""
+        fresh = sorted(self._logs() - self._logs_before)
+        listed = next((names for path in fresh if (names := parameter_names(path)) is not None), None)
+        if listed is None:
+            return f"the names of its parameters were not checked: no log in {self._folder / 'logs'} has all of them"
+        # it reads them in capitals or not
+        if unknown := [name for name in self._launch.parameters if name.upper() not in listed]:
+            said = say_unknown(unknown, listed, "ArduCopter")
+            raise FlightError(f"ardupilot: {said} (--param, --defaults; {fresh[0].parent})")
+        return ""
+
+    def _logs(self) -> set[Path]:
+        return set((self._folder / "logs").glob("*.BIN"))
 
     def close(self) -> None:
         """End it; may be called twice."""

@@ -8,9 +8,10 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from struct import Struct
 from time import monotonic
@@ -107,8 +108,22 @@ class Autopilot(Protocol):
     def exchange(self, frame: Frame) -> Answer:
         """Tell it of one instant and wait for its answer to that.  Raises FlightError where none comes."""
 
+    def check_parameters(self) -> str:
+        """Look, when it has flown and is closed, for names that it was told and does not have.
+
+        Return why that cannot be done, in words; "" where it was done, now or before the flight, or nothing was told.
+        Raises FlightError that says the names.
+        """
+
     def close(self) -> None:
         """End it; may be called twice."""
+
+
+def say_unknown(names: Sequence[str], known: Collection[str], program: str) -> str:
+    """Return the words that refuse names of parameters that a program does not have; meant is the nearest it knows."""
+    close = get_close_matches(names[0], sorted(known), n=1)
+    meant = f"; did you mean {close[0]}?" if close else ""
+    return f"parameter {', '.join(names)}: this {program} has none of that name{meant}"
 
 
 # Linux ends the program with the thread that started it, however that goes; 1 is PR_SET_PDEATHSIG of <sys/prctl.h>.

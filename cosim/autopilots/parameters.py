@@ -2,14 +2,14 @@
 
 A rate loop of theirs answers with a torque from -1 to 1, and what 1 is of throttle or of a tilt is their mixer's: for
 PX4 the normalised pseudo-inverse of ``ControlAllocationPseudoInverse`` and ``ActuatorEffectivenessMCTilt`` (1.17), for
-ArduPilot half of the motors' range (``AP_MotorsMatrix::normalise_rpy_factors``, 4.6).  Computed from their sources;
-what was flown with the programs stands in docs/autopilots.md.
+ArduPilot half of the motors' range (``AP_MotorsMatrix::normalise_rpy_factors``, read in 4.6).  Computed from their
+sources; what was flown with the programs stands in docs/autopilots.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import degrees, pi
+from math import degrees, isfinite, nan, pi
 from pathlib import Path
 
 import numpy as np
@@ -174,7 +174,8 @@ def px4_target(vehicle: Vehicle, step: float, target: str) -> dict[str, float]:
 
 
 # Frames of ArduCopter with four motors, by FRAME_TYPE: what it calls the frame, and for where a motor stands and how it
-# turns (front, right, counter-clockwise: 1, 0 or -1 each) the motor's number (AP_MotorsMatrix::setup_quad_matrix, 4.6).
+# turns (front, right, counter-clockwise: 1, 0 or -1 each) the motor's number (AP_MotorsMatrix::setup_quad_matrix,
+# read in 4.6; 18 was flown, by 4.5.0-dev of July 2023).
 # Its mixer knows of the numbers alone: a rotor that turns the other way makes the heading run away.
 _QUAD_FRAMES: dict[int, tuple[str, dict[tuple[int, int, int], int]]] = {
     1: ("X", {(1, 1, 1): 1, (-1, -1, 1): 2, (1, -1, -1): 3, (-1, 1, -1): 4}),
@@ -264,17 +265,22 @@ def read_parameters(path: Path) -> dict[str, float]:
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is no text file; allowed is a name and a number on a line") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
     parameters: dict[str, float] = {}
     for number, line in enumerate(lines, 1):
         words = line.split("#")[0].replace(",", " ").split()
         if not words:
             continue
         try:
-            parameters[words[0]] = float(words[1])
+            value = float(words[1])
         except (IndexError, ValueError):
-            raise InputError(f"{path}: line {number}: {line.strip()!r}: must be a name and a number") from None
+            value = nan
+        if not words[0].isidentifier() or not isfinite(value):
+            raise InputError(f"{path}: line {number}: {line.strip()!r}: must be a name and a number, a finite one")
+        parameters[words[0]] = value
     return parameters
 
 

@@ -201,7 +201,7 @@ def _ardupilot(
         setup.limit_s,
         parameters,
         file,
-        [ardupilot.parse_channel(text, "channel") for text in setup.channels],
+        [ardupilot.parse_channel(text, "--channel") for text in setup.channels],
         setup.station,
     )
     autopilot = ardupilot.ArduPilot(program, folder, vehicle, scenario.step_s, _place(scenario), launch)

@@ -12,7 +12,6 @@ import select
 import socket
 from collections.abc import Collection, Mapping
 from contextlib import suppress
-from difflib import get_close_matches
 from math import asinh, atan2, degrees, hypot, pi, sinh, sqrt
 from pathlib import Path
 
@@ -29,6 +28,7 @@ from cosim.autopilots.lockstep import (
     Waiting,
     listen,
     pulse,
+    say_unknown,
     waits,
 )
 from cosim.base.constants import GRAVITY
@@ -75,9 +75,7 @@ def refuse_unknown(log: Path, told: Collection[str]) -> None:
     """
     found = [name for name in dict.fromkeys(_UNKNOWN.findall(log.read_text(errors="replace"))) if name in told]
     if found:
-        close = get_close_matches(found[0], sorted(set(told) - set(found)), n=1)
-        meant = f"; did you mean {close[0]}?" if close else ""
-        raise InputError(f"px4: parameter {', '.join(found)}: this PX4 has none of that name{meant} (--param; {log})")
+        raise InputError(f"px4: {say_unknown(found, set(told) - set(found), 'PX4')} (--param; {log})")
 
 
 class Px4:
@@ -300,6 +298,10 @@ class Px4:
             hil.HIL_STATE_QUATERNION, now, *true.attitude, *true.rate, round(1e7 * latitude), round(1e7 * longitude),
             round(1e3 * height), *cm, air, air, *mg,
         )  # fmt: skip
+
+    def check_parameters(self) -> str:
+        """Return nothing: the names are checked before the flight, by :func:`refuse_unknown`."""
+        return ""
 
     def close(self) -> None:
         """End it; may be called twice."""

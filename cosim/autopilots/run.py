@@ -83,6 +83,17 @@ def outside_rates(scenario: Scenario, gain: Vector3, hears: bool = False) -> Out
         return OutsideRates(simulation.cascade, gain, hears)
 
 
+def _with_names_checked(ending: Ending, autopilot: Autopilot) -> Ending:
+    """Close the autopilot, and return how the flight ended: failed if a parameter's name is none that it has."""
+    autopilot.close()
+    try:
+        unchecked = autopilot.check_parameters()
+    except FlightError as error:
+        before = f"{ending.reason}; " if ending.outcome != "completed" and ending.reason else ""
+        return Ending("failed", f"{before}{error}")
+    return Ending(ending.outcome, "; ".join(filter(None, (ending.reason, unchecked))))
+
+
 def fly_autopilot(
     scenario: Scenario,
     autopilot: Autopilot,
@@ -152,6 +163,7 @@ def fly_autopilot(
                 ending = Ending("failed", f"interrupted at {simulation.k * simulation.dt:.3f} s")
             wall = time.perf_counter() - begin
             writer.close()
+            ending = _with_names_checked(ending, autopilot)
             hashed = sha256((folder / ACTUATORS).read_bytes()).hexdigest()
             recording.restate(resolve(simulation)[0].model_copy(update=again | {"controller_sha256": hashed}))
             counted = {"autopilot": label, "steps": simulation.k, **asdict(autopilot.counts), **(details or {})}

@@ -1,7 +1,7 @@
 """A stand-in for ArduCopter's SITL over JSON, as a program: as unkind as that is, and nothing in it is of the project.
 
-Written from what ArduCopter 4.6 does and measured beside it, in the standard library alone.  It waits for a ground
-station on its first serial port unless it is told otherwise; listens on TCP on the others; goes at real time unless it
+Written from the sources of ArduCopter 4.6 and measured beside one that flew, 4.5.0-dev of July 2023, in the standard
+library alone.  When it is armed it begins a log with all its parameters.  It waits for a ground station on its first serial port unless it is told otherwise; listens on TCP on the others; goes at real time unless it
 is told otherwise; its frame rate begins at 1200 and slides; it refuses to be armed early, holds its motors for 2 s after
 that, and lets them go slowly; its sticks have ranges and dead zones and the throttle's is bent; its mixer has the signs
 of its frames.  Of its attitude loops there are the proportional ones and the rate loops, without shaping of what is
@@ -55,6 +55,10 @@ SERIALS = {0: "tcp:0:wait", 1: "tcp:2", 2: "tcp:3", 5: "tcp:5", 6: "tcp:6", 7: "
 HOLDS_S = 2.0  # after arming
 READY_S = 25.0  # its estimator's, before which it is not armed
 AXES = ("RLL", "PIT", "YAW")
+# Messages of its log by their name: number, format characters and fields.
+LOGGED = {"FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns"), "PARM": (64, "QNff", "TimeUS,Name,Value,Default"),
+          "VER": (65, "QBBBZ", "TimeUS,Maj,Min,Pat,FWS")}  # fmt: skip
+PACKED = {"B": "B", "n": "4s", "N": "16s", "Z": "64s", "Q": "Q", "f": "f"}
 
 
 def say(text: str) -> None:
@@ -68,6 +72,24 @@ def limit(value: float, low: float, high: float) -> float:
 def part(hertz: float, dt: float) -> float:
     """Of a first-order low-pass, in a step; no low-pass for 0 Hz."""
     return 1.0 if hertz <= 0.0 else dt / (dt + 1.0 / (2.0 * math.pi * hertz))
+
+
+def log_message(name: str, *values: float | str) -> bytes:
+    """Return a message of a DataFlash log."""
+    number, form, _ = LOGGED[name]
+    filled = [value.encode() if isinstance(value, str) else value for value in values]
+    return b"\xa3\x95" + bytes([number]) + struct.pack("<" + "".join(PACKED[letter] for letter in form), *filled)
+
+
+def begin_log(parameters: dict[str, float], now: float) -> None:
+    """Write the next log below the folder that it runs in: formats, every parameter by name, then the version."""
+    folder = Path("logs")
+    folder.mkdir(exist_ok=True)
+    lengths = {name: 3 + struct.calcsize("<" + "".join(PACKED[x] for x in row[1])) for name, row in LOGGED.items()}
+    made = [log_message("FMT", row[0], lengths[name], name, *row[1:]) for name, row in LOGGED.items()]
+    made += [log_message("PARM", int(1e6 * now), name, value, value) for name, value in parameters.items()]
+    made += [log_message("VER", int(1e6 * now), 4, 5, 0, "stand-in for ArduCopter")]
+    (folder / f"{len(list(folder.iterdir())) + 1:08d}.BIN").write_bytes(b"".join(made))
 
 
 class Radio:
@@ -235,6 +257,7 @@ class Copter:
                 say(f"Arm: not ready at {now:.3f}")
                 return
             self.armed_at = now
+            begin_log(self.parameters, now)
             say(f"Arming motors at {now:.3f}")
         elif option == 153 and at == "LOW" and self.armed_at is not None:
             self.armed_at = None

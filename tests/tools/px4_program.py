@@ -31,8 +31,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-
-from cosim.groundstation.mavlink.wire.dialect import mav
+from pymavlink.dialects.v20 import common as mav
 
 Array = npt.NDArray[np.float32]
 PATIENCE_S = 60.0

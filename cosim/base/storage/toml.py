@@ -6,6 +6,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from functools import cache
+from math import isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args
 
@@ -173,14 +174,17 @@ def split_key(key: str) -> list[str]:
 
 
 def parse_numbers(texts: Iterable[str], option: str) -> dict[str, float]:
-    """``NAME=NUMBER`` texts as a table.  Raises InputError that names ``option``."""
+    """Return ``NAME=NUMBER`` texts as a table; a number is finite.  Raises InputError that names ``option``."""
     numbers = {}
     for text in texts:
         name, _, value = (part.strip() for part in text.partition("="))
         try:
-            numbers[name] = float(value)
-        except ValueError as error:
-            raise InputError(f"{option} {text}: write it as NAME=NUMBER") from error
+            number = float(value)
+        except ValueError:
+            number = nan
+        if not name or not isfinite(number):
+            raise InputError(f"{option} {text}: write it as NAME=NUMBER, with a finite number")
+        numbers[name] = number
     return numbers
 
 

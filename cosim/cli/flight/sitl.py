@@ -260,9 +260,9 @@ def ardupilot(
     """ArduPilot's SITL over its JSON backend: that of --binary or ARDUPILOT_SITL, or one that you start.
 
     The port is 9002, and ten more for each instance. It flies in Stabilize and is flown by the sticks, as PX4 is. It
-    must ask for as many frames a second as the flight has steps: SIM_RATE_HZ.
+    must ask for as many frames a second as the flight has steps: SIM_RATE_HZ. A parameter's name that its log does not
+    list fails the flight at its end.
     """
-    from cosim.autopilots.ardupilot import APART, RC_PORT
     from cosim.autopilots.prepare import Setup
     from cosim.base.storage.toml import parse_numbers
 
@@ -274,11 +274,6 @@ def ardupilot(
         defaults=defaults,
         channels=channels,
         station=station,
-    )
-    click.echo(
-        f"hexjet: ArduPilot listens for sticks at UDP port {RC_PORT + APART * instance} on every network interface of "
-        "this machine, for states at one that the system draws, and cannot be told otherwise: close them to others",
-        err=True,
     )
     return _fly(options, options.read(gains), "ardupilot", setup)
 
@@ -316,6 +311,15 @@ def _fly(options: Options, scenario: Scenario, name: str, setup: Setup, rates: s
 
     program, folder = find_program(name, options.binary), options.folder(scenario, name)
     autopilot = prepare(name, scenario, folder, program, setup, options.read(rates) if rates else None)
+    if name == "ardupilot":
+        from cosim.autopilots.ardupilot import APART, RC_PORT
+
+        click.echo(
+            f"hexjet: ArduPilot listens for sticks at UDP port {RC_PORT + APART * setup.instance} on every network "
+            "interface of this machine, for states at one that the system draws, and cannot be told otherwise: close "
+            "them to others",
+            err=True,
+        )
     if program is None:
         where = f"waiting for one at {autopilot.endpoint} of this machine"
         click.echo(f"hexjet: no {_TITLES[name]} is named (--binary): {where}", err=True)

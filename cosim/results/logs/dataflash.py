@@ -77,6 +77,22 @@ def read(path: Path) -> FlightLog:
     return FlightLog(path, "ArduPilot DataFlash", channels, tuple(remarks), events)
 
 
+def parameter_names(path: Path) -> frozenset[str] | None:
+    """Return the names of all parameters of the ArduPilot that wrote a log; None where not all of them are in it.
+
+    It logs them one after the other when a log begins, and then its version (VER).
+    """
+    data = path.read_bytes()
+    formats, places, _, _ = _places(data)
+    kinds = {name: kind for kind, (name, _, _, _) in formats.items()}
+    listed, version = (places.get(kinds.get(name, -1), []) for name in ("PARM", "VER"))
+    if not listed or not version or version[0] < listed[0]:
+        return None
+    _, length, columns, labels = formats[kinds["PARM"]]
+    rows = _rows(np.frombuffer(data, np.uint8), listed, length, columns, labels)
+    return frozenset(_text(name) for name in rows["Name"].tolist()) if rows is not None and "Name" in labels else None
+
+
 def _rows(
     raw: NDArray[np.uint8], places: Sequence[int], length: int, columns: str, labels: Sequence[str]
 ) -> np.ndarray | None:

@@ -5,21 +5,27 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
-from arducopter_standin import HOLDS_S, Radio
+from arducopter_standin import DEFAULTS, HOLDS_S, Radio, begin_log
+from command_tools import Hexjet
 from patience import FLIGHT_PATIENCE, PATIENCE
 from stated_figures import stated
 
-from cosim.autopilots.ardupilot import HANDLING, Channel, Transmitter, parse_channel
+from cosim.autopilots.ardupilot import HANDLING, ArduPilot, Channel, Launch, Transmitter, parse_channel
 from cosim.autopilots.lockstep import Frame, Sticks
-from cosim.base.errors import InputError
+from cosim.base.errors import FlightError, InputError
+from cosim.base.geodesy import Geodesy
 from cosim.flight import fly
+from cosim.results.logs.dataflash import parameter_names
 from cosim.results.run import Run, open_run
+from cosim.spec.scenario import Scenario
 
 STANDIN = Path(__file__).parents[2] / "tools" / "arducopter_standin.py"
+QUADROTOR = Scenario.load("hover").replace(aircraft="quadrotor", step_s=0.0025)
 DOUBLET = ["--aircraft", "quadrotor", "--set", "step_s=0.0025", "--scenario", "roll-doublet", "--set", "duration_s=7"]
 
 
@@ -83,6 +89,100 @@ def test_it_flies_again_without_the_program(flown: tuple[Run, str, str], tmp_pat
     assert all(again.log[name].tobytes() == run.log[name].tobytes() for name in again.log.columns)
 
 
+@pytest.mark.parametrize(
+    ("given", "status", "reason"),
+    [
+        ("ATC_RAT_RLL_PP=0.2", 1, "failed, ardupilot: parameter ATC_RAT_RLL_PP: this ArduCopter has none of that name; did "
+         "you mean ATC_RAT_RLL_P? (--param, --defaults; run/ardupilot/logs)"),
+        ("atc_rat_rll_d=0", 0, "completed, flew 80 steps"),  # it takes small letters for capitals
+    ],
+)  # fmt: skip
+def test_a_parameter_that_it_does_not_have_fails_the_flight_and_the_run_is_kept(
+    given: str, status: int, reason: str, program: Path, hexjet: Hexjet
+) -> None:
+    """It says nothing of it itself; its log, which it begins when it is armed, has the names that it does have."""
+    Path("run/ardupilot/logs").mkdir(parents=True)
+    Path("run/ardupilot/logs/00000001.BIN").write_bytes(b"of another flight")
+    done = hexjet(
+        "sitl", "ardupilot", "--binary", str(program), "--aircraft", "quadrotor", "--set", "step_s=0.0025", "--set",
+        "duration_s=0.2", "--out", "run", "--timeout", str(PATIENCE), "--instance", "218", "--param", given,
+    )  # fmt: skip
+    assert done.status == status, done.out + done.err
+    assert reason in " ".join(done.out.split())
+    run = open_run(Path("run"))
+    assert len(run.log) == 80
+    assert run.outcome == ("failed" if status else "completed")
+
+
+@pytest.mark.parametrize("kept", ["nothing", "no version", "half"])
+def test_a_flight_whose_log_does_not_list_all_names_says_that_nobody_checked_them(kept: str, tmp_path: Path) -> None:
+    vehicle, _ = QUADROTOR.resolved_vehicle()
+    ours = ArduPilot(
+        Path("/bin/true"),
+        tmp_path,
+        vehicle,
+        0.0025,
+        Geodesy(22.35, 113.59),
+        Launch(219, parameters={"NO_SUCH": 1.0}, defaults=tmp_path),
+    )
+    with suppress(FlightError):
+        ours.start()
+    ours.close()
+    ours.counts.answers = 1
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path)
+        begin_log(DEFAULTS, 20.0)
+    log = tmp_path / "logs" / "00000001.BIN"
+    whole = log.read_bytes()
+    with pytest.raises(FlightError, match="NO_SUCH: this ArduCopter has none of that name"):
+        ours.check_parameters()
+    if kept == "nothing":
+        log.unlink()
+    else:
+        log.write_bytes(whole[: -20 if kept == "no version" else len(whole) // 2])
+    said = f"the names of its parameters were not checked: no log in {tmp_path / 'logs'} has all of them"
+    assert ours.check_parameters() == said
+
+
+def test_the_names_of_a_log_are_those_that_the_autopilots_own_reader_finds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pymavlink import DFReader
+
+    monkeypatch.chdir(tmp_path)
+    begin_log(DEFAULTS, 20.0)
+    theirs = DFReader.DFReader_binary("logs/00000001.BIN")
+    named = set()
+    while (message := theirs.recv_match(type="PARM")) is not None:
+        named.add(message.Name)
+    theirs.data_map.close()
+    theirs.filehandle.close()
+    assert parameter_names(Path("logs/00000001.BIN")) == named == set(DEFAULTS)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["--channel", "3=2000"], "hexjet: --channel 3=2000: must be a channel"),
+        (["--gains", "nowhere.toml"], "nowhere.toml"),
+        (["--set", "controller=baseline.toml"], "the autopilot flies in the place of the controller"),
+        (["--defaults", "binary.parm"], "hexjet: binary.parm: is no text file"),
+        (["--binary", "/nope"], "hexjet: --binary: /nope: no such file"),
+        (["--aircraft", "hexjet"], "hexjet: "),
+        (["--param", "FOO=nan"], "hexjet: --param FOO=nan: write it as NAME=NUMBER, with a finite number"),
+        (["--param", "=3"], "hexjet: --param =3: write it as NAME=NUMBER"),
+    ],
+)
+def test_what_cannot_be_flown_is_one_line(given: list[str], said: str, program: Path, hexjet: Hexjet) -> None:
+    """Nothing is said of ports where nothing was started."""
+    Path("binary.parm").write_bytes(b"\xff\xfe\x00")
+    done = hexjet("sitl", "ardupilot", "--binary", str(program), "--aircraft", "quadrotor", "--set", "step_s=0.0025",
+                  "--out", "run", *given)  # fmt: skip
+    assert done.status == 2, done.out + done.err
+    assert done.err.count("\n") == 1, done.err
+    assert said in done.err
+
+
 def test_the_page_says_what_it_is_flown_with() -> None:
     page = "docs/autopilots.md"
     stated(
@@ -128,5 +228,5 @@ def test_a_channel_is_read(text: str, channel: Channel) -> None:
 
 @pytest.mark.parametrize("text", ["3=2000", "7=1000", "17=2000", "8=200", "8", "8=2000@-1", "8=high", "0=2000"])
 def test_what_is_no_channel_is_refused_with_those_that_are(text: str) -> None:
-    with pytest.raises(InputError, match=rf"--channel {text}: must be .*; allowed channels: 6, 8, 9, 10, .*, 16$"):
+    with pytest.raises(InputError, match=rf"^--channel {text}: must be .*; allowed channels: 6, 8, 9, 10, .*, 16$"):
         parse_channel(text, "--channel")

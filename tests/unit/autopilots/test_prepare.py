@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from cosim.autopilots.parameters import (
 )
 from cosim.autopilots.prepare import PORTS_APART, PreparedAutopilot, Setup, find_program, program_of
 from cosim.base.errors import InputError
+from cosim.base.storage.toml import parse_numbers
 from cosim.spec.scenario import Scenario
 
 PROGRAM = Path("/bin/true")  # is never started here
@@ -96,6 +98,35 @@ def test_a_file_of_ones_own_flies_with_the_sticks_that_are_sent(tmp_path: Path) 
     file.write_text("FRAME_CLASS,quad\n")
     with pytest.raises(InputError, match=r"mine\.parm: line 1: 'FRAME_CLASS,quad': must be a name and a number"):
         prepare("ardupilot", HOVER, tmp_path, PROGRAM, Setup(defaults=file))
+
+
+@pytest.mark.parametrize("line", ["ATC_RAT_RLL_P nan", "ATC_RAT_RLL_P,-inf", ",3", "3 4"])
+def test_a_line_without_a_name_or_a_finite_number_is_refused(line: str, tmp_path: Path) -> None:
+    file = tmp_path / "mine.parm"
+    file.write_text(f"# mine\n{line}\n")
+    with pytest.raises(InputError, match=rf"mine\.parm: line 2: '{line}': must be a name and a number"):
+        read_parameters(file)
+
+
+def test_a_file_that_is_no_text_is_called_that(tmp_path: Path) -> None:
+    file = tmp_path / "mine.parm"
+    file.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match=r"mine\.parm: is no text file; allowed is a name and a number on a line$"):
+        read_parameters(file)
+
+
+@pytest.mark.parametrize("text", ["FOO=nan", "FOO=inf", "=3", " =3", "FOO", "FOO="])
+def test_what_is_no_name_with_a_finite_number_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match=f"^--param {text}: write it as NAME=NUMBER, with a finite number$"):
+        parse_numbers([text], "--param")
+
+
+def test_the_stand_in_for_px4_has_nothing_of_the_project_in_it() -> None:
+    tree = ast.parse((Path(__file__).parents[2] / "tools" / "px4_program.py").read_text(encoding="utf-8"))
+    imported = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    imported += [name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names]
+    assert "pymavlink.dialects.v20" in imported
+    assert not [name for name in imported if name.split(".")[0] == "cosim"]
 
 
 def test_who_may_be_started_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -111,7 +111,7 @@ def to_mission_item(item: Item, geodesy: Geodesy, home_altitude: float) -> Missi
             return MissionItem(ItemKind.DELAY, hold_s=_number(p1, PARAM1, "delay", 0.0))
         if command == JUMP:
             target = _whole(p1, PARAM1, "item to jump to")
-            repeat = -1 if p2 == -1.0 else _whole(p2, PARAM2, "number of jumps")  # -1: for ever
+            repeat = -1 if p2 == -1.0 else _whole(p2, PARAM2, "number of jumps", ", or -1 for ever")
             return MissionItem(ItemKind.JUMP, target=target, repeat=repeat)
         if command == SPEED:
             if p1 not in (0.0, 1.0):
@@ -260,9 +260,9 @@ def _number(value: float, code: int, what: str, least: float, missing: float | N
     return value
 
 
-def _whole(value: float, code: int, what: str) -> int:
+def _whole(value: float, code: int, what: str, besides: str = "") -> int:
     if not (isfinite(value) and value >= 0.0 and value == int(value)):
-        raise ItemError(code, f"{what} {value:g}: must be a whole number")
+        raise ItemError(code, f"{what} {value:g}: must be a whole number, 0 or more{besides}")
     return int(value)
 
 
