@@ -1,0 +1,345 @@
+"""Small files of every kind that the project reads, each with what reads it: for those who damage them."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import struct
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from zlib import crc32
+
+import numpy as np
+
+from cosim.base.errors import InputError
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How a whole one is made in a folder, which returns the file that is damaged, and how it is read."""
+
+    make: Callable[[Path], Path]
+    read: Callable[[Path], object]
+    text: bool = False  # words and numbers are exchanged too
+
+
+# ---- damage
+
+
+# ---- logs
+
+
+def _log(path: Path) -> None:
+    from cosim.results.logs import read_flight_log, ulog
+    from cosim.results.logs.as_columns import as_columns
+
+    ulog.MOST_S = 3.0
+    log = read_flight_log(path)
+    log.to_dict()
+    with contextlib.suppress(InputError):
+        as_columns(log)
+
+
+def _written(name: str, content: bytes) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        (folder / name).write_bytes(content)
+        return folder / name
+
+    return make
+
+
+def _dataflash() -> bytes:
+    def described(kind: int, name: str, columns: str, labels: str) -> bytes:
+        size = 3 + struct.calcsize("<" + columns.replace("N", "16s").replace("Z", "64s").replace("n", "4s"))
+        said = (name.encode(), columns.encode(), labels.encode())
+        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, size, *said)
+
+    made = described(0x80, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
+    made += described(1, "RATE", "Qffff", "TimeUS,RDes,R,ROut,I") + described(2, "ESC", "QBf", "TimeUS,Instance,RPM")
+    made += described(3, "MSG", "QZ", "TimeUS,Message") + described(4, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds")
+    made += b"\xa3\x95\x04" + struct.pack("<QB16s16s", 0, 2, b"s#q", b"F-0")
+    made += b"\xa3\x95\x03" + struct.pack("<Q64s", 5, b"ArduCopter V4.6")
+    for n in range(120):
+        made += b"\xa3\x95\x01" + struct.pack("<Qffff", 10_000 * n, 0.1 * n, n, -n, 0.01 * n)
+        made += b"\xa3\x95\x02" + struct.pack("<QBf", 10_000 * n, n % 4, 100.0 + n)
+    return made
+
+
+def _crazyflie() -> bytes:
+    made = struct.pack("<BHH", 0xBC, 2, 2) + struct.pack("<H", 7) + b"rate\0" + struct.pack("<H", 2)
+    made += b"gyro.x(f)\0motor.m1(I)\0" + struct.pack("<H", 9) + b"slow\0" + struct.pack("<H", 1) + b"pm.vbat(f)\0"
+    for n in range(120):
+        made += struct.pack("<H", 7) + struct.pack("<QfI", 10_000 * n, 0.1 * n, 1000 + n)
+        made += struct.pack("<H", 9) + struct.pack("<Qf", 10_000 * n, 3.7) if n % 20 == 0 else b""
+    return made + struct.pack("<I", crc32(made))
+
+
+def _blackbox() -> bytes:
+    from blackbox_writer import END, FIELDS, SLOW, Writer, beside
+
+    count = np.arange(120)
+    table = {"loopIteration": 2 * count, "time": 10**6 + 500 * count}
+    table |= {f.name: (37 * count * (n + 1)) % 900 for n, f in enumerate(FIELDS[2:])}
+    writer = Writer(every=16, of=2)
+    frames = writer.frames(table)
+    return writer.head() + SLOW + b"".join(frames[:60]) + beside(5) + b"".join(frames[60:]) + END
+
+
+def _tlog() -> bytes:
+    from pymavlink.dialects.v20 import ardupilotmega as messages
+
+    mav, made = messages.MAVLink(None, 1, 1), b""
+    for n in range(60):
+        sent = [messages.MAVLink_attitude_message(20 * n, 0.1 * n, 0, 0, 0, 0, 0)]
+        sent += [messages.MAVLink_servo_output_raw_message(20_000 * n, 0, *[1500] * 8, *[0] * 8)]
+        sent += [messages.MAVLink_statustext_message(6, b"landed")] if n % 20 == 0 else []
+        for message in sent:
+            made += struct.pack(">Q", 1_700_000_000_000_000 + 20_000 * n) + message.pack(mav, force_mavlink1=n % 2 == 1)
+    return made
+
+
+def _csv() -> bytes:
+    rows = (f"{0.01 * n:.3f}, {n % 7}, {n / 8:.2f}, 2026-11-25 12:00:{n % 60:02d}" for n in range(120))
+    return "\n".join(["time (s), u, gyro[0] (deg/s), date", *rows]).encode()
+
+
+def _run(folder: Path) -> Path:
+    """A made-up run of 120 steps; its folder."""
+    from flights import samples, scenario, setup
+
+    from cosim.results.run import begin_run
+
+    recording = begin_run(setup(), scenario(), folder / "run")
+    for sample in samples(120):
+        recording.observe(sample)
+    recording.finish("completed", "")
+    return folder / "run"
+
+
+def _ulog(folder: Path) -> Path:
+    from cosim.results.export.ulog import export_ulog
+
+    run = _run(folder)
+    export_ulog(run, folder / "flight.ulg")
+    shutil.rmtree(run)
+    return folder / "flight.ulg"
+
+
+def _parquet(folder: Path) -> Path:
+    from cosim.results.arrow import write_table
+
+    rows = [0.01 * n for n in range(120)]
+    write_table(folder / "bench.parquet", {"time": rows, "u": rows, "name": [str(row) for row in rows]})
+    return folder / "bench.parquet"
+
+
+# ---- runs, and what is stated in files
+
+
+def _open_run(path: Path) -> None:
+    from cosim.results.run import open_run
+
+    run = open_run(path.parent)
+    for name in run.log.columns:
+        len(run.log[name])
+
+
+def _of_run(name: str) -> Callable[[Path], Path]:
+    return lambda folder: _run(folder) / name
+
+
+def _killed(folder: Path) -> Path:
+    """A run that was killed: its stream of rows is all there is."""
+    from flights import samples, scenario, setup
+
+    from cosim.results.run import begin_run
+
+    recording = begin_run(setup(), scenario(), folder / "run")
+    for sample in samples(120):
+        recording.observe(sample)
+    whole = folder / "kept"
+    shutil.copytree(folder / "run", whole)
+    recording.finish("completed", "")
+    shutil.rmtree(folder / "run")
+    whole.rename(folder / "run")
+    return next((folder / "run").glob("*.arrows"))
+
+
+def _shipped(*parts: str) -> Callable[[Path], Path]:
+    from cosim.base.storage.paths import data_folder
+
+    def make(folder: Path) -> Path:
+        source = data_folder(parts[0]).joinpath(*parts[1:])
+        shutil.copy(source, folder / source.name)
+        return folder / source.name
+
+    return make
+
+
+def _vehicle(folder: Path) -> Path:
+    from cosim.base.storage.paths import data_folder
+
+    shutil.copytree(data_folder("aircraft") / "hexjet", folder / "mine")
+    file = folder / "mine" / "vehicle.toml"
+    file.write_text(file.read_text().replace('name = "hexjet"', 'name = "mine"'))
+    return file
+
+
+def _model_file(folder: Path) -> Path:
+    from cosim.base.storage.toml import toml_text
+    from cosim.design.identify.fit import Model
+
+    model = Model(300.0, 0.3, (0.05,), 20.5, 0.004).discrete("made up").model_dump(mode="json", exclude_none=True)
+    (folder / "model.toml").write_text(toml_text({"identified": {"edf": {"roll": model}}}))
+    return folder / "model.toml"
+
+
+def _fmu(folder: Path) -> Path:
+    from cosim.base.storage.paths import data_folder
+
+    shutil.copy(data_folder("fmus") / "turbojet.fmu", folder / "engine.fmu")
+    return folder / "engine.fmu"
+
+
+def _described_fmu(folder: Path) -> Path:
+    """The description apart, which :func:`_read_described` puts back."""
+    with zipfile.ZipFile(_fmu(folder)) as archive:
+        (folder / "modelDescription.xml").write_bytes(archive.read("modelDescription.xml"))
+    return folder / "modelDescription.xml"
+
+
+def _read_described(path: Path) -> None:
+    """The FMU that has this description, and no library: nothing of it could run."""
+    with zipfile.ZipFile(path.with_name("engine.fmu")) as whole, zipfile.ZipFile(path.with_name("x.fmu"), "w") as made:
+        for name in whole.namelist():
+            made.writestr(name, path.read_bytes() if name == path.name else whole.read(name))
+    _read_fmu(path.with_name("x.fmu"))
+
+
+def _read_fmu(path: Path) -> None:
+    from cosim.engine.fmu.archive import read_archive
+
+    read_archive(path)
+
+
+def _structure(folder: Path) -> Path:
+    """A structure of one component, which :func:`_read_structure` packs with an FMU; that is never loaded."""
+    from systems import CONNECTORS, line, structure
+
+    _fmu(folder)
+    text = structure(
+        (line("throttle", "core.throttle"), line("core.thrust", "thrust")), ("core",), connectors=CONNECTORS
+    )
+    (folder / "SystemStructure.ssd").write_text(text)
+    return folder / "SystemStructure.ssd"
+
+
+def _read_structure(path: Path) -> None:
+    from cosim.engine.ssp.system import read_system
+
+    with zipfile.ZipFile(path.with_name("x.ssp"), "w") as made:
+        made.writestr(path.name, path.read_bytes())
+        made.writestr("resources/core.fmu", path.with_name("engine.fmu").read_bytes())
+    read_system(path.with_name("x.ssp"))
+
+
+def _parameters(folder: Path) -> Path:
+    """A parameter set of an engine."""
+    _fmu(folder)
+    uri = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+    value = '<ssv:Parameter name="delay_samples"><ssv:Real value="12"/></ssv:Parameter>'
+    units = '<ssv:Units><ssc:Unit xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon" name="1"/></ssv:Units>'
+    text = f'<ssv:ParameterSet xmlns:ssv="{uri}" version="1.0" name="p"><ssv:Parameters>{value}</ssv:Parameters>{units}'
+    (folder / "set.ssv").write_text(f"{text}</ssv:ParameterSet>")
+    return folder / "set.ssv"
+
+
+def _read_parameters(path: Path) -> None:
+    from cosim.engine.fmu.archive import read_archive
+    from cosim.engine.ssp.parameter_set import read_parameter_set
+
+    read_parameter_set(path, read_archive(path.with_name("engine.fmu")))
+
+
+def _mapping(folder: Path) -> Path:
+    _fmu(folder)
+    text = """fmu = "engine.fmu"
+title = "Somebody's engine"
+
+[ports]
+throttle = "throttle"
+thrust = "thrust"
+
+[range]
+throttle = [0.0, 1.0]
+"""
+    (folder / "theirs.toml").write_text(text)
+    return folder / "theirs.toml"
+
+
+def _read_mapping(path: Path) -> None:
+    from cosim.engine.fmu.archive import read_archive
+    from cosim.engine.fmu.mapping import read_mapping
+
+    _, archive, ports = read_mapping(path)
+    read_archive(archive, ports)
+
+
+def _scenario(path: Path) -> None:
+    from cosim.spec.scenario import Scenario
+
+    Scenario.load(path)
+
+
+def _read_vehicle(path: Path) -> None:
+    from cosim.spec.vehicle.files import load_vehicle
+
+    load_vehicle(str(path))
+
+
+def _study(path: Path) -> None:
+    from cosim.campaign.study.study import Study
+
+    Study.load(path)
+
+
+def _controller(path: Path) -> None:
+    from cosim.design.controller_file import read_controller
+
+    read_controller(path)
+
+
+def _model(path: Path) -> None:
+    from cosim.design.logged.validate import read_model
+
+    read_model(path)
+
+
+KINDS = {
+    "dataflash": Kind(_written("flight.bin", _dataflash()), _log),
+    "ulog": Kind(_ulog, _log),
+    "blackbox": Kind(_written("LOG00001.BFL", _blackbox()), _log, text=True),
+    "crazyflie": Kind(_written("log00", _crazyflie()), _log),
+    "tlog": Kind(_written("flight.tlog", _tlog()), _log),
+    "csv": Kind(_written("bench.csv", _csv()), _log, text=True),
+    "parquet": Kind(_parquet, _log),
+    "summary": Kind(_of_run("summary.json"), _open_run, text=True),
+    "rows": Kind(_of_run("flight.parquet"), _open_run),
+    "stream": Kind(_killed, _open_run),
+    "scenario": Kind(_shipped("scenarios", "fault-flame-out.toml"), _scenario, text=True),
+    "vehicle": Kind(_vehicle, _read_vehicle, text=True),
+    "study": Kind(_shipped("studies", "predictor-robustness.toml"), _study, text=True),
+    "controller": Kind(
+        _written("design.toml", (Path(__file__).parents[1] / "designs" / "turbojet.toml").read_bytes()),
+        _controller,
+        text=True,
+    ),
+    "model": Kind(_model_file, _model, text=True),
+    "fmu": Kind(_fmu, _read_fmu),
+    "structure": Kind(_structure, _read_structure, text=True),
+    "parameters": Kind(_parameters, _read_parameters, text=True),
+    "mapping": Kind(_mapping, _read_mapping, text=True),
+    "description": Kind(_described_fmu, _read_described, text=True),
+}
