@@ -7,6 +7,7 @@ that it is without, bit for bit; what it costs is two passages through a socket 
 
 from __future__ import annotations
 
+import json
 import os
 import pickle
 import signal
@@ -15,6 +16,7 @@ import struct
 import subprocess
 from collections.abc import Sequence
 from contextlib import suppress
+from itertools import chain
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -30,6 +32,7 @@ HANG_S = 4.0  # for one step of all engines; chosen by us: a thousand control st
 START_S = 120.0  # to be loaded, started and run up, which a flight does once
 CLOSE_S = 2.0  # to be freed
 MOST_MB = 1024.0  # resident, of the engines' process: as a check allows (cosim.engine.qualify.supervisor.Limits)
+MOST_ANSWERED = 2**20  # bytes
 LOOKED_AT = 250  # steps between two looks at that: a second
 _SERVE = "from cosim.engine.isolated import serve; serve(int(sys.argv[1]))"
 
@@ -68,13 +71,16 @@ class IsolatedBank:
         """As the bank's."""
         held = tuple(throttle) if isinstance(throttle, Sequence) else throttle
         air = None if ambient is None else (ambient.pressure, ambient.temperature, tuple(ambient.air_speed))
-        output = EngineOutput(*self._ask(("reset", held, air), START_S, "before the flight"))
+        output = self._output(self._asked(("reset", held, air), START_S, "before the flight"))
         self._look(self._in_flight, "before the flight")
         return output
 
     def _look(self, ask: bool, moment: str) -> None:
         if ask:
-            self.starting = tuple(self._ask(("starting",), HANG_S, moment))
+            starting = self._ask(("starting",), HANG_S, moment)
+            if not isinstance(starting, list) or any(number not in range(1, self._count + 1) for number in starting):
+                raise self._unknown()
+            self.starting = tuple(starting)
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
         """As the bank's."""
@@ -82,11 +88,9 @@ class IsolatedBank:
         air = (0.0, 0.0, 0.0, *[0.0] * n) if ambient is None else (1.0, ambient[0], ambient[1], *ambient[2])
         moment = f"at step {k} ({k * self._step:g} s)"
         data = self._exchange(b"s" + struct.pack("<q", k) + self._row.pack(*throttle, *air), HANG_S, moment)
-        if data[:1] != b"s":
-            return EngineOutput(*self._read(data))
+        output = self._output(data)
         self._look(bool(self.starting), moment)
-        values = self._answer.unpack(data[1:])
-        return EngineOutput(*[values[i : i + n] for i in range(0, len(values), n)])
+        return output
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -96,11 +100,12 @@ class IsolatedBank:
     @property
     def shown(self) -> tuple[float, ...]:
         """As the bank's; one more passage in every step, where there is something to show."""
-        return tuple(self._ask(("shown",), HANG_S, "when its further outputs were read"))
+        data = self._asked(("shown",), HANG_S, "when its further outputs were read")
+        return self._doubles(data, struct.Struct(f"<{len(self._columns)}d"))
 
     def run_down(self, seconds: float) -> EngineOutput:
         """As the bank's."""
-        return EngineOutput(*self._ask(("run down", seconds), START_S, "before the flight"))
+        return self._output(self._asked(("run down", seconds), START_S, "before the flight"))
 
     def set_run(self, index: int, on: bool) -> bool:
         """As the bank's."""
@@ -120,21 +125,45 @@ class IsolatedBank:
         self.close()
 
     def _ask(self, question: tuple[Any, ...], limit: float, moment: str) -> Any:
-        return self._read(self._exchange(b"p" + pickle.dumps(question), limit, moment))
+        return self._read(self._asked(question, limit, moment))
+
+    def _asked(self, question: tuple[Any, ...], limit: float, moment: str) -> bytes:
+        return self._exchange(b"p" + pickle.dumps(question), limit, moment)
 
     def _read(self, data: bytes) -> Any:
-        """What the child answered, or the error that it met, here."""
-        good, answer = pickle.loads(data[1:])
+        """Return what the child answered, tuples as lists, or raise the error that it met.
+
+        An FMU's library can send whatever it likes from there: no answer may run anything here, so none is unpickled.
+        """
+        try:
+            good, answer = json.loads(data.removeprefix(b"p"))
+            kind, text = ("", "") if good else map(str, answer)
+        except (ValueError, TypeError, RecursionError):
+            raise self._unknown() from None
         if good:
             return answer
-        kind, text = answer
         raise {"InputError": InputError, "ValueError": ValueError}.get(kind, EngineError)(text)
+
+    def _doubles(self, data: bytes, form: struct.Struct) -> tuple[float, ...]:
+        """Return the numbers that were answered, the same bits; raises what the child met in place of them."""
+        if data[:1] == b"p":
+            self._read(data)
+        if data[:1] != b"s" or len(data) != 1 + form.size:
+            raise self._unknown()
+        return form.unpack(data[1:])
+
+    def _output(self, data: bytes) -> EngineOutput:
+        values, n = self._doubles(data, self._answer), self._count
+        return EngineOutput(*[values[i : i + n] for i in range(0, len(values), n)])
+
+    def _unknown(self) -> EngineError:
+        return EngineError(f"engines ({self._names}): their process answered what is no answer")
 
     def _exchange(self, data: bytes, limit: float, moment: str) -> bytes:
         try:
             self._pipe.send_bytes(data)
             if self._pipe.poll(limit):
-                return self._pipe.recv_bytes()
+                return self._pipe.recv_bytes(MOST_ANSWERED)
         except (EOFError, OSError):
             raise EngineError(f"engines ({self._names}): {self._ended()} {moment}") from None
         self._child.end()
@@ -168,16 +197,26 @@ def _frames(count: int) -> tuple[struct.Struct, struct.Struct]:
     return struct.Struct(f"<{2 * count + 3}d"), struct.Struct(f"<{len(EngineOutput._fields) * count}d")
 
 
-def _asked(bank: EngineBank, what: str, given: Sequence[Any]) -> Any:
+def _answer(bank: EngineBank, what: str, given: Sequence[Any]) -> bytes:
     """Return what the bank answers to one of the questions of :class:`IsolatedBank`."""
     if what == "reset":
         throttle, air = given
-        return tuple(bank.reset(throttle, Ambient(*air) if air else None))
+        return _packed(list(chain(*bank.reset(throttle, Ambient(*air) if air else None))))
     if what == "run down":
-        return tuple(bank.run_down(*given))
-    if what == "run":
-        return bank.set_run(*given)
-    return bank.starting if what == "starting" else bank.shown
+        return _packed(list(chain(*bank.run_down(*given))))
+    if what == "shown":
+        return _packed(bank.shown)
+    return _said(True, bank.set_run(*given) if what == "run" else bank.starting)
+
+
+def _said(good: bool, answer: Any) -> bytes:
+    """Return an answer that is no row of doubles as JSON, which runs nothing where it is read."""
+    return b"p" + json.dumps((good, answer)).encode()
+
+
+def _packed(values: Sequence[float]) -> bytes:
+    """Return doubles as they are."""
+    return b"s" + struct.pack(f"<{len(values)}d", *values)
 
 
 def serve(number: int) -> None:
@@ -188,7 +227,7 @@ def serve(number: int) -> None:
     die_with_parent()
     pipe = Connection(number)
     bank: EngineBank | None = None
-    row = answer = struct.Struct("")
+    row = struct.Struct("")
     count = 0
     while True:
         try:
@@ -206,20 +245,19 @@ def serve(number: int) -> None:
                 if k % LOOKED_AT == 0 and (size := megabytes(os.getpid())) > MOST_MB:
                     much = f"takes {size:.0f} MB of memory at step {k}, {MOST_MB:g} MB at most: it leaks"
                     raise EngineError(f"engines: their process {much}")
-                pipe.send_bytes(b"s" + answer.pack(*(value for values in output for value in values)))
+                pipe.send_bytes(_packed(list(chain(*output))))
                 continue
             what, *given = pickle.loads(data[1:])
             if what == "make":
                 specs, step, in_flight = given
                 count = len(specs)
-                row, answer = _frames(count)
+                row, _ = _frames(count)
                 bank = EngineBank(specs, count, step, in_flight)
-                result: Any = None
+                pipe.send_bytes(_said(True, None))
             else:
                 assert bank is not None
-                result = _asked(bank, what, given)
-            pipe.send_bytes(b"p" + pickle.dumps((True, result)))
+                pipe.send_bytes(_answer(bank, what, given))
         except Exception as error:
-            pipe.send_bytes(b"p" + pickle.dumps((False, (type(error).__name__, str(error)))))
+            pipe.send_bytes(_said(False, (type(error).__name__, str(error))))
     if bank is not None:
         bank.close()

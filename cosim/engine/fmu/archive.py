@@ -27,7 +27,7 @@ from cosim.engine.fmu.container import (
     parse,
     read_bytes,
 )
-from cosim.engine.fmu.description import describe
+from cosim.engine.fmu.description import describe, descriptions
 from cosim.engine.fmu.mapping import PortMap
 from cosim.engine.fmu.port_kinds import SPEEDS
 from cosim.engine.fmu.ports import PortError, find_engines
@@ -213,11 +213,14 @@ def library_of(archive: Archive) -> str:
     return f"binaries/{platform_folder(archive.fmi)}/{archive.identifier}{fmpy.sharedLibraryExtension}"
 
 
-def validate(path: Path) -> list[str]:
-    """Everything that FMPy's validation has to say against an archive; empty is good."""
+def validate(data: bytes) -> list[str]:
+    """Everything that FMPy's validation has to say against an archive's descriptions; empty is good.
+
+    Not against the names of its files, of which it knows one complaint: :func:`cosim.engine.fmu.container.name_notes`.
+    """
     from fmpy.validation import validate_fmu  # type: ignore[import-untyped]
 
-    return [one_line(problem) for problem in validate_fmu(str(path))]
+    return [one_line(problem) for problem in validate_fmu(descriptions(data))]
 
 
 def read_component(path: Path, data: bytes) -> Archive:

@@ -66,6 +66,16 @@ def is_system_file(name: str) -> bool:
     return "__MACOSX" in (*folders, last) or last.startswith("._") or last.lower() in SYSTEM_FILES
 
 
+def name_notes(path: Path) -> list[str]:
+    """Return what is to be said of the names in an archive that is read for all that."""
+    with Zip(path) as archive:
+        names = [entry.orig_filename for entry in archive.filelist if "\\" in entry.orig_filename]
+    if not names:
+        return []
+    shown = one_line(names[0])[:120]
+    return [f"packed with backslashes ({shown}), where FMI has /: other programs may not find its files"]
+
+
 def read_bytes(path: Path) -> bytes:
     """The file's contents.  Raises UnusableError if it is missing, no ordinary file, or larger than ``MOST_PACKED``."""
     try:

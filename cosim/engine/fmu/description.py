@@ -13,7 +13,7 @@ import io
 import re
 import zipfile
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 from xml.etree import ElementTree
 
@@ -60,13 +60,13 @@ def describe(data: bytes) -> tuple[Any, tuple[str, ...]]:
     complaints: list[str] = []
     stumbled = ""
     try:
-        return read_model_description(io.BytesIO(data)), ()
+        return read_model_description(descriptions(data)), ()
     except ValidationError as error:
         complaints = [one_line(problem) for problem in error.problems]
     except Exception as error:  # FMPy raises bare exceptions, and stumbles in its own ways over strange descriptions
         stumbled = one_line(error)
     try:
-        description = read_model_description(_with_initial(data), validate=False)
+        description = read_model_description(descriptions(data, with_initial), validate=False)
     except Exception as error:
         raise _refusal(complaints) if complaints else _unusable(error) from error
     more = _more(description)
@@ -112,11 +112,14 @@ def with_initial(xml: bytes) -> bytes:
     return ElementTree.tostring(root, encoding="utf-8") if changed else xml
 
 
-def _with_initial(data: bytes) -> io.BytesIO:
-    """The two descriptions of an archive that FMPy reads, in one of their own."""
+def descriptions(data: bytes, changed: Callable[[bytes], bytes] = bytes) -> io.BytesIO:
+    """Return the two descriptions of an archive that FMPy reads, the first ``changed``, in an archive of their own.
+
+    There each has the name that FMI gives it, whatever the system was that packed them.
+    """
     made = io.BytesIO()
     with Zip(io.BytesIO(data)) as given, zipfile.ZipFile(made, "w") as kept:
-        kept.writestr(DESCRIPTION, with_initial(given.read(DESCRIPTION)))
+        kept.writestr(DESCRIPTION, changed(given.read(DESCRIPTION)))
         if BUILD_DESCRIPTION in given.namelist():
             kept.writestr(BUILD_DESCRIPTION, given.read(BUILD_DESCRIPTION))
     made.seek(0)

@@ -24,7 +24,7 @@ from cosim.base.signals import EngineOutput
 from cosim.engine.bank import EngineBank
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import libraries_of, validate
-from cosim.engine.fmu.container import read_bytes
+from cosim.engine.fmu.container import name_notes, read_bytes
 from cosim.engine.fmu.description import describe, is_blemish
 from cosim.engine.fmu.instance import FmuInstance, InstanceError
 from cosim.engine.fmu.unpacked import contents, unpack
@@ -223,13 +223,15 @@ def _changes(before: Mapping[str, Any]) -> list[str]:
 
 def _validate(trial: Trial) -> Findings:
     trial.say({"at": "while its description was validated"})
+    notes = name_notes(trial.archive.path)
     if trial.archive.system is not None:  # what a component's has to say was said when it was read
-        return {"features": [f"{part.name}: {part.file}" for part in trial.archive.system.parts]}, []
+        return {"features": [f"{part.name}: {part.file}" for part in trial.archive.system.parts], "notes": notes}, []
+    data = read_bytes(trial.archive.path)
     # with blemishes it was judged when it was read
-    complaints = [] if trial.archive.blemishes else validate(trial.archive.path)
+    complaints = [] if trial.archive.blemishes else validate(data)
     remarks = [text for text in complaints if is_blemish(text)]
-    features = _features(describe(read_bytes(trial.archive.path))[0])
-    return {"features": features, "notes": remarks}, [text for text in complaints if text not in remarks]
+    features = _features(describe(data)[0])
+    return {"features": features, "notes": notes + remarks}, [text for text in complaints if text not in remarks]
 
 
 def _features(description: Any) -> list[str]:

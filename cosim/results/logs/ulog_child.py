@@ -11,7 +11,7 @@ import io
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +19,44 @@ from numpy.typing import NDArray
 Columns = NDArray[np.float64]
 
 
-def read(path: Path, begin: int) -> tuple[dict[str, Any], list[Columns]]:
-    """What the log that begins at a byte says, and the columns of its topics; raises whatever pyulog does."""
-    from pyulog import ULog
+class DamagedError(Exception):
+    """Why a log cannot be read, in words."""
 
+
+class _Rest(io.BytesIO):
+    """The rest of a file, which refuses as a file does to go back to before its beginning; BytesIO stops there.
+
+    pyulog goes back by what a damaged message says, and would come to it again for ever.
+    """
+
+    def seek(self, offset: int, whence: int = 0, /) -> int:
+        if whence == io.SEEK_CUR and self.tell() + offset < 0:
+            raise OSError("before the beginning")
+        return super().seek(offset, whence)
+
+
+def _load(file: IO[bytes], begin: int) -> Any:
+    """The log as pyulog has it.  Raises DamagedError with the byte of the file by which it stopped."""
+    from pyulog import ULog
+    from pyulog.core import ULogException
+
+    source = _Rest(file.read()[begin:]) if begin else file
+    try:
+        return ULog(source)
+    except ULogException as error:
+        raise DamagedError(str(error)) from error
+    except Exception as error:  # for a file that is wrong it raises whatever its own calls raise, in their words
+        raise DamagedError(f"it is damaged at byte {begin + source.tell()} or before that") from error
+
+
+def read(path: Path, begin: int) -> tuple[dict[str, Any], list[Columns]]:
+    """What the log that begins at a byte says, and the columns of its topics.  Raises DamagedError.
+
+    What is in the log and fits nothing raises whatever it may.
+    """
     output = io.StringIO()
     with contextlib.redirect_stdout(output), path.open("rb") as file:
-        log = ULog(io.BytesIO(file.read()[begin:]) if begin else file)
+        log = _load(file, begin)
     topics: list[dict[str, Any]] = []
     columns: list[Columns] = []
     untimed: list[str] = []
@@ -59,8 +90,11 @@ def main(path: Path, begin: int) -> None:
     columns: list[Columns] = []
     try:
         said, columns = read(path, begin)
-    except Exception as error:  # what the library raises for a file that is wrong is of no one kind
-        said = {"error": (str(error).splitlines() or [type(error).__name__])[0] or type(error).__name__}
+    except DamagedError as error:
+        said = {"error": " ".join(str(error).split())}
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        said = {"error": f"it is damaged: what it says of itself does not fit together ({reason})"}
     out = sys.stdout.buffer
     out.write(json.dumps(said).encode() + b"\n")
     for table in columns:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import os
+import pickle
 import re
 import shutil
+import struct
+from collections.abc import Callable
 from dataclasses import replace
+from multiprocessing import Pipe
 from pathlib import Path
 
 import numpy as np
@@ -210,6 +214,65 @@ def test_a_child_that_is_killed_is_told(monkeypatch: pytest.MonkeyPatch) -> None
     bank._child.wait()
     with pytest.raises(EngineError, match=r"its process crashed \(SIGKILL\) at step 0 \(0 s\)"):
         bank.step(0, (0.5,))
+    bank.close()
+
+
+class Evil:
+    """What runs code where it is unpickled."""
+
+    def __init__(self, target: Path) -> None:
+        self.target = target
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Path.write_text, (self.target, "run here")
+
+
+@pytest.mark.parametrize("head", [b"p", b"s", b""])
+@pytest.mark.parametrize(
+    "answer",
+    [
+        lambda target: pickle.dumps((True, Evil(target))),
+        lambda target: b"[true, [0, 1e9]]",
+        lambda target: b"[true, 5]",
+        lambda target: b"[false, 5]",
+        lambda target: b"[" * 100_000,
+        lambda target: b"",
+        lambda target: b"\xff" * 7,
+    ],
+)
+def test_what_a_child_answers_runs_nothing_here(head: bytes, answer: Callable[[Path], bytes], tmp_path: Path) -> None:
+    """It is an engine's library that has the socket there, and can send whatever it likes."""
+    bank = IsolatedBank([load_engine("turbine-20", {}, STEP)], STEP, in_flight=True)
+    ours, theirs = Pipe()
+    real, bank._pipe = bank._pipe, ours
+    data, calls = (
+        head + answer(tmp_path / "ran"),
+        (
+            lambda: bank.step(0, (0.5,)),
+            lambda: bank.reset(0.5),
+            lambda: bank.run_down(1.0),
+            lambda: bank.shown,
+            lambda: bank._look(True, "then"),
+        ),
+    )
+    for call in calls:
+        theirs.send_bytes(data)
+        with pytest.raises(EngineError, match=r"turbine-20.*their process answered what is no answer$"):
+            call()
+    real.close()
+    theirs.close()
+    bank.close()
+    assert not (tmp_path / "ran").exists()
+
+
+def test_the_bits_of_every_double_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """NaN of either sign, infinity, the smallest number and zero below zero among them."""
+    values = (float("inf"), float("-inf"), 5e-324, -0.0, 0.1, *struct.unpack("<2d", bytes(6) + b"\xf8\xff" + bytes(6) + b"\xf8\x7f"))  # fmt: skip
+    bank = IsolatedBank([load_engine("turbine-20", {}, STEP)], STEP)
+    monkeypatch.setattr(bank, "_exchange", lambda *_: isolated._packed(values))
+    for answer in (bank.step(0, (0.5,)), bank.reset(0.5), bank.run_down(1.0)):
+        got = [value for row in answer for value in row]
+        assert struct.pack("<7d", *got) == struct.pack("<7d", *values)
     bank.close()
 
 

@@ -232,6 +232,15 @@ def test_a_ulog_that_its_reader_never_ends_is_refused(tmp_path: Path, monkeypatc
         read(tmp_path / "x.ulg", b"ULog\x01\x12\x35\x01" + bytes(8) + b"".join(said) + endless)
 
 
+@pytest.mark.parametrize("before", [b"", b"\xff" * 100], ids=["alone", "behind"])
+def test_the_byte_by_which_a_ulog_is_damaged_is_told(tmp_path: Path, before: bytes) -> None:
+    """A first message of no kind whose size leads behind the end: pyulog goes back by it to before the beginning."""
+    log = b"ULog\x01\x12\x35\x01" + bytes(8) + struct.pack("<HB", 60_000, 0) + bytes(50)
+    with pytest.raises(InputError, match=r"as ULog: it is damaged at byte (\d+) or before that$") as refused:
+        read(tmp_path / "x.ulg", before + log)
+    assert str(len(before) + len(log)) in str(refused.value)
+
+
 @pytest.mark.parametrize("number", ["1e309", "-1e309", "nan", "1e30", "9" * 400, "0xffffffffff", "", "x"])
 def test_a_number_of_a_blackbox_head_may_be_anything(tmp_path: Path, number: str) -> None:
     """It is the default then; a huge interval of frames costs no time."""
