@@ -25,6 +25,7 @@ from cosim.control.autopilot.guidance.envelope import Envelope
 from cosim.control.autopilot.guidance.guide import Guide
 from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Tracker
+from cosim.control.autopilot.headway import Headway
 from cosim.control.autopilot.manoeuvres.circle import Circle
 from cosim.control.autopilot.manoeuvres.ground import Landing, TakeOff
 from cosim.control.autopilot.manoeuvres.homeward import Homeward
@@ -95,7 +96,7 @@ class Autopilot:
         self._places = places = Places()
         guide = Guide(tracker, position, parameters, self._envelope.height_limits(), step)
         self._course = course = Course(parameters, estimates, places, guide)
-        self.energy = Energy(course, hover, step)
+        self.energy = Energy(course, Headway(course, vehicle, gains.catch_up_m_s, step), hover, step)
         self._watch = watch = Watch(parameters, self.energy, step, self._fail_safe)
         self._remote = Remote(course, limits, hover, step)
         self._arming = Arming(course, self._remote, watch, step)
@@ -258,6 +259,8 @@ class Autopilot:
         elif self.home is None and not standing:
             # the flight began in the air
             self._places.home = Home(*self._estimates.fix.position, 0.0)
+        if self.landed is LandedState.IN_AIR:  # beside the set-point that was flown until now
+            self.energy.headway.learn()
         self._course.begin(k, self._spins and lost, self._carried and lost)
         self._landing.look(report, self.landed is LandedState.IN_AIR and not self._course.descending)
         self.energy.consume(report, self.engines is EngineState.FLY, self.landed is LandedState.IN_AIR)

@@ -2,7 +2,8 @@
 
 Shares are of the full tank or battery, times are s.  How fast it goes is measured in the air, from the gauge;
 before that it is what the engines take in hover, or what ``HJ_ENDURANCE`` says.  The way down is reckoned at the
-descent that will be flown: ``HJ_DESC_AUTO``, slower as the ground comes near, ``MPC_LAND_SPEED`` at the end.
+descent that will be flown: ``HJ_DESC_AUTO``, slower as the ground comes near, ``MPC_LAND_SPEED`` at the end, and never
+faster than ``HJ_SPEED_DN``.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from cosim.base.protocols import Report
 from cosim.control.autopilot.geometry import Pair
 from cosim.control.autopilot.guidance.course import Course
 from cosim.control.autopilot.guidance.descent import descent_for
+from cosim.control.autopilot.headway import Headway
 
 # Chosen by us, with the reason.
 _MEASURED_S = 10.0  # over so long the burn is measured: what climbs and gusts change in it is gone by then
@@ -24,9 +26,9 @@ _END_S = 3.0  # from the ground's touch until it stands, or from spooling up unt
 class Energy:
     """The account of fuel or battery, and what ways take of it; ``hover``: the collective at which it hovers."""
 
-    def __init__(self, course: Course, hover: float, step: float) -> None:
+    def __init__(self, course: Course, headway: Headway, hover: float, step: float) -> None:
         self._course, self._parameters, self._places = course, course.parameters, course.places
-        self._estimates = course.estimates
+        self._estimates, self.headway = course.estimates, headway
         self._hover, self._step = hover, step
         self.hovering: float | None = None  # share in a second of hover, of a full tank, by the engines
         self.reset()
@@ -37,6 +39,7 @@ class Energy:
         self.name = "battery"
         self._spent = 0.0
         self._rate = self._weight = 0.0
+        self.headway.reset()
 
     def consume(self, report: Report, running: bool, flying: bool) -> None:
         """Keep the account, in the air and on the ground; ``running``: the engines fly.
@@ -75,8 +78,8 @@ class Energy:
     def down(self, height: float) -> float:
         """How long the descent from a height [m] above the ground to standing there takes."""
         p, limits = self._parameters, self._course.guide.limits
-        end, slow = p["MPC_LAND_SPEED"], p["HJ_LAND_SLOW_H"]
-        most = max(end, min(p["HJ_DESC_AUTO"], p["HJ_SPEED_DN"]))
+        most, slow = min(p["HJ_DESC_AUTO"], p["HJ_SPEED_DN"]), p["HJ_LAND_SLOW_H"]
+        end = min(p["MPC_LAND_SPEED"], most)
         above = height - slow
         # braking within the height h: h = (v - e) t + (v^2 - e^2) / 2a, so dt = dh / v = (t / v + 1 / a) dv
         v = min(most, descent_for(above, limits.braking, limits.late, end))
@@ -88,18 +91,14 @@ class Energy:
     def along(self, distance: float, climb: float) -> float:
         """How long it takes to a place so far away and so much higher, m; place and height change together."""
         p = self._parameters
-        rate = p["HJ_CLIMB_AUTO"] if climb > 0.0 else p["HJ_DESC_AUTO"]
-        level = distance / self._course.speed + self._settling() if distance > 0.0 else 0.0
+        up, down = min(p["HJ_CLIMB_AUTO"], p["HJ_SPEED_UP"]), min(p["HJ_DESC_AUTO"], p["HJ_SPEED_DN"])
+        rate = up if climb > 0.0 else down
+        level = self.headway.along(distance) if distance > 0.0 else 0.0
         return max(level, abs(climb) / rate)
 
     def climbing(self, height: float) -> float:
         """How long a take-off to a height takes, from idle on."""
         return self._parameters["HJ_SPOOL_TIME"] + self._course.guide.limits.late + self.along(0.0, height) + _END_S
-
-    def _settling(self) -> float:
-        """How long reaching a speed and coming to rest take beside the way at that speed."""
-        p = self._parameters
-        return self._course.speed / p["HJ_ACC_HOR"] + p["HJ_ACC_HOR"] / p["HJ_JERK_HOR"] + 2.0 / max(p["HJ_VEL_P"], 0.1)
 
     def home(self, place: Pair, altitude: float) -> float:
         """How long the return from a place and an altitude takes, down to the ground."""

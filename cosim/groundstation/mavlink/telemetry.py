@@ -393,7 +393,7 @@ def wind_cov(v: View) -> list[Message]:
         return []
     vehicle, thrust = v.snapshot.facts.vehicle, v.sample.engines.thrust[: v.about.jets]
     density = standard_density(v.sea_level)
-    wind = estimate_wind(vehicle, fix.disturbance, fix.velocity, v.euler[2], thrust, density)
+    wind = estimate_wind(vehicle, fix.disturbance, fix.velocity, v.euler, thrust, density)
     if wind is None:
         return []
     return [mav.MAVLink_wind_cov_message(v.us, *wind, nan, nan, nan, v.sea_level, nan, nan)]

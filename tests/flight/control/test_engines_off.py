@@ -117,11 +117,14 @@ def test_the_wind_is_estimated_from_what_pushes(aircraft: str, engine: str, wind
         assert hypot(early[0] - 0.6 * wind, early[1] + 0.8 * wind) > 0.3 * wind  # nobody told it
         late = _estimate(flight)
         assert hypot(late[0] - 0.6 * wind, late[1] + 0.8 * wind) < 0.12 * wind
-        assert estimate_wind(vehicle, (0.0, 0.0), (1.0, 0.0), 0.0, flight.samples[-1].engines.thrust, 1.2) is None
+        assert (
+            estimate_wind(vehicle, (0.0, 0.0), (1.0, 0.0), (0.0, 0.0, 0.0), flight.samples[-1].engines.thrust, 1.2)
+            is None
+        )
 
 
 def _estimate(flight: Flight) -> tuple[float, float]:
     fix, thrust = flight.pilot.status.fix, flight.samples[-1].engines.thrust
-    wind = estimate_wind(flight.simulation.vehicle, fix.disturbance, fix.velocity, 0.0, thrust, 1.225)
+    wind = estimate_wind(flight.simulation.vehicle, fix.disturbance, fix.velocity, (0.0, 0.0, 0.0), thrust, 1.225)
     assert wind is not None
     return wind

@@ -6,11 +6,12 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
-from math import copysign, isnan, nan, pi, sqrt
+from math import copysign, isnan, nan, pi, radians, sqrt
 
 import pytest
 from mavlink_tools import ABOUT, GEODESY, Bench, Desk, command, sample, snapshot, status
 
+from cosim.base.frames import from_euler
 from cosim.base.protocols import EngineState
 from cosim.control.autopilot.estimation.position import Fix
 from cosim.control.autopilot.modes import (
@@ -126,6 +127,22 @@ def test_the_wind_is_the_vehicles_own_estimate(desk: Desk) -> None:
     desk.bench.pilot.status = status(fix=Fix((3.0, 4.0), velocity, push), positioned=False, **flying)
     desk.bench.step(0.02)
     assert result_of(desk, number) != 0
+
+
+@pytest.mark.parametrize(("lean", "told"), [(0.0, True), (25.0, True), (35.0, False), (81.0, False), (-81.0, False)])
+def test_no_wind_is_told_while_it_leans_further_than_it_may_be_asked_to(desk: Desk, lean: float, told: bool) -> None:
+    """At 81 degrees, on its way over, it told a wind that there was not; it may be asked for 20."""
+    seen = sample().measured._replace(attitude=from_euler(0.0, radians(lean), 1.5))
+    desk.bench.pilot.status = status(
+        fix=Fix((3.0, 4.0), (1.0, 0.5), (0.05, -0.08)),
+        armed=True,
+        landed=LandedState.IN_AIR,
+        engines=EngineState.FLY,
+        seen=seen,
+    )
+    desk.bench.step(0.02)
+    ack = desk.ask(command(512, float(BY_NAME["WIND_COV"].id)))[0]
+    assert (ack.result == 0) is told
 
 
 def test_engines_that_are_off_have_no_throttle(desk: Desk) -> None:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import copysign, cos, sin, sqrt
+from math import copysign, cos, pi, sin, sqrt
 
+from cosim.base.signals import Vector3
 from cosim.control.autopilot.geometry import Pair
 from cosim.spec.vehicle import Vehicle
 
+_LEAN_SHARE = 1.5  # of the lean that the vehicle may be asked for, chosen by us: it overshoots, but hovers still
+
 
 def estimate_wind(
-    vehicle: Vehicle, push: Pair, velocity: Pair, heading: float, thrust: Sequence[float], density: float
+    vehicle: Vehicle, push: Pair, velocity: Pair, euler: Vector3, thrust: Sequence[float], density: float
 ) -> Pair | None:
     """Return the wind that would push the vehicle like this, or None where nothing can be told of it.
 
@@ -25,8 +28,8 @@ def estimate_wind(
         The acceleration that the attitude does not explain [m/s^2, NED].
     velocity
         Of the vehicle over the ground [m/s, NED].
-    heading
-        Of the nose [rad].
+    euler
+        Roll, pitch and heading [rad].
     thrust
         Of every jet, as reported [N].
     density
@@ -35,13 +38,16 @@ def estimate_wind(
     Returns
     -------
     North and east component of where the wind blows to [m/s].  None for a vehicle with a wing, whose lift pushes it
-    as well, for one without drag, and where no push is estimated.
+    as well, for one without drag, where no push is estimated, and for one that leans half as far again as it may be
+    asked to: lean and thrust then do not explain how it moves, so that the push is not the air's.
     """
     if vehicle.control.wing is not None:
         return None
     if push == (0.0, 0.0):  # nothing is estimated
         return None
-    north, east = push
+    if cos(euler[0]) * cos(euler[1]) < _least_upright(vehicle):
+        return None
+    (north, east), heading = push, euler[2]
     ahead, right = north * cos(heading) + east * sin(heading), east * cos(heading) - north * sin(heading)
     linear, mass = _swallowed(vehicle, thrust), vehicle.mass_kg
     forward, side, _ = vehicle.aero.drag_area_m2
@@ -55,6 +61,23 @@ def estimate_wind(
         velocity[0] + u * cos(heading) - v * sin(heading),
         velocity[1] + u * sin(heading) + v * cos(heading),
     )
+
+
+def _least_upright(vehicle: Vehicle) -> float:
+    """Return the cosine of the lean beyond which nothing can be told of the wind."""
+    gains = vehicle.control.position
+    return 0.0 if gains is None else cos(min(_LEAN_SHARE * gains.lean_rad, 0.5 * pi))
+
+
+def fastest_in_air(vehicle: Vehicle, acceleration: float, thrust: Sequence[float], density: float) -> float | None:
+    """Return the air speed [m/s] at which drag takes an acceleration [m/s^2], on the side that has more drag.
+
+    ``thrust`` and ``density`` are as of :func:`estimate_wind`.  None for a vehicle with a wing and one without drag.
+    """
+    linear, area = _swallowed(vehicle, thrust), max(vehicle.aero.drag_area_m2[:2])
+    if vehicle.control.wing is not None or max(linear, area) <= 0.0:
+        return None
+    return _speed(vehicle.mass_kg * acceleration, 0.5 * density * area, linear)
 
 
 def _speed(force: float, square: float, linear: float) -> float:

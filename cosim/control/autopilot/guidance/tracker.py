@@ -9,7 +9,7 @@ from typing import NamedTuple
 from cosim.control.autopilot.geometry import Pair
 
 _LONGEST_MEAN = 10.0  # s: a set-point that answers later than this is of no use to a pilot
-_BRAKE_SHARE = 0.75  # of the acceleration is planned for braking, so that some is left to turn with
+BRAKE_SHARE = 0.75  # of the acceleration is planned for braking, so that some is left to turn with
 
 
 class Track(NamedTuple):
@@ -37,7 +37,7 @@ class Tracker:
     def limit(self, acceleration: float, jerk: float) -> None:
         """New limits, m/s^2 and m/s^3; the mean's length changes at the next start."""
         self._a = acceleration * self._step  # m/s a step
-        self._b = _BRAKE_SHARE * self._a
+        self._b = BRAKE_SHARE * self._a
         self._count = max(1, ceil(min(acceleration / jerk, _LONGEST_MEAN) / self._step))
 
     def start(self, position: Pair, velocity: Pair) -> None:

@@ -70,7 +70,7 @@ class MissionFlight:
             height = item.altitude if item.altitude is not None else altitude
             seconds += energy.along(hypot(to[0] - place[0], to[1] - place[1]), height - altitude) + item.hold_s
             if item.kind is ItemKind.CIRCLE and item.radius is not None:
-                seconds += 2.0 * pi * item.radius * item.turns / self._course.speed
+                seconds += 2.0 * pi * item.radius * item.turns / energy.headway.speed
             place, altitude = to, height
             if why := energy.short_of(seconds, place, altitude):
                 return mission.current, why
