@@ -61,10 +61,15 @@ class Shutdown:
 
 GroundRequest = Request | Restart | Shutdown
 Done = Callable[[Answer], None]
+Claim = Callable[[], bool]  # takes a request over; False: who asked has been told already that it is not done
 
 
 def ignore_answer(answer: Answer) -> None:
     """For whom no answer is needed."""
+
+
+def _always() -> bool:
+    return True
 
 
 class SessionInfo(NamedTuple):
@@ -113,7 +118,7 @@ class Exchange:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.clock = clock
         self._lock = Lock()
-        self._queues: dict[str, deque[Waiting]] = {}
+        self._queues: dict[str, deque[tuple[Waiting, Claim]]] = {}
         self._snapshot: Snapshot | None = None
         self._messages: tuple[Message, ...] = ()
         self._message_count = 0
@@ -145,12 +150,19 @@ class Exchange:
 
     # --- for those who ask ---------------------------------------------------------------------------------------
 
-    def ask(self, request: GroundRequest, done: Done = ignore_answer, sender: str = "", until: float = inf) -> None:
+    def ask(
+        self,
+        request: GroundRequest,
+        done: Done = ignore_answer,
+        sender: str = "",
+        until: float = inf,
+        claim: Claim = _always,
+    ) -> None:
         """Ask something of the vehicle; it is handled before the next step.
 
         ``done`` gets the answer once, in the flight's thread, or at once in this one if there is no room; it must
         return quickly.  ``sender`` goes to the log.  A request that is not taken ``until`` then is not done any more:
-        who asked has been told so.
+        who asked has been told so.  ``claim`` is called when it is taken; where it returns False it is not done.
         """
         waiting = Waiting(sender, request, done, until)
         dropped: Waiting | None = None
@@ -160,11 +172,11 @@ class Exchange:
             if queue is None and not full:
                 queue = self._queues[sender] = deque()
             if queue is not None:
-                if isinstance(request, _STREAMS) and queue and type(queue[-1].request) is type(request):
-                    dropped = queue.pop()
+                if isinstance(request, _STREAMS) and queue and type(queue[-1][0].request) is type(request):
+                    dropped, _ = queue.pop()
                 full = len(queue) >= WAITING_PER_SENDER
                 if not full:
-                    queue.append(waiting)
+                    queue.append((waiting, claim))
             if full:
                 self.turned_away += 1
         if dropped is not None:
@@ -192,8 +204,8 @@ class Exchange:
                 # the first sender gives one and goes to the end of the row
                 sender = next(iter(self._queues))
                 queue = self._queues.pop(sender)
-                waiting = queue.popleft()
-                (taken if now <= waiting.until else late).append(waiting)
+                waiting, claim = queue.popleft()
+                (taken if now <= waiting.until and claim() else late).append(waiting)
                 if queue:
                     self._queues[sender] = queue
         for waiting in late:
@@ -227,7 +239,9 @@ class Port:
         self._exchange = exchange
         self._lines: tuple[Message, ...] = ()
         self._last_message = 0
-        self._open: dict[int, tuple[Done, float]] = {}  # who waits for an answer, and how long
+        self._open: dict[int, Done] = {}  # who waits for an answer
+        # How long [s]: who takes a number out of here first, the flight or the loop, says what becomes of the request.
+        self._due: dict[int, float] = {}
         self._request_count = 0
         self._answered: deque[tuple[int, Answer]] = deque()
         self.leave = exchange.subscribe(self._news)
@@ -240,17 +254,24 @@ class Port:
             return
         self._request_count += 1
         number, until = self._request_count, self._exchange.clock() + PATIENCE
-        self._open[number] = reply, until
-        self._exchange.ask(request, lambda answer: self._answer(number, answer), sender, until)
+        self._open[number], self._due[number] = reply, until
+        self._exchange.ask(
+            request, lambda answer: self._answer(number, answer), sender, until, lambda: self._withdraw(number)
+        )
 
     def collect(self, now: float) -> None:
-        """Hand out the answers that have come, and say to who has waited too long that there is none."""
+        """Hand out the answers that have come, and say to who has waited too long that there is none.
+
+        What the flight has taken is not given up: it is answered when it is decided.
+        """
         while self._answered:
             number, answer = self._answered.popleft()
+            self._withdraw(number)
             if number in self._open:
-                self._open.pop(number)[0](answer)
-        for number in [number for number, (_, until) in self._open.items() if now >= until]:
-            self._open.pop(number)[0](Answer(False, Result.FAILED, "the flight does not answer"))
+                self._open.pop(number)(answer)
+        for number in [number for number, until in self._due.copy().items() if now >= until]:
+            if self._withdraw(number):
+                self._open.pop(number)(Answer(False, Result.FAILED, "the flight does not answer"))
 
     def messages(self) -> list[Message]:
         """What has been said since the last call."""
@@ -264,6 +285,10 @@ class Port:
         if snapshot is not None and snapshot.sample is not None:
             self.snapshot, self._lines = snapshot, self._exchange.messages
             self.wake()
+
+    def _withdraw(self, number: int) -> bool:
+        """Return whether nobody has decided before; one operation of a dict, as two threads may ask."""
+        return self._due.pop(number, None) is not None
 
     def _answer(self, number: int, answer: Answer) -> None:
         """In the flight's thread, or at once in this one."""

@@ -13,22 +13,28 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from queue import Queue
 from threading import Thread
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot.modes import Severity
 from cosim.control.autopilot.parameters import Caution, Parameters
 from cosim.control.autopilot.requests import Answer, Result, SetParameter
-from cosim.groundstation.exchange import Waiting
-from cosim.groundstation.parameter_store import ParameterStore
+from cosim.groundstation.exchange import GroundRequest, Waiting
+from cosim.groundstation.parameter_store import FORCE, ParameterStore
 
-FORCE = "HJ_FORCE"
 MOST_HELD = 200  # changes that wait; chosen by us: twice a whole set, and the first verdict may take seconds
+MOST_JUDGED = 8  # changes that are judged together and act at one step: as many as a step takes requests
 TOLD = 8  # parameters that are named where they differ from their defaults; more are counted
+
+
+T = TypeVar("T")
 
 
 class Judge(Protocol):
     """Who knows what parameters do to the loops; asked from a thread of its own."""
+
+    def prepare(self) -> None:
+        """Compute what every verdict needs, so that the first one is as quick as the others."""
 
     def concerns(self, name: str) -> bool:
         """Return whether a parameter tunes a loop that can be computed."""
@@ -43,8 +49,14 @@ class ParameterGuard:
     def __init__(self, judge: Judge | None = None) -> None:
         self.judge = judge
         self._held: deque[Waiting] = deque()
-        self._verdict: Future[list[Caution]] | None = None
+        self._batch: list[Waiting] = []  # the first of those that are held, whose verdict is on its way
+        self._verdict: Future[list[list[Caution]]] | None = None
         self._thread: ThreadPoolExecutor | None = None
+
+    def prepare(self) -> None:
+        """Let the judge begin, in its thread; returns at once."""
+        if self.judge is not None:
+            self._submit(self.judge.prepare)
 
     def holds(self, waiting: Waiting) -> bool:
         """Keep a change of a loop until :meth:`judged` gives it back; False: it is nothing of the kind."""
@@ -57,67 +69,131 @@ class ParameterGuard:
             self._held.append(waiting)
         return True
 
-    def judged(self, values: Mapping[str, float]) -> tuple[Waiting, list[Caution]] | None:
-        """Return the next change with its verdict, where that is there; ``values``: the parameters as they are."""
-        if not self._held:
-            return None
-        if self._verdict is None:
-            request, before = self._held[0].request, dict(values)
-            assert self.judge is not None
-            assert isinstance(request, SetParameter)
-            self._thread = self._thread or ThreadPoolExecutor(1, "parameters")
-            after = {**before, request.name: request.value} if request.name in before else before
-            self._verdict = self._thread.submit(self.judge.cautions, before, after)
-        if not self._verdict.done():
-            return None
-        verdict, self._verdict = self._verdict, None
-        return self._held.popleft(), verdict.result()
+    def judged(self, parameters: Parameters, now: float) -> list[tuple[Waiting, list[Caution] | None]]:
+        """Return the next changes, each with its verdict: None where it is too late for one, and it is to be refused.
+
+        ``now`` [s] is of the clock of :attr:`Waiting.until`.
+        """
+        if late := [waiting for waiting in self._held if now > waiting.until]:
+            self._held = deque(waiting for waiting in self._held if now <= waiting.until)
+            if any(now > waiting.until for waiting in self._batch):  # the others were judged as if this were taken
+                self._batch, self._verdict = [], None
+            return [(waiting, None) for waiting in late]
+        if self._verdict is None and self._held:
+            self._batch = list(self._held)[:MOST_JUDGED]
+            steps = _steps(parameters, [waiting.request for waiting in self._batch])
+            self._verdict = self._submit(lambda: self._cautions(steps))
+        if self._verdict is None or not self._verdict.done():
+            return []
+        verdicts = self._verdict.result()
+        judged = list(zip(self._batch, verdicts, strict=False))
+        self._batch, self._verdict = [], None
+        for _ in judged:
+            self._held.popleft()
+        return [(waiting, cautions) for waiting, cautions in judged]
 
     def left(self) -> list[Waiting]:
         """Return the changes whose verdict nobody waits for any more."""
         left = list(self._held)
         self._held.clear()
-        self._verdict = None
+        self._batch, self._verdict = [], None
         return left
 
     def close(self) -> None:
-        """End the thread."""
+        """Refuse what is still held, and end the thread."""
+        for waiting in self.left():
+            waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "the session is over"))
         if self._thread is not None:
             self._thread.shutdown(cancel_futures=True)
             self._thread = None
 
+    def _submit(self, task: Callable[[], T]) -> Future[T]:
+        self._thread = self._thread or ThreadPoolExecutor(1, "parameters")
+        return self._thread.submit(task)
 
-def refusal(request: SetParameter, cautions: list[Caution], in_air: bool, values: Mapping[str, float]) -> str:
-    """Return why a change is not taken; empty where it is."""
+    def _cautions(self, steps: list[tuple[dict[str, float], dict[str, float]]]) -> list[list[Caution]]:
+        """Return the verdicts up to the first change that may be refused: the next depend on what becomes of it."""
+        assert self.judge is not None
+        verdicts: list[list[Caution]] = []
+        for before, after in steps:
+            verdicts.append(self.judge.cautions(before, after))
+            if any(caution.loses for caution in verdicts[-1]):
+                break
+        return verdicts
+
+
+def _steps(parameters: Parameters, requests: list[GroundRequest]) -> list[tuple[dict[str, float], dict[str, float]]]:
+    """Return all values before and after each change; the same where a change is not allowed."""
+    steps, before = [], dict(parameters.values)
+    for request in requests:
+        assert isinstance(request, SetParameter)
+        after = {**before, **allowed(parameters, {request.name: request.value})[0]}
+        steps.append((before, after))
+        before = after
+    return steps
+
+
+def allowed(parameters: Parameters, values: Mapping[str, float]) -> tuple[dict[str, float], list[str]]:
+    """Return the values that a vehicle takes, as it stores them, and a line for each that it refuses."""
+    taken: dict[str, float] = {}
+    refused = []
+    for name, value in values.items():
+        try:
+            taken[name] = parameters.check(name, value)
+        except InputError as error:
+            refused.append(f"refused: {error}")
+    return taken, refused
+
+
+def refusal(request: SetParameter, cautions: list[Caution] | None, in_air: bool, values: Mapping[str, float]) -> str:
+    """Return why a change is not taken; empty where it is.  ``cautions`` None: there is no verdict in time."""
+    if cautions is None:
+        return f"{_said(request.name, request.value)} not taken: no verdict in time, ask again"
     lost = [caution for caution in cautions if caution.loses]
     if not lost or not in_air or values.get(FORCE):
         return ""
     return f"{_said(request.name, request.value)} refused in the air: {lost[0].text}; {FORCE} 1 takes it all the same"
 
 
-def warnings_of(request: SetParameter, cautions: list[Caution]) -> list[str]:
-    """Return a line for each loop that a change makes worse."""
-    return [f"{_said(request.name, request.value)}: {caution.text}" for caution in cautions]
+def warn_of(
+    say: Callable[[Severity, str, int], None], request: SetParameter, cautions: list[Caution] | None, k: int
+) -> None:
+    """Say a line at step ``k`` for each loop that a change makes worse."""
+    for caution in cautions or ():
+        say(Severity.WARNING, f"{_said(request.name, request.value)}: {caution.text}", k)
 
 
 def differing(parameters: Parameters, values: Mapping[str, float]) -> list[str]:
-    """Return what differs from the defaults, each as ``NAME 0 (default 0.02)``; a count in place of the last ones."""
-    known = {name: value for name, value in values.items() if name in parameters.table}
+    """Return what differs from the defaults, each as ``NAME 0 (default 0.02)``; a count in place of the last ones.
+
+    What the vehicle refuses comes after these, each with the reason.
+    """
+    taken, refused = allowed(parameters, values)
     said = [
         f"{_said(name, value)} (default {parameters.table[name].default:g})"
-        for name, value in known.items()
+        for name, value in taken.items()
         if value != parameters.table[name].default
     ]
-    return said if len(said) <= TOLD else [*said[:TOLD], f"and {len(said) - TOLD} more"]
+    return [*_counted(said), *_counted(refused)]
+
+
+def _counted(lines: list[str]) -> list[str]:
+    return lines if len(lines) <= TOLD else [*lines[:TOLD], f"and {len(lines) - TOLD} more"]
 
 
 def kept_cautions(judge: Judge | None, parameters: Parameters, values: Mapping[str, float]) -> list[Caution]:
-    """Return what the values that are kept make worse of the loops than the defaults have it."""
+    """Return what the values that are kept, as far as the vehicle takes them, make worse than the defaults have it."""
     default = {line.name: line.default for line in parameters}
-    after = {**default, **{name: value for name, value in values.items() if name in default}}
+    after = {**default, **allowed(parameters, values)[0]}
     if judge is None or not any(judge.concerns(name) for name in after if after[name] != default[name]):
         return []
     return judge.cautions(default, after)
+
+
+def kept_lines(judge: Judge | None, parameters: Parameters, values: Mapping[str, float]) -> list[str]:
+    """Return what there is to say of values that are kept: what differs or is refused, and what that makes worse."""
+    cautions = kept_cautions(judge, parameters, values)
+    return [*differing(parameters, values), *(caution.text for caution in cautions)]
 
 
 def tell(
@@ -144,7 +220,7 @@ class ParameterWriter:
         self.path = path
         self._store = None if path is None else ParameterStore(path, vehicle)
         self._complain = complain
-        self._values = self._store.load() if self._store else {}
+        self._values: dict[str, float] = self._store.load() if self._store else {}
         self._first = True
         self._work: Queue[dict[str, float] | None] = Queue()
         self._thread: Thread | None = None
@@ -165,14 +241,14 @@ class ParameterWriter:
         return self._values
 
     def keep(self, values: dict[str, float]) -> None:
-        """These from now on."""
-        self._values = values
+        """Keep these from now on, but not HJ_FORCE: it holds for one flight."""
+        self._values = {name: value for name, value in values.items() if name != FORCE}
         if self._store is None:
             return
         if self._thread is None:
             self._thread = Thread(target=self._write, name="parameters")
             self._thread.start()
-        self._work.put(values)
+        self._work.put(self._values)
 
     def close(self) -> None:
         """Everything is written."""

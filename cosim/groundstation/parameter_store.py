@@ -9,9 +9,19 @@ from pathlib import Path
 from cosim.base.errors import InputError
 from cosim.base.storage.files import one_line, write_whole
 from cosim.base.storage.toml import read_toml, toml_text
+from cosim.spec.controller_name import folder_name
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import is_file
 
+FORCE = "HJ_FORCE"  # never kept: what it permits is decided anew for each flight
 _FORMAT = 1
 _HEAD = "# What differs from the defaults; written by hexjet gcs.\n"
+
+
+def vehicle_key(scenario: Scenario) -> str:
+    """Return what parameters are kept for: another engine or controller has other defaults."""
+    engine = Path(scenario.engine).stem if is_file(scenario.engine) else scenario.engine
+    return f"{scenario.aircraft_name}-{engine}-{folder_name(scenario.controller)}"
 
 
 def default_file(vehicle: str) -> Path:
@@ -35,7 +45,10 @@ class ParameterStore:
         self._written: dict[str, float] | None = None
 
     def load(self) -> dict[str, float]:
-        """Every value in the file; none if there is no file.  Raises InputError: one line, what is wrong and where."""
+        """Return every value in the file but HJ_FORCE; none if there is no file.
+
+        Raises InputError: one line, what is wrong and where.
+        """
         if not self.path.exists():
             return {}
         data = read_toml(self.path)
@@ -56,15 +69,19 @@ class ParameterStore:
             if isinstance(value, bool) or not isinstance(value, (int, float)):
                 raise InputError(f"{self.path}: parameters.{name} = {value!r}: must be a number")
         self._written = {name: float(value) for name, value in table.items()}
-        return dict(self._written)
+        return {name: value for name, value in self._written.items() if name != FORCE}
 
     def restore(self, put: Callable[[str, float], None]) -> list[str]:
         """Hand every value of the file to ``put``; a line for each that it refuses with InputError.
 
         Raises InputError for a file that cannot be read.
         """
-        complaints = []
-        for name, value in self.load().items():
+        values, complaints = self.load(), []
+        if FORCE in (self._written or {}):
+            complaints.append(
+                f"{self.path}: {FORCE} is not taken from a file: set it anew in each flight that needs it"
+            )
+        for name, value in values.items():
             try:
                 put(name, value)
             except InputError as error:

@@ -44,12 +44,12 @@ from cosim.groundstation.parameter_guard import (
     Judge,
     ParameterGuard,
     ParameterWriter,
-    differing,
-    kept_cautions,
+    kept_lines,
     refusal,
     tell,
-    warnings_of,
+    warn_of,
 )
+from cosim.groundstation.parameter_store import vehicle_key
 from cosim.groundstation.stick_owner import StickOwner
 from cosim.results.autopilot.autopilot_record import PilotRecord
 from cosim.results.autopilot.request_log import REQUESTS, RequestLog
@@ -59,9 +59,7 @@ from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import Pace, PaceReport
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_autopilot import with_autopilot
-from cosim.spec.controller_name import folder_name
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import is_file
 
 LONGEST_S = 86_400.0  # of one flight that has no planned end: a day
 # Chosen by us: a request costs some 10 us, a new predictor 3 ms, a step has 4 ms of which stepping takes a tenth.
@@ -133,9 +131,7 @@ class Session:
 
     def kept_lines(self) -> list[str]:
         """Return what there is to say of the parameters that are kept: what differs, and what that makes worse."""
-        parameters, values = self.facts.parameters, self._parameters.values
-        cautions = kept_cautions(self._guard.judge, parameters, values)
-        return [*differing(parameters, values), *(caution.text for caution in cautions)]
+        return kept_lines(self._guard.judge, self.facts.parameters, self._parameters.values)
 
     def stop(self, why: str) -> None:
         """End the session after the present step; from any thread, and from a signal handler."""
@@ -206,6 +202,7 @@ class Session:
         parameters = flight.pilot.parameters
         tell(exchange.say, self._guard.judge, parameters, parameters.changed())
         flight.publish(None, None)
+        self._guard.prepare()  # when every file is open: while a library loads the process may be in another folder
         with steady():
             begin = time.perf_counter()
             try:
@@ -242,8 +239,7 @@ class Session:
                     waiting.answer(self._serve(flight, waiting, k))
             if time.perf_counter() > until:
                 break
-        if judged := self._guard.judged(flight.pilot.parameters.values):
-            waiting, cautions = judged
+        for waiting, cautions in self._guard.judged(flight.pilot.parameters, self.exchange.clock()):
             waiting.answer(self._serve_judged(flight, waiting, cautions, k))
         if self._restart:
             return Ending("completed", "a restart was asked for")
@@ -254,14 +250,18 @@ class Session:
         request = waiting.request
         if isinstance(request, (Restart, Shutdown)):
             return self._refuse_or_leave(flight, request, waiting.sender)
-        answer = flight.ask(waiting.sender, request, k)
+        try:
+            answer = flight.ask(waiting.sender, request, k)
+        except FlightError as error:
+            waiting.answer(Answer(False, Result.FAILED, str(error)))
+            raise
         if isinstance(request, SetParameter) and answer.accepted:
             self._parameters.keep(flight.pilot.parameters.changed())
         elif isinstance(request, (MissionUpload, MissionClear)):
             flight.publish(None, None)  # who has the answer may read the mission back
         return answer
 
-    def _serve_judged(self, flight: _Flight, waiting: Waiting, cautions: list[Caution], k: int) -> Answer:
+    def _serve_judged(self, flight: _Flight, waiting: Waiting, cautions: list[Caution] | None, k: int) -> Answer:
         """Make a change of a loop, with what is to be said of it; or refuse it, which is recorded too."""
         request, pilot = waiting.request, flight.pilot
         assert isinstance(request, SetParameter)
@@ -272,8 +272,8 @@ class Session:
             flight.refuse(waiting.sender, request, answer, k)
             return answer
         answer = self._serve(flight, waiting, k)
-        for text in warnings_of(request, cautions) if answer.accepted else ():
-            self.exchange.say(Severity.WARNING, text, k)
+        if answer.accepted:
+            warn_of(self.exchange.say, request, cautions, k)
         return answer
 
     def _refuse_or_leave(self, flight: _Flight, request: Restart | Shutdown, sender: str) -> Answer:
@@ -297,24 +297,30 @@ class Session:
             left = max(0.0, self.duration - flight.simulation.k * flight.simulation.dt)
             patience = time.monotonic() + (left / self.factor if self.factor else 0.0)
         while not (self._restart or self._stopping) and (patience is None or time.monotonic() < patience):
-            for waiting in [*self._guard.left(), *exchange.take(_MOST_A_STEP)]:
+            for waiting in [w for w in exchange.take(_MOST_A_STEP) if not self._guard.holds(w)]:
                 answer = Answer(False, Result.FAILED, f"the flight is over: {ending.reason}")
                 if isinstance(waiting.request, (Restart, Shutdown)):
                     self._leave(waiting.request, waiting.sender)
                     answer = Answer(True, Result.ACCEPTED, "")
                 elif isinstance(waiting.request, SetParameter):
-                    answer = self._keep_for_next(flight, waiting.request)
+                    answer = self._keep_for_next(flight, waiting.request, [])
                 waiting.answer(answer)
+            for waiting, cautions in self._guard.judged(flight.pilot.parameters, exchange.clock()):
+                assert isinstance(waiting.request, SetParameter)
+                waiting.answer(self._keep_for_next(flight, waiting.request, cautions))
             flight.publish(None, ending)
             time.sleep(_OVER_EVERY)
 
-    def _keep_for_next(self, flight: _Flight, request: SetParameter) -> Answer:
+    def _keep_for_next(self, flight: _Flight, request: SetParameter, cautions: list[Caution] | None) -> Answer:
         """A parameter that is set after the end of a flight is the next one's; the vehicle is not flown any more."""
+        if why := refusal(request, cautions, False, {}):
+            return Answer(False, Result.TEMPORARILY_REJECTED, why)
         answer = flight.pilot.handle(request, flight.simulation.k)
         if answer.accepted:
             self._parameters.keep(flight.pilot.parameters.changed())
             value = flight.pilot.parameters[request.name]
             self.exchange.say(Severity.NOTICE, f"{request.name} {value:g} from the next flight on")
+            warn_of(self.exchange.say, request, cautions, flight.simulation.k)
         return answer
 
 
@@ -582,12 +588,6 @@ def session_info(
     stations = tuple(simulation.stations)
     scenario, vehicle, own = simulation.scenario, simulation.vehicle, simulation.columns
     return SessionInfo(number, scenario, vehicle, stations, geodesy, parameters, folder, factor, own)
-
-
-def vehicle_key(scenario: Scenario) -> str:
-    """What parameters are kept for: another engine or controller has other defaults."""
-    engine = Path(scenario.engine).stem if is_file(scenario.engine) else scenario.engine
-    return f"{scenario.aircraft_name}-{engine}-{folder_name(scenario.controller)}"
 
 
 @contextmanager

@@ -133,12 +133,11 @@ def gcs(
     """
     from cosim.design.measured.judge import LoopJudge
     from cosim.groundstation.links import Links
-    from cosim.groundstation.parameter_store import default_file
+    from cosim.groundstation.parameter_store import default_file, vehicle_key
     from cosim.groundstation.session import (
         Session,
         place_at,
         stopped_by_signals,
-        vehicle_key,
     )
 
     loaded = load_scenario(scenario, controller, engines, seed, settings, None, aircraft)

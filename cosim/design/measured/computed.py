@@ -45,8 +45,6 @@ def plants_of(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Plants 
     """Return the channels of a scenario's vehicle with the fuel that it begins with; or why there are none."""
     if scenario.controller not in PREDICTORS:
         return "a controller from outside: there is nothing to compute from"
-    if PREDICTORS[scenario.controller].response is None:
-        return f"controller {scenario.controller} states no frequency response"
     if scenario.stations:
         return "the engines are not all the same"
     fuel = scenario.initial.fuel
@@ -73,6 +71,9 @@ def computed(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[
 
     The engine is swept around the thrust that the vehicle hovers with.
     """
+    chosen = PREDICTORS.get(scenario.controller)
+    if chosen is not None and chosen.response is None:
+        return f"controller {chosen.name} states no frequency response"
     plants = plants_of(scenario, vehicle, spec)
     if isinstance(plants, str):
         return plants

@@ -8,6 +8,7 @@ rate, is not in it: a loop that is called unstable leaves its rest, how far is n
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from math import inf
 from threading import Lock
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,7 +17,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.control.autopilot.parameters import Caution
 from cosim.control.autopilot.tuning import control_of, controller_of
-from cosim.control.predictors.registry import PREDICTORS
+from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.spec.scenario import Scenario
 
 if TYPE_CHECKING:  # a session begins without the mathematics of designs: most are never asked for it
@@ -37,7 +38,10 @@ class _Loop(NamedTuple):
 
     stable: bool
     share: float  # of the least margin that is not told, 1 at the bound; infinite where nothing is crossed
-    text: str  # its margins that are less
+    text: str  # its margins that are less, or why it is not stable
+
+
+_UNKNOWN = _Loop(True, inf, "")  # what flew on a predictor that cannot be computed: taken as good
 
 
 class LoopJudge:
@@ -46,19 +50,28 @@ class LoopJudge:
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
         self._vehicle, _ = scenario.resolved_vehicle()
+        self._built_in = scenario.controller in PREDICTORS  # one from outside leaves us the height alone
         self._plants: Plants | str | None = None
         self._points: dict[str, FrequencyGrid] = {}
         self._lock = Lock()
 
+    def prepare(self) -> None:
+        """Sweep the engine, which every verdict needs; what stands against it is found again by the first verdict."""
+        with self._lock, suppress(InputError, ValueError, ArithmeticError):
+            self._known_plants()
+
     def concerns(self, name: str) -> bool:
         """Return whether a parameter tunes a loop that can be computed."""
-        known = self._scenario.controller in PREDICTORS and not isinstance(self._plants, str)
-        return known and any(name.startswith(begin) for names in _NAMES.values() for begin in names)
+        return not isinstance(self._plants, str) and any(name.startswith(_NAMES[axis]) for axis in self._channels)
+
+    @property
+    def _channels(self) -> tuple[str, ...]:
+        return CHANNELS if self._built_in else ("altitude",)
 
     def cautions(self, before: Mapping[str, float], after: Mapping[str, float]) -> list[Caution]:
         """Return what is to be said of every loop that a change makes worse; nothing where it cannot be computed."""
         changed = [name for name, value in after.items() if value != before[name]]
-        axes = [axis for axis in CHANNELS if any(name.startswith(_NAMES[axis]) for name in changed)]
+        axes = [axis for axis in self._channels if any(name.startswith(_NAMES[axis]) for name in changed)]
         if not axes:
             return []
         with self._lock:
@@ -67,29 +80,22 @@ class LoopJudge:
             except (InputError, ValueError, ArithmeticError):
                 return []
         said = []
-        for axis in new:
-            then, now = old[axis], new[axis]
+        for axis, now in new.items():
+            then = old.get(axis, _UNKNOWN)
             if not now.stable:
-                said.append(Caution(axis, True, then.stable, f"{axis}: the loop is unstable"))
+                said.append(Caution(axis, True, then.stable, f"{axis}: {now.text}"))
             elif now.share < min(1.0, then.share):
                 said.append(Caution(axis, False, False, f"{axis}: {now.text}"))
         return said
 
     def _loops(self, values: Mapping[str, float], axes: list[str]) -> dict[str, _Loop]:
-        from cosim.design.measured.computed import plants_of, tunings_of
-        from cosim.engine import load_engine
+        """Return the loops of the axes, but not of those whose predictor states no frequency response."""
+        from cosim.design.measured.computed import tunings_of
 
-        if self._plants is None:
-            scenario = self._scenario
-            engine, unchecked, apart = scenario.engine, scenario.engine_unchecked, scenario.engine_isolated
-            spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, apart=apart)
-            self._plants = plants_of(scenario, self._vehicle, spec)
-        if isinstance(self._plants, str):
+        plants = self._known_plants()
+        if isinstance(plants, str):
             return {}
-        controller = controller_of(values)
-        if controller is None or PREDICTORS[controller].response is None:
-            return {}
-        plants, scenario = self._plants, self._scenario.replace(controller=controller)
+        scenario = self._with(controller_of(values) or BASELINE.name)
         family = plants.spec.family
         vehicle = self._vehicle.model_copy(update={"control": control_of(self._vehicle.control, values)})
         models = dict(vehicle.identified.get(family, {}))
@@ -98,7 +104,22 @@ class LoopJudge:
             models["roll"] = models["roll"].model_copy(update={"delay_samples": max(0.0, samples)})
             vehicle = vehicle.model_copy(update={"identified": {**vehicle.identified, family: models}})
         tunings = tunings_of(plants, scenario, vehicle, axes)
-        return {axis: self._loop(plants, axis, tunings[axis]) for axis in axes}
+        linear = [axis for axis in axes if PREDICTORS[tunings[axis].controller].response is not None]
+        return {axis: self._loop(plants, axis, tunings[axis]) for axis in linear}
+
+    def _with(self, controller: str) -> Scenario:
+        return self._scenario.replace(controller=controller, controller_parameters={})
+
+    def _known_plants(self) -> Plants | str:
+        from cosim.design.measured.computed import plants_of
+        from cosim.engine import load_engine
+
+        if self._plants is None:
+            scenario = self._scenario if self._built_in else self._with(BASELINE.name)
+            engine, unchecked, apart = scenario.engine, scenario.engine_unchecked, scenario.engine_isolated
+            spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, apart=apart)
+            self._plants = plants_of(scenario, self._vehicle, spec)
+        return self._plants
 
     def _loop(self, plants: Plants, axis: str, tuning: Tuning) -> _Loop:
         from cosim.design.design import margins
@@ -108,7 +129,9 @@ class LoopJudge:
             self._points[axis] = FrequencyGrid(plants.channels[axis], close=POINTS)
         closed = ClosedLoop(self._points[axis], tuning)
         if closed.unstable_poles:
-            return _Loop(False, 0.0, "")
+            return _Loop(False, 0.0, "the loop is unstable")
+        if not tuning.angle_gain:  # its pole stays at 1
+            return _Loop(False, 0.0, "a gain of 0: nothing brings it back")
         found = margins(closed)
         sizes = [
             (_share(found.gain_db, LEAST_DB), f"gain margin {_size(found.gain_db)} dB"),

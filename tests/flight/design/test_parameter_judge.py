@@ -7,6 +7,7 @@ from functools import lru_cache
 import pytest
 
 from cosim.control.autopilot.parameters import table
+from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.measured.computed import computed
 from cosim.design.measured.judge import LoopJudge
 from cosim.engine import load_engine
@@ -90,6 +91,41 @@ def test_the_verdict_turns_at_the_gain_margin_of_the_loop(axis: str) -> None:
             assert caution.text.startswith(f"{axis}: gain margin 0.1 dB")
 
 
-def test_a_controller_from_outside_is_not_judged() -> None:
-    scenario = Scenario.load("hover").replace(controller="own")
-    assert not LoopJudge(scenario).concerns("HJ_ROLL_P")
+@pytest.mark.parametrize("controller", ["own", "lqg", "mpc", "state", "smith"])
+def test_the_height_is_judged_whatever_the_controller(controller: str) -> None:
+    scenario = Scenario.load("hover").replace(controller=controller)
+    judge, (_, default, _) = LoopJudge(scenario), judged("hexjet")
+    judge.prepare()
+    assert judge.concerns("HJ_ALT_P")
+    for name, value, text in (
+        ("HJ_ALT_P", 0.0, "a gain of 0: nothing brings it back"),
+        ("HJ_CLIMB_P", 0.0, "the loop is unstable"),
+        ("HJ_CLIMB_P", 10.0 * default["HJ_CLIMB_P"], "the loop is unstable"),
+    ):
+        after = {**default, name: value, "HJ_PRED_TYPE": kind_of(controller, default)}
+        (caution,) = judge.cautions({**after, name: default[name]}, after)
+        assert caution == ("altitude", True, True, f"altitude: {text}")
+
+
+@pytest.mark.parametrize("controller", ["own", "lqg", "mpc"])
+def test_a_law_from_outside_leaves_the_height_alone_to_judge(controller: str) -> None:
+    judge = LoopJudge(Scenario.load("hover").replace(controller=controller))
+    assert not judge.concerns("HJ_ROLL_P")
+    assert not judge.concerns("HJ_ATT_YAW")
+
+
+def test_a_predictor_without_a_response_leaves_the_other_axes_to_judge() -> None:
+    judge, (_, default, _) = LoopJudge(Scenario.load("hover").replace(controller="state")), judged("hexjet")
+    before = {**default, "HJ_PRED_TYPE": kind_of("state", default)}
+    assert judge.cautions(before, {**before, "HJ_ROLL_P": 0.0}) == []
+    (caution,) = judge.cautions(before, {**before, "HJ_PITCH_P": 0.0})
+    assert (caution.axis, caution.loses) == ("pitch", True)
+    # from what cannot be computed to what is unstable
+    (lost,) = judge.cautions({**before, "HJ_ROLL_P": 0.0}, {**default, "HJ_ROLL_P": 0.0})
+    assert (lost.axis, lost.loses) == ("roll", True)
+
+
+def kind_of(controller: str, default: dict[str, float]) -> float:
+    """Return HJ_PRED_TYPE of a controller."""
+    spec = PREDICTORS.get(controller)
+    return default["HJ_PRED_TYPE"] if spec is None else float(spec.value)

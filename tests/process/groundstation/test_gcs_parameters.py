@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
+from patience import PATIENCE
 from session_pilot import Pilot, flown
 
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import Mode
-from cosim.control.autopilot.requests import Result
+from cosim.control.autopilot.parameters import Caution
+from cosim.control.autopilot.requests import Answer, Result
 from cosim.design.measured.judge import LoopJudge
 from cosim.flight import fly
 from cosim.groundstation.exchange import Exchange, Restart
@@ -98,6 +102,9 @@ def test_after_a_crash_a_parameter_is_set_and_a_reboot_tells_what_is_kept(tmp_pa
         pilot.ok(rq.SetParameter("HJ_ROLL_P", 0.02), rq.SetParameter("HJ_FORCE", 0.0))
         assert pilot.until(lambda s: True).facts.parameters["HJ_ROLL_P"] == 0.02
         assert "HJ_ROLL_P 0.02 from the next flight on" in texts(session)[count:]
+        pilot.ok(rq.SetParameter("HJ_PITCH_P", 0.0))
+        assert "HJ_PITCH_P 0: pitch: the loop is unstable" in texts(session)[count:]
+        pilot.ok(rq.SetParameter("HJ_PITCH_P", 0.15))
         assert not pilot.ask(rq.SetParameter("HJ_ROLL_P", 1e6)).accepted
         assert pilot.ask(rq.Arm()).result is Result.FAILED
         pilot.ok(Restart())
@@ -119,13 +126,70 @@ def test_parameters_of_a_file_that_lose_the_vehicle_are_told_before_anybody_conn
 ) -> None:
     kept = tmp_path / "kept.toml"
     head = 'format = 1\nvehicle = "hexjet-edf-as-flown-smith"\n[parameters]\n'
-    kept.write_text(f"{head}HJ_PRED_DELAY = 100.0\nMPC_XY_VEL_MAX = 3.0\n")
+    kept.write_text(f"{head}HJ_PRED_DELAY = 100.0\nMPC_XY_VEL_MAX = 3.0\nHJ_PITCH_P = 99999.0\nHJ_FORCE = 1.0\n")
     session = Session(SCENARIO, Exchange(), out=tmp_path / "run", parameters=kept, report=False)
     session.judged_by(judge)
     assert session.kept_lines() == [
         "HJ_PRED_DELAY 100 (default 25)",
         "MPC_XY_VEL_MAX 3 (default 4)",
+        "refused: HJ_PITCH_P = 99999: must be from 0 to 1.5 s",
         "roll: the loop is unstable",
     ]
     assert session._next is not None
     session._next.close()
+
+
+class SlowJudge:
+    """Has nothing to say, and says so when it is let go."""
+
+    def __init__(self) -> None:
+        self.go = Event()
+
+    def prepare(self) -> None:
+        """Nothing to compute."""
+
+    def concerns(self, name: str) -> bool:
+        return name == "HJ_ROLL_P"
+
+    def cautions(self, before: Mapping[str, float], after: Mapping[str, float]) -> list[Caution]:
+        assert self.go.wait(PATIENCE)
+        return []
+
+
+def test_a_change_that_was_refused_for_want_of_a_verdict_is_not_taken_later(tmp_path: Path) -> None:
+    slow = SlowJudge()
+
+    def script(pilot: Pilot, session: Session) -> None:
+        pilot.until(lambda s: s.k > 0)
+        answers: list[Answer] = []
+        here = Event()
+        exchange, change = pilot.exchange, rq.SetParameter("HJ_ROLL_P", 0.019)
+        exchange.ask(change, lambda a: (answers.append(a), here.set())[0], "test", exchange.clock() + 0.5)
+        try:
+            assert here.wait(PATIENCE)
+        finally:
+            slow.go.set()
+        assert [answer.accepted for answer in answers] == [False]
+        k = pilot.until(lambda s: True).k
+        assert pilot.until(lambda s: s.k > k + 250).facts.parameters["HJ_ROLL_P"] == 0.02
+        pilot.ok(change)  # asked again
+        assert pilot.until(lambda s: True).facts.parameters["HJ_ROLL_P"] == 0.019
+
+    flown(tmp_path / "run", script, judge=slow)
+
+
+def test_what_is_forced_is_not_kept(tmp_path: Path, judge: LoopJudge) -> None:
+    kept = tmp_path / "kept.toml"
+    kept.write_text('format = 1\nvehicle = "hexjet-edf-as-flown-smith"\n[parameters]\nHJ_FORCE = 1\n')
+
+    def script(pilot: Pilot, session: Session) -> None:
+        first = pilot.until(lambda s: s.k > 0)
+        assert first.facts.parameters["HJ_FORCE"] == 0.0
+        assert any("HJ_FORCE is not taken from a file" in text for text in texts(session))
+        pilot.ok(rq.SetParameter("HJ_FORCE", 1.0), rq.SetParameter("MPC_XY_VEL_MAX", 3.0), Restart())
+        second = pilot.until(lambda s: s.facts.number == 2 and s.k > 0)
+        assert second.facts.parameters["HJ_FORCE"] == 0.0
+        assert second.facts.parameters["MPC_XY_VEL_MAX"] == 3.0
+
+    flown(tmp_path / "run", script, judge=judge, parameters=kept)
+    assert tomllib.loads(kept.read_text())["parameters"] == {"MPC_XY_VEL_MAX": 3.0}
