@@ -28,7 +28,7 @@ class RateModel(Model):
     zero_pairs: list[tuple[float, Positive]] = Field(default_factory=list)  # real and imaginary part
     pole_pairs: list[tuple[float, Positive]] = Field(default_factory=list)
     delay_samples: Annotated[float, Field(ge=0.0, le=1000.0)]  # need not be whole
-    sample_time_s: Positive
+    sample_time_s: Annotated[float, Field(ge=1e-6, le=1000.0)]  # so that poles in 1/s are numbers
     source: str
 
     @model_validator(mode="after")

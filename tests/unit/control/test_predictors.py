@@ -243,3 +243,12 @@ def test_the_state_model_is_the_transfer_function() -> None:
         for u in commands(300):
             x = state.A @ x + state.B * u
             assert x[0] == pytest.approx(equation.update(u), abs=1e-9)
+
+
+@pytest.mark.parametrize("step", [1e-320, 1e-7, 1e4, float("inf"), float("nan")])
+def test_a_step_whose_poles_are_no_numbers_is_refused(step: float) -> None:
+    """In 1/s they would be infinite, or zero."""
+    stated = integrating(20.5).model_dump()
+    with pytest.raises(ValueError, match="sample_time_s"):
+        RateModel.model_validate(stated | {"sample_time_s": step})
+    assert RateModel.model_validate(stated | {"sample_time_s": 1e-6}).sample_time_s == 1e-6
