@@ -48,6 +48,12 @@ class Code:
     path: Path
     sha256: str
     named_by: tuple[Path | str, ...] = ()
+    arguments: str = ""  # of a program, from the blank on
+
+    def __str__(self) -> str:
+        """The file with its arguments, in one line, and nothing in it that a terminal would obey."""
+        text = f"{self.path}{self.arguments}"
+        return "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in text)
 
 
 @dataclass(frozen=True)
@@ -62,14 +68,14 @@ class Decision:
 
 _known: dict[Path, tuple[tuple[int, int], frozenset[str]]] = {}  # what is remembered, by the file's size and time
 _decision = Decision()
-_ask: Callable[[Sequence[Path]], bool] | None = None  # on a terminal
+_ask: Callable[[Sequence[Code]], bool] | None = None  # on a terminal
 _looking: ContextVar[bool] = ContextVar("looking", default=False)
 
 
 def code_of(path: Path, *named_by: Path | str, arguments: str = "") -> Code:
     """Return a file as code; ``arguments`` are part of what is run.  Raises OSError."""
     content = path.read_bytes() + (b"\0" + arguments.encode() if arguments else b"")
-    return Code(path, hashlib.sha256(content).hexdigest(), named_by)
+    return Code(path, hashlib.sha256(content).hexdigest(), named_by, arguments)
 
 
 def need_trust(code: Iterable[Code], what: str) -> None:
@@ -81,14 +87,14 @@ def need_trust(code: Iterable[Code], what: str) -> None:
     if not files:
         return
     if _looking.get():
-        names = _listed([file.path for file in files])
+        names = _listed(files)
         raise CodeRefusedError(f"{what}: {names}: is code, and nothing is run to look at something")
     strange = {file.sha256: file for file in files if not _is_shipped(file.path)}
     for sha256 in strange.keys() & _remembered():
         del strange[sha256]
     unknown = [file for file in strange.values() if not _is_accepted(file)]
-    if unknown and not _consent([file.path for file in unknown]):
-        names = _listed([file.path for file in unknown])
+    if unknown and not _consent(unknown):
+        names = _listed(unknown)
         raise CodeRefusedError(
             f"{what}: {names}: is code that you have not flown before; look at it, then --trust (in Python: "
             "cosim.trust) runs it and remembers it"
@@ -174,15 +180,16 @@ def remember(code: Collection[Code]) -> None:
         return
     _add(hashes=frozenset(new))
     known = _remembered()
-    lines = [f"{sha256}  {file.path.resolve()}" for sha256, file in new.items() if sha256 not in known]
+    lines = [
+        f"{sha256}  {replace(file, path=file.path.resolve())}\n" for sha256, file in new.items() if sha256 not in known
+    ]
     with suppress(OSError, RuntimeError):  # a user without a home has no settings
         if lines:
             place = settings_folder() / REMEMBERED
             place.parent.mkdir(parents=True, exist_ok=True)
-            text = "".join(f"{' '.join(line.splitlines())}\n" for line in lines)
             file = os.open(place, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
             try:
-                os.write(file, text.encode(errors="replace"))  # at once, beside other processes
+                os.write(file, "".join(lines).encode(errors="replace"))  # at once, beside other processes
             finally:
                 os.close(file)
 
@@ -203,7 +210,7 @@ def is_looking() -> bool:
 
 
 @contextmanager
-def at_a_command(ask: Callable[[Sequence[Path]], bool] | None, arguments: Sequence[str]) -> Iterator[None]:
+def at_a_command(ask: Callable[[Sequence[Code]], bool] | None, arguments: Sequence[str]) -> Iterator[None]:
     """Decide anew for one command: what its arguments name is the user's, and ``ask`` asks him of the rest."""
     global _ask, _decision
     before, stated = (_ask, _decision), os.environ.get(ENVIRONMENT)
@@ -277,10 +284,10 @@ def _remembered() -> frozenset[str]:
     return _known[place][1]
 
 
-def _consent(files: Sequence[Path]) -> bool:
+def _consent(files: Sequence[Code]) -> bool:
     return _ask is not None and _ask(files)
 
 
-def _listed(paths: Sequence[Path]) -> str:
-    rest = len(paths) - _MOST_NAMED
-    return ", ".join(map(str, paths[:_MOST_NAMED])) + (f" and {rest} more" if rest > 0 else "")
+def _listed(files: Sequence[Code]) -> str:
+    rest = len(files) - _MOST_NAMED
+    return ", ".join(map(str, files[:_MOST_NAMED])) + (f" and {rest} more" if rest > 0 else "")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -37,10 +37,22 @@ def stored_kinds(folder: Path, study: Study, in_rows: Callable[[], Iterable[str]
         names = in_rows() if study.base().metrics else ()
         return kinds(study, [name for name in names if name.startswith(PREFIX)])
     try:
-        said: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        own = [str(name) for name in said["own"]]
-        known = [Key(**{**key, "choices": tuple(key["choices"])}) for key in said["keys"]]
-    except (OSError, ValueError, LookupError, TypeError) as error:
+        said: Any = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
         raise InputError(f"{path}: not the columns of a campaign: {one_line(error)}") from error
+    try:
+        own = [str(name) for name in _list(said["own"])]
+        known = [Key(**{**key, "choices": tuple(_list(key["choices"]))}) for key in _list(said["keys"])]
+    except (LookupError, TypeError) as error:
+        raise InputError(
+            f'{path}: not the columns of a campaign: must be an object with "own", a list of names, and "keys", a list '
+            f"of objects with {', '.join(field.name for field in fields(Key))}"
+        ) from error
     study.know({key.path: key for key in known})
     return kinds(study, own)
+
+
+def _list(said: object) -> list[Any]:
+    if not isinstance(said, list):
+        raise TypeError
+    return said

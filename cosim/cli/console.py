@@ -5,10 +5,38 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 _PIPE_WIDTH = 120  # in a pipe there is no width to fit, unless COLUMNS states one
 _NARROWEST = 20
+_bars: list[Progress] = []  # on the terminal now
+
+
+@contextmanager
+def on_terminal(bar: Progress) -> Iterator[Progress]:
+    """Show a bar, which gives way to questions (:func:`without_bars`)."""
+    with bar:
+        _bars.append(bar)
+        try:
+            yield bar
+        finally:
+            _bars.remove(bar)
+
+
+@contextmanager
+def without_bars() -> Iterator[None]:
+    """Take bars off the terminal meanwhile: they draw over what is written, and take its brackets for markup."""
+    stopped = list(_bars)
+    for bar in stopped:
+        bar.stop()
+    try:
+        yield
+    finally:
+        for bar in stopped:
+            bar.start()
 
 
 @contextmanager
@@ -42,7 +70,7 @@ def part_progress(title: str, quiet: bool) -> Iterator[Callable[[str, int, int],
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    with on_terminal(Progress(*columns, console=Console(stderr=True), transient=True)) as progress:
         task = progress.add_task(title, total=None)
         yield lambda part, done, of: progress.update(task, description=part, completed=done, total=of)
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import functools
 import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
-from cosim.base.trust import looking, trust_everything
+from cosim.base.trust import Code, looking, trust_everything
+from cosim.cli.console import without_bars
 
 R = TypeVar("R")
 RUN_NONE = (  # commands that run nothing of what a file or a folder of the user's names
@@ -46,13 +46,14 @@ def _trust(context: click.Context, parameter: click.Parameter, given: bool) -> N
         trust_everything()
 
 
-def asks() -> Callable[[Sequence[Path]], bool] | None:
+def asks() -> Callable[[Sequence[Code]], bool] | None:
     """Return what asks the user whether files are run; None where nobody is at a terminal."""
     return _asked if all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr)) else None
 
 
-def _asked(files: Sequence[Path]) -> bool:
-    click.echo("Code that you have not flown before:", err=True)
-    for file in files:
-        click.echo(f"  {file}", err=True)
-    return click.confirm("Run it, with your rights, and remember it?", err=True)
+def _asked(files: Sequence[Code]) -> bool:
+    with without_bars():
+        click.echo("Code that you have not flown before:", err=True)
+        for file in files:
+            click.echo(f"  {file}", err=True)
+        return click.confirm("Run it, with your rights, and remember it?", err=True)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from cosim.base.errors import InputError
-from cosim.cli.console import output_to_stderr, terminal
+from cosim.cli.console import on_terminal, output_to_stderr, terminal
 from cosim.cli.options import (
     DONE,
     FLIGHT_FAILED,
@@ -225,7 +225,7 @@ def flight_progress(scenario: Scenario, quiet: bool) -> Iterator[Sequence[Observ
     from rich.progress import Progress
 
     every = max(1, round(0.5 / scenario.step_s))
-    with Progress(console=Console(stderr=True), transient=True) as progress:
+    with on_terminal(Progress(console=Console(stderr=True), transient=True)) as progress:
         task = progress.add_task(scenario.name, total=scenario.steps)
 
         class Watch:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cosim.base.errors import InputError
-from cosim.cli.console import output_to_stderr, part_progress, terminal
+from cosim.cli.console import on_terminal, output_to_stderr, part_progress, terminal
 from cosim.cli.options import (
     DONE,
     FLIGHT_FAILED,
@@ -235,7 +235,8 @@ def _sweep_bar(quiet: bool) -> Iterator[Callable[[Tally, int, int], None]]:
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"), TimeRemainingColumn())
     shares = TextColumn("{task.fields[shares]}")
     # the processor is for the flights
-    with Progress(*columns, shares, console=Console(stderr=True), transient=True, refresh_per_second=2) as progress:
+    bar = Progress(*columns, shares, console=Console(stderr=True), transient=True, refresh_per_second=2)
+    with on_terminal(bar) as progress:
         task = progress.add_task("", total=None, rate="", shares="")
 
         def show(tally: Tally, done: int, of: int) -> None:

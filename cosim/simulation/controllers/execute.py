@@ -9,22 +9,37 @@ from __future__ import annotations
 import ast
 import hashlib
 import importlib
+import json
+import os
+import re
+import site
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import cache
 from importlib.abc import MetaPathFinder
-from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec, PathFinder, SourceFileLoader
-from importlib.metadata import packages_distributions
+from importlib.machinery import (
+    EXTENSION_SUFFIXES,
+    ModuleSpec,
+    PathFinder,
+    SourceFileLoader,
+    all_suffixes,
+)
+from importlib.metadata import distributions
 from importlib.util import cache_from_source, find_spec
 from pathlib import Path
 from sysconfig import get_paths
 from types import CodeType, ModuleType
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 from cosim.base.errors import InputError
 from cosim.base.trust import Code, CodeRefusedError, code_of, is_looking, need_trust, process_name
 from cosim.simulation.controllers.guard import described
 
 _OURS = "hexjet_controller_"  # modules that were made of files here
+_US = Path(__file__).resolve().parents[2]  # the package, wherever it is run from
+_RUNNABLE = tuple(all_suffixes())
 
 
 def executed(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
@@ -198,25 +213,102 @@ def imported(module_name: str, where: str) -> tuple[ModuleType, Path, dict[str, 
     if is_looking():
         raise CodeRefusedError(f"{where}: {module_name} is code, and nothing is run to look at something")
     try:
-        _need_trust_of_module(module_name, where)
-        module = importlib.import_module(module_name)
+        import_trusted(module_name, where)
+        module = sys.modules[module_name]
     except CodeRefusedError:
         raise
     except Exception as error:
         raise InputError(f"{where}: {module_name} cannot be imported: {described(error)}") from error
-    path = Path(module.__file__ or "")
+    path = Path(getattr(module, "__file__", None) or "")
     return module, path, {path.name: path} if path.is_file() else {}
 
 
-def _need_trust_of_module(module_name: str, where: str) -> None:
-    """Refuse a module that no installed package has, and that is not in use already.  Raises CodeRefusedError."""
-    top = module_name.partition(".")[0]
-    spec = None if top in sys.modules else find_spec(top)
-    if spec is None or spec.origin is None or not spec.has_location:
-        return
-    origin, places = Path(spec.origin), get_paths()
-    installed = any(origin.is_relative_to(places[name]) for name in ("stdlib", "platstdlib", "purelib", "platlib"))
-    if installed or top in packages_distributions():
-        return
-    files = sorted(origin.parent.rglob("*.py")) if spec.submodule_search_locations else [origin]
-    need_trust([code_of(file, module_name) for file in files], where)
+def import_trusted(module_name: str, where: str, *names: str) -> None:
+    """Import a module and the packages that it is in, one after the other, each once it is trusted.
+
+    To find what is in a package Python imports that package, so a package is decided on before anything in it is looked
+    for.  ``names``: what else the user names it by.  Raises CodeRefusedError, and whatever the module raises.
+    """
+    parts = module_name.split(".")
+    for name in (".".join(parts[:count]) for count in range(1, len(parts) + 1)):
+        spec = None if name in sys.modules else find_spec(name)
+        strange = spec is not None and not _is_python_itself(spec) and _need_trust_of(spec, where, module_name, *names)
+        written = sys.dont_write_bytecode
+        sys.dont_write_bytecode = written or strange  # a compiled copy beside it would be another file to ask for
+        try:
+            importlib.import_module(name)
+        finally:
+            sys.dont_write_bytecode = written
+
+
+def _is_python_itself(spec: ModuleSpec) -> bool:
+    return spec.origin in ("built-in", "frozen") and not spec.has_location
+
+
+def _need_trust_of(spec: ModuleSpec, where: str, *names: str) -> bool:
+    """Refuse a module that is not installed unless its files are trusted; return whether it is not installed.
+
+    Of a package every file that Python may run of it counts, and of a folder without ``__init__``, which runs nothing
+    itself, as well.  Raises CodeRefusedError, also where no file is found.
+    """
+    origin = Path(spec.origin) if spec.has_location and spec.origin else None
+    top = spec.name.partition(".")[0]
+    if origin is not None and _is_installed(origin, top):
+        return False
+    folders = [Path(place) for place in spec.submodule_search_locations or ()]
+    files = {file for folder in folders if not _is_installed(folder, top) for file in _runnable(folder)}
+    files |= {origin} if origin is not None and origin.is_file() else set()
+    code = [code_of(file, *names) for file in sorted(files)]
+    if origin is not None and origin.suffix == ".py" and not folders:
+        code += _imports(origin, names[0])
+    is_namespace = spec.origin is None and bool(folders)
+    if not code and not is_namespace:
+        raise CodeRefusedError(f"{where}: {spec.name}: is not installed, and no file of it can be looked at; unpack it")
+    need_trust(code, where)
+    return bool(code)
+
+
+def _runnable(folder: Path) -> Iterator[Path]:
+    """The files below a folder that Python may import, compiled copies too, and through links."""
+    seen = set[str]()
+    for place, inner, names in os.walk(folder, followlinks=True):
+        real = os.path.realpath(place)
+        if real in seen:
+            inner.clear()
+            continue
+        seen.add(real)
+        yield from (file for name in names if name.endswith(_RUNNABLE) and (file := Path(place, name)).is_file())
+
+
+def _is_installed(path: Path, top: str) -> bool:
+    """Whether a file or folder is part of Python, of us, or of what is installed; ``top``: the package that it is in.
+
+    What says of itself that it is installed, by metadata that lie beside it, is not believed.
+    """
+    whole = Path(os.path.abspath(path))
+    if any(each.is_relative_to(place) for each in (whole, whole.resolve()) for place in (*_installed_places(), _US)):
+        return True
+    starts = [place / inner / top for place in _editable_places(top) for inner in ("", "src")]
+    return any(whole.resolve().is_relative_to(start) or whole.resolve() == start.with_suffix(".py") for start in starts)
+
+
+@cache
+def _installed_places() -> frozenset[Path]:
+    """The folders where Python and its packages are installed."""
+    stated = get_paths()
+    user = [site.getusersitepackages()] if site.ENABLE_USER_SITE else []
+    names = [*(stated[name] for name in ("stdlib", "platstdlib", "purelib", "platlib")), *site.getsitepackages(), *user]
+    return frozenset(each for name in names for each in (Path(name), Path(name).resolve()))
+
+
+@cache
+def _editable_places(top: str) -> list[Path]:
+    """Where the distributions are developed that are installed in place and have a package of this name."""
+    places = []
+    for distribution in distributions(path=[str(place) for place in _installed_places()]):
+        with suppress(ValueError, LookupError, TypeError, AttributeError):  # metadata that say something else
+            said = json.loads(distribution.read_text("direct_url.json") or "{}")
+            tops = (distribution.read_text("top_level.txt") or re.sub(r"[-.]+", "_", distribution.name)).split()
+            if top in tops and said["dir_info"]["editable"] is True and said["url"].startswith("file:"):
+                places.append(Path(url2pathname(urlsplit(said["url"]).path)).resolve())
+    return places

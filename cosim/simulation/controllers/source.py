@@ -29,10 +29,10 @@ from cosim.base.controller_wire import EXTRAS
 from cosim.base.errors import InputError, nearest
 from cosim.base.protocols import Column, Parameter
 from cosim.base.storage.cache import Memory
-from cosim.base.trust import Code, code_of, need_trust
+from cosim.base.trust import Code, CodeRefusedError, code_of, need_trust
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.simulation.controllers import recorded
-from cosim.simulation.controllers.execute import executed, imported, program_code
+from cosim.simulation.controllers.execute import executed, import_trusted, imported, program_code
 from cosim.simulation.controllers.guard import columns_from, described
 from cosim.simulation.controllers.process import Command, ProcessBlock, describe, program
 from cosim.spec.controller_name import file_name, is_design
@@ -151,9 +151,16 @@ def find(controller: str, folder: Path, complaint: str) -> Source | None:
 
 
 def names() -> Iterator[tuple[str, str]]:
-    """The controllers of installed packages, and what each is.  Raises InputError for one that cannot be loaded."""
+    """The controllers of installed packages, and what each is.  Raises InputError for one that cannot be loaded.
+
+    One that only says that it is installed is not run for that.
+    """
     for entry in entry_points(group=GROUP):
-        level = _of_entry(entry).level
+        try:
+            level = _of_entry(entry).level
+        except CodeRefusedError:
+            yield entry.name, f"{entry.value} (not where packages are installed, and not run to look at it)"
+            continue
         said = (entry.load().__doc__ or "").strip().partition("\n")[0].rstrip(".")
         yield entry.name, f"{said or entry.value} ({level})"
 
@@ -340,7 +347,10 @@ def _of_entry(entry: EntryPoint) -> Source:
 def loaded(entry: EntryPoint, where: str) -> tuple[Any, str]:
     """What an entry point names, and name and version of its package.  Raises InputError."""
     try:
+        import_trusted(entry.module, where, entry.name)
         member = entry.load()
+    except CodeRefusedError:
+        raise
     except Exception as error:
         raise InputError(f"{where}: {entry.value} cannot be loaded: {described(error)}") from error
     return member, "" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import select
 import shutil
 import subprocess
 import sys
@@ -161,13 +162,17 @@ def test_the_page_of_a_campaign_says_what_is_stored(made: Path, flown: Path, mar
     assert not mark.exists()
 
 
-@pytest.mark.parametrize("text", ["", "[]", '{"own": 1, "keys": []}', '{"own": [], "keys": [{"path": "a"}]}'])
+@pytest.mark.parametrize(
+    "text", ["", "[]", '{"own": 1, "keys": []}', '{"own": [], "keys": [{"path": "a"}]}', '{"own": "ab", "keys": []}']
+)
 def test_columns_that_are_none(text: str, flown: Path, hexjet: Hexjet) -> None:
     (flown / "many" / "columns.json").write_text(text)
     done = hexjet("report", str(flown / "many"))
     assert done.status == 2
     assert done.err.count("\n") == 1
     assert "columns.json: not the columns of a campaign" in done.err
+    if text:
+        assert 'must be an object with "own", a list of names, and "keys", a list of objects with path, ' in done.err
 
 
 def test_what_was_killed_is_finished_without_its_metric(
@@ -295,8 +300,8 @@ def test_a_terminal_is_asked_once_for_all(
     asked: list[list[str]] = []
     answers = iter([False, True])
 
-    def ask(files: Sequence[Path]) -> bool:
-        asked.append(sorted(file.name for file in files))
+    def ask(files: Sequence[trust.Code]) -> bool:
+        asked.append(sorted(file.path.name for file in files))
         return next(answers)
 
     monkeypatch.setattr("cosim.cli.main.asks", lambda: ask)
@@ -352,7 +357,7 @@ def test_arguments_of_a_program_are_code(theirs: Path, hexjet: Hexjet) -> None:
     (theirs / "process.toml").write_text(HOVER.replace("baseline", "process:program.py --erase"))
     done = hexjet("fly", str(theirs / "process.toml"))
     assert done.status == 2
-    assert REFUSED in done.err
+    assert f"program.py --erase: {REFUSED}" in done.err
 
 
 @pytest.mark.parametrize("itself", ["twice.toml", "table.csv"])
@@ -426,8 +431,14 @@ def test_a_real_terminal_lists_the_files(theirs: Path, mark: Path) -> None:
     asked = subprocess.Popen(words, stdin=terminal, stdout=terminal, stderr=terminal, cwd=theirs)
     os.close(terminal)
     said = ""
-    while "remember it?" not in said:
+    while "remember it? [y/N]: " not in said:
+        assert select.select([ours], [], [], PATIENCE)[0], said
+        assert len(said) < 10_000, said  # a bar draws for ever
         said += os.read(ours, 65536).decode()
+    redrawn = said.rpartition("[y/N]: ")[2]
+    if select.select([ours], [], [], 0.5)[0]:  # a bar would draw over the question ten times a second
+        redrawn += os.read(ours, 65536).decode()
+    assert redrawn == ""
     os.write(ours, b"n\n")
     assert asked.wait(PATIENCE) == 2
     os.close(ours)

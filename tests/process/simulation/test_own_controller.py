@@ -9,6 +9,7 @@ import os
 import re
 import shutil
 import signal
+import site
 import subprocess
 import sys
 import time
@@ -559,16 +560,21 @@ def test_its_parameters_are_keys(mine: str) -> None:
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    of_page("predictor", tmp_path / "my_controllers.py")
-    info = tmp_path / "my_controllers-1.2.dist-info"
-    info.mkdir()
+    """A folder of installed packages, below ``tmp_path`` as the prefix."""
+    place = Path(site.getsitepackages([str(tmp_path)])[-1])
+    info = place / "my_controllers-1.2.dist-info"
+    info.mkdir(parents=True)
+    of_page("predictor", place / "my_controllers.py")
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-controllers\nVersion: 1.2\n")
     (info / "entry_points.txt").write_text("[hexjet.controllers]\nmine = my_controllers:Mine\n")
-    return tmp_path
+    return place
 
 
 def hexjet(package: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    script = f"import sys; sys.path.insert(0, {str(package)!r}); from cosim.cli.main import main; main()"
+    installed = (
+        f"import site, sys; site.PREFIXES.append({str(package.parents[2])!r}); sys.path.insert(0, {str(package)!r})"
+    )
+    script = f"{installed}; from cosim.cli.main import main; main()"
     command = [sys.executable, "-c", script, *arguments]
     return subprocess.run(command, capture_output=True, text=True, cwd=package, check=False)
 

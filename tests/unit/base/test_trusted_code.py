@@ -81,6 +81,17 @@ def test_a_program_is_named_with_its_arguments(file: Path) -> None:
     assert code.sha256 != trust.code_of(file).sha256
 
 
+def test_arguments_of_a_program_are_shown_and_remembered(file: Path) -> None:
+    """In one line, without what a terminal obeys."""
+    code = trust.code_of(file, arguments=" -c 'rm *'\n\x1b[2K[b]harmless")
+    shown = rf"{file} -c 'rm *'\n\x1b[2K[b]harmless"
+    with trust.at_a_command(None, []), pytest.raises(trust.CodeRefusedError) as refused:
+        trust.need_trust([code], "test")
+    assert f"test: {shown}: is code" in str(refused.value)
+    trust.remember([code])
+    assert (settings_folder() / trust.REMEMBERED).read_text() == f"{code.sha256}  {shown}\n"
+
+
 def test_it_is_remembered_as_sha256sum_writes_it(file: Path) -> None:
     place = settings_folder() / trust.REMEMBERED
     sha256 = hashlib.sha256(file.read_bytes()).hexdigest()

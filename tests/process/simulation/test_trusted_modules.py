@@ -1,0 +1,185 @@
+"""Which modules run unasked: installed ones, and none that Python only happens to find."""
+
+from __future__ import annotations
+
+import json
+import py_compile
+import sys
+import zipfile
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from cosim.base import trust
+from cosim.base.errors import InputError
+from cosim.base.storage.user import settings_folder
+from cosim.simulation.controllers import execute
+from cosim.simulation.controllers.execute import imported
+from cosim.simulation.controllers.source import find, loaded, names
+
+REFUSED = "is code that you have not flown before"
+
+
+@pytest.fixture(autouse=True)
+def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A user who has flown nothing so far; Python looks for modules in the current folder first, as in a notebook."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
+    monkeypatch.delenv(trust.ENVIRONMENT, raising=False)
+    monkeypatch.setattr(trust, "_decision", trust.Decision(by_program=False))
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.syspath_prepend(str(tmp_path / "here"))
+    before = dict(sys.modules)
+    yield
+    for name in sys.modules.keys() - before.keys():
+        del sys.modules[name]
+    sys.modules.update(before)
+
+
+@pytest.fixture
+def mark(tmp_path: Path) -> Path:
+    """Where code leaves a mark when it runs."""
+    return tmp_path / "ran"
+
+
+def write(path: str, mark: Path) -> Path:
+    file = Path(path).absolute()
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(
+        f"# {path}\nwith open({str(mark)!r}, 'a') as file:\n    file.write('ran ')\n\n\nclass Mine:\n    pass\n"
+    )
+    return file
+
+
+def refused(module: str, *files: Path) -> None:
+    with pytest.raises(trust.CodeRefusedError, match=REFUSED) as error:
+        imported(module, "test")
+    for file in files:
+        assert str(file) in str(error.value)
+
+
+def test_a_folder_without_init_is_asked_for(mark: Path) -> None:
+    evil, other = write("box/evil.py", mark), write("box/deep/other.py", mark)
+    refused("box.evil", evil, other)
+    refused("box.deep.other", evil, other)
+    assert not mark.exists()
+    trust.trust("box")
+    assert imported("box.evil", "test")[1] == evil
+    assert imported("box.deep.other", "test")[1] == other
+    known = (settings_folder() / trust.REMEMBERED).read_text()
+    assert str(evil) in known
+    assert mark.read_text() == "ran ran "
+
+
+def test_a_name_that_is_installed_elsewhere_is_asked_for(mark: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is run is what is found first, whoever else has a package of this name."""
+    for name in [name for name in sys.modules if name.partition(".")[0] == "click"]:
+        monkeypatch.delitem(sys.modules, name)
+    refused("click", write("click/__init__.py", mark))
+    assert not mark.exists()
+
+
+def test_metadata_beside_it_are_not_believed(mark: Path) -> None:
+    file = write("theirs/__init__.py", mark)
+    facts = Path("theirs-1.dist-info")
+    facts.mkdir()
+    (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1\n")
+    (facts / "RECORD").write_text("theirs/__init__.py,,\n")
+    (facts / "top_level.txt").write_text("theirs\n")
+    place = {"url": Path().absolute().as_uri(), "dir_info": {"editable": True}}
+    (facts / "direct_url.json").write_text(json.dumps(place))
+    refused("theirs", file)
+    with pytest.raises(trust.CodeRefusedError, match=REFUSED):
+        loaded(EntryPoint("theirs", "theirs:Mine", "hexjet.controllers"), "test")
+    (facts / "entry_points.txt").write_text("[hexjet.controllers]\nstrange = theirs:Mine\n")
+    assert dict(names())["strange"] == "theirs:Mine (not where packages are installed, and not run to look at it)"
+    assert not mark.exists()
+
+
+def test_a_package_of_compiled_files_is_asked_for(mark: Path) -> None:
+    source = write("binary/__init__.py", mark)
+    compiled = source.with_suffix(".pyc")
+    py_compile.compile(str(source), str(compiled), doraise=True)
+    source.unlink()
+    refused("binary", compiled)
+    library = Path("native", "__init__.abi3.so").absolute()
+    library.parent.mkdir()
+    library.write_bytes(b"no library")
+    refused("native", library)
+    assert not mark.exists()
+
+
+def test_what_has_no_file_to_look_at_is_refused(mark: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with zipfile.ZipFile(tmp_path / "packed.zip", "w") as archive:
+        archive.writestr("packed.py", write("source.py", mark).read_text())
+    monkeypatch.syspath_prepend(str(tmp_path / "packed.zip"))
+    with pytest.raises(InputError, match="test: packed: is not installed, and no file of it can be looked at"):
+        imported("packed", "test")
+    assert not mark.exists()
+
+
+def test_a_folder_is_no_module_with_a_class(tmp_path: Path) -> None:
+    Path("empty").mkdir()
+    with pytest.raises(InputError, match="controller empty:Mine: "):
+        find("empty:Mine", tmp_path, "test")
+
+
+def test_a_module_in_a_package_that_is_loaded_is_asked_for(mark: Path) -> None:
+    Path("ours").mkdir()
+    __import__("ours")
+    refused("ours.evil", write("ours/evil.py", mark))
+    assert not mark.exists()
+
+
+def test_finding_a_module_does_not_run_its_package(mark: Path) -> None:
+    refused("outer.inner", write("outer/__init__.py", mark), write("outer/inner.py", mark))
+    assert not mark.exists()
+
+
+def test_what_it_imports_from_beside_it_counts_and_so_do_links(mark: Path, tmp_path: Path) -> None:
+    helper, law = write("helper.py", mark), write("law.py", mark)
+    law.write_text("import helper\n" + law.read_text())
+    refused("law", law, helper)
+    write(str(tmp_path / "elsewhere" / "deep.py"), mark)
+    write("linked/__init__.py", mark)
+    Path("linked/more").symlink_to(tmp_path / "elsewhere")
+    Path("linked/round").symlink_to(Path("linked").absolute())
+    refused("linked", Path("linked/more/deep.py").absolute())
+    assert not mark.exists()
+
+
+def test_installed_modules_run_and_so_do_named_ones(mark: Path) -> None:
+    for name in ("sys", "xml.dom.minidom", "zipapp", "cosim.control.predictors.registry"):
+        assert imported(name, "test")[0].__name__ == name
+    assert not settings_folder().exists()
+    write("law/__init__.py", mark)
+    with trust.at_a_command(None, ["fly", "hover", "--controller", "law:Mine"]):
+        imported("law", "test")
+    assert mark.exists()
+    assert not Path("law/__pycache__").exists()
+    del sys.modules["law"]
+    imported("law", "test")  # the same bytes are remembered
+
+
+def test_a_package_that_is_developed_in_place_is_installed(
+    mark: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the installer has noted it, and nothing else that lies there."""
+    facts = tmp_path / "site" / "developed-1.dist-info"
+    facts.mkdir(parents=True)
+    (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: developed\nVersion: 1\n")
+    place = {"url": Path().absolute().as_uri(), "dir_info": {"editable": True}}
+    (facts / "direct_url.json").write_text(json.dumps(place))
+    monkeypatch.setattr(execute, "_installed_places", lambda: frozenset([tmp_path / "site"]))
+    execute._editable_places.cache_clear()
+    try:
+        write("developed/__init__.py", mark)
+        refused("download.developed", write("download/developed.py", mark))
+        refused("other", write("other.py", mark))
+        assert not mark.exists()
+        imported("developed", "test")
+        assert mark.exists()
+    finally:
+        execute._editable_places.cache_clear()
