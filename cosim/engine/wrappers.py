@@ -205,6 +205,7 @@ class EngineChain:
         self._factors = factors
         self._delay = delay
         self._aside = aside
+        self._idle: PerJet = (0.0,) * len(self._laws)  # thrust at the reset
         self._line: deque[PerJet] = deque()
         self._forget()
 

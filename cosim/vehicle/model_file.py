@@ -47,7 +47,7 @@ def read_model(model: Path | None) -> bytes:
     if model is None:
         return _NONE
     text = _read(model)
-    if re.search(rb"\bfile\b|\0", text):  # may name others, or is in an encoding that hides it
+    if re.search(rb"\sfile\s*=|\0|<!DOCTYPE", text):  # may name others, or has an encoding or definitions that hide it
         return _flown(model, text)
     return _whole.get((model, text), lambda: _flown(model, text))
 

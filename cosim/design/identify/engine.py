@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import log
+from math import exp, log, pi, sqrt
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from cosim.simulation.script.commander import sweep as chirp
 LEAD_STEPS = 10
 STILL = 1e-9  # of the thrust's swing: what is left of the sweep when the record ends
 LONGEST_S = 60.0  # that the thrust gets to come to rest
+SWING = exp(-pi / sqrt(3.0))  # the overshoot of a pair of poles that is damped by half: 16 %
 LEAST = 1.01  # times the lowest frequency that the longest sweep tells, where an engine's own is lower
 DECADES = (0.1, 10.0)  # the automatic band, around the corner frequency
 
@@ -110,8 +111,9 @@ def _band(
 def _lags(engine: EngineSpec, throttle: float, size: float, step: float) -> tuple[float, float]:
     """Return two lags in the answer to a step, s: of how it sets out, and of how it comes to its end.
 
-    Seconds from 10 to 90 % over ln 9, and from 10 % until it stays within 10 %: both the time constant if it were one
-    lag.  Thrust that goes far beyond its end and comes back has the second longer.
+    Seconds from 10 to 90 % over ln 9: the time constant if it were one lag.  The second is until it stays within
+    :data:`SWING` of its end, where that is later: thrust that goes far beyond its end and comes back has it longer, and
+    a pair of poles that is damped by half has not.
     """
     with make_bank([engine], step) as bank:
         before = bank.reset(throttle).thrust[0]
@@ -128,7 +130,7 @@ def _lags(engine: EngineSpec, throttle: float, size: float, step: float) -> tupl
         raise InputError(f"engine {engine.name}: its thrust does not answer the throttle around {throttle:g}{more}")
     first = int(np.argmax(moved >= 0.1 * moved[-1]))
     rise = int(np.argmax(moved >= 0.9 * moved[-1])) - first
-    outside = np.flatnonzero(np.abs(np.array(course) - course[-1]) > 0.1 * moved[-1])
+    outside = np.flatnonzero(np.abs(np.array(course) - course[-1]) > SWING * moved[-1])
     settled = int(outside[-1]) + 1 - first if len(outside) else rise
     return max(rise, 1) * step / log(9.0), max(rise, settled, 1) * step / log(9.0)
 

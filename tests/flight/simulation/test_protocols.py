@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from places import ROOT
 
+import cosim.engine.isolated
 import cosim.simulation.build
 from cosim.base.errors import InputError
 from cosim.base.protocols import Diagnostics, EngineState
@@ -153,7 +154,7 @@ def test_engines_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
         def step(self, k: int, throttle: PerJet, ambient: Any = None) -> EngineOutput:
             return super().step(k, throttle, ambient)._replace(exhaust_temperature=(float(k),) * 6)
 
-    monkeypatch.setattr(cosim.simulation.build, "EngineBank", Late)
+    monkeypatch.setattr(cosim.engine.isolated, "EngineBank", Late)
     assert [sample.engines.exhaust_temperature[0] for sample in flown()[:3]] == [0.0, 1.0, 2.0]
 
 

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -21,19 +22,24 @@ HEXJET = [sys.executable, "-c", "from cosim.cli.start import main; main()"]
 SHORT = ["fly", "hover", "--set", "duration_s=0.4", "--out", "flown"]
 
 
+def heard() -> None:
+    """Let a child hear what a shell's background job, or what nohup starts, has ignored, and its children inherit."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_flight_that_is_asked_to_end_leaves_page_and_summary(number: signal.Signals, tmp_path: Path) -> None:
     """Whoever asks: Ctrl-C, a batch system or a service manager, a terminal that is closed."""
     flown = tmp_path / "flown"
     command = [*HEXJET, "fly", "hover", "--set", "duration_s=3600", "--out", str(flown)]
-    # a shell's background job has Ctrl-C ignored, and its children inherit that
     flight = subprocess.Popen(
         command,
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        preexec_fn=heard,
     )
     try:
         end = time.monotonic() + PATIENCE
@@ -55,6 +61,15 @@ def test_a_flight_that_is_asked_to_end_leaves_page_and_summary(number: signal.Si
     assert "interrupted at " in (flown / "summary.json").read_text(encoding="utf-8")
 
 
+@pytest.fixture
+def hearing() -> Iterator[None]:
+    """Tests that run behind nohup have the signal of a closed terminal ignored."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("hearing")
 def test_every_command_answers_sigterm_as_ctrl_c(hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch) -> None:
     def ask(number: signal.Signals) -> click.Command:
         return click.Command("ask", callback=lambda: os.kill(os.getpid(), number))

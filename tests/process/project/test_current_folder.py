@@ -120,7 +120,8 @@ def starts(path: Path) -> Iterator[tuple[int, str]]:
     """Line and first argument of every command that begins with this interpreter."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.List) and node.elts and ast.unparse(node.elts[0]) in ("sys.executable", "executable"):
-            yield node.lineno, ast.unparse(node.elts[1]) if len(node.elts) > 1 else "nothing"
+            rest = [ast.unparse(each) for each in node.elts[1:]]
+            yield node.lineno, next((each for each in rest if each != "'-B'"), "nothing")  # -B is of what it writes
 
 
 def test_no_interpreter_is_started_that_looks_into_the_current_folder() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-import cosim.simulation.build
+import cosim.engine.isolated
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.frames import jet_axis
@@ -395,7 +395,7 @@ def test_an_engine_without_a_shut_off_loses_its_thrust_with_the_fuel(monkeypatch
         def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
             return super().step(k, throttle, ambient)._replace(fuel_flow=(0.01,) * 6)
 
-    monkeypatch.setattr(cosim.simulation.build, "EngineBank", Thirsty)
+    monkeypatch.setattr(cosim.engine.isolated, "EngineBank", Thirsty)
     vehicle = {**NO_AERO, "fuel": {"mass_kg": 0.03, "position_m": [0.0, 0.0, 0.0]}}
     run = fly(scenario(duration_s=1.0, engine="edf-as-flown", vehicle=vehicle))
     log = run.log
@@ -475,7 +475,7 @@ class Listening(EngineBank):
 
 @pytest.fixture
 def listening(monkeypatch: pytest.MonkeyPatch) -> type[Listening]:
-    monkeypatch.setattr(cosim.simulation.build, "EngineBank", Listening)
+    monkeypatch.setattr(cosim.engine.isolated, "EngineBank", Listening)
     return Listening
 
 
@@ -580,6 +580,6 @@ def test_engines_that_ask_for_no_air_are_given_none(monkeypatch: pytest.MonkeyPa
             given.append(ambient)
             return super().step(k, throttle, ambient)
 
-    monkeypatch.setattr(cosim.simulation.build, "EngineBank", Asking)
+    monkeypatch.setattr(cosim.engine.isolated, "EngineBank", Asking)
     assert fly(scenario(engine="edf-as-flown", duration_s=0.1)).outcome == "completed"
     assert given == [None] * (1 + 25)
