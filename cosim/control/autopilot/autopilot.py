@@ -23,9 +23,9 @@ from cosim.control.autopilot.flight_state import FlightState, Parts
 from cosim.control.autopilot.guidance.course import Course, Places
 from cosim.control.autopilot.guidance.envelope import Envelope
 from cosim.control.autopilot.guidance.guide import Guide
+from cosim.control.autopilot.guidance.headway import Headway
 from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Tracker
-from cosim.control.autopilot.headway import Headway
 from cosim.control.autopilot.manoeuvres.circle import Circle
 from cosim.control.autopilot.manoeuvres.ground import Landing, TakeOff
 from cosim.control.autopilot.manoeuvres.homeward import Homeward

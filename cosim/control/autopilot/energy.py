@@ -14,7 +14,7 @@ from cosim.base.protocols import Report
 from cosim.control.autopilot.geometry import Pair
 from cosim.control.autopilot.guidance.course import Course
 from cosim.control.autopilot.guidance.descent import descent_for
-from cosim.control.autopilot.headway import Headway
+from cosim.control.autopilot.guidance.headway import Headway
 
 # Chosen by us, with the reason.
 _MEASURED_S = 10.0  # over so long the burn is measured: what climbs and gusts change in it is gone by then

@@ -92,7 +92,7 @@ def test_dependencies_are_nobodys_business_here(place: Path) -> None:
         '<Outputs><Unknown index="2"/>',
         '<Outputs><Unknown index="2" dependencies="1" dependenciesKind="fixed fixed"/>',
     )
-    complaints = validate(foreign(place, "dependencies", "lag=0.2", change=wrong))
+    complaints = validate(foreign(place, "dependencies", "lag=0.2", change=wrong).read_bytes())
     assert complaints
     assert all(is_blemish(text) for text in complaints)
 
