@@ -12,22 +12,10 @@ from zlib import crc32
 import numpy as np
 
 from cosim.base.errors import InputError
-from cosim.results.logs.flight_log import Channel, FlightLog, numbers
+from cosim.results.logs.flight_log import NUMBERS, Channel, FlightLog, numbers
 
 MAGIC = 0xBC
 UNITS = {"acc": "g", "gyro": "deg/s"}  # by the group of the firmware's variable
-_SIZES = {
-    "b": "i1",
-    "B": "u1",
-    "h": "<i2",
-    "H": "<u2",
-    "i": "<i4",
-    "I": "<u4",
-    "q": "<i8",
-    "Q": "<u8",
-    "f": "<f4",
-    "d": "<f8",
-}
 
 
 def recognises(head: bytes) -> bool:
@@ -51,7 +39,7 @@ def read(path: Path) -> FlightLog:
             layout = [("event", "<u2"), ("time", clock)]
             for _ in range(fields):
                 text, at = _text(data, at)
-                layout.append((text[:-3], _SIZES[text[-2]]))
+                layout.append((text[:-3], NUMBERS[text[-2]]))
             kinds[number] = name, np.dtype(layout)
     except (struct.error, ValueError, KeyError, IndexError) as error:
         raise InputError(f"{path}: the head of the Crazyflie log is damaged or cut short") from error

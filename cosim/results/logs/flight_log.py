@@ -19,6 +19,18 @@ _TERM = re.compile(rf"\s*([+-])?\s*(?:([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*\*\s*)?({_
 DEGREE = np.pi / 180.0
 SEARCHED = 2**16  # bytes of a file in which the head of a log is looked for, behind what does not belong to it
 LEAST_SHARED = 0.5  # of the rows of the shorter of two channels: with fewer equal stamps they are of two clocks
+NUMBERS = {  # what numpy calls a number in a log's bytes, by its letter as of struct
+    "b": "i1",
+    "B": "u1",
+    "h": "<i2",
+    "H": "<u2",
+    "i": "<i4",
+    "I": "<u4",
+    "q": "<i8",
+    "Q": "<u8",
+    "f": "<f4",
+    "d": "<f8",
+}
 
 
 class Channel(NamedTuple):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.results.logs.flight_log import Channel, FlightLog, numbers
+from cosim.results.logs.flight_log import NUMBERS, Channel, FlightLog, numbers
 
 DIALECTS = (  # by name: nothing of the ground station is needed but what the build made of the messages
     "cosim.groundstation.mavlink.wire._messages",
@@ -34,18 +34,6 @@ MOST_INSTANCES = 256
 MOST_NAMED = 10
 SHORTEST = 8  # bytes of a frame without a payload
 LONGEST_ARRAY = 32  # numbers in a field: a longer one is a piece of a file
-_TYPES = {
-    "b": "i1",
-    "B": "u1",
-    "h": "<i2",
-    "H": "<u2",
-    "i": "<i4",
-    "I": "<u4",
-    "q": "<i8",
-    "Q": "<u8",
-    "f": "<f4",
-    "d": "<f8",
-}
 
 Sender = tuple[int, int]  # system and component
 Key = tuple[int, int, Sender]
@@ -139,7 +127,7 @@ def _kind(message: Any, extra: bytes) -> Kind:
         if code == "c":
             fields.append((name, f"S{max(length, 1)}"))
         else:
-            fields.append((name, _TYPES[code], (length,)) if length else (name, _TYPES[code]))
+            fields.append((name, NUMBERS[code], (length,)) if length else (name, NUMBERS[code]))
     instance = getattr(message, "instance_field", None) or ""
     return Kind(message.msgname, np.dtype(fields), extra, dict(message.fieldunits_by_name), instance)
 
