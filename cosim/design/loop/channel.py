@@ -16,17 +16,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import exp, expm1, inf, log
+from math import inf, log
 
 import numpy as np
 
 from cosim.base.arrays import Array, Complex
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.base.signals import AXES, ZERO3
+from cosim.base.signals import AXES
 from cosim.control.predictors.linear import delayed_response
 from cosim.design.loop.dynamics import CARRIED, Dynamics, lags
 from cosim.engine import EngineSpec
+from cosim.simulation.axis_chain import (
+    axis_gain,
+    axis_moment,
+    bank_reaction,
+    by_throttle,
+    filter_pole,
+    hinged_parts,
+    measuring,
+    turning,
+)
 from cosim.simulation.build import effectiveness_of
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import (
@@ -37,7 +47,6 @@ from cosim.spec.vehicle import (
     Servo,
     Vehicle,
 )
-from cosim.vehicle.parts.hinges import HingeReactions
 
 BESIDE = 160  # frequencies at which what others add to an axis is computed: 4 % apart, more counts below than is
 SERVO = "tilt servo"  # what an actuator that turns a thrust is called
@@ -88,26 +97,12 @@ class Channel:
     @property
     def gyro_pole(self) -> float:
         """Of the gyro's low-pass."""
-        return exp(-self.step / self.rate_filter_s) if self.rate_filter_s > 0.0 else 0.0
+        return filter_pole(self.rate_filter_s, self.step)
 
     @property
     def turning(self) -> tuple[tuple[float, float, float], float]:
-        """What JSBSim's runs make of a moment: shares of this step's and of the two before, and the rate's pole.
-
-        ``rate_k+1 = p rate_k + step f (share_0 moment_k + share_1 moment_k-1 + share_2 moment_k-2)``.  A run moves the
-        rate by ``h (3 a_n - a_n-1) / 2`` with the accelerations at its beginning and one run before (Adams and
-        Bashforth); those of a step's moment begin with the second run, the first of them with half its change on top
-        (:mod:`cosim.vehicle.airframe`).  Summed over three and more runs this is the moment's impulse over the step
-        and nothing else; two runs leave a quarter of a change to the step after, and one has no run to correct.
-        """
-        fall = self.damping_1_s * self.step
-        pole = exp(-fall)
-        mean = -expm1(-fall) / fall if fall else 1.0
-        shares = {1: (0.0, 1.5, -0.5), 2: (1.125, -0.25, 0.125)}.get(self.substeps, (1.0, 0.0, 0.0))
-        if self.reaction and self.substeps > 2:  # with fewer runs a step the method's own shares hide it
-            c = self.reaction
-            shares = (1.0 + c, -2.0 * c, c)
-        return (mean * shares[0], mean * shares[1], mean * shares[2]), pole
+        """What JSBSim's runs make of a moment, and the rate's pole: :func:`cosim.simulation.axis_chain.turning`."""
+        return turning(self.damping_1_s, self.step, self.substeps, self.reaction)
 
     @property
     def transport_samples(self) -> float:
@@ -230,9 +225,7 @@ class Channel:
 
     def measuring(self, z: Complex) -> Complex:
         """Rate to measured rate: low-pass, latency, and the mean effect of a measurement that is kept for a while."""
-        pole, hold = self.gyro_pole, self.rate_hold
-        kept = (1.0 - z**-hold) / (hold * (1.0 - 1.0 / z)) if hold > 1 else 1.0
-        return np.asarray((1.0 - pole) * z / (z - pole) * z**-self.rate_latency * kept)
+        return measuring(z, self.gyro_pole, self.rate_latency, self.rate_hold)
 
     # ---- the same channel, changed
 
@@ -287,30 +280,21 @@ def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, d
     index = AXES.index(axis)
     if vehicle.allocation == "effectiveness":
         return _by_effectiveness(axis, scenario, vehicle, engine, dynamics)
-    inertia = vehicle.inertia_kg_m2[index]
-    span, jets = thrust_span(engine), vehicle.jets
-    thrust = vehicle.mass_kg * GRAVITY / len(jets)
-    thrusts = axis == "roll" or vehicle.servo is None
-    if vehicle.servo is None:
-        lever = sum(abs((jet.position_m[1], jet.position_m[0], jet.reaction_m)[index]) for jet in jets)
-        moment = lever * span
-    elif axis == "roll":
-        moment = sum(abs(jet.position_m[1]) for jet in jets) * span
-    else:  # the thrust of hover, turned
-        moment = abs(sum(jet.position_m[2] if axis == "pitch" else abs(jet.position_m[1]) for jet in jets)) * thrust
+    inertia, span = vehicle.inertia_kg_m2[index], thrust_span(engine)
+    thrusts, moment = by_throttle(vehicle, index), axis_moment(vehicle, index, span)
     room = _room(vehicle, engine) if thrusts else _servo_room(vehicle.servo)
     return Channel(
         axis,
         "share" if thrusts else "rad",
         dynamics if thrusts else servo_actuator(vehicle.servo, scenario.step_s),  # type: ignore[arg-type]
-        moment / inertia,
+        axis_gain(vehicle, index, span),
         vehicle.aero.damping_n_m_s[index] / inertia,
         scenario.step_s,
         scenario.substeps,
         room,
         **_gyro(vehicle.sensors),  # type: ignore[arg-type]
         added_delay=scenario.added_delay_samples if axis == "roll" else 0,
-        reaction=_reaction(axis, vehicle, moment, scenario.step_s),
+        reaction=bank_reaction(vehicle, index, moment, scenario.step_s),
     )
 
 
@@ -323,20 +307,25 @@ def _by_effectiveness(
     """
     index = AXES.index(axis)
     allocator, step = effectiveness_of(scenario, vehicle, engine), scenario.step_s
-    moves, effects = allocator.split(index)
-    jets = len(vehicle.jets)
-    turns = list(zip(vehicle.hinges, moves[jets:], effects[jets:], strict=False))  # surfaces do nothing in hover
     room = allocator.room(index)
-    kicks = _kicks(vehicle, step)[:, index]
-    parts = [(dynamics, sum([move * effect for move, effect in zip(moves[:jets], effects[:jets], strict=True)]), 0.0)]
-    for lag in dict.fromkeys(hinge.lag_s for hinge in vehicle.hinges):
-        alike = [k for k, (hinge, _, _) in enumerate(turns) if hinge.lag_s == lag]
-        share = sum([turns[k][1] * turns[k][2] for k in alike])
-        parts.append((servo_actuator(turns[alike[0]][0], step), share, sum([turns[k][1] * kicks[k] for k in alike])))
+    given = hinged_parts(vehicle, allocator, index, step)
+    parts = [
+        (servo_actuator(part.servos[0], step) if part.servos else dynamics, part.share, part.kick_s2) for part in given
+    ]
     main, _, _ = max(parts, key=lambda part: part[1])
     if main is not dynamics:
         # no step of the command may ask more of a hinge than its servo follows
-        room = min([room, *(_servo_room(hinge) / abs(move) for hinge, move, _ in turns if move)])
+        room = min(
+            [
+                room,
+                *(
+                    _servo_room(hinge) / abs(move)
+                    for part in given
+                    for hinge, move in zip(part.servos, part.moves, strict=True)
+                    if move
+                ),
+            ]
+        )
     main = _beside(main, parts, step)
     return Channel(
         axis,
@@ -350,19 +339,6 @@ def _by_effectiveness(
         **_gyro(vehicle.sensors),  # type: ignore[arg-type]
         added_delay=scenario.added_delay_samples if axis == "roll" else 0,
     )
-
-
-def _kicks(vehicle: Vehicle, step: float) -> Array:
-    """Angular acceleration of the body per rad/s^2 of each hinge from rest: of what hangs on it, which pushes back."""
-    reactions = HingeReactions(vehicle.hinges, vehicle.jets, step)
-    small, rows = 1e-6, []
-    for number in range(len(vehicle.hinges)):
-        reactions.reset()
-        angles = [hinge.rest_rad + small * (k == number) for k, hinge in enumerate(vehicle.hinges)]
-        push, moment = reactions.act(tuple(angles), ZERO3)
-        whole = np.array(moment) + np.cross(vehicle.jets[0].position_m, push)
-        rows.append(np.linalg.solve(np.array(vehicle.tensor), whole) / (small / step**2))
-    return np.array(rows).reshape(-1, 3)
 
 
 def _beside(main: Actuator, parts: Sequence[tuple[Actuator, float, float]], step: float) -> Actuator:
@@ -385,15 +361,6 @@ def _beside(main: Actuator, parts: Sequence[tuple[Actuator, float, float]], step
         off += np.interp(np.log(hertz), np.log(at), left)
     unsure = tuple((float(f), float(share)) for f, share in zip(hertz, off, strict=True))
     return replace(main, dynamics=replace(main.dynamics, unsure=unsure))
-
-
-def _reaction(axis: str, vehicle: Vehicle, moment: float, step: float) -> float:
-    """What turns both banks alike turns the body the other way, in pitch; in yaw their reactions cancel."""
-    if axis != "pitch" or vehicle.servo is None:
-        return 0.0
-    inertia = vehicle.servo.bank_inertia_kg_m2
-    height = sum(jet.position_m[2] for jet in vehicle.jets)  # below the centre of gravity thrust and reaction agree
-    return float(np.copysign(2.0 * inertia / (moment * step * step), height))
 
 
 def _gyro(sensors: Sensors) -> dict[str, float | int]:

@@ -22,11 +22,12 @@ from cosim.design.design import (
     needed,
     shipped,
 )
-from cosim.design.loop.channel import SERVO, Actuator, Channel, _kicks, channels, engine_lead
+from cosim.design.loop.channel import SERVO, Actuator, Channel, channels, engine_lead
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.tune import Requirements, settle
 from cosim.engine import EngineSpec, load_engine
 from cosim.flight import fly
+from cosim.simulation.axis_chain import hinge_kicks
 from cosim.simulation.build import effectiveness_of
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, engine_of, load_vehicle
@@ -88,7 +89,7 @@ def test_what_turns_pushes_back_as_newton_has_it() -> None:
     hinge = vehicle.hinges[0]
     assert hinge.centre_m is None or hinge.centre_m == hinge.position_m
     moment = -hinge.inertia_kg_m2 * np.array(hinge.axis)
-    assert _kicks(vehicle, T)[0] == pytest.approx(np.linalg.solve(np.array(vehicle.tensor), moment), rel=1e-6)
+    assert hinge_kicks(vehicle, T)[0] == pytest.approx(np.linalg.solve(np.array(vehicle.tensor), moment), rel=1e-6)
 
 
 def test_what_is_given_beside_is_carried() -> None:
@@ -101,7 +102,7 @@ def test_what_is_given_beside_is_carried() -> None:
     jets = len(vehicle.jets)
     by_thrust = sum(m * e for m, e in zip(moves[:jets], effects[:jets], strict=True))
     engine = of["altitude"].actuator.dynamics
-    kick = sum(m * k for m, k in zip(moves[jets:], _kicks(vehicle, T)[:, 1], strict=True))
+    kick = sum(m * k for m, k in zip(moves[jets:], hinge_kicks(vehicle, T)[:, 1], strict=True))
     hertz = np.array([0.3, 0.5, 2.0, 5.0, 10.0])
     s = 2j * np.pi * hertz
     hold = np.exp(-s * T / 2)  # of both the same to the share that counts here

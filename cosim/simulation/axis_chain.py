@@ -1,0 +1,150 @@
+"""How a command turns the vehicle about an axis: by which actuators, by how much, and how the rate is measured.
+
+From the places of the jets, the moments of inertia and the allocation; the engines come in by their thrust alone.
+The designs' channels (:mod:`cosim.design.loop.channel`) are made of this.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import copysign, exp, expm1
+
+import numpy as np
+
+from cosim.base.arrays import Array, Complex
+from cosim.base.constants import GRAVITY
+from cosim.base.signals import ZERO3
+from cosim.control.allocation.effectiveness import EffectivenessAllocator
+from cosim.spec.vehicle import Hinge, Servo, Vehicle
+from cosim.vehicle.parts.hinges import HingeReactions
+
+
+@dataclass(frozen=True)
+class AxisPart:
+    """Actuators of one lag that give a share of an axis: the engines, or tilt servos and hinges.
+
+    The share acts as ``share + kick_s2 ((1 - 1/z) / T)^2`` times the actuators' response: ``kick_s2`` [s^2] is the
+    reaction of what the servos turn, which follows its angular acceleration.
+    """
+
+    servos: tuple[Servo | Hinge, ...]  # () for the engines
+    moves: tuple[float, ...]  # by which each goes per command; () for the engines
+    share: float
+    kick_s2: float = 0.0
+
+
+def axis_gain(vehicle: Vehicle, index: int, span_n: float) -> float:
+    """Return the angular acceleration at rest [rad/s^2] of one unit of the command of an axis.
+
+    Parameters
+    ----------
+    vehicle
+        Places of the jets [m, body], moments of inertia, mass and allocation.
+    index
+        0 roll, 1 pitch, 2 yaw.
+    span_n
+        Thrust that a command of 1 adds to one engine at rest, N.
+
+    Returns
+    -------
+    rad/s^2 per share of the thrust where throttles turn the axis, per rad where banks do, and 1 with the allocation
+    ``effectiveness``, whose command is the acceleration itself.
+    """
+    if vehicle.allocation == "effectiveness":
+        return 1.0
+    return axis_moment(vehicle, index, span_n) / vehicle.inertia_kg_m2[index]
+
+
+def axis_moment(vehicle: Vehicle, index: int, span_n: float) -> float:
+    """Return the moment at rest [N m] of one unit of an axis' command, of banks and rotors; see :func:`axis_gain`."""
+    jets = vehicle.jets
+    if vehicle.servo is None:
+        return sum(abs((jet.position_m[1], jet.position_m[0], jet.reaction_m)[index]) for jet in jets) * span_n
+    if index == 0:
+        return sum(abs(jet.position_m[1]) for jet in jets) * span_n
+    thrust = vehicle.mass_kg * GRAVITY / len(jets)  # of hover, turned
+    return abs(sum(jet.position_m[2] if index == 1 else abs(jet.position_m[1]) for jet in jets)) * thrust
+
+
+def by_throttle(vehicle: Vehicle, index: int) -> bool:
+    """Return whether throttles turn the axis of a vehicle with banks or rotors, and not the banks' servos."""
+    return index == 0 or vehicle.servo is None
+
+
+def bank_reaction(vehicle: Vehicle, index: int, moment: float, step: float) -> float:
+    """Return what turning both banks does to the body, ``2 J / (moment step^2)``: in pitch; in yaw it cancels.
+
+    ``moment``: of the axis, N m per rad.  Below the centre of gravity thrust and reaction agree, above they do not.
+    """
+    if index != 1 or vehicle.servo is None:
+        return 0.0
+    height = sum(jet.position_m[2] for jet in vehicle.jets)
+    return float(copysign(2.0 * vehicle.servo.bank_inertia_kg_m2 / (moment * step * step), height))
+
+
+def hinged_parts(vehicle: Vehicle, allocator: EffectivenessAllocator, index: int, step: float) -> list[AxisPart]:
+    """Return what gives an axis of the allocation ``effectiveness`` in hover: the engines, then hinges by their lag.
+
+    Surfaces do nothing in hover.  ``step``: control step, s.
+    """
+    moves, effects = allocator.split(index)
+    jets = len(vehicle.jets)
+    turns = list(zip(vehicle.hinges, moves[jets:], effects[jets:], strict=False))
+    kicks = hinge_kicks(vehicle, step)[:, index]
+    parts = [AxisPart((), (), sum([m * effect for m, effect in zip(moves[:jets], effects[:jets], strict=True)]))]
+    for lag in dict.fromkeys(hinge.lag_s for hinge in vehicle.hinges):
+        alike = [k for k, (hinge, _, _) in enumerate(turns) if hinge.lag_s == lag]
+        parts.append(
+            AxisPart(
+                tuple([turns[k][0] for k in alike]),
+                tuple([turns[k][1] for k in alike]),
+                sum([turns[k][1] * turns[k][2] for k in alike]),
+                sum([turns[k][1] * kicks[k] for k in alike]),
+            )
+        )
+    return parts
+
+
+def hinge_kicks(vehicle: Vehicle, step: float) -> Array:
+    """Return the body's angular acceleration per rad/s^2 of each hinge from rest, one row a hinge: its reaction."""
+    reactions = HingeReactions(vehicle.hinges, vehicle.jets, step)
+    small, rows = 1e-6, []
+    for number in range(len(vehicle.hinges)):
+        reactions.reset()
+        angles = [hinge.rest_rad + small * (k == number) for k, hinge in enumerate(vehicle.hinges)]
+        push, moment = reactions.act(tuple(angles), ZERO3)
+        whole = np.array(moment) + np.cross(vehicle.jets[0].position_m, push)
+        rows.append(np.linalg.solve(np.array(vehicle.tensor), whole) / (small / step**2))
+    return np.array(rows).reshape(-1, 3)
+
+
+def turning(
+    damping_1_s: float, step: float, substeps: int, reaction: float = 0.0
+) -> tuple[tuple[float, float, float], float]:
+    """Return what JSBSim's runs make of a moment: shares of this step's and of the two before, and the rate's pole.
+
+    ``rate_k+1 = p rate_k + step f (share_0 moment_k + share_1 moment_k-1 + share_2 moment_k-2)``.  A run moves the
+    rate by ``h (3 a_n - a_n-1) / 2`` with the accelerations at its beginning and one run before (Adams and
+    Bashforth); those of a step's moment begin with the second run, the first of them with half its change on top
+    (:mod:`cosim.vehicle.airframe`).  Summed over three and more runs this is the moment's impulse over the step
+    and nothing else; two runs leave a quarter of a change to the step after, and one has no run to correct.
+    ``reaction``: see :func:`bank_reaction`.
+    """
+    fall = damping_1_s * step
+    pole = exp(-fall)
+    mean = -expm1(-fall) / fall if fall else 1.0
+    shares = {1: (0.0, 1.5, -0.5), 2: (1.125, -0.25, 0.125)}.get(substeps, (1.0, 0.0, 0.0))
+    if reaction and substeps > 2:  # with fewer runs a step the method's own shares hide it
+        shares = (1.0 + reaction, -2.0 * reaction, reaction)
+    return (mean * shares[0], mean * shares[1], mean * shares[2]), pole
+
+
+def filter_pole(filter_s: float, step: float) -> float:
+    """Return the pole in z of a first-order low-pass; 0 without one."""
+    return exp(-step / filter_s) if filter_s > 0.0 else 0.0
+
+
+def measuring(z: Complex, pole: float, latency: int, hold: int = 1) -> Complex:
+    """Return the response of measured rate to rate: low-pass, latency, and the mean effect of a kept measurement."""
+    kept = (1.0 - z**-hold) / (hold * (1.0 - 1.0 / z)) if hold > 1 else 1.0
+    return np.asarray((1.0 - pole) * z / (z - pole) * z**-latency * kept)
