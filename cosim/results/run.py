@@ -81,12 +81,13 @@ PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy", "pyarrow")
 
 
 class DelayRow(Record):
-    """One element of the chain from command to measured rate, and the samples of delay that it owns."""
+    """One element of the chain from an axis's command to its measured rate, and the samples of delay that it owns."""
 
     element: str
     owner: str
     kind: str
-    samples: float | None  # None where its owner does not say
+    samples: float | None  # None where it is not known
+    axis: str = "roll"  # of runs written before there were others
 
 
 class StationEngine(Record):

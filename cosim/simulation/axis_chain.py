@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import copysign, exp, expm1
+from typing import NamedTuple
 
 import numpy as np
 
 from cosim.base.arrays import Array, Complex
-from cosim.base.constants import GRAVITY
+from cosim.base.constants import GRAVITY, SERVOS
+from cosim.base.protocols import Allocator
 from cosim.base.signals import ZERO3
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
-from cosim.spec.vehicle import Hinge, Servo, Vehicle
+from cosim.spec.vehicle import Hinge, Servo, Surface, Vehicle
 from cosim.vehicle.parts.hinges import HingeReactions
 
 
@@ -31,6 +33,52 @@ class AxisPart:
     moves: tuple[float, ...]  # by which each goes per command; () for the engines
     share: float
     kick_s2: float = 0.0
+
+
+class AxisShares(NamedTuple):
+    """Shares of a small angular acceleration about an axis, which add up to 1, and the moves that give it.
+
+    ``thrusts`` and ``servos``: the share of each jet's thrust, and of each hinge and surface or of each bank's servo.
+    ``moves``: by how much each thrust [N] and then each servo [rad] moves per rad/s^2; () for banks, whose rotors act
+    about no axis that they turn.
+    """
+
+    thrusts: list[float]
+    servos: list[float]
+    moves: list[float]
+
+
+def axis_shares(vehicle: Vehicle, allocator: Allocator, index: int) -> AxisShares:
+    """Return what turns a vehicle about an axis in hover, each part for itself; nothing but zeros where nothing does.
+
+    ``index``: 0 roll, 1 pitch, 2 yaw; ``allocator``: the one that it is flown with.
+    """
+    jets = len(vehicle.jets)
+    if isinstance(allocator, EffectivenessAllocator):
+        moves, effects = allocator.split(index)
+        shares = [move * effect for move, effect in zip(moves, effects, strict=True)]
+        return AxisShares(shares[:jets], shares[jets:], moves)
+    if not by_throttle(vehicle, index):
+        return AxisShares([0.0] * jets, [1.0 / len(SERVOS)] * len(SERVOS), [])
+    arms = levers(vehicle, index)
+    whole = sum(abs(arm) for arm in arms)
+    if not whole:
+        return AxisShares([0.0] * jets, [0.0] * len(servos_of(vehicle)), [])
+    per_newton = vehicle.inertia_kg_m2[index] / whole
+    moves = [] if vehicle.servo else [per_newton * ((arm > 0.0) - (arm < 0.0)) for arm in arms]
+    return AxisShares([abs(arm) / whole for arm in arms], [0.0] * len(servos_of(vehicle)), moves)
+
+
+def servos_of(vehicle: Vehicle) -> list[Servo | Hinge | Surface]:
+    """Return the servos of a vehicle in the order of :class:`AxisShares`."""
+    if vehicle.servo is not None:
+        return [vehicle.servo] * len(SERVOS)
+    return [*vehicle.hinges, *vehicle.surfaces]
+
+
+def levers(vehicle: Vehicle, index: int) -> list[float]:
+    """Return the moment about an axis [N m] per newton of each upright jet's thrust: of its lever or its reaction."""
+    return [(-jet.position_m[1], jet.position_m[0], jet.reaction_m)[index] for jet in vehicle.jets]
 
 
 def axis_gain(vehicle: Vehicle, index: int, span_n: float) -> float:
@@ -58,10 +106,8 @@ def axis_gain(vehicle: Vehicle, index: int, span_n: float) -> float:
 def axis_moment(vehicle: Vehicle, index: int, span_n: float) -> float:
     """Return the moment at rest [N m] of one unit of an axis' command, of banks and rotors; see :func:`axis_gain`."""
     jets = vehicle.jets
-    if vehicle.servo is None:
-        return sum(abs((jet.position_m[1], jet.position_m[0], jet.reaction_m)[index]) for jet in jets) * span_n
-    if index == 0:
-        return sum(abs(jet.position_m[1]) for jet in jets) * span_n
+    if by_throttle(vehicle, index):
+        return sum(abs(lever) for lever in levers(vehicle, index)) * span_n
     thrust = vehicle.mass_kg * GRAVITY / len(jets)  # of hover, turned
     return abs(sum(jet.position_m[2] if index == 1 else abs(jet.position_m[1]) for jet in jets)) * thrust
 

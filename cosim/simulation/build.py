@@ -158,7 +158,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             scenario,
             vehicle,
             specs,
-            delay_ledger(scenario, vehicle, stations),
+            delay_ledger(scenario, vehicle, stations, controller.allocator, "ahead_m_s" in commander.signals),
             commander,
             PlacePilot(scenario, vehicle, commander, controller.allocator.hover, controller.thrust_map.idle)
             if flies_to_places(scenario)

@@ -1,83 +1,234 @@
-"""The delay ledger: every sample of delay between a roll command and the measured roll rate, and who owns it.
+"""The delay ledger: every sample of delay between the command of an axis and its measured rate, and who owns it.
 
 Each row states the delay of its element at low frequency, in control steps: the limit of ``-phase / omega`` as the
 frequency goes to 0, with the integration from moment to rate taken as ideal (-90 deg throughout).  In that limit
-transport delays and lags add up, so the sum can be measured: after a step of roll command at step 0 the rate grows
-along ``K T (k + 1/2 - D)``, and ``D`` is the sum.
+transport delays and lags add up, so the sum can be measured: after a step of command at step 0 the rate grows along
+``K T (k + 1/2 - D)``, and ``D`` is the sum.
 
-Where different engines stand at different stations, each row of theirs states the mean over the stations, weighted by
-their share of the roll moment: in that limit this is the delay of the vehicle's roll, while the slowest engine alone
-would state more than can be measured.  All stations give the same thrust for the same command, so the shares are the
-levers.
+The rows follow what turns the vehicle in hover (:func:`cosim.simulation.axis_chain.axis_shares`): thrusts with their engines, or servos
+with their banks or hinges.  Where different ones of a kind share an axis, a row states their mean, weighted by their
+shares: in that limit this is the delay of the axis, while the slowest alone would state more than can be measured.
 
-An engine that states neither delay nor pole has both measured, with a small step of its throttle around the middle
-(:class:`cosim.engine.measure.Small`), and the rows say so; the mapping file's ``[ledger] delay_s`` goes before the
-measured delay, of which what is left counts as lag.
+What thrusts give beside servos, or servos beside thrusts, is not in the sum while it is at most :data:`BESIDE` of the
+axis: with a share ``w`` of it the phase is within ``asin(w / (1 - w))`` of what the sum says, 3 deg, at every frequency.
+Where both give more the delay of the axis is another one at every frequency, and there is no sum.
+
+The angular momentum of rotors that hinges turn, or that change their speed with the thrust, acts by the rate of the
+command and takes delay away.  The reaction of what hinges and banks turn acts by its acceleration, and has no part.
+
+An engine that states no pole has its lag measured: one of the library with a small step either way around the throttle
+that it hovers with, any other with one around half throttle when it is loaded (:class:`cosim.engine.measure.Small`).
+The rows say so; a stated delay goes before the measured one, of which what is left counts as lag.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import exp
 
+import numpy as np
+
+from cosim.base.constants import GRAVITY
+from cosim.base.protocols import Allocator
+from cosim.base.signals import AXES, ZERO3
+from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.engine import EngineSpec
+from cosim.simulation.axis_chain import AxisShares, axis_shares, filter_pole, servos_of
+from cosim.simulation.engine_reference import AroundTrim, around_trim
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import Vehicle
+from cosim.spec.vehicle import Hinge, Surface, Vehicle
+from cosim.vehicle.parts.rotors import RotorDynamics
 
+BESIDE = 0.05  # of an axis: chosen by us, see above
+LISTED = 0.01  # of an axis: a hinge that gives less is not named
+SMALL = 1e-6  # rad/s^2, by which the rotors' momentum is seen to change
 MEASURED = ", measured with a small step around half throttle"
+AT_HOVER = ", measured with small steps around the throttle of hover"
 
 
 @dataclass(frozen=True)
 class LedgerRow:
-    """One element of the chain."""
+    """One element of the chain of an axis."""
 
     element: str
     owner: str
-    kind: str  # "transport", "lag", "hold" or "exchange"
-    samples: float | None  # None where the engine does not say
+    kind: str  # "transport", "lag", "lead", "hold", "exchange", "beside" (the sum) or "mixed"
+    samples: float | None  # None where it is not known
+    axis: str = "roll"
 
 
-def delay_ledger(scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineSpec]) -> list[LedgerRow]:
-    """The rows in the order in which the signal passes them; ``engines``: one per station."""
-    gyro = vehicle.sensors.gyro
-    owner, levers = _owner(engines), [abs(jet.position_m[1]) for jet in vehicle.jets]
-    delays = [_delay(engine, scenario.step_s) for engine in engines]
-    how = MEASURED if any(engine.pole is None and engine.small is not None for engine in engines) else ""
-    lags = [_lag(engine, scenario.step_s) for engine in engines]
-    pole = exp(-scenario.step_s / gyro.filter_s) if gyro.filter_s > 0.0 else 0.0
-    later = scenario.mismatch.delay_samples
-    unknown = [LedgerRow("engines later than known", "mismatch.delay_samples", "transport", float(later))]
-    return [
-        LedgerRow("command held over the step", "control step", "hold", 0.5),
-        LedgerRow(
-            "delay added to the roll output", "added_delay_samples", "transport", float(scenario.added_delay_samples)
-        ),
-        *(unknown if later else []),
-        LedgerRow(f"transport delay{how}", owner, "transport", _mean(delays, levers)),
-        LedgerRow(
-            f"spool lag{how or ', 1/(1 - a) at one internal step a control step'}", owner, "lag", _mean(lags, levers)
-        ),
-        *_loops(engines),
-        LedgerRow("thrust of the step's end acts over all of it", "engines, then airframe", "exchange", -1.0),
-        LedgerRow("force acts from the step's beginning", "JSBSim", "transport", 0.0)
-        if scenario.substeps > 1
-        else LedgerRow("force acts half a JSBSim run late", "JSBSim", "transport", 0.5),
-        LedgerRow("gyro low-pass a/(1 - a)", "sensors.gyro.filter_s", "lag", pole / (1.0 - pole)),
-        LedgerRow("gyro latency", "sensors.gyro.latency_samples", "transport", float(gyro.latency_samples)),
-    ]
+def delay_ledger(
+    scenario: Scenario,
+    vehicle: Vehicle,
+    engines: Sequence[EngineSpec],
+    allocator: Allocator,
+    on_wing: bool = False,
+) -> list[LedgerRow]:
+    """Return the rows of roll, pitch and yaw, each in the order in which the signal passes them.
+
+    ``engines``: one per station; ``on_wing``: the flight is commanded ahead, onto its wing.
+    """
+    if on_wing:
+        why = "flown on its wing: surfaces turn it the more, the faster it flies"
+        return [LedgerRow(why, "surfaces", "mixed", None, axis) for axis in AXES]
+    hover = _Hover(scenario, vehicle, engines, allocator)
+    return [row for axis in AXES for row in hover.rows(axis)]
 
 
-def total_samples(rows: list[LedgerRow]) -> float | None:
-    """The sum in control steps; None if any element is unknown."""
-    samples = [row.samples for row in rows]
+def rows_of(rows: Sequence[LedgerRow], axis: str) -> list[LedgerRow]:
+    """Return the rows of an axis."""
+    return [row for row in rows if row.axis == axis]
+
+
+def total_samples(rows: Sequence[LedgerRow], axis: str = "roll") -> float | None:
+    """Return the sum of an axis in control steps; None if any element is unknown."""
+    samples = [row.samples for row in rows_of(rows, axis)]
     return None if any(value is None for value in samples) else sum(value for value in samples if value is not None)
 
 
-def _loops(engines: Sequence[EngineSpec]) -> list[LedgerRow]:
+def why_none(rows: Sequence[LedgerRow], axis: str) -> str:
+    """Return why the rows of an axis have no sum; empty where they have one."""
+    unknown = [row for row in rows_of(rows, axis) if row.samples is None]
+    return "; ".join(row.element if row.kind == "mixed" else f"{row.element}: not known" for row in unknown)
+
+
+class _Hover:
+    """A vehicle in hover, whose axes have rows."""
+
+    def __init__(
+        self, scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineSpec], allocator: Allocator
+    ) -> None:
+        self._scenario, self._vehicle, self._engines, self._allocator = scenario, vehicle, engines, allocator
+        self._step = scenario.step_s
+        self._thrusts = [vehicle.mass_kg * GRAVITY / len(engines)] * len(engines)
+        if isinstance(allocator, EffectivenessAllocator):
+            self._thrusts = allocator.hovering(ZERO3)[0][: len(engines)]
+
+    def rows(self, axis: str) -> list[LedgerRow]:
+        """Return the rows of an axis, in the order in which the signal passes them."""
+        turned = axis_shares(self._vehicle, self._allocator, AXES.index(axis))
+        held = [("command held over the step", "control step", "hold", 0.5)]
+        if axis == "roll":
+            added = float(self._scenario.added_delay_samples)
+            held.append(("delay added to the roll output", "added_delay_samples", "transport", added))
+        acting = self._acting(axis, turned)
+        return [LedgerRow(*row, axis) for row in (*held, *acting, *self._airframe(), *self._gyro())]
+
+    def _acting(self, axis: str, turned: AxisShares) -> list[tuple[str, str, str, float | None]]:
+        """Element, owner, kind and samples of what gives the axis."""
+        by_thrust, by_servo = sum(turned.thrusts), sum(turned.servos)
+        if not by_thrust and not by_servo:
+            return [(f"nothing turns it in {axis}", "allocation", "mixed", None)]
+        rotors = self._rotors(axis, turned)
+        if by_servo <= BESIDE:
+            rows = [*self._by_thrust(turned.thrusts), *rotors]
+            return [*rows, *_beside("servos give", by_servo, "tilt servos")]
+        if by_thrust <= BESIDE:
+            rows = [*self._by_servos(turned.servos), *rotors]
+            return [*rows, *_beside("engines give", by_thrust, _owner(self._engines))]
+        why = (
+            f"no one delay: servos give {100.0 * by_servo:.0f} % of the moment, by themselves "
+            f"{_said(self._by_servos(turned.servos))} samples late, engines {100.0 * by_thrust:.0f} %, "
+            f"{_said(self._by_thrust(turned.thrusts))} late: their sum is as late as one or the other by its frequency"
+        )
+        return [(why, "allocation", "mixed", None)]
+
+    def _by_thrust(self, shares: Sequence[float]) -> list[tuple[str, str, str, float | None]]:
+        engines, step, later = self._engines, self._step, self._scenario.mismatch.delay_samples
+        owner = _owner(engines)
+        owner += ": mean by their shares of the moment" if owner.startswith("engines ") else ""
+        known = [self._around(jet) for jet in range(len(engines))]
+        how = MEASURED if any(engine.pole is None and engine.small is not None for engine in engines) else ""
+        how = how or (AT_HOVER if any(known) else "")
+        delays = [_delay(engine, step) for engine in engines]
+        lags = [_lag(engine, step, around) for engine, around in zip(engines, known, strict=True)]
+        unknown = [("engines later than known", "mismatch.delay_samples", "transport", float(later))]
+        at_pole = ", 1/(1 - a) at one internal step a control step"
+        return [
+            *(unknown if later else []),
+            (f"transport delay{how if how == MEASURED else ''}", owner, "transport", _mean(delays, shares)),
+            (f"spool lag{how or at_pole}", owner, "lag", _mean(lags, shares)),
+            *_loops(engines),
+            ("thrust of the step's end acts over all of it", "engines, then airframe", "exchange", -1.0),
+        ]
+
+    def _by_servos(self, shares: Sequence[float]) -> list[tuple[str, str, str, float | None]]:
+        servos = servos_of(self._vehicle)
+        poles = [filter_pole(servo.lag_s, self._step) for servo in servos]
+        lag = _mean([1.0 / (1.0 - pole) for pole in poles], shares)
+        moving = [servo for servo, share in zip(servos, shares, strict=True) if abs(share) >= LISTED]
+        names = [servo.name for servo in moving if isinstance(servo, (Hinge, Surface))]
+        owner = f"lag_s of {', '.join(names)}" if names else "servo.lag_s"
+        mean = ", mean by their shares of the moment" if len({servo.lag_s for servo in moving}) > 1 else ""
+        element = f"servo lag, 1/(1 - a) while no rate limit is reached{mean}"
+        return [
+            (element, owner, "lag", lag),
+            ("angle of the step's end acts over all of it", "servos, then airframe", "exchange", -1.0),
+        ]
+
+    def _rotors(self, axis: str, turned: AxisShares) -> list[tuple[str, str, str, float | None]]:
+        """What the change of the rotors' angular momentum takes away, where it acts about the axis."""
+        vehicle, engines = self._vehicle, self._engines
+        if not turned.moves or not any(jet.spin for jet in vehicle.jets):
+            return []
+        rotors = RotorDynamics(vehicle.jets, engines, self._step, vehicle.hinges)
+        if not rotors.any:
+            return []
+        jets = len(engines)
+        around = [self._measured(jet) if engines[jet].rotor_inertia else None for jet in range(jets)]
+        speeds = [0.0 if each is None else each.speed for each in around]
+        grown = [0.0 if each is None else each.speed_per_n for each in around]
+        moves = [SMALL * move for move in turned.moves]
+        rotors.reset(tuple(speeds))
+        faster = tuple([speed + slope * move for speed, slope, move in zip(speeds, grown, moves, strict=False)])
+        rest = [hinge.rest_rad for hinge in vehicle.hinges]
+        tilt = tuple([angle + move for angle, move in zip(rest, moves[jets:], strict=False)]) or (0.0, 0.0)
+        kick = np.linalg.solve(np.array(vehicle.tensor), np.array(rotors.update(faster, tilt)))
+        early = float(kick[AXES.index(axis)]) / SMALL
+        if abs(early) < 1e-6:
+            return []
+        return [("rotors, turned or sped up, act by the rate of the command", "rotors", "lead", -early)]
+
+    def _around(self, jet: int) -> AroundTrim | None:
+        """What is measured of an engine of the library that states no pole."""
+        engine = self._engines[jet]
+        return self._measured(jet) if engine.pole is None and engine.library else None
+
+    def _measured(self, jet: int) -> AroundTrim | None:
+        engine = self._engines[jet]
+        curve = engine.rising
+        throttle = float(np.interp(self._thrusts[jet], curve.thrust, curve.throttle))
+        return around_trim(engine, throttle, self._step)
+
+    def _airframe(self) -> list[tuple[str, str, str, float | None]]:
+        if self._scenario.substeps > 1:
+            return [("force acts from the step's beginning", "JSBSim", "transport", 0.0)]
+        return [("force acts half a JSBSim run late", "JSBSim", "transport", 0.5)]
+
+    def _gyro(self) -> list[tuple[str, str, str, float | None]]:
+        gyro = self._vehicle.sensors.gyro
+        pole = filter_pole(gyro.filter_s, self._step)
+        return [
+            ("gyro low-pass a/(1 - a)", "sensors.gyro.filter_s", "lag", pole / (1.0 - pole)),
+            ("gyro latency", "sensors.gyro.latency_samples", "transport", float(gyro.latency_samples)),
+        ]
+
+
+def _beside(who: str, share: float, owner: str) -> list[tuple[str, str, str, float | None]]:
+    if share < 5e-4:
+        return []
+    return [(f"{who} {100.0 * share:.1f} % of the moment beside it: not in the sum", owner, "beside", 0.0)]
+
+
+def _said(rows: Sequence[tuple[str, str, str, float | None]]) -> str:
+    samples = [row[3] for row in rows]
+    return "?" if None in samples else f"{sum(value for value in samples if value is not None):.1f}"
+
+
+def _loops(engines: Sequence[EngineSpec]) -> list[tuple[str, str, str, float | None]]:
     """What a system of FMUs exchanges a step late inside itself: part of its own answer, and nothing on top of that."""
     return [
-        LedgerRow(f"{text}, a step late in a loop: within the engine's own", f"engine {name}", "exchange", 0.0)
+        (f"{text}, a step late in a loop: within the engine's own", f"engine {name}", "exchange", 0.0)
         for name, late in {spec.name: spec.archive.system.late for spec in engines if spec.archive.system}.items()
         for text in late
     ]
@@ -85,17 +236,18 @@ def _loops(engines: Sequence[EngineSpec]) -> list[LedgerRow]:
 
 def _owner(engines: Sequence[EngineSpec]) -> str:
     names = list(dict.fromkeys(engine.name for engine in engines))
-    return f"engine {names[0]}" if len(names) == 1 else f"engines {', '.join(names)}: mean by roll lever"
+    return f"engine {names[0]}" if len(names) == 1 else f"engines {', '.join(names)}"
 
 
 def _mean(values: Sequence[float | None], weights: Sequence[float]) -> float | None:
-    """The weighted mean, of equal values that value itself; None if one is unknown."""
-    known = [value for value in values if value is not None]
-    if len(known) < len(values):
+    """The weighted mean of those that have a weight, of equal values that value itself; None if one is unknown."""
+    pairs = [(value, weight) for value, weight in zip(values, weights, strict=True) if weight]
+    known = [value for value, _ in pairs if value is not None]
+    if len(known) < len(pairs):
         return None
     if len(set(known)) == 1:
         return known[0]
-    return sum(value * weight for value, weight in zip(known, weights, strict=True)) / sum(weights)
+    return sum(value * weight for value, (_, weight) in zip(known, pairs, strict=True)) / sum(w for _, w in pairs)
 
 
 def _delay(engine: EngineSpec, step: float) -> float | None:
@@ -105,7 +257,7 @@ def _delay(engine: EngineSpec, step: float) -> float | None:
     return None if engine.small is None else float(engine.small.delay)
 
 
-def _lag(engine: EngineSpec, step: float) -> float | None:
+def _lag(engine: EngineSpec, step: float, around: AroundTrim | None) -> float | None:
     """What the engine's lag adds to its transport delay and takes back from the exchange, control steps.
 
     With ``m`` internal steps of pole ``a`` in a control step and a delay of ``d`` of them, ``q = d // m``: engine and
@@ -114,7 +266,8 @@ def _lag(engine: EngineSpec, step: float) -> float | None:
     """
     if engine.pole is None or engine.internal_step is None or engine.delay_samples is None:
         delay = _delay(engine, step)
-        return None if engine.small is None or delay is None else engine.small.late - delay + 1.0
+        late = around.late if around is not None else (None if engine.small is None else engine.small.late)
+        return None if late is None or delay is None else late - delay + 1.0
     m = round(step / engine.internal_step)
     q = engine.delay_samples // m
     both = q + engine.pole ** (m * (q + 1) - engine.delay_samples) / (1.0 - engine.pole**m)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 from math import exp
+from typing import NamedTuple
 
 from cosim.base.protocols import Engines
 from cosim.base.storage.cache import Memory
@@ -14,10 +15,22 @@ _AROUND = (0.4, 0.6)  # throttle; chosen by us: about hover, wide enough for the
 _OTHERS = ((0.6, 0.4), (0.0, 0.2), (0.2, 0.0), (0.0, 1.0), (1.0, 0.0))  # where a real engine's lag is another one
 _LONGEST_S = 20.0
 _BEGUN = 1e-6  # of the change: an answer has begun
+_SMALL = (0.001, 0.05)  # of throttle, either way: the second for an ECU that does not see the first
+_SEEN = 0.5  # of what the static curve says, that a small step has to change the thrust
+_OVER = 1e-6  # of the change: it has ended once it has been no further off for a second
+
+
+class AroundTrim(NamedTuple):
+    """How an engine answers small changes of the throttle around one that it is held at."""
+
+    late: float | None  # all delay at low frequency, control steps from the throttle's move; None: it does not answer
+    speed: float  # rad/s; 0 where it has none
+    speed_per_n: float  # rad/s per N of thrust at rest
 
 
 _references: Memory[EngineReference] = Memory(64)
 _flows: Memory[float] = Memory(64)
+_around: Memory[AroundTrim] = Memory(64)
 
 
 def engine_reference(spec: EngineSpec, step: float) -> EngineReference:
@@ -38,6 +51,47 @@ def fuel_flow(spec: EngineSpec, throttle: float, step: float) -> float | None:
     if not spec.has("fuel_flow"):
         return None
     return _flows.get((*spec.behaviour, throttle, step), lambda: _flow(spec, throttle, step))
+
+
+def around_trim(spec: EngineSpec, throttle: float, step: float) -> AroundTrim:
+    """Return how an engine answers small steps of the throttle either way, from rest at ``throttle``.
+
+    The delay is the mean over both ways of ``sum (y_end - y_k) / (y_end - y_0)`` over the steps ``k`` after the move.
+    Raises EngineError if the engine fails.
+    """
+    return _around.get((*spec.behaviour, throttle, step), lambda: _answers_around(spec, throttle, step))
+
+
+def _answers_around(spec: EngineSpec, throttle: float, step: float) -> AroundTrim:
+    with make_bank([spec], step) as bank:
+        for by in _SMALL:
+            low, high = max(0.0, throttle - by), min(1.0, throttle + by)
+            ends = []
+            for end in (low, high):
+                output = bank.reset(end)
+                ends.append((output.thrust[0], output.spool_speed[0] if spec.has("spool_speed") else 0.0))
+            (less, slow), (more, fast) = ends
+            expected = spec.thrust_at(high) - spec.thrust_at(low)
+            if abs(more - less) < _SEEN * abs(expected) or more == less:
+                continue
+            late = [_lateness(bank, throttle, end, step) for end in (low, high) if end != throttle]
+            per_newton = (fast - slow) / (more - less)
+            return AroundTrim(sum(late) / len(late), 0.5 * (slow + fast), per_newton)
+        speed = bank.reset(throttle).spool_speed[0] if spec.has("spool_speed") else 0.0
+        return AroundTrim(None, speed, 0.0)
+
+
+def _lateness(bank: Engines, first: float, then: float, step: float) -> float:
+    after = bank.reset(then).thrust[0]
+    change = after - bank.reset(first).thrust[0]
+    late, quiet = 0.0, 0
+    for k in range(round(_LONGEST_S / step)):
+        left = (after - bank.step(k, (then,)).thrust[0]) / change
+        late += left
+        quiet = quiet + 1 if abs(left) < _OVER else 0
+        if quiet * step >= 1.0:
+            break
+    return late
 
 
 def _flow(spec: EngineSpec, throttle: float, step: float) -> float:

@@ -287,6 +287,8 @@ def print_identification(identification: Identification, paths: dict[str, Path])
         console.print(
             f"all delay as the delay ledger has it: {identification.ledger_samples:.2f} samples", highlight=False
         )
+    elif identification.no_ledger:
+        console.print(f"the delay ledger has no sum for it: {identification.no_ledger}", highlight=False)
     for note in identification.notes:
         console.print(f"note: {note}", highlight=False)
     for name in ("model", "report"):

@@ -25,7 +25,7 @@ from cosim.design.identify.result import (
 )
 from cosim.engine import EngineSpec
 from cosim.simulation.build import build
-from cosim.simulation.delay_ledger import total_samples
+from cosim.simulation.delay_ledger import total_samples, why_none
 from cosim.simulation.ending import Ending
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen_from, load_vehicle
@@ -95,6 +95,7 @@ def identify_axis(
         source=f"swept {low:g} to {high:g} Hz in flight, amplitude {sweep.amplitude:.3g}, "
         f"{base.aircraft_name} with {family}; {fits[0].label}",
         ledger_samples=flight.ledger_samples,
+        no_ledger=flight.no_ledger,
         reference=flight.vehicle.identified.get(family, {}).get(axis),  # type: ignore[call-overload]
         notes=tuple(notes),
     )
@@ -115,7 +116,8 @@ class _Flight:
     injected: Array
     command: Array  # applied: asked for, late where a delay is added, disturbed, and less what was refused
     rate: Array  # as the gyro gives it
-    ledger_samples: float | None  # what the delay ledger adds up to from command to rate, of roll
+    ledger_samples: float | None  # what the delay ledger adds up to from command to rate; None: no_ledger says why
+    no_ledger: str
     fits_in: float  # the share of the amplitude at which nothing would have been refused; 1 if nothing was
 
     @property
@@ -231,16 +233,16 @@ def _fly(base: Scenario, axis: str, sweep: Sweep) -> _Flight:
     with build(scenario) as simulation:
         ending = simulation.run([watch])
         vehicle, engine = simulation.vehicle, simulation.engine
-        ledger = total_samples(simulation.ledger)
+        ledger, no_ledger = total_samples(simulation.ledger, axis), why_none(simulation.ledger, axis)
     asked, injected, refused, cut, rate = (np.array(column) for column in zip(*watch.rows, strict=True))
     late = scenario.added_delay_samples if index == 0 else 0
     if late:
         asked = np.concatenate([np.zeros(late), asked[:-late]])[: len(asked)]
     command = asked + injected
     if ledger is not None:
-        ledger = ledger - scenario.added_delay_samples if axis == "roll" else None
+        ledger -= late
     share = _granted(command, refused, cut)
-    return _Flight(sweep, ending, vehicle, engine, step, injected, command - refused, rate, ledger, share)
+    return _Flight(sweep, ending, vehicle, engine, step, injected, command - refused, rate, ledger, no_ledger, share)
 
 
 def _granted(command: Array, refused: Array, cut: Array) -> float:

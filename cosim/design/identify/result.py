@@ -52,6 +52,7 @@ class Identification:
     ledger_samples: float | None  # low-frequency delay that the delay ledger states
     reference: RateModel | None  # the model that the aircraft states
     notes: tuple[str, ...]
+    no_ledger: str = ""  # why the delay ledger of the axis has no sum
 
     @property
     def chosen(self) -> Fit:
@@ -88,6 +89,7 @@ class Identification:
             "coherence_median": float(np.median(self.response.coherence)),
             "fits": [fit_dict(fit, self.source, self.kind == "engine") for fit in self.fits],
             "ledger_samples": self.ledger_samples,
+            "no_ledger": self.no_ledger or None,
             "reference": None
             if self.reference is None or deviation is None
             else self.reference.model_dump() | {"worst_db": deviation[0], "worst_deg": deviation[1]},

@@ -27,6 +27,7 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Controller, EngineState
 from cosim.base.signals import AXES, Actuation, Command, Disturbance, Measured
 from cosim.engine import EngineSpec
+from cosim.simulation.axis_chain import by_throttle, levers
 from cosim.simulation.build import build, effectiveness_of
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.step import Simulation
@@ -89,20 +90,20 @@ class Tap:
         index = AXES.index(axis)
         self._moves: list[float] = []
         self._turns: list[float] = []
-        self.tilts = vehicle.servo is not None and axis != "roll"
+        self.tilts = not by_throttle(vehicle, index)
         self.unit, self.usual = ("rad of tilt", USUAL_TILT) if self.tilts else ("share of thrust", USUAL_SHARE)
         if vehicle.allocation == "effectiveness":
             self._by_effectiveness(axis, scenario, vehicle, stations)
             return
         self._sides = (1.0, 1.0) if axis == "pitch" else (1.0, -1.0)
-        levers = [(-jet.position_m[1], jet.position_m[0], jet.reaction_m)[index] for jet in vehicle.jets]
-        whole = sum(abs(lever) for lever in levers)
+        arms = levers(vehicle, index)
+        whole = sum(abs(lever) for lever in arms)
         if not self.tilts and not whole:
             raise InputError(f"{vehicle.name}: its engines give no {axis} moment")
         slopes = [_slope(spec, vehicle.mass_kg * GRAVITY / len(vehicle.jets)) for spec in stations]
         if not self.tilts:
-            self._weights = [lever * slope / whole for lever, slope in zip(levers, slopes, strict=True)]
-            self._adds = [float(np.sign(lever)) / slope for lever, slope in zip(levers, slopes, strict=True)]
+            self._weights = [lever * slope / whole for lever, slope in zip(arms, slopes, strict=True)]
+            self._adds = [float(np.sign(lever)) / slope for lever, slope in zip(arms, slopes, strict=True)]
 
     def _by_effectiveness(
         self, axis: str, scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Sequence
 from math import degrees
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from cosim.results.columns import own_columns
 from cosim.results.events import Event, events_of
@@ -18,6 +18,7 @@ from cosim.results.report.signals_data import run_data, vehicle_of
 from cosim.results.run import (
     LOG,
     SCENARIO,
+    DelayRow,
     Run,
     Summary,
 )
@@ -84,7 +85,7 @@ def write_report(run: Run, path: Path, shared_assets: bool = False) -> None:
         metrics=metric_table(summary),
         whole=whole_rows(summary),
         expectations=expectation_rows(summary),
-        ledger_total=ledger_total(summary),
+        ledgers=ledgers(summary),
         jets=jet_drawing(summary),
         own=own_columns(run.log.described),
         files={"log": LOG, "scenario": SCENARIO},
@@ -213,11 +214,26 @@ def expectation_rows(summary: Summary) -> list[dict[str, Any]]:
     return rows
 
 
-def ledger_total(summary: Summary) -> float | None:
-    """The sum of the delay ledger in samples; None if an element does not say."""
-    samples = [row.samples for row in summary.delay_ledger]
-    known = [value for value in samples if value is not None]
-    return sum(known) if known and len(known) == len(samples) else None
+class AxisLedger(NamedTuple):
+    """The delay ledger of axes that have the same rows; ``total`` in samples, None if an element does not say."""
+
+    axes: str
+    rows: list[DelayRow]
+    total: float | None
+
+
+def ledgers(summary: Summary) -> list[AxisLedger]:
+    """Return the delay ledger by axis, those together that are the same."""
+    axes_of: dict[tuple[DelayRow, ...], list[str]] = {}
+    for axis in dict.fromkeys(row.axis for row in summary.delay_ledger):
+        rows = tuple([row.model_copy(update={"axis": ""}) for row in summary.delay_ledger if row.axis == axis])
+        axes_of.setdefault(rows, []).append(axis)
+    found = []
+    for rows, axes in axes_of.items():
+        known = [row.samples for row in rows if row.samples is not None]
+        total = sum(known) if len(known) == len(rows) else None
+        found.append(AxisLedger(" and ".join(axes).capitalize(), list(rows), total))
+    return found
 
 
 def jet_drawing(summary: Summary) -> list[dict[str, Any]]:

@@ -41,7 +41,8 @@ from cosim.design.loop.frequency import (
 from cosim.design.loop.tuning import Tuning, candidates
 from cosim.design.tune import Requirements
 from cosim.engine import load_engine
-from cosim.simulation.delay_ledger import delay_ledger, total_samples
+from cosim.simulation.build import build
+from cosim.simulation.delay_ledger import total_samples
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import PredictorTuning, RateModel, load_vehicle
 
@@ -148,7 +149,7 @@ def test_a_lag_that_is_over_within_a_step_is_no_state_of_a_predictor() -> None:
 
 def test_the_roll_channel_is_the_ledger() -> None:
     """Gain of the paper's G(z), 433 rad/s^2, and the delay at low frequency that the ledger adds up to."""
-    scenario, vehicle, spec, found = parts("edf-as-flown")
+    scenario, _, _, found = parts("edf-as-flown")
     roll = found["roll"]
     assert roll.gain == pytest.approx(433.1, rel=1e-3)
     theta = 1e-3
@@ -156,7 +157,8 @@ def test_the_roll_channel_is_the_ledger() -> None:
     # with the damped integration taken as ideal, as the ledger takes it; behind a hold an integrator is half a step late
     damped = (z - exp(-roll.damping_1_s * roll.step)) / (z - 1.0)
     phase = float(np.angle(roll.responses(z)[0] * damped)[0]) + pi / 2.0
-    total = total_samples(delay_ledger(scenario, vehicle, [spec] * len(vehicle.jets)))
+    with build(scenario) as simulation:
+        total = total_samples(simulation.ledger)
     assert -phase / theta == pytest.approx(total, abs=0.02)  # lags bend the phase by their cube
 
 

@@ -54,7 +54,7 @@ from cosim.engine.response import flat_notes
 from cosim.results.digest import log_digest
 from cosim.results.report import marks
 from cosim.simulation.build import build
-from cosim.simulation.delay_ledger import LedgerRow, delay_ledger
+from cosim.simulation.delay_ledger import LedgerRow, delay_ledger, rows_of
 from cosim.spec.vehicle import load_vehicle
 
 
@@ -532,10 +532,13 @@ def test_the_delay_ledger_has_what_was_measured(place: Path, tmp_path: Path) -> 
     """A library engine under a file's name, of which nothing is stated: the same rows; else what its parts add up to."""
     vehicle = load_vehicle("hexjet")[0]
     scenario = Scenario.load("hover")
+    with build(scenario) as simulation:
+        allocator = simulation.cascade.allocator
 
     def rows(engine: str) -> list[LedgerRow]:
         spec = load_engine(engine, {}, 0.004, unchecked=True)
-        return [row for row in delay_ledger(scenario, vehicle, [spec] * 6) if row.owner.startswith("engine ")]
+        ledger = rows_of(delay_ledger(scenario, vehicle, [spec] * 6, allocator), "roll")
+        return [row for row in ledger if row.owner.startswith("engine ")]
 
     copied = shutil.copy(load_engine("edf-as-flown", {}, 0.004).path, tmp_path / "mine.fmu")
     stated, measured = rows("edf-as-flown"), rows(str(copied))

@@ -229,7 +229,7 @@ def test_the_ledger_of_mixed_engines_is_what_can_be_measured() -> None:
     assert len(rates[0]) - 1 - start + 0.5 - grown == pytest.approx(stated, abs=0.05)
     row = next(row for row in ledger if row.element == "transport delay")
     assert row.samples == pytest.approx((61 + 0 + 25 * 4) / 6)
-    assert row.owner == "engines edf-as-flown, edf, turbojet: mean by roll lever"
+    assert row.owner == "engines edf-as-flown, edf, turbojet: mean by their shares of the moment"
 
 
 def test_each_engine_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -43,7 +43,7 @@ from cosim.engine.fmu import container
 from cosim.engine.qualify import check, trial
 from cosim.results.report.marks import parts_of
 from cosim.simulation.build import build as build_flight
-from cosim.simulation.delay_ledger import total_samples
+from cosim.simulation.delay_ledger import rows_of, total_samples
 from cosim.spec.scenario import DoubletCommand, Scenario
 from cosim.spec.vehicle import load_vehicle
 from cosim.vehicle.atmosphere import standard_air
@@ -411,7 +411,8 @@ HEXJET = "aircraft/hexjet/README.md"
 def test_who_owns_the_delay(roll: tuple[Identification, Identification]) -> None:
     """The table is the ledger's of a flight as shipped."""
     with build_flight(Scenario.load("hover")) as simulation:
-        ledger = [row for row in simulation.ledger if row.element != "delay added to the roll output"]
+        rows = rows_of(simulation.ledger, "roll")
+        ledger = [row for row in rows if row.element != "delay added to the roll output"]
     said = [cells for name, *cells in owners() if name != "sum"]
     assert [[f"{row.samples:.2f}", f"{4.0 * (row.samples or 0.0):.2f}"] for row in ledger] == [row[1:] for row in said]
     (total,) = [cells for name, *cells in owners() if name == "sum"]

@@ -543,6 +543,7 @@ def test_the_summary_says_what_the_design_asks_for(tmp_path: Path) -> None:
         "owner": "engine edf-as-flown",
         "kind": "transport",
         "samples": 25.0,
+        "axis": "roll",
     }
     assert len(text.splitlines()) < 80  # for people too
 
