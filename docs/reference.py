@@ -564,7 +564,7 @@ ENVIRONMENT = {
 def environment_page() -> str:
     """Exit statuses, and what is read from the environment."""
     statuses = {
-        DONE: "done: flown as planned, or what was asked for is written",
+        DONE: "done: flown as planned, or completed within its limits and nothing checked, or what was asked for is written",
         FLIGHT_FAILED: "the flight crashed, diverged or failed, went beyond [its limits](../docs/metrics.md#limits), or missed what its "
         "scenario expects; a check found a fault; the machine had no more to give (disk, memory)",
         WRONG_INPUT: "the input was wrong: one line on standard error says what, where, and what is allowed",

@@ -17,9 +17,9 @@ from html import escape
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from platform import python_version
-from typing import Literal
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from cosim.base.constants import Outcome
 from cosim.base.errors import FlightError, InputError
@@ -59,12 +59,10 @@ from cosim.results.recorder import (
     MemorySink,
     Recorder,
 )
+from cosim.results.verdict import Verdict, describe_end, judge, read_verdict
 from cosim.simulation.brought import OwnMetric, unmeasured
 from cosim.simulation.pacing import PaceReport
 from cosim.spec.scenario import Expectation, Scenario
-
-# As planned: completed, within the limits of the flight, and with what its scenario expects.
-Verdict = Literal["as planned", "not as expected", "beyond limits", "not completed"]
 
 SUMMARY, SCENARIO, LOG, STREAM, REPORT = (
     "summary.json",
@@ -230,10 +228,28 @@ class Summary(Setup):
             | self.own_metrics
         )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _word_verdict(cls, data: Any) -> Any:
+        """Word the verdict of an older run as it is worded today."""
+        if isinstance(data, dict) and isinstance(data.get("verdict"), str):
+            return data | {"verdict": read_verdict(data["verdict"], data.get("expectations_met"))}
+        return data
+
     @property
     def as_planned(self) -> bool:
-        """Whether it completed within its limits and came to what its scenario expects."""
+        """Whether it completed within its limits and met what its scenario expects; False if nothing is expected."""
+        return self.succeeded and self.expectations_met is True
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether it completed, and nothing that was checked failed: its exit status is 0."""
         return self.outcome == "completed" and not self.beyond and self.expectations_met is not False
+
+    @property
+    def ending(self) -> str:
+        """How it ended and its verdict, in words."""
+        return describe_end(self.outcome, self.reason, self.verdict)
 
     @property
     def exceeded(self) -> list[str]:
@@ -273,9 +289,7 @@ class Run:
     def _repr_html_(self) -> str:
         """What a notebook shows of it."""
         summary = self.summary
-        said = f"{summary.scenario}: {summary.outcome}, {summary.reason}" + (
-            f"; {summary.verdict}" if summary.verdict else ""
-        )
+        said = f"{summary.scenario}: {summary.ending}"
         flown = f"{summary.aircraft}, engine {summary.engine}, controller {summary.controller}, seed {summary.seed}"
         flown += f"; {summary.by_hand} steps by hand" if summary.by_hand else ""
         own = summary.own_controller
@@ -495,17 +509,12 @@ def summarize(
     limits = flight_limits(setup.yardstick, log, setup.step_s) if setup.yardstick is not None and steps else {}
     above = beyond(limits, flat)
     complaints = _complaints(setup.expectation, outcome, flat)
+    met = None if setup.expectation is None else not complaints
     return Summary(
         **dict(setup),
         outcome=outcome,
         reason=reason,
-        verdict="not completed"
-        if outcome != "completed"
-        else "beyond limits"
-        if above
-        else "not as expected"
-        if complaints
-        else "as planned",
+        verdict=judge(outcome, above, met),
         steps=steps,
         duration_s=duration,
         wall_s=wall_s,
@@ -531,7 +540,7 @@ def summarize(
         own_metrics_failed=failed,
         limits=limits,
         beyond=above,
-        expectations_met=None if setup.expectation is None else not complaints,
+        expectations_met=met,
         complaints=complaints,
     )
 

@@ -21,9 +21,10 @@ from cosim.base.storage.files import replacing, write_whole
 from cosim.campaign.folder import FLIGHTS, STUDY
 from cosim.results.logs import is_flight_log
 from cosim.results.run import SUMMARY
+from cosim.results.verdict import read_verdict
 
 INDEX, TAGS = ".index.json", "tags.json"
-FORM = 2  # of the index; another one is read as none
+FORM = 3  # of the index; another one is read as none
 RUN, CAMPAIGN, PAGE, UNFINISHED, LOG = "run", "campaign", "page", "unfinished", "log"
 SCENARIO = "scenario.toml"
 LOGS = (".ulg", ".bin", ".bbl", ".bfl", ".cfusdlog")  # of other flight controllers, which can be compared
@@ -168,7 +169,10 @@ def read_entry(folder: Path) -> Entry:
 
 
 def _facts(summary: Mapping[str, Any]) -> dict[str, str]:
-    return {name: str(summary[name]) for name in FACTS if isinstance(summary.get(name), str)}
+    facts = {name: str(summary[name]) for name in FACTS if isinstance(summary.get(name), str)}
+    if "verdict" in facts:
+        facts["verdict"] = read_verdict(facts["verdict"], summary.get("expectations_met"))
+    return facts
 
 
 def _study(path: Path) -> dict[str, str]:

@@ -50,9 +50,14 @@ def test_by_keyboard(runs: int, tmp_path: Path, browser: Any) -> None:
         page.wait_for_selector("body[data-shown='0']")
         page.fill("#search", "filtered-smith roll.rmse_rad<0.1")
         page.wait_for_selector("body[data-shown='33']")
+        page.fill("#search", "filtered-smith roll.rmse_deg<5.8")  # shown in degrees, asked for in either unit
+        page.wait_for_selector("body[data-shown='34']")
+        page.fill("#search", "filtered-smith roll.rmse_rad<0.1")
+        page.wait_for_selector("body[data-shown='33']")
         page.select_option("#metric", "roll.rmse_rad")
         page.focus("#grid")
         page.wait_for_selector("#row0:has-text('run-00002')")
+        assert "0.11459" in page.locator("#row0").inner_text()  # 0.002 rad
         for key in ("Home", " ", "ArrowDown", " ", "t"):
             page.keyboard.press(key)
         page.keyboard.type("kept")

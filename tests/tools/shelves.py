@@ -21,6 +21,7 @@ def shelf(folder: Path, runs: int) -> Path:
             "started": f"2026-01-{1 + k // 1440 % 28:02d}T{k // 60 % 24:02d}:{k % 60:02d}:00+00:00",
             "outcome": "completed",
             "verdict": "as planned" if k % 5 else "beyond limits",
+            "expectations_met": True,
             "duration_s": 20.0,
             "metrics": {"roll": {"commanded": True, "rmse_rad": k / 1000.0, "overshoot_percent": None}},
             "position": {"drift_m": 1.0 + k % 7},

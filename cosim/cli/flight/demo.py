@@ -20,7 +20,7 @@ def main() -> int:
     runs = []
     for controller in ("baseline", "smith"):
         run = fly(scenario.replace(controller=controller), folder / controller)
-        print(f"{controller:9} {run.outcome}: {run.reason} ({run.summary.realtime_factor:.0f} x real time)")
+        print(f"{controller:9} {run.summary.ending} ({run.summary.realtime_factor:.0f} x real time)")
         runs.append(run)
     print_metrics(runs, by="controller")
     path = folder / "comparison.html"

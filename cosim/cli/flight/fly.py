@@ -124,9 +124,10 @@ def fly(
 ) -> int:
     """Fly SCENARIO: a name in scenarios/, the path of a TOML file, or with --flight the folder of a campaign.
 
-    Leaves a folder with summary, resolved scenario, log and report.  Status 0: flown as planned, or with --flight the
-    same as in the campaign, bit for bit; 1: the flight failed, went beyond its limits or did not come to what the
-    scenario expects, or is not the same; 2: wrong input.
+    Leaves a folder with summary, resolved scenario, log and report.  Status 0: as planned; or completed within its
+    limits, nothing checked, where the scenario expects nothing of what flew; or with --flight the same as in the
+    campaign, bit for bit.  1: the flight failed, went beyond its limits or did not come to what the scenario expects,
+    or is not the same.  2: wrong input.
     """
     if flight is not None:
         why = "a flight of a campaign is flown as it was; leave it out with --flight"
@@ -180,7 +181,7 @@ def fly(
         click.echo(json.dumps(run.summary.model_dump(mode="json"), allow_nan=False))
     else:
         print_run(run)
-    return DONE if run.summary.as_planned else FLIGHT_FAILED
+    return DONE if run.summary.succeeded else FLIGHT_FAILED
 
 
 def _fly_again(folder: Path, number: int, out: Path | None, as_json: bool) -> int:
@@ -256,10 +257,11 @@ def _others(summary: Summary) -> str:
 
 def print_run(run: Run) -> None:
     """Outcome, metrics, what was expected and not met, and where the report is."""
+    from rich.markup import escape
+
     summary = run.summary
     console = terminal()
-    but = f"; [bold]{summary.verdict}[/bold]" if summary.verdict not in (None, "not completed") else ""
-    console.print(f"{summary.scenario}: [bold]{run.outcome}[/bold], {run.reason}{but}", highlight=False)
+    console.print(f"{summary.scenario}: [bold]{escape(summary.ending)}[/bold]", highlight=False)
     console.print(
         f"{summary.aircraft}, engine {summary.engine}{_others(summary)}, controller {summary.controller}, "
         f"seed {summary.seed}: {summary.duration_s:.2f} s flown" + _speed(summary.realtime_factor),

@@ -128,8 +128,8 @@ def gcs(
     """A vehicle on the ground that waits for a ground station: QGroundControl, MAVProxy, MAVSDK.
 
     Every flight leaves a run's folder, with telemetry.tlog and with requests.jsonl: hexjet fly on its scenario.toml
-    repeats it without a ground station.  Status as of hexjet fly, for the last flight: 0 flown as planned; 1 it failed
-    or went beyond its limits; 2 wrong input.
+    repeats it without a ground station.  Status as of hexjet fly, for the last flight: 0 completed within its
+    limits; 1 it failed or went beyond them; 2 wrong input.
     """
     from cosim.design.measured.judge import LoopJudge
     from cosim.groundstation.links import Links
@@ -171,7 +171,7 @@ def gcs(
     if as_json:
         record = {"runs": [run.summary.model_dump(mode="json") for run in runs], "links": counts}
         click.echo(json.dumps(record, allow_nan=False))
-    return DONE if runs[-1].summary.as_planned else FLIGHT_FAILED
+    return DONE if runs[-1].summary.succeeded else FLIGHT_FAILED
 
 
 def print_gcs(session: Session, links: Links, log_mb: float, to_stderr: bool) -> None:
@@ -209,7 +209,7 @@ def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
     """Flights and how the last one ended, steps that were late, what the links refused, and how to fly it again."""
     from shlex import quote
 
-    last = runs[-1]
+    last, beyond = runs[-1], runs[-1].summary.exceeded
     paced = [run.summary.pacing for run in runs if run.summary.pacing is not None]
     refused = {reason.replace("_", " "): count for reason, count in counts["refused"].items() if count}
     why = f" ({', '.join(f'{count} {reason}' for reason, count in sorted(refused.items()))})" if refused else ""
@@ -217,8 +217,7 @@ def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
     faults = counts["failures"]
     return "; ".join(
         [
-            f"{len(runs)} flight{'s' if len(runs) > 1 else ''}, the last {last.outcome}: {last.reason}",
-            *([", ".join(["beyond limits", *last.summary.exceeded])] if last.summary.beyond else []),
+            ", ".join([f"{len(runs)} flight{'s' if len(runs) > 1 else ''}, the last {last.summary.ending}", *beyond]),
             f"{sum(pacing.missed_deadlines for pacing in paced)} steps late" if paced else "not paced",
             f"{counts['taken']} frames taken, {sum(refused.values())} refused{why}",
             f"{signatures} bad signatures",

@@ -327,7 +327,7 @@ def _fly(options: Options, scenario: Scenario, name: str, setup: Setup, rates: s
     with output_to_stderr(options.as_json):
         done = autopilot.fly(scenario, folder, realtime_factor=options.rtf or None, **details)
     _print(done, setup.gains, options.as_json)
-    return DONE if done.run.summary.as_planned else FLIGHT_FAILED
+    return DONE if done.run.summary.succeeded else FLIGHT_FAILED
 
 
 def _magnetic_field(text: str | None) -> tuple[float, float, float] | None:

@@ -261,8 +261,7 @@ def _about(flight: ComparedFlight) -> list[str]:
         text = "a log"
     else:
         summary = flight.run.summary
-        text = f"{summary.scenario}, {summary.aircraft}, {summary.engine}, {summary.controller}, {summary.outcome}"
-        text += f" ({summary.verdict})" if summary.verdict not in (None, "not completed") else ""
+        text = f"{summary.scenario}, {summary.aircraft}, {summary.engine}, {summary.controller}, {summary.ending}"
     return ["; ".join([text, *flight.remarks])]
 
 

@@ -44,7 +44,7 @@ def log_lines(run: Run, lines: Sequence[ulog_autopilot.Line]) -> list[LogLine]:
     texts += [LogLine(k, k * step, INFO, "pilot", text) for k, text in ulog_autopilot.mode_changes(lines)]
     level = INFO if summary.outcome == "completed" else ERROR
     end, last = summary.steps, summary.duration_s
-    texts.append(LogLine(end, last, level, "outcome", f"{summary.outcome}: {summary.reason}"))
+    texts.append(LogLine(end, last, level, "outcome", summary.ending))
     texts += [LogLine(end, last, ERROR, "limit", f"beyond its limit: {text}") for text in summary.exceeded]
     for event in events_of(run):
         if event.kind != "pilot":
@@ -64,6 +64,7 @@ def facts(summary: Summary) -> dict[str, str]:
         "seed": str(summary.seed),
         "outcome": summary.outcome,
         "reason": summary.reason,
+        "verdict": summary.verdict or "",
         "started": summary.started,
         "step_s": repr(summary.step_s),
         "version": summary.versions.get("hexjet-cosim", "unknown"),

@@ -12,7 +12,7 @@ import numpy as np
 from cosim.base.signals import AXES
 from cosim.results.comparison import ComparedFlight, Pair, Signal, inputs_differ, pairs, step_of
 from cosim.results.events import events_of
-from cosim.results.report.flight import axis_cell, verdict
+from cosim.results.report.flight import axis_cell, verdict, verdict_badge
 from cosim.results.report.flight_figures import comparison_figures, less_the_first
 from cosim.results.report.page import TEMPLATES, Flights, render
 from cosim.results.report.plot import run_colour
@@ -59,6 +59,7 @@ def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[Pair]
                 "colour": run_colour(number),
                 "summary": summary,
                 "verdict": "" if summary is None else verdict(summary),
+                "badge": None if summary is None else verdict_badge(summary),
                 "link": "" if flight.run is None else _link(flight.run, path),
                 "source": flight.source,
                 "remarks": flight.remarks,

@@ -22,6 +22,7 @@ from cosim.results.run import (
     Run,
     Summary,
 )
+from cosim.results.verdict import BADGES, NOT_COMPLETED, NOTHING_CHECKED
 from cosim.results.wording import (
     AXIS_ROWS,
     NONE,
@@ -82,6 +83,7 @@ def write_report(run: Run, path: Path, shared_assets: bool = False) -> None:
         ),
         summary=summary,
         verdict=verdict(summary),
+        badge=verdict_badge(summary),
         metrics=metric_table(summary),
         whole=whole_rows(summary),
         expectations=expectation_rows(summary),
@@ -97,6 +99,13 @@ def write_report(run: Run, path: Path, shared_assets: bool = False) -> None:
 # ---- words and tables
 
 
+def verdict_badge(summary: Summary) -> tuple[str, str]:
+    """Return the class and the text of the badge with the verdict; a flight without one shows its outcome."""
+    if summary.verdict is None or summary.verdict == NOT_COMPLETED:
+        return summary.outcome, summary.outcome
+    return BADGES[summary.verdict], summary.verdict
+
+
 def verdict(summary: Summary) -> str:
     """What came of the flight, in one or two sentences."""
     flown = f"{summary.duration_s:.2f} s"
@@ -105,6 +114,8 @@ def verdict(summary: Summary) -> str:
     else:
         parts = [f"{summary.outcome.capitalize()} after {flown} of {summary.planned_s:g} s: {summary.reason}."]
     parts += [f"{text[0].upper()}{text[1:]}." for text in summary.exceeded]
+    if summary.verdict == NOTHING_CHECKED:
+        parts.append("Nothing was expected of it, so that nothing but its limits was checked.")
     commanded = [_axis_verdict(axis, metrics) for axis, metrics in summary.metrics.items() if metrics.commanded]
     parts += commanded or [_worst_error(summary)]
     if summary.touchdown_m_s is not None:
