@@ -26,10 +26,12 @@ from cosim.results.recorder import KeepingSink
 from cosim.results.run import (
     AUTOPILOT,
     REPORT,
+    RUN_FILES,
     BroughtBlock,
     DelayRow,
     Integration,
     OwnController,
+    ParametersRecord,
     Recording,
     Run,
     Setup,
@@ -56,6 +58,9 @@ from cosim.spec.scenario import (
     SticksCommand,
     TableCommand,
     TrackCommand,
+    changes_of,
+    copied_parameters,
+    flown_parameters,
 )
 from cosim.spec.vehicle import VEHICLE, aircraft_names, as_read, is_file, is_own, load_vehicle
 from cosim.vehicle.airframe import (
@@ -196,7 +201,11 @@ def record(
     columns = log_columns(logged_vehicle(simulation.vehicle), simulation.columns)
     files |= dict(contents or {})
     metrics = simulation.brought.metrics
-    return begin_run(_setup(simulation), resolved, folder, files, background, sink, columns, metrics)
+    setup = _setup(simulation, resolved)
+    if folder is None:  # nothing is copied: its parameter files are where they were
+        scenario = simulation.scenario
+        resolved = resolved.resolved(parameter_files=[f.seen_from(scenario.folder) for f in scenario.parameter_files])
+    return begin_run(setup, resolved, folder, files, background, sink, columns, metrics)
 
 
 def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
@@ -213,6 +222,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
             files[name] = source
             entry = entry.model_copy(update={"file": name})
         commands.append(entry)
+    parameters = flown_parameters(simulation.scenario)
     own = simulation.own
     controller: dict[str, Any] = _brought(simulation.brought, files)
     if own is not None:
@@ -222,9 +232,11 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
     aircraft, vehicle, names = copied_aircraft(simulation, files)
     engine, jets = simulation.engine, simulation.vehicle.jets
     # each part was checked when the scenario was read, so nothing is checked once more
-    return scenario.model_copy(
-        update={
+    return scenario.resolved(
+        **{
             **controller,
+            "parameter_files": copied_parameters(parameters, files, RUN_FILES),
+            "changed": changes_of(simulation.scenario, parameters),
             "command": commands,
             "engine": names[id(engine)],
             "engine_parameters": _floats(engine.parameters),
@@ -399,14 +411,21 @@ def _mapping(path: Path, archive: str) -> Path | bytes:
     return toml_text(stated | {"fmu": archive}).encode()
 
 
-def _setup(simulation: Simulation) -> Setup:
+def _setup(simulation: Simulation, resolved: Scenario) -> Setup:
     scenario, engine = simulation.scenario, simulation.engine
+    parameters = [
+        ParametersRecord(kind=each.kind, file=copy.file, sha256=copy.sha256, controller=each.controller,
+                         changed=tuple(each.changed))
+        for each, copy in zip(flown_parameters(scenario), resolved.parameter_files, strict=True)
+    ]  # fmt: skip
     model = simulation.vehicle.model or f"{simulation.vehicle.name}.xml"
     model = Path(model).name if is_own(scenario.aircraft) else model
     return Setup(
         scenario=scenario.name,
         title=scenario.title,
         description=scenario.description,
+        changed=resolved.changed,
+        parameter_files=parameters,
         aircraft=scenario.aircraft_name,
         engine=engine.name,
         controller=label(scenario.controller),
@@ -433,6 +452,7 @@ def _setup(simulation: Simulation) -> Setup:
             model: simulation.airframe.file_sha256,
             f"{model} as flown": simulation.airframe.sha256,
             **_engine_hashes([engine, *simulation.stations]),
+            **{file.file: file.sha256 for file in resolved.parameter_files},
             **(simulation.own.hashes if simulation.own is not None else {}),
             **{
                 n: h
@@ -441,7 +461,7 @@ def _setup(simulation: Simulation) -> Setup:
                 for n, h in source.hashes.items()
             },
         },
-    )
+    ).retitled()
 
 
 def _own_controller(simulation: Simulation) -> OwnController | None:
@@ -492,7 +512,8 @@ def reach(simulation: Simulation) -> Reach:
 
 def _station(spec: EngineSpec, reference: EngineSpec) -> StationEngine:
     curve = () if spec is reference else tuple(zip(spec.curve.throttle, spec.curve.thrust, strict=True))
-    return StationEngine(engine=spec.name, sha256=spec.sha256, curve=curve, apart=spec.misbehaves)
+    file = "" if spec.library else (spec.mapping or spec.path).name
+    return StationEngine(engine=spec.name, sha256=spec.sha256, curve=curve, file=file, apart=spec.misbehaves)
 
 
 def _engine_hashes(specs: Sequence[EngineSpec]) -> dict[str, str]:

@@ -24,7 +24,7 @@ from cosim.simulation.build import build
 from cosim.simulation.controllers.source import find
 from cosim.simulation.step import Simulation
 from cosim.spec.controller_name import file_name, is_design
-from cosim.spec.scenario import Scenario
+from cosim.spec.scenario import Scenario, changes_of, flown_parameters
 from cosim.spec.vehicle import is_file, is_own
 
 STUDY, SCENARIO = "study.toml", "scenario.toml"
@@ -105,6 +105,7 @@ def _scenario(
     data = resolved.model_dump(mode="json", exclude_none=True) | {
         "controller": base.controller if file_name(base.controller) is None else BASELINE.name,
         "controller_parameters": base.controller_parameters,
+        "changed": changes_of(base, flown_parameters(base)),
     }
     swapped = {vary.key.split(".")[-1] for vary in study.vary} & {"aircraft", "engine"}
     if swapped:

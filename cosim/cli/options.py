@@ -160,9 +160,11 @@ def load_scenario(
     if seed is not None:
         changes["seed"] = seed
     if model is not None:
+        from cosim.spec.scenario import parameter_files
         from cosim.spec.vehicle import read_models
 
         changes["vehicle"] = {"identified": read_models(model)}
+        changes["parameter_files"] = parameter_files(scenario.parameter_files, "models", model)
     if settings or model is not None or designed is not None or "stations" in chosen:
         changes["expect"] = []
     scenario = scenario.replace(**changes) if changes else scenario

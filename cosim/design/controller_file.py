@@ -20,7 +20,7 @@ from cosim.base.storage.toml import (
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.tune import Requirements
 from cosim.engine import load_engine
-from cosim.spec.scenario import Scenario, find_scenario
+from cosim.spec.scenario import Scenario, find_scenario, parameter_files
 from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_names, aircraft_seen_from, load_vehicle
 
 SAME_STEP_S = 1e-9  # control steps nearer to each other than this are one
@@ -140,11 +140,14 @@ def with_controller(
     stated = table.get("aircraft", Scenario.model_fields["aircraft"].default)
     flown = aircraft_seen_from(stated, source.parent) if aircraft is None else aircraft_seen_from(aircraft, Path())
     file = read_controller(path, flown)
-    table = merge(table, {"aircraft": flown, "controller": file.controller, "vehicle": file.vehicle, "expect": []})
+    original = Scenario.as_filed(source)
+    given = parameter_files(original.parameter_files if original is not None else [], "design", path)
+    written = {"aircraft": flown, "controller": file.controller, "vehicle": file.vehicle, "expect": []}
+    table = merge(table, written | {"parameter_files": given})
     for text in settings:
         key, value = parse_setting(text)
         set_path(table, key, value, f"{source}: --set")
-    scenario = Scenario.from_table(table, source.parent, str(source))
+    scenario = Scenario.from_table(table, source.parent, str(source), original)
     if abs(scenario.step_s - file.design.step_s) > SAME_STEP_S:
         raise InputError(
             f"{path}: designed for steps of {file.design.step_s:g} s; {source.name} has step_s = {scenario.step_s:g}"

@@ -9,7 +9,7 @@ from pathlib import Path
 from cosim.base.errors import InputError
 from cosim.base.storage.files import one_line, write_whole
 from cosim.base.storage.toml import read_toml, toml_text
-from cosim.spec.controller_name import folder_name
+from cosim.spec.controller_name import SHORT, folder_name
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import is_file
 
@@ -21,7 +21,8 @@ _HEAD = "# What differs from the defaults; written by hexjet gcs.\n"
 def vehicle_key(scenario: Scenario) -> str:
     """Return what parameters are kept for: another engine or controller has other defaults."""
     engine = Path(scenario.engine).stem if is_file(scenario.engine) else scenario.engine
-    return f"{scenario.aircraft_name}-{engine}-{folder_name(scenario.controller)}"
+    designs = [f"{Path(f.file).stem}-{f.sha256[:SHORT]}" for f in scenario.parameter_files if f.kind == "design"]
+    return "-".join([scenario.aircraft_name, engine, folder_name(scenario.controller), *map(folder_name, designs)])
 
 
 def default_file(vehicle: str) -> Path:

@@ -153,7 +153,7 @@ def inputs_differ(first: Run, second: Run) -> list[tuple[str, str, str]]:
     return [
         (key, _short(left.get(key)), _short(right.get(key)))
         for key in keys
-        if left.get(key) != right.get(key) and key not in ("title", "description")
+        if left.get(key) != right.get(key) and key not in ("title", "description", "changed")
     ]
 
 

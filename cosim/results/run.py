@@ -17,7 +17,7 @@ from html import escape
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from platform import python_version
-from typing import Any
+from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
@@ -62,6 +62,7 @@ from cosim.results.recorder import (
 from cosim.results.verdict import Verdict, describe_end, judge, read_verdict
 from cosim.simulation.brought import OwnMetric, unmeasured
 from cosim.simulation.pacing import PaceReport
+from cosim.spec.controller_name import SHORT, controller_words
 from cosim.spec.scenario import Expectation, Scenario
 
 SUMMARY, SCENARIO, LOG, STREAM, REPORT = (
@@ -74,6 +75,9 @@ SUMMARY, SCENARIO, LOG, STREAM, REPORT = (
 TELEMETRY = "telemetry.tlog"
 AUTOPILOT = "autopilot.jsonl"
 RUN_FILES = (SUMMARY, SCENARIO, LOG, STREAM, REPORT, TELEMETRY, AUTOPILOT)
+_TITLED = ("aircraft", "engine", "controller", "design", "models")  # changes that a title states as what flies
+_LISTED = 3  # further changes in a title
+_AS_STATED = "Of the scenario as its file states it, not of this flight:"
 _WIDTH = 120  # characters of a table or list on one line of the summary
 PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy", "pyarrow")
 
@@ -94,6 +98,7 @@ class StationEngine(Record):
     engine: str
     sha256: str  # of its archive
     curve: tuple[tuple[float, float], ...] = ()
+    file: str = ""  # the name of its archive or mapping file; empty: of the library, or an older run
     apart: str = ""  # what it was found to do to its process, for which the flight's engines had one of their own
 
 
@@ -134,6 +139,16 @@ class OwnController(Record):
     repeatable: bool | None = None  # asked again with the same inputs it answered the same; None: not asked
 
 
+class ParametersRecord(Record):
+    """A file whose numbers flew: a controller of hexjet design, or identified models."""
+
+    kind: str  # design or models
+    file: str  # its name in the run's folder
+    sha256: str
+    controller: str = ""  # that a design is for
+    changed: tuple[str, ...] = ()  # keys with another value in the flight than in the file
+
+
 class BroughtBlock(Record):
     """A metric, an observer, sensors or a wind of the user's, as it flew."""
 
@@ -156,6 +171,8 @@ class Setup(BaseModel):
     engine: str
     controller: str
     own_controller: OwnController | None = None  # None: a built-in one
+    parameter_files: list[ParametersRecord] = []
+    changed: list[str] = []  # what was written over the scenario's own file, key = value
     brought: list[BroughtBlock] = []  # what else is the user's
     seed: int
     step_s: float
@@ -172,6 +189,32 @@ class Setup(BaseModel):
     by_hand: int = 0  # steps whose command, throttles or tilts a program gave: the scenario alone does not repeat them
     versions: dict[str, str] = {}
     sha256: dict[str, str] = {}  # of the aircraft model and of every FMU
+
+    @property
+    def controller_shown(self) -> str:
+        """The controller for people: a design, models or a custom controller by file and first letters of the hash."""
+        own = "" if self.own_controller is None else self.own_controller.sha256
+        return controller_words(self.controller, own, self.parameter_files)
+
+    @property
+    def engine_shown(self) -> str:
+        """The engine for people, one that is not of the library with its file and the first letters of its hash."""
+        files = {station.file: station.sha256 for station in self.stations if station.engine == self.engine}
+        return self.engine + "".join(f" ({name} {value[:SHORT]})" for name, value in files.items() if name)
+
+    def retitled(self) -> Self:
+        """Return the same under a title of what flies, where it is not what the scenario's file states.
+
+        The description is kept, marked as the scenario's.
+        """
+        if not self.changed:
+            return self
+        texts = [text for text in self.changed if text.partition(" = ")[0] not in _TITLED]
+        listed = [*texts[:_LISTED], *([f"{len(texts) - _LISTED} more changes"] if len(texts) > _LISTED else [])]
+        title = f"{self.scenario}: {self.aircraft}, {self.engine_shown}, {self.controller_shown}"
+        title += f", with {', '.join(listed)}" if listed else ""
+        story = f"{_AS_STATED} {self.description.strip()}" if self.description.strip() else ""
+        return self.model_copy(update={"title": title, "description": story})
 
 
 class Pacing(Record):
@@ -290,7 +333,8 @@ class Run:
         """What a notebook shows of it."""
         summary = self.summary
         said = f"{summary.scenario}: {summary.ending}"
-        flown = f"{summary.aircraft}, engine {summary.engine}, controller {summary.controller}, seed {summary.seed}"
+        flown = f"{summary.aircraft}, engine {summary.engine_shown}, controller {summary.controller_shown}, "
+        flown += f"seed {summary.seed}"
         flown += f"; {summary.by_hand} steps by hand" if summary.by_hand else ""
         own = summary.own_controller
         flown += "; an object of a program, which no file makes again" if own is not None and not own.again else ""
@@ -346,6 +390,7 @@ class Recording:
         """The scenario as it was flown in the end, with what came by command.  Raises FlightError."""
         self._scenario = scenario
         if isinstance(self._sink, StreamSink):
+            self._scenario = scenario.seen_from(self._sink.path.parent)
             write_whole(self._sink.path.with_name(SCENARIO), scenario_toml(scenario), FlightError)
 
     def repeats(self, same: bool | None) -> None:
@@ -423,6 +468,7 @@ def begin_run(
         sink.begin(columns)
         return Recording(setup, scenario, sink, columns=columns, metrics=metrics)
     claim_folder(folder, files or {})
+    scenario = scenario.seen_from(folder)
     stream = StreamSink(folder / STREAM, setup.model_dump_json(), columns)
     try:
         for name, source in (files or {}).items():

@@ -20,8 +20,9 @@ from cosim.base.errors import InputError
 from cosim.base.storage.files import replacing, write_whole
 from cosim.campaign.folder import FLIGHTS, STUDY
 from cosim.results.logs import is_flight_log
-from cosim.results.run import SUMMARY
+from cosim.results.run import SUMMARY, ParametersRecord
 from cosim.results.verdict import read_verdict
+from cosim.spec.controller_name import controller_words
 
 INDEX, TAGS = ".index.json", "tags.json"
 FORM = 3  # of the index; another one is read as none
@@ -172,6 +173,10 @@ def _facts(summary: Mapping[str, Any]) -> dict[str, str]:
     facts = {name: str(summary[name]) for name in FACTS if isinstance(summary.get(name), str)}
     if "verdict" in facts:
         facts["verdict"] = read_verdict(facts["verdict"], summary.get("expectations_met"))
+    with suppress(KeyError, TypeError, ValueError):  # an older summary, or not quite one of ours
+        own = (summary.get("own_controller") or {}).get("sha256") or ""
+        files = [ParametersRecord.model_validate(entry) for entry in summary.get("parameter_files") or ()]
+        facts["controller"] = controller_words(facts["controller"], own, files)
     return facts
 
 
@@ -180,9 +185,18 @@ def _study(path: Path) -> dict[str, str]:
     facts = _stated(path, "title", "scenario")
     if facts.get("scenario") == SCENARIO:
         flown = _stated(path.parent / SCENARIO, "title", "name")
+        if _is_changed(path.parent / SCENARIO):
+            flown.pop("title", None)
         facts = flown | facts | {"scenario": flown.pop("name", SCENARIO)}
         facts.pop("name", None)
     return facts
+
+
+def _is_changed(path: Path) -> bool:
+    """Return whether something was written over a scenario's own file, so that its title is not of what flies."""
+    with suppress(OSError, ValueError):
+        return re.search(r'^changed = \[\s*"', path.read_text(encoding="utf-8"), re.MULTILINE) is not None
+    return False
 
 
 def _stated(path: Path, *keys: str) -> dict[str, str]:

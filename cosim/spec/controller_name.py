@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
+
+SHORT = 8  # letters of a hash that tell two files of one name apart for people
 
 _NAMED = re.compile(
     r"(?P<before>process:)(?P<program>[^ ]+)(?P<arguments>( .*)?)"
@@ -12,6 +15,26 @@ _NAMED = re.compile(
     r"|(?P<whole>.+\.(fmu|toml|csv))",
     re.IGNORECASE | re.DOTALL,
 )
+
+
+class FlownFile(Protocol):
+    """What :func:`controller_words` needs of a parameter file that flew."""
+
+    @property
+    def kind(self) -> str:
+        """Return design or models."""
+
+    @property
+    def file(self) -> str:
+        """Return its name."""
+
+    @property
+    def sha256(self) -> str:
+        """Return the hash of its content."""
+
+    @property
+    def changed(self) -> Sequence[str]:
+        """Return the keys whose values in the flight are not the file's."""
 
 
 class FileName(NamedTuple):
@@ -76,3 +99,20 @@ def folder_name(controller: str) -> str:
 def short_name(controller: str) -> str:
     """What a table has room for: a design's file without its ending, else as :func:`label`."""
     return Path(controller).stem if is_design(controller) else label(controller)
+
+
+def file_words(file: str, sha256: str) -> str:
+    """Return a parameter file without its folder and ending, with the first letters of its hash."""
+    return f"{Path(file).stem} {sha256[:SHORT]}"
+
+
+def controller_words(law: str, sha256: str, files: Iterable[FlownFile]) -> str:
+    """Return who flies, for people: ``my-design 1ada07e5 (smith)``, ``smith, models roll 5b0c2e11``, a file and hash.
+
+    ``law`` is the controller's label and ``sha256`` the hash of its files, or empty; it is left out of a bare name.
+    """
+    text = f"{law} {sha256[:SHORT]}" if sha256 and set(law) & {".", ":"} else law
+    for each in files:
+        words = file_words(each.file, each.sha256) + (", changed" if each.changed else "")
+        text = f"{words} ({text})" if each.kind == "design" else f"{text}, models {words}"
+    return text

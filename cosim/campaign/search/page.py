@@ -22,6 +22,7 @@ from cosim.results.report.page import render
 from cosim.results.report.plot import ABOVE, GREEN, GREY, RED, layout, run_colour
 from cosim.results.run import REPORT, SCENARIO
 from cosim.spec.controller_name import short_name
+from cosim.spec.scenario import changes_of, flown_parameters
 
 Figure = dict[str, Any]
 
@@ -60,12 +61,14 @@ def write_page(searched: SavedSearch, path: Path) -> None:
         command = shlex.quote((folder / SCENARIO).as_posix())
         links = {"what": values, "report": link, "command": command}
         cases.append({name: getattr(case, name) for name in ("name", "seed", "outcome", "reason", "same")} | links)
+    base = result.study.base()
     render(
         TEMPLATE,
         path,
         figures(result, searched.looked),
         result=result,
-        base=result.study.base(),
+        base=base,
+        title="" if changes_of(base, flown_parameters(base)) else base.title,
         controllers=[short_name(name) for name in result.study.controller_names],
         labels={name: short_name(name) for name in result.study.controller_names},
         columns=columns,

@@ -31,7 +31,7 @@ from cosim.engine.spec import find_source
 from cosim.simulation.controllers.source import find
 from cosim.simulation.controllers.source import names as own_controllers
 from cosim.spec.controller_name import is_design
-from cosim.spec.scenario import Scenario
+from cosim.spec.scenario import Scenario, parameter_files
 from cosim.spec.vehicle import PredictorTuning, aircraft_names, engine_of, is_file, is_own
 
 if TYPE_CHECKING:
@@ -79,6 +79,8 @@ NOT_VARIED = (
     "title",
     "description",
     "requests",
+    "parameter_files",
+    "changed",
     "engine_unchecked",
     "engine_isolated",
     "engine_start",
@@ -241,7 +243,8 @@ def with_values(scenario: Scenario, values: Mapping[str, Value]) -> Scenario:
     stated = scenario.stated("json") | {"expect": []}
     if values.get("engine", scenario.engine) != scenario.engine:
         stated["stations"] = {}
-    return Scenario.from_table(merge(stated, changes), scenario.folder, f"scenario {scenario.name}")
+    where = f"scenario {scenario.name}"
+    return Scenario.from_table(merge(stated, changes), scenario.folder, where, scenario.origin or scenario)
 
 
 def _with_own_engine(scenario: Scenario, values: Mapping[str, Value]) -> Mapping[str, Value]:
@@ -262,7 +265,8 @@ def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[d
     file = read_controller(Path(path), aircraft, scenario.folder)
     step = float(values.get("step_s") or scenario.replace(aircraft=aircraft, vehicle={}).step_s)
     file.check_step(Path(path), step)
-    return {"vehicle": file.vehicle}, {**values, "controller": file.controller}
+    given = parameter_files(scenario.parameter_files, "design", Path(path))
+    return {"vehicle": file.vehicle, "parameter_files": given}, {**values, "controller": file.controller}
 
 
 def own_keys(scenario: Scenario) -> list[Key]:

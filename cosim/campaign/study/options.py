@@ -20,7 +20,7 @@ from cosim.campaign.study.study import (
     dotted,
     study_names,
 )
-from cosim.spec.controller_name import seen_from
+from cosim.spec.controller_name import seen_from, short_name
 from cosim.spec.scenario import Range, Scenario, scenario_names
 from cosim.spec.vehicle import aircraft_seen_from, file_seen_from
 
@@ -62,12 +62,24 @@ def open_study(
         data["controllers"] = [seen_from(controller, Path()) for controller in controllers]
     given = {"design": design, "runs": runs, "repeats": repeats, "seed": seed}
     data |= {key: value for key, value in given.items() if value is not None}
+    if "title" in data and (vary or settings or controllers or design or runs or repeats):
+        data |= _retold(data, settings, controllers)
     if not data["vary"]:
         raise InputError(f"{where}: nothing varies; --vary KEY=LO:HI says what does")
     data.setdefault("design", _usual_design(data))
     if data["design"] not in DESIGNS:
         raise InputError(f"--design {data['design']}: {nearest(str(data['design']), DESIGNS)}")
     return Study.from_table(data, folder, where)
+
+
+def _retold(data: Mapping[str, Any], settings: Sequence[str], controllers: Sequence[str]) -> dict[str, str]:
+    """Return a title of what flies and a marked description: the study's file tells of what it states itself."""
+    over = [*settings, *([f"controllers {', '.join(map(short_name, controllers))}"] if controllers else [])]
+    listed = [*over[:3], *([f"{len(over) - 3} more changes"] if len(over) > 3 else [])]
+    words = ", ".join(listed) or "with options of its own"
+    story = str(data.get("description", "")).strip()
+    told = f"Of the study as its file states it, not of these flights: {story}" if story else ""
+    return {"title": f"{data.get('name', '')}: {words}", "description": told}
 
 
 def _opened(name: str | Path) -> tuple[dict[str, Any], Path, str]:

@@ -123,10 +123,11 @@ class Study(Model):
         if self._base is None:
             path = _scenario_path(self.scenario, self.folder)
             data = read_toml(path)
+            origin = Scenario.as_filed(path) if self.settings else None
             for key, value in dotted(self.settings):
                 set_path(data, split_key(key), value, f"{self._where}: settings")
             where = f"{self._where}: settings" if self.settings else str(path)
-            self._base = Scenario.from_table({**data, "expect": []}, path.parent, where)
+            self._base = Scenario.from_table({**data, "expect": []}, path.parent, where, origin)
         return self._base
 
     def key(self, name: str) -> Key:

@@ -136,7 +136,7 @@ def fly(
     from cosim.flight import fly as fly_scenario
     from cosim.flight import new_folder
     from cosim.results.run import finish_killed
-    from cosim.spec.controller_name import folder_name, is_design
+    from cosim.spec.controller_name import folder_name, is_design, short_name
 
     if realtime and rtf is not None:
         raise InputError("--realtime and --rtf: give one of them")
@@ -155,7 +155,8 @@ def fly(
     for text in loaded.after_the_end():
         click.echo(f"hexjet: warning: scenario {loaded.name}: {text}", err=True)
     warn_of_blemishes(loaded.engine, *(s.engine for s in loaded.stations.values() if s.engine), folder=loaded.folder)
-    folder = out if out is not None else new_folder(Path("runs"), f"{loaded.name}-{folder_name(loaded.controller)}")
+    named = short_name(controller) if controller is not None else loaded.controller
+    folder = out if out is not None else new_folder(Path("runs"), f"{loaded.name}-{folder_name(named)}")
     with (
         output_to_stderr(as_json),
         _shown(loaded, flightgear) as viewers,
@@ -263,7 +264,7 @@ def print_run(run: Run) -> None:
     console = terminal()
     console.print(f"{summary.scenario}: [bold]{escape(summary.ending)}[/bold]", highlight=False)
     console.print(
-        f"{summary.aircraft}, engine {summary.engine}{_others(summary)}, controller {summary.controller}, "
+        f"{summary.aircraft}, engine {summary.engine_shown}{_others(summary)}, controller {summary.controller_shown}, "
         f"seed {summary.seed}: {summary.duration_s:.2f} s flown" + _speed(summary.realtime_factor),
         highlight=False,
     )
@@ -309,7 +310,7 @@ def print_metrics(runs: Sequence[Run], by: str = "axis") -> None:
     heads = [f"{row.title}, {row.unit}".lower().replace("rmse", "RMSE") for row in AXIS_ROWS]
     lines = [
         [
-            axis if by == "axis" else f"{run.summary.controller}, {axis}",
+            axis if by == "axis" else f"{run.summary.controller_shown}, {axis}",
             *(axis_cell(metrics, row.key, row.factor, row.digits) for row in AXIS_ROWS),
         ]
         for run in runs

@@ -179,11 +179,12 @@ def print_gcs(session: Session, links: Links, log_mb: float, to_stderr: bool) ->
     from rich.console import Console
 
     from cosim.groundstation.log_limit import hourly_mb
+    from cosim.spec.scenario import controller_shown
 
     console = Console(stderr=True) if to_stderr else terminal()
     scenario, place = session.scenario, session.scenario.environment
     rows = [
-        ("vehicle", f"{scenario.aircraft_name}, engine {scenario.engine}, controller {scenario.controller}"),
+        ("vehicle", f"{scenario.aircraft_name}, engine {scenario.engine}, controller {controller_shown(scenario)}"),
         ("place", f"{place.latitude_deg:.6f}, {place.longitude_deg:.6f}, {place.ground_m:g} m above the sea"),
         ("system", str(links.system)),
         *[("MAVLink", _where(url)) for url in links.urls],

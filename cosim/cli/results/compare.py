@@ -261,7 +261,8 @@ def _about(flight: ComparedFlight) -> list[str]:
         text = "a log"
     else:
         summary = flight.run.summary
-        text = f"{summary.scenario}, {summary.aircraft}, {summary.engine}, {summary.controller}, {summary.ending}"
+        text = f"{summary.scenario}, {summary.aircraft}, {summary.engine_shown}, {summary.controller_shown}, "
+        text += summary.ending
     return ["; ".join([text, *flight.remarks])]
 
 

@@ -19,7 +19,7 @@ from cosim.groundstation.exchange import SessionInfo, Snapshot
 from cosim.results.columns import log_columns, logged_vehicle
 from cosim.results.recorder import OneRow
 from cosim.results.report.signals_data import shape
-from cosim.spec.controller_name import label
+from cosim.spec.scenario import controller_shown
 
 Point = tuple[float | None, ...]  # of the strip chart: t [s], measured p, q, r, predicted p, q, r [deg/s]
 
@@ -37,7 +37,7 @@ def flight(facts: SessionInfo) -> dict[str, Any]:
         "number": facts.number,
         "scenario": scenario.name,
         "vehicle": vehicle.name,
-        "controller": label(scenario.controller),
+        "controller": controller_shown(scenario),
         "engines": [{"name": spec.name, "most_N": _plain(spec.curve.thrust[-1])} for spec in facts.stations],
         "watched": scenario.monitored,
         "takeoff_m": facts.parameters["MIS_TAKEOFF_ALT"],

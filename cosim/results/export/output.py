@@ -61,6 +61,7 @@ def facts(summary: Summary) -> dict[str, str]:
         "aircraft": summary.aircraft,
         "engine": summary.engine,
         "controller": summary.controller,
+        "flown_by": summary.controller_shown,
         "seed": str(summary.seed),
         "outcome": summary.outcome,
         "reason": summary.reason,

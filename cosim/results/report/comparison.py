@@ -36,7 +36,7 @@ def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[Pair]
     """
     summaries = [None if flight.run is None else flight.run.summary for flight in flights]
     known = [summary for summary in summaries if summary is not None]
-    title = known[0].title or known[0].scenario if len({summary.scenario for summary in known}) == 1 else "Comparison"
+    title, description = _headline(known)
     less = less_the_first(flights)
     strips = comparison_figures(flights, less)
     data = [flight_data(flight, number) for number, flight in enumerate(flights)]
@@ -52,7 +52,7 @@ def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[Pair]
         Flights("comparison", data, strips),
         strips=strips,
         title=title,
-        description=known[0].description.strip() if title != "Comparison" else "",
+        description=description,
         runs=[
             {
                 "label": flight.label,
@@ -79,6 +79,17 @@ def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[Pair]
             for number, pair in enumerate(compared, 1)
         ],
     )
+
+
+def _headline(summaries: Sequence[Summary]) -> tuple[str, str]:
+    """Return a page's title and description: the flights' own where all have the same, else the scenario's name."""
+    names, titles, stories = (
+        {str(getattr(summary, key)).strip() for summary in summaries} for key in ("scenario", "title", "description")
+    )
+    if len(names) != 1:
+        return "Comparison", ""
+    title = titles.pop() if len(titles) == 1 else ""
+    return title or names.pop(), stories.pop() if len(stories) == 1 and title else ""
 
 
 def flight_data(flight: ComparedFlight, number: int) -> tuple[dict[str, Any], dict[str, str]]:
@@ -184,7 +195,7 @@ def run_labels(summaries: Sequence[Summary]) -> list[str]:
     """Short names that tell runs apart: whatever of controller, engine, scenario, aircraft and seed differs."""
     parts = [
         [str(getattr(summary, key)) for summary in summaries]
-        for key in ("controller", "engine", "scenario", "aircraft", "seed")
+        for key in ("controller_shown", "engine_shown", "scenario", "aircraft", "seed")
     ]
     telling = [values for values in parts if len(set(values)) > 1] or parts[:1]
     labels = [", ".join(words) for words in zip(*telling, strict=True)]

@@ -53,7 +53,7 @@ def write_report(run: Run, path: Path, shared_assets: bool = False) -> None:
         vehicle = vehicle_of(run)
         said = run_data(
             run.log,
-            summary.controller,
+            summary.controller_shown,
             BLUE,
             step_s=summary.step_s,
             events=events,

@@ -368,7 +368,9 @@ def plot(runs: Run | Sequence[Run], *columns: str) -> Any:
     flights = [runs] if isinstance(runs, Run) else list(runs)
     readers = [Reader(run.log, run.summary.step_s) for run in flights]
     if not columns:
-        labels = [f"{n}: {run.summary.controller}, {run.summary.engine}" for n, run in enumerate(flights, 1)]
+        labels = [
+            f"{n}: {run.summary.controller_shown}, {run.summary.engine_shown}" for n, run in enumerate(flights, 1)
+        ]
         one = len(flights) == 1
         return drawn(stacked(readers[0], ATTITUDE) if one else overlaid(readers, labels, ATTITUDE, "true"))
     units = {column.name: column.unit for run in flights for column in run.log.described}

@@ -43,6 +43,14 @@ from cosim.spec.scenario.faults import (
     ThrustLoss,
 )
 from cosim.spec.scenario.mismatch import Mismatch
+from cosim.spec.scenario.parameter_file import ParameterFile, parameter_files
+from cosim.spec.scenario.provenance import (
+    FlownParameters,
+    changes_of,
+    controller_shown,
+    copied_parameters,
+    flown_parameters,
+)
 from cosim.spec.scenario.scenario import (
     Environment,
     Expectation,
@@ -67,12 +75,14 @@ __all__ = [
     "Fault",
     "FlameOut",
     "FlightLimits",
+    "FlownParameters",
     "ForceDisturbance",
     "GuidedCommand",
     "GustDisturbance",
     "Initial",
     "Mismatch",
     "MomentDisturbance",
+    "ParameterFile",
     "PayloadDisturbance",
     "PlaceCommand",
     "RampCommand",
@@ -96,6 +106,11 @@ __all__ = [
     "Waypoint",
     "WaypointsCommand",
     "WindDisturbance",
+    "changes_of",
+    "controller_shown",
+    "copied_parameters",
     "find_scenario",
+    "flown_parameters",
+    "parameter_files",
     "scenario_names",
 ]

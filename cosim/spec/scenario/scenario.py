@@ -28,6 +28,7 @@ from cosim.spec.scenario.commands import CommandEntry
 from cosim.spec.scenario.disturbances import DisturbanceEntry
 from cosim.spec.scenario.faults import FaultEntry, SensorBias, SensorDropout, ServoJam, StationNumber
 from cosim.spec.scenario.mismatch import Mismatch
+from cosim.spec.scenario.parameter_file import ParameterFile
 from cosim.spec.vehicle import STEP_S, Step, Vehicle, is_own, load_vehicle
 
 
@@ -153,11 +154,14 @@ class Scenario(Model):
     sensors: str | None = None  # behind the built-in ones
     wind: str | None = None  # over time and place, beside the environment's; or a table over time, FILE.csv
     own_sha256: dict[str, str] = {}  # of the four above, by name: they fly only if they are these still
+    parameter_files: list[ParameterFile] = []  # whose numbers are in vehicle; written by hexjet
+    changed: list[str] = []  # what was written over the scenario's file, key = value; written into a run by hexjet
     vehicle: dict[str, Any] = {}
     limits: FlightLimits = FlightLimits()
     expect: list[Expectation] = []
 
     _folder: Path = PrivateAttr(default_factory=Path)
+    _origin: Scenario | None = PrivateAttr(default=None)  # as its file states it; None: as this is
     _resolved: tuple[str, dict[str, Any], tuple[Vehicle, Path]] | None = PrivateAttr(default=None)  # once needed
 
     @model_validator(mode="before")
@@ -194,6 +198,11 @@ class Scenario(Model):
     def folder(self) -> Path:
         """What relative file names in the scenario start from."""
         return self._folder
+
+    @property
+    def origin(self) -> Scenario | None:
+        """The scenario as its file states it, where something was written over it since."""
+        return self._origin
 
     def resolved_vehicle(self) -> tuple[Vehicle, Path]:
         """The aircraft with :attr:`vehicle` written over it, and its folder; read and checked once.
@@ -322,13 +331,22 @@ class Scenario(Model):
         """
         path = find_scenario(name)
         data = read_toml(path)
+        origin = cls.as_filed(path) if settings else None
         for text in settings or []:
             key, value = parse_setting(text)
             set_path(data, key, value, f"{path}: --set")
-        return cls.from_table(data, path.parent, str(path))
+        return cls.from_table(data, path.parent, str(path), origin)
 
     @classmethod
-    def from_table(cls, data: dict[str, Any], folder: Path, where: str) -> Scenario:
+    def as_filed(cls, path: Path) -> Scenario | None:
+        """Return the scenario of a file as it is; None if it is not whole without what is written over it."""
+        try:
+            return cls.from_table(read_toml(path), path.parent, str(path))
+        except InputError:
+            return None
+
+    @classmethod
+    def from_table(cls, data: dict[str, Any], folder: Path, where: str, origin: Scenario | None = None) -> Scenario:
         """Validate a parsed table.
 
         Parameters
@@ -339,6 +357,8 @@ class Scenario(Model):
             What relative file names in it start from.
         where : str
             What the table is called, for the error.
+        origin : Scenario or None
+            As the scenario's file states it, where something was written over it; None: the table is that.
 
         Returns
         -------
@@ -352,6 +372,7 @@ class Scenario(Model):
         """
         scenario = validate(cls, data, where)
         scenario._folder = folder
+        scenario._origin = origin
         return scenario if "step_s" in data else scenario._at_the_step_of_its_aircraft()
 
     def _at_the_step_of_its_aircraft(self) -> Scenario:
@@ -411,7 +432,19 @@ class Scenario(Model):
                 key: value for key, value in data.items() if key not in ("controller_parameters", "controller_sha256")
             }
         data = merge(data, changes)
-        return self.from_table(data, self.folder, f"scenario {self.name}")
+        return self.from_table(data, self.folder, f"scenario {self.name}", self._origin or self)
+
+    def resolved(self, **parts: Any) -> Scenario:
+        """Return a copy with parts that were checked already, as what a file of its own states from now on."""
+        copy = self.model_copy(update=parts)
+        copy._origin = None
+        return copy
+
+    def seen_from(self, folder: Path) -> Scenario:
+        """Return a copy whose relative file names start from ``folder``, where the files have been copied to."""
+        copy = self.model_copy()
+        copy._folder = folder.absolute()
+        return copy
 
 
 def _named(changes: Mapping[str, Any]) -> Iterator[str]:

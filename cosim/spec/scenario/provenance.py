@@ -1,0 +1,171 @@
+"""Where a scenario's numbers come from: files of parameters, and what was written over its own file."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from cosim.base.errors import InputError
+from cosim.base.storage.toml import merge, read_toml
+from cosim.spec.controller_name import SHORT, controller_words, label
+from cosim.spec.scenario.parameter_file import ParameterFile, read_whole
+from cosim.spec.scenario.scenario import Scenario
+from cosim.spec.vehicle import is_file, is_own, load_vehicle
+
+# Keys that say how a flight is watched, judged or proved to be the same, and not what flies.
+_BESIDE_THE_FLIGHT = frozenset(
+    (
+        "changed",
+        "controller_limit_s",
+        "controller_sha256",
+        "description",
+        "engine_isolated",
+        "engine_unchecked",
+        "expect",
+        "limits",
+        "metrics",
+        "name",
+        "observers",
+        "own_sha256",
+        "parameter_files",
+        "seed",
+        "title",
+    )
+)
+
+
+class FlownParameters(NamedTuple):
+    """A parameter file as a flight uses it."""
+
+    kind: Literal["design", "models"]
+    file: str  # from the folder of the scenario
+    sha256: str
+    content: bytes
+    controller: str  # that a design is for; empty: it names none
+    changed: list[str]  # keys with another value in the flight
+
+
+def flown_parameters(scenario: Scenario) -> list[FlownParameters]:
+    """Read a scenario's parameter files and compare their numbers with those that fly.
+
+    Raises InputError for a file that is missing or is another than the one whose hash is stated.
+    """
+    flown = []
+    for index, entry in enumerate(scenario.parameter_files):
+        where = f"scenario {scenario.name}: parameter_files.{index}"
+        path = scenario.folder / entry.file
+        content = read_whole(path, where)
+        found = sha256(content).hexdigest()
+        if found != entry.sha256:
+            raise InputError(
+                f"{where}: {path}: is another file (SHA-256 {found[:12]}) than stated ({entry.sha256[:12]})"
+            )
+        table = read_toml(path)
+        controller = str(table.get("controller", "")) if entry.kind == "design" else ""
+        changed = [] if controller in ("", scenario.controller) else ["controller"]
+        stated = table.get("vehicle") if entry.kind == "design" else {"identified": table.get("identified")}
+        changed += _not_in_effect(scenario, stated if isinstance(stated, dict) else {})
+        flown.append(FlownParameters(entry.kind, entry.file, found, content, controller, changed))
+    return flown
+
+
+def controller_shown(scenario: Scenario, law: str = "") -> str:
+    """Return who flies a scenario, for people; ``law`` in the place of the controller's own label.
+
+    Raises InputError as :func:`flown_parameters`.
+    """
+    own = scenario.controller_sha256 or ""
+    return controller_words(law or label(scenario.controller), own, flown_parameters(scenario))
+
+
+def copied_parameters(
+    parameters: Sequence[FlownParameters], files: dict[str, Path | bytes], reserved: Collection[str]
+) -> list[ParameterFile]:
+    """Return parameter files under their names beside a resolved scenario; their contents are added to ``files``.
+
+    None gets a name that is ``reserved`` or that another file has.
+    """
+    entries = []
+    for each in parameters:
+        first = Path(each.file).name
+        name, number = first, len(files)
+        while name in reserved or files.get(name, each.content) != each.content:
+            name, number = f"{number}-{first}", number + 1
+        files[name] = each.content
+        entries.append(ParameterFile(kind=each.kind, file=name, sha256=each.sha256))
+    return entries
+
+
+def changes_of(scenario: Scenario, parameters: list[FlownParameters]) -> list[str]:
+    """Return what was written over the scenario's own file, ``key = value``, numbers of ``parameters`` left out.
+
+    Aircraft, engine and controller come first, where they are others.
+    """
+    texts = {entry.partition(" = ")[0]: entry for entry in scenario.changed}
+    if scenario.origin is not None:
+        for each in parameters:
+            if each.sha256 not in [file.sha256 for file in scenario.origin.parameter_files]:
+                texts[each.kind] = f"{each.kind} = {Path(each.file).name} {each.sha256[:SHORT]}"
+        texts |= {key: f"{key} = {_text(value)}" for key, value in _differing(scenario, scenario.origin, parameters)}
+    first = [key for key in ("aircraft", "engine", "controller") if key in texts]
+    return [texts[key] for key in dict.fromkeys([*first, *texts])]
+
+
+def _differing(scenario: Scenario, origin: Scenario, parameters: list[FlownParameters]) -> Iterator[tuple[str, Any]]:
+    """Yield the keys whose values are others than the file's, but for those that a parameter file states so."""
+    now, before = (dict(_leaves(_comparable(one))) for one in (scenario, origin))
+    kinds = {each.kind: scenario.folder / each.file for each in parameters}
+    design = read_toml(kinds["design"]).get("vehicle", {}) if "design" in kinds else {}
+    stated = dict(_leaves(design, "vehicle."))
+    for key in dict.fromkeys([*now, *before]):
+        modelled = "models" in kinds and key.startswith("vehicle.identified.")
+        if now.get(key) != before.get(key) and not modelled and stated.get(key, now) != now.get(key):
+            yield key, now.get(key)
+
+
+def _comparable(scenario: Scenario) -> dict[str, Any]:
+    """What flies, as a table; files by their whole paths, so that one file under two paths is one."""
+    table = {key: value for key, value in scenario.stated("json").items() if key not in _BESIDE_THE_FLIGHT}
+    if is_own(scenario.aircraft):
+        table["aircraft"] = str((scenario.folder / scenario.aircraft).resolve())
+    if is_file(scenario.engine):
+        table["engine"] = str((scenario.folder / scenario.engine).resolve())
+    return table
+
+
+def _not_in_effect(scenario: Scenario, stated: Mapping[str, Any]) -> list[str]:
+    """Return the keys of a vehicle that would be others if what a file states were written over it once more."""
+    flown, _ = scenario.resolved_vehicle()
+    try:
+        again, _ = load_vehicle(scenario.aircraft, merge(scenario.vehicle, stated), folder=scenario.folder)
+    except InputError:  # of another aircraft
+        return ["vehicle"]
+    if again == flown:
+        return []
+    now, then = (dict(_leaves(one.model_dump(mode="json"))) for one in (flown, again))
+    return [key for key in dict.fromkeys([*now, *then]) if now.get(key) != then.get(key)]
+
+
+def _leaves(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield nested tables as dotted keys with their values; lists stay whole."""
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{above}{key}.")
+        else:
+            yield f"{above}{key}", value
+
+
+def _text(value: object) -> str:
+    if value is None:
+        return "none"
+    if isinstance(value, (list, dict)):
+        return "others"
+    return (
+        Path(value).name
+        if isinstance(value, str) and "/" in value
+        else f"{value:g}"
+        if isinstance(value, float)
+        else str(value)
+    )

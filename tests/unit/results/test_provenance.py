@@ -1,0 +1,154 @@
+"""A run says which design, models, vehicle and engine flew it, and does not wear the story of another flight."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from cosim import InputError, Scenario, fly, open_run
+from cosim.campaign.study.keys import with_values
+from cosim.cli.main import cli
+from cosim.design.controller_file import with_controller
+from cosim.results.report.comparison import compare_report, run_labels
+from cosim.shelf.index import read_entry
+from cosim.spec.scenario import changes_of, flown_parameters
+from cosim.spec.vehicle import load_vehicle
+
+DESIGNS = Path(__file__).parents[2] / "designs"
+SHORT = ["duration_s=0.2"]
+
+
+@pytest.fixture
+def design(tmp_path: Path) -> Path:
+    path = tmp_path / "my-design.toml"
+    path.write_bytes((DESIGNS / "turbojet.toml").read_bytes())
+    return path
+
+
+@pytest.mark.unit
+def test_a_run_names_its_design_everywhere_and_flies_again_alone(design: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    arguments = ["fly", "roll-doublet", "--controller", str(design), "--set", "duration_s=0.2", "--out", str(out)]
+    said = CliRunner().invoke(cli, arguments)
+    run = open_run(out)
+    (given,) = run.summary.parameter_files
+    assert (given.kind, given.file, given.changed) == ("design", "my-design.toml", ())
+    assert (out / "my-design.toml").read_bytes() == design.read_bytes()
+    name = f"my-design {given.sha256[:8]} (state-disturbance)"
+    assert run.summary.controller_shown == name
+    assert f"controller {name}" in " ".join(said.output.split())
+    assert given.sha256 in (out / "scenario.toml").read_text()
+    assert given.sha256 in (out / "report.html").read_text()
+    assert read_entry(out).facts["controller"] == name
+    compare_report([run, run], tmp_path / "comparison.html")
+    assert name in (tmp_path / "comparison.html").read_text()
+    design.unlink()
+    again = fly(out / "scenario.toml", tmp_path / "again")
+    assert again.summary.parameter_files == run.summary.parameter_files
+    assert (tmp_path / "again" / "flight.parquet").read_bytes() == (out / "flight.parquet").read_bytes()
+
+
+@pytest.mark.unit
+def test_two_designs_of_one_name_are_told_apart(design: Path, tmp_path: Path) -> None:
+    first = fly(with_controller("roll-doublet", design, SHORT))
+    design.write_text(design.read_text().replace("p = 0.0225", "p = 0.0226"))
+    second = fly(with_controller("roll-doublet", design, SHORT))
+    labels = run_labels([first.summary, second.summary])
+    assert len(set(labels)) == 2
+    assert all(label.startswith("my-design ") for label in labels)
+
+
+@pytest.mark.unit
+def test_a_design_that_is_another_or_gone_does_not_fly(design: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    fly(with_controller("roll-doublet", design, SHORT), out, report=False)
+    copy = out / "my-design.toml"
+    copy.write_text(copy.read_text() + "\n")
+    with pytest.raises(InputError, match=r"parameter_files\.0: .*my-design\.toml: is another file"):
+        fly(out / "scenario.toml")
+    copy.unlink()
+    with pytest.raises(InputError, match=r"parameter_files\.0: .*No such file"):
+        fly(out / "scenario.toml")
+
+
+@pytest.mark.unit
+def test_values_over_a_design_are_said(design: Path) -> None:
+    run = fly(with_controller("roll-doublet", design, [*SHORT, "vehicle.control.rate.roll.p=0.03"]))
+    assert run.summary.parameter_files[0].changed == ("control.rate.roll.p",)
+    assert ", changed (state-disturbance)" in run.summary.controller_shown
+    assert "vehicle.control.rate.roll.p = 0.03" in run.summary.title
+
+
+@pytest.mark.unit
+def test_models_from_a_file_are_recorded(tmp_path: Path) -> None:
+    from cosim.base.storage.toml import toml_text
+
+    stated = load_vehicle("hexjet")[0].model_dump(mode="json", exclude_none=True)["identified"]
+    model, out = tmp_path / "model.toml", tmp_path / "run"
+    model.write_bytes(toml_text({"identified": stated}).encode())
+    CliRunner().invoke(
+        cli, ["fly", "roll-doublet", "--model", str(model), "--set", "duration_s=0.2", "--out", str(out)]
+    )
+    summary = open_run(out).summary
+    assert [(given.kind, given.file, given.changed) for given in summary.parameter_files] == [
+        ("models", "model.toml", ())
+    ]
+    assert summary.controller_shown == f"smith, models model {summary.parameter_files[0].sha256[:8]}"
+
+
+@pytest.mark.unit
+def test_a_scenario_as_its_file_states_it_keeps_title_and_description() -> None:
+    scenario = Scenario.load("roll-doublet")
+    assert changes_of(scenario, []) == []
+    run = fly(scenario.replace(seed=5, expect=[]), report=False)
+    assert (run.summary.title, run.summary.description) == (scenario.title, scenario.description)
+
+
+@pytest.mark.unit
+@pytest.mark.parametrize(
+    ("changes", "title"),
+    [
+        ({"engine": "edf"}, "hover: hexjet, edf, "),
+        ({"controller": "baseline"}, "hover: hexjet, edf-as-flown, baseline"),
+        (
+            {"aircraft": "quadjet", "engine": "turbine-100", "controller": "baseline"},
+            "hover: quadjet, turbine-100, baseline",
+        ),
+        (
+            {"vehicle": {"mass_kg": 5.6}},
+            "hover: hexjet, edf-as-flown, pid, with duration_s = 0.1, vehicle.mass_kg = 5.6",
+        ),
+    ],
+)
+def test_another_flight_does_not_wear_the_story(changes: dict[str, object], title: str, tmp_path: Path) -> None:
+    scenario = Scenario.load("hover").replace(controller="pid").replace(**changes)
+    scenario = scenario.replace(duration_s=0.1, command=[], disturbance=[])
+    run = fly(scenario, tmp_path / "run", report=False)
+    assert title in run.summary.title
+    assert run.summary.description.startswith("Of the scenario as its file states it, not of this flight: ")
+    again = fly(tmp_path / "run" / "scenario.toml", report=False)
+    assert again.summary.title == run.summary.title
+
+
+@pytest.mark.unit
+def test_a_flight_of_a_study_names_its_design(design: Path) -> None:
+    base = Scenario.load("roll-doublet", SHORT)
+    flown = with_values(base, {"controller": str(design), "vehicle.mass_kg": 5.6})
+    (given,) = flown_parameters(flown)
+    assert given.changed == []
+    assert Path(given.file).name == "my-design.toml"
+    assert "vehicle.mass_kg = 5.6" in changes_of(flown, [given])
+
+
+@pytest.mark.unit
+def test_an_older_summary_opens(design: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    fly(with_controller("roll-doublet", design, SHORT), out, report=False)
+    summary = json.loads((out / "summary.json").read_text())
+    for key in ("parameter_files", "changed"):
+        del summary[key]
+    (out / "summary.json").write_text(json.dumps(summary))
+    assert open_run(out).summary.controller_shown == "state-disturbance"
