@@ -5,13 +5,14 @@ frequency goes to 0, with the integration from moment to rate taken as ideal (-9
 transport delays and lags add up, so the sum can be measured: after a step of command at step 0 the rate grows along
 ``K T (k + 1/2 - D)``, and ``D`` is the sum.
 
-The rows follow what turns the vehicle in hover (:func:`cosim.simulation.axis_chain.axis_shares`): thrusts with their engines, or servos
-with their banks or hinges.  Where different ones of a kind share an axis, a row states their mean, weighted by their
-shares: in that limit this is the delay of the axis, while the slowest alone would state more than can be measured.
+The rows follow what turns the vehicle in hover (:func:`cosim.simulation.axis_chain.axis_shares`): thrusts with their
+engines, or servos with their banks or hinges.  Where different ones of a kind share an axis, a row states their mean,
+weighted by their shares: in that limit this is the delay of the axis, while the slowest alone would state more than can
+be measured.
 
 What thrusts give beside servos, or servos beside thrusts, is not in the sum while it is at most :data:`BESIDE` of the
-axis: with a share ``w`` of it the phase is within ``asin(w / (1 - w))`` of what the sum says, 3 deg, at every frequency.
-Where both give more the delay of the axis is another one at every frequency, and there is no sum.
+axis: with a share ``w`` of it the phase is within ``asin(w / (1 - w))`` of what the sum says, 3 deg, at all
+frequencies.  Where both give more the delay of the axis is another one at every frequency, and there is no sum.
 
 The angular momentum of rotors that hinges turn, or that change their speed with the thrust, acts by the rate of the
 command and takes delay away.  The reaction of what hinges and banks turn acts by its acceleration, and has no part.
