@@ -10,6 +10,7 @@ import click
 
 from cosim.cli.console import output_to_stderr, terminal
 from cosim.cli.options import DONE, FLIGHT_FAILED, example
+from cosim.cli.outputs import Out
 
 if TYPE_CHECKING:
     from cosim.campaign.aircraft_check import AircraftCheck
@@ -28,7 +29,7 @@ def aircraft() -> None:
 @aircraft.command("new", epilog=example("hexjet aircraft new mine"))
 @click.argument("name")
 @click.option("--from", "base", default="hexjet", show_default=True, metavar="NAME", help="What it begins as.")
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: ./NAME]")
+@click.option("--out", type=Out(), metavar="DIR", help="[default: ./NAME]")
 def aircraft_new(name: str, base: str, out: Path | None) -> int:
     """Write the folder of an aircraft of your own, called NAME, which flies as it is.
 
@@ -45,7 +46,7 @@ def aircraft_new(name: str, base: str, out: Path | None) -> int:
 @aircraft.command("check", epilog=example("hexjet aircraft check ./mine"))
 @click.argument("aircraft", metavar="NAME|FOLDER")
 @click.option("--engine", metavar="NAME|FILE", help="[default: the aircraft's own]")
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: runs/check-NAME]")
+@click.option("--out", type=Out(), metavar="DIR", help="[default: runs/check-NAME]")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
 def aircraft_check(aircraft: str, engine: str | None, out: Path | None, as_json: bool) -> int:
     """Frames, signs, units, inertia, hover, authority with every engine and without any one of them, and a flight.

@@ -11,6 +11,7 @@ import click
 from cosim.base.errors import InputError
 from cosim.cli.console import output_to_stderr, part_progress, terminal
 from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, offer_to_compile
+from cosim.cli.outputs import Out
 
 if TYPE_CHECKING:
     from cosim.engine import CheckReport
@@ -21,6 +22,7 @@ def fmu() -> None:
     """Build and check engine FMUs."""
 
 
+_FMU = Out(".fmu")
 _WINDOWS = click.option(
     "--windows", is_flag=True, help="For 64-bit Windows, with MinGW's compiler (x86_64-w64-mingw32-gcc)."
 )
@@ -43,7 +45,7 @@ def fmu_build(engines: tuple[str, ...], windows: bool) -> int:
 
 @fmu.command("compile", epilog=example("hexjet fmu compile their.fmu"))
 @click.argument("archive", metavar="FILE.fmu", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), metavar="FILE.fmu", help="[default: into FILE.fmu itself]")
+@click.option("--out", type=_FMU, metavar="FILE.fmu|DIR", help="[default: into FILE.fmu itself]")
 @_WINDOWS
 def fmu_compile(archive: Path, out: Path | None, windows: bool) -> int:
     """Compile the sources that an FMU brings for this machine, and put the library into it.
@@ -53,6 +55,7 @@ def fmu_compile(archive: Path, out: Path | None, windows: bool) -> int:
     """
     from cosim.engine.make.compile import compile_archive
 
+    out = out if out is None or _FMU.is_file(out) else out / archive.name
     click.echo(str(compile_archive(archive, out, windows)))
     return DONE
 
@@ -119,7 +122,7 @@ def fmu_survey(
 @click.option(
     "--time-limit", type=Number(min=1.0), default=120.0, show_default=True, metavar="S", help="For all of it."
 )
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("--out", type=Out(), metavar="DIR", help="[default: a new one in runs/]")
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
 def fmu_check(
     engine: str, step: float | None, settings: tuple[str, ...], time_limit: float, out: Path | None, as_json: bool

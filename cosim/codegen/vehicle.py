@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -12,13 +13,13 @@ from typing import Any
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.paths import data_folder
-from cosim.base.storage.scratch import scratch
+from cosim.base.storage.scratch import scratch, temporary
 from cosim.base.trust import code_of, remember
 from cosim.codegen.files import TEMPLATES, Labels
 from cosim.codegen.ssp import write_ssp
 from cosim.codegen.vehicle_ports import Flight, Parts
 from cosim.codegen.vehicle_process import FLIGHT, MANIFEST
-from cosim.engine.build import FMI_VERSIONS, BuildError, Engine, Variable, archive_path, build_one
+from cosim.engine.build import FMI2_SUFFIX, FMI_VERSIONS, BuildError, Engine, Variable, archive_path, build_one
 from cosim.flight import resolve
 from cosim.results.run import scenario_toml, versions
 from cosim.spec.scenario import Scenario
@@ -50,19 +51,25 @@ def export_vehicle(
     parts: Parts,
     fmis: Sequence[int] = FMI_VERSIONS,
     system: bool = False,
+    file: str = "",
 ) -> ExportedVehicle:
     """Write the vehicle of a scenario as FMUs, of FMI 3.0 and 2.0 unless ``fmis`` says otherwise.
 
     ``name``: of the files, an identifier.  ``system``: as SSP archives in place of the FMUs, with the engines, which
-    are outside then, as components.  Raises InputError for a scenario that cannot be flown so, for a folder that
-    is not empty, and where there is no C compiler.
+    are outside then, as components.  ``file``: write this one file in ``folder`` alone, of FMI 3.0, or of 2.0 where its
+    name ends in ``-fmi2``.  Raises InputError for a scenario that cannot be flown so, for a folder that is not empty or
+    a file that is there, and where there is no C compiler.
     """
     if sys.platform != "linux":
         raise InputError(
             f"export vehicle: how the FMU starts its process is made for Linux, and this is {sys.platform}"
         )
     labels = Labels(name, f"{scenario.aircraft_name}: scenario {scenario.name}", None, ())  # it checks the name
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    if file:
+        if (folder / file).exists():
+            raise InputError(f"{folder / file}: is there already; name another with --out or remove it")
+        fmis = (2 if Path(file).stem.endswith(FMI2_SUFFIX) else 3,)
+    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: is there already and not an empty folder; name another with --out")
     if system and not parts.controller:
         raise InputError("export vehicle --as ssp: has the controller in the vehicle; leave out --outside controller")
@@ -77,12 +84,15 @@ def export_vehicle(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for fmi in fmis:
-            target = archive_path(folder, name, fmi)
-            build_one(engine, data_folder("engines") / "fmi", fmi, target, resources, scratch())
-            if system:
-                fmu, target = target, target.with_suffix(".ssp")
-                write_ssp(flight, fmu, target, fmi, scenario.duration_s)
-                fmu.unlink()
+            with temporary("export-") as place:
+                fmu = archive_path(place, name, fmi)
+                build_one(engine, data_folder("engines") / "fmi", fmi, fmu, resources, scratch())
+                target = folder / (file or fmu.name)
+                if system:
+                    target = folder / (file or fmu.with_suffix(".ssp").name)
+                    write_ssp(flight, fmu, target, fmi, scenario.duration_s)
+                else:
+                    shutil.copyfile(fmu, target)
             files.append(target.name)
             remember([code_of(target)])
     except BuildError as error:

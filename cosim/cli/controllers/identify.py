@@ -13,6 +13,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.cli.console import output_to_stderr, terminal
 from cosim.cli.options import DONE, Number, example, log_options
+from cosim.cli.outputs import Out
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -35,7 +36,7 @@ def _sweep_options(command: Any) -> Any:
             click.option("--amplitude", type=Number(), metavar="A", help="Of the sweep, in the unit of the command."),
             click.option("--duration", type=Number(), metavar="S", help="Of the sweep."),
             click.option("holds", "--hold", metavar="NAME=VALUE", multiple=True, help="Keep a parameter of the model."),
-            click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]"),
+            click.option("--out", type=Out(), metavar="DIR", help="[default: a new one in runs/]"),
             click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else."),
         ]
     ):
@@ -141,7 +142,7 @@ for _axis in AXES:
     help="The engine of an axis' model file.  [default: the run's, or edf-as-flown]",
 )
 @click.option("--channels", is_flag=True, help="List what the log holds, and do nothing else.")
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("--out", type=Out(), metavar="DIR", help="[default: a new one in runs/]")
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
 def identify_from_log(log: Path, channels: bool, out: Path | None, as_json: bool, **choices: Any) -> int:
     """Identify an axis or an engine from a flight's log, whoever flew it: lag, gain and delay with its bounds.

@@ -11,6 +11,7 @@ import click
 from cosim.base.signals import AXES
 from cosim.cli.console import output_to_stderr, part_progress, terminal
 from cosim.cli.options import DONE, Number, example, load_scenario, offer_to_compile, warn_of_blemishes
+from cosim.cli.outputs import Out
 
 if TYPE_CHECKING:
     from cosim.design.measured import MeasuredMargins
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 @click.option("--periods", type=click.IntRange(3), default=5, show_default=True, help="That are measured.")
 @click.option("--seed", type=int, help="Of sensor noise and turbulence.")
 @click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly.")
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("--out", type=Out(), metavar="DIR", help="[default: a new one in runs/]")
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
 def margins(
     scenario: str,

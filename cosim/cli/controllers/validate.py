@@ -10,6 +10,7 @@ import click
 from cosim.base.signals import AXES
 from cosim.cli.console import terminal
 from cosim.cli.options import DONE, example, log_options
+from cosim.cli.outputs import Out
 
 
 @click.command(epilog=example("hexjet validate roll-model other-flight.ulg"))
@@ -17,7 +18,7 @@ from cosim.cli.options import DONE, example, log_options
 @click.argument("log", metavar="LOG", type=click.Path(path_type=Path))
 @click.option("--axis", type=click.Choice(AXES), help="Of a model file that has more than one.")
 @log_options
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("--out", type=Out(), metavar="DIR", help="[default: a new one in runs/]")
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
 def validate(
     model: Path,

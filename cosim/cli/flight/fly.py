@@ -26,6 +26,7 @@ from cosim.cli.options import (
     warn_of_blemishes,
     with_own_blocks,
 )
+from cosim.cli.outputs import Out
 
 if TYPE_CHECKING:
     from cosim.base.protocols import Observer
@@ -69,9 +70,7 @@ if TYPE_CHECKING:
     metavar="FILE.toml",
     help="Predict with the identified models in this file, as hexjet identify writes it.",
 )
-@click.option(
-    "--out", type=click.Path(path_type=Path), metavar="DIR", help="The run's folder.  [default: a new one in runs/]"
-)
+@click.option("--out", type=Out(), metavar="DIR", help="The run's folder.  [default: a new one in runs/]")
 @click.option("--seed", type=int, help="Overrides the scenario's seed.")
 @own_blocks
 @click.option("--unchecked-engine", is_flag=True, help="Fly an FMU that hexjet fmu check finds unfit, or has not seen.")

@@ -21,6 +21,7 @@ from cosim.cli.options import (
     own_blocks,
     with_own_blocks,
 )
+from cosim.cli.outputs import Out
 
 if TYPE_CHECKING:
     from cosim.groundstation.links import Links
@@ -88,7 +89,7 @@ if TYPE_CHECKING:
     metavar="[[HOST:]PORT]",
     help="Show the flight to Foxglove too, on a WebSocket.  [default: 127.0.0.1:8766]",
 )
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("--out", type=Out(), metavar="DIR", help="[default: a new one in runs/]")
 @click.option(
     "--log-limit",
     type=Number(min=1.0),

@@ -13,6 +13,7 @@ import click
 from cosim.base.errors import InputError
 from cosim.cli.console import output_to_stderr, terminal
 from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, load_scenario
+from cosim.cli.outputs import Out
 
 if TYPE_CHECKING:
     from cosim.autopilots.prepare import Setup
@@ -92,7 +93,7 @@ def _common(command: Callable[..., int]) -> Callable[..., int]:
         ),
         click.option(
             "--out",
-            type=click.Path(path_type=Path),
+            type=Out(),
             metavar="DIR",
             help="The run's folder.  [default: a new one in runs/]",
         ),

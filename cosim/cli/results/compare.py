@@ -14,12 +14,14 @@ import click
 from cosim.base.errors import InputError
 from cosim.cli.console import output_to_stderr, terminal
 from cosim.cli.options import DONE, example
+from cosim.cli.outputs import Out
 from cosim.cli.trust import looks
 
 if TYPE_CHECKING:
     from cosim.results.comparison import ComparedFlight, Pair
 
 PAGE = "comparison.html"
+_OUT = Out(".html")
 LETTERS = "ABCDEFGH"  # as many as there are colours that can be told apart
 SIGNALS = ("roll_rad", "pitch_rad", "yaw_rad", "altitude_m", "north_m", "east_m", "collective")
 EARLIEST = 5  # beside those, the first that differ
@@ -52,7 +54,7 @@ _MOST_INPUTS = 12  # lines in the terminal; the page has all
     help="Add so much to the times of one of the flights, as of a log whose clock began elsewhere: B=-12.4.",
 )
 @click.option(
-    "--out", type=click.Path(path_type=Path), metavar="DIR", help="The page's folder.  [default: a new one in runs/]"
+    "--out", type=_OUT, metavar="DIR|FILE.html", help="The page, or its folder.  [default: a new one in runs/]"
 )
 @click.option("--no-page", is_flag=True, help="Write none.")
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object, in SI units, and nothing else.")
@@ -81,9 +83,10 @@ def compare(
     requested = _expanded(names, flights)
     if not 2 <= len(requested) <= len(LETTERS):
         raise InputError(f"compare: {len(requested)} flights; allowed: 2 to {len(LETTERS)}")
-    page = None if no_page else (out if out is not None else new_folder(Path("runs"), "comparison")) / PAGE
+    out = out if out is not None else new_folder(Path("runs"), "comparison")
+    page = None if no_page else out if _OUT.is_file(out) else out / PAGE
     if page is not None and page.exists():
-        raise InputError(f"{page}: is there already; choose another folder or remove it")
+        raise InputError(f"{page}: is there already; choose another name or remove it")
     with output_to_stderr(as_json):
         loaded = _shifted(
             [_load_flight(letter, name) for letter, name in zip(LETTERS, requested, strict=False)], shifts

@@ -10,6 +10,7 @@ import click
 
 from cosim.base.errors import InputError
 from cosim.cli.options import DONE, FLIGHT_FAILED, example, load_scenario, offer_to_compile
+from cosim.cli.outputs import Out
 from cosim.cli.trust import looks
 
 if TYPE_CHECKING:
@@ -54,6 +55,18 @@ _FILES = {
     "csv": "flight.csv",
     "parquet": "flight.parquet",
 }
+_ENDINGS = {"ulog": (".ulg", ".ulog")} | {name: (f".{name}",) for name in _FILES if name != "ulog"}
+_LOG_OUT = Out(*(ending for endings in _ENDINGS.values() for ending in endings))
+_VEHICLE_OUT = Out(".fmu", ".ssp")
+
+
+def _log_path(target: str, out: Path) -> Path:
+    """Return the file of a format in ``out``, or ``out`` where it is one.  Raises InputError for another's ending."""
+    if not _LOG_OUT.is_file(out):
+        return out / _FILES[target]
+    if out.suffix.lower() not in _ENDINGS[target]:
+        raise InputError(f"--out {out}: --to {target} writes {' or '.join(_ENDINGS[target])}")
+    return out
 
 
 @click.command(_LOG, epilog=example("hexjet export runs/roll-doublet-smith-001 --to mcap --out flight.mcap"))
@@ -61,9 +74,9 @@ _FILES = {
 @click.option("target", "--to", type=click.Choice([*_FILES]), required=True, help="The format.")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Where to; what is there is overwritten.  [default: flight.ulg, .mcap, .mat or .csv in DIR]",
+    type=_LOG_OUT,
+    metavar="FILE|DIR",
+    help="The file, or its folder; what is there is overwritten.  [default: flight.ulg, .mcap, .mat or .csv in DIR]",
 )
 @click.option(
     "--rates",
@@ -83,7 +96,7 @@ def log(folder: Path, target: str, out: Path | None, rates: Literal["all", "px4"
     csv      every column with all its digits
     parquet  a copy of the run's own, which says what was flown
     """
-    path = out if out is not None else folder / _FILES[target]
+    path = _log_path(target, folder if out is None else out)
     if target != "ulog" and rates != "all":
         raise InputError(f"--rates: is for --to ulog; {target} has every step")
     match target:
@@ -140,9 +153,7 @@ def log(folder: Path, target: str, out: Path | None, rates: Literal["all", "px4"
     multiple=True,
     help="Also its rate loop for the inside of this autopilot, with instructions, in a folder of its own; repeatable.",
 )
-@click.option(
-    "--out", type=click.Path(path_type=Path), metavar="DIR", help="A new or an empty folder.  [default: NAME]"
-)
+@click.option("--out", type=Out(), metavar="DIR", help="A new or an empty folder.  [default: NAME]")
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object.")
 def controller(
     scenario: str,
@@ -221,7 +232,10 @@ def _say_program_licences(licence: str | None, inside: tuple[str, ...]) -> None:
 )
 @click.option("--name", default="vehicle", show_default=True, help="Of the files, an identifier.")
 @click.option(
-    "--out", type=click.Path(path_type=Path), metavar="DIR", help="A new or an empty folder.  [default: NAME]"
+    "--out",
+    type=_VEHICLE_OUT,
+    metavar="DIR|FILE.fmu|FILE.ssp",
+    help="A new or an empty folder; or one file, of FMI 3.0, or of 2.0 if its name ends in -fmi2.  [default: NAME]",
 )
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object.")
 def vehicle(
@@ -247,7 +261,12 @@ def vehicle(
     offer_to_compile(*engines)
     loaded = load_scenario(scenario, controller, engines, None, settings, None, aircraft)
     parts = Parts("engines" not in outside, "controller" not in outside)
-    done = export_vehicle(loaded, out if out is not None else Path(name), name, parts, system=kind == "ssp")
+    out = out if out is not None else Path(name)
+    single = _VEHICLE_OUT.is_file(out)
+    if single and out.suffix.lower() != f".{kind}":
+        raise InputError(f"--out {out}: --as {kind} writes .{kind}")
+    folder, file = (out.parent, out.name) if single else (out, "")
+    done = export_vehicle(loaded, folder, name, parts, system=kind == "ssp", file=file)
     if as_json:
         click.echo(json.dumps(done.data))
     else:

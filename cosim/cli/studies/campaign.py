@@ -22,6 +22,7 @@ from cosim.cli.options import (
     brought_settings,
     example,
 )
+from cosim.cli.outputs import Out
 
 if TYPE_CHECKING:
     from cosim.campaign.search.result import SavedSearch
@@ -59,7 +60,7 @@ if TYPE_CHECKING:
     metavar="S",
     help="For a flight.  [default: 60, or ten of its lengths]",
 )
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("--out", type=Out(), metavar="DIR", help="[default: a new one in runs/]")
 @click.option("--resume", is_flag=True, help="Go on with what the folder holds; nothing that is finished is repeated.")
 @click.option(
     "--keys", is_flag=False, flag_value="*", metavar="[PATTERN]", help="List what can be varied, and fly nothing."
@@ -154,7 +155,7 @@ def _list_keys(name: str, settings: tuple[str, ...], pattern: str, as_json: bool
 @click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes.  [default: one a processor]")
 @click.option("--cluster", metavar="ADDRESS|local", help="As in hexjet sweep.")
 @click.option("--time-limit", type=Number(min=0.0, min_open=True), metavar="S", help="For a flight.")
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("--out", type=Out(), metavar="DIR", help="[default: a new one in runs/]")
 @click.option("--resume", is_flag=True, help="Go on with the same search in DIR; nothing is flown twice.")
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object at the end and nothing else.")
 def search(

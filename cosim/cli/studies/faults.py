@@ -13,6 +13,7 @@ from click.core import ParameterSource
 from cosim.base.errors import InputError
 from cosim.cli.console import output_to_stderr, part_progress, terminal
 from cosim.cli.options import DONE, example, refuse_others
+from cosim.cli.outputs import Out
 
 if TYPE_CHECKING:
     from cosim.campaign.engine_out import EngineOut
@@ -53,9 +54,7 @@ if TYPE_CHECKING:
     "full-scale.md, there; of all that they hold.",
 )
 @click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="Processes.")
-@click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="[default: a new one in runs/]"
-)
+@click.option("--out", type=Out(), metavar="DIR", help="[default: a new one in runs/]")
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
 @click.pass_context
 def faults(
@@ -182,9 +181,7 @@ def _engine_out(
     help="What loses the position also begins at this speed, from 10 m on, in the least wind; 0: not.",
 )
 @click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="Processes.")
-@click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="[default: a new one in runs/]"
-)
+@click.option("--out", type=Out(), metavar="DIR", help="[default: a new one in runs/]")
 @click.option("--page", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Write the table there.")
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
 def failsafes(

@@ -10,6 +10,7 @@ import click
 
 from cosim.cli.console import cell, part_progress, terminal
 from cosim.cli.options import DONE, example
+from cosim.cli.outputs import Out
 
 if TYPE_CHECKING:
     from cosim.paper.result import Reproduction
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 @click.command(epilog=example("hexjet paper --out runs/paper"))
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=Out(),
     metavar="DIR",
     default=Path("runs/paper"),
     show_default=True,

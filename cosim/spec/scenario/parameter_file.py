@@ -20,7 +20,7 @@ class ParameterFile(Model):
 
     kind: Literal["design", "models"]
     file: str  # from the folder of the scenario
-    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # of its content; another one does not fly
 
     def seen_from(self, folder: Path) -> ParameterFile:
         """Return the same with a path that is valid anywhere."""
