@@ -21,6 +21,7 @@ from cosim.campaign.study.plan import flights
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.design.controller_file import read_controller, with_controller
+from cosim.paper import numbers
 from cosim.results.report.flight import write_report
 
 yaml = pytest.importorskip("yaml", reason="no PyYAML, with which these files are read")
@@ -47,6 +48,18 @@ def test_it_is_cited_as_what_it_is() -> None:
     assert cited["license"] == PROJECT["license"]
     assert cited["authors"] == PROJECT["authors"]  # an entity each: nobody is invented
     assert cited["keywords"] == PROJECT["keywords"]
+    released = re.findall(
+        r"^## \d+\.\d+\.\d+ - (\S+)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert str(cited.get("date-released", "")) == (released[0] if released else "")  # a date only of what was released
+
+
+def test_the_paper_is_cited_with_its_authors() -> None:
+    """As the paper prints them, in its order."""
+    (paper,) = read(ROOT / "CITATION.cff")["references"]
+    names = [f"{author['given-names'][0]}. {author['family-names']}" for author in paper["authors"]]
+    assert numbers.SOURCE.startswith(", ".join(names) + ", ")
+    assert paper["title"] in numbers.SOURCE
 
 
 def test_the_changes_are_kept() -> None:
