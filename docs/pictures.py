@@ -12,8 +12,8 @@ from cosim import Scenario, fly
 from cosim.paper.experiments import COMPARED
 from cosim.paper.extensions import ROBUST
 from cosim.paper.report.figures import COLOURS, NAMES, SHORT
+from cosim.paper.report.result import Reproduction
 from cosim.paper.reproduce import reproduce
-from cosim.paper.result import Reproduction
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

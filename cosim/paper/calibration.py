@@ -17,9 +17,9 @@ from cosim.design.loop.frequency import margins
 from cosim.paper import numbers
 from cosim.paper.experiments import (
     Experiment,
-    hexjet_axis,
     hexjet_ratios,
     linear,
+    linear_run,
     quadrotor_axis,
 )
 from cosim.paper.frozen import (
@@ -35,6 +35,7 @@ from cosim.paper.loops import (
     open_loop,
     unstable_poles,
 )
+from cosim.paper.readings import DELAY_ONLY, READINGS, Reading, doublet_of, gain_pairs, reading_axis
 
 START = Calibration(
     p=0.05,
@@ -46,6 +47,8 @@ START = Calibration(
     payload_gain=1.1,
     hexjet_p=0.0175,
     hexjet_attitude_gain_1_s=3.5,
+    corrected_p=0.0068,
+    corrected_attitude_gain_1_s=0.86,
 )
 
 
@@ -81,14 +84,20 @@ def _quadrotor(trial: Calibration) -> dict[str, float]:
 
 
 def _hexjet(trial: Calibration) -> dict[str, float]:
+    return _ratios(trial, DELAY_ONLY)
+
+
+def _hexjet_corrected(trial: Calibration) -> dict[str, float]:
+    return _ratios(trial, READINGS["corrected"])
+
+
+def _ratios(trial: Calibration, reading: Reading) -> dict[str, float]:
     """Both ratios; none for a baseline that does not settle, which has neither overshoot nor settling time."""
-    if unstable_poles(hexjet_axis(trial, "baseline", "calibrated", noisy=False)):
+    gains = next(pair for pair in gain_pairs(reading, trial) if pair.name == "fitted")
+    loops = {c: reading_axis(reading, gains, c, trial, noisy=False) for c in ("baseline", "smith")}
+    if unstable_poles(loops["baseline"]):
         return {"hexjet.less_overshoot": 0.0, "hexjet.faster_settling": 0.0}
-    run = linear(trial, noisy=False, whole=False)
-    a, b = (
-        run(Experiment("hexjet-doublet", controller, 25, gains="calibrated")).metrics
-        for controller in ("baseline", "smith")
-    )
+    a, b = (linear_run(doublet_of(reading, gains, c), loop, trial, whole=False).metrics for c, loop in loops.items())
     return hexjet_ratios(a.overshoot_percent, b.overshoot_percent, a.settling_s, b.settling_s)
 
 
@@ -145,6 +154,12 @@ STAGES: list[Stage] = [
         "Hex-Jet gains",
         {"hexjet_p": (0.014, 0.0195), "hexjet_attitude_gain_1_s": (2.3, 3.2)},
         _hexjet,
+        {"hexjet.less_overshoot": 4.0, "hexjet.faster_settling": 6.0},
+    ),
+    Stage(
+        "Hex-Jet gains, turbojet's dynamics in the plant",
+        {"corrected_p": (0.004, 0.01), "corrected_attitude_gain_1_s": (0.5, 1.2)},
+        _hexjet_corrected,
         {"hexjet.less_overshoot": 4.0, "hexjet.faster_settling": 6.0},
     ),
 ]

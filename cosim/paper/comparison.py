@@ -19,12 +19,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict
 from cosim.base.signals import AXES
 from cosim.design.loop.frequency import margins
 from cosim.paper import extensions, numbers
-from cosim.paper.claims import (
-    ClaimRow,
-    Condition,
-    Evidence,
-    conditions,
-)
+from cosim.paper.claims import ClaimRow, Evidence
+from cosim.paper.conditions import Condition, conditions
 from cosim.paper.experiments import (
     COMPARED,
     Experiment,

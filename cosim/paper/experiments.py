@@ -55,6 +55,7 @@ class Experiment:
     payload: bool = False
     gains: Gains = "calibrated"  # of the Hex-Jet
     unseen: bool = False  # the disturbance enters behind the predictor's tap, whatever the calibration says
+    stretch: float = 1.0  # of the Hex-Jet's doublet, run and windows of judgement: a slow plant swings slowly
 
     @property
     def name(self) -> str:
@@ -77,7 +78,8 @@ class Experiment:
         """Length of either half of the doublet, s."""
         if self.kind == "disturbance":
             return calibration.disturbance_each_s
-        return HEXJET_LENGTHS[self.gains][0] if self.kind == "hexjet-doublet" else numbers.value("step.each")
+        hexjet = self.kind == "hexjet-doublet"
+        return self.stretch * HEXJET_LENGTHS[self.gains][0] if hexjet else numbers.value("step.each")
 
     @property
     def record(self) -> float:
@@ -87,7 +89,7 @@ class Experiment:
     @property
     def run(self) -> float:
         """Length of the run, s."""
-        return HEXJET_LENGTHS[self.gains][1] if self.kind == "hexjet-doublet" else RUN_S
+        return self.stretch * HEXJET_LENGTHS[self.gains][1] if self.kind == "hexjet-doublet" else RUN_S
 
     @property
     def amplitude(self) -> float:
@@ -223,20 +225,21 @@ def hexjet_axis(calibration: Calibration, controller: str, gains: Gains, noisy: 
 def linear(calibration: Calibration, noisy: bool = True, whole: bool = True) -> Fidelity:
     """The fidelity of the linear plant; ``whole`` False runs the record alone and cannot tell what is stable."""
 
-    def run(experiment: Experiment) -> Result:
-        loop = axis(experiment, calibration, noisy)
-        signal = experiment.signal(calibration)
-        steps = round((experiment.run if whole else experiment.record) / experiment.step)
-        disturbed = experiment.kind == "disturbance"
-        record = simulate(
-            loop,
-            steps,
-            setpoint=nothing if disturbed else signal,
-            disturbance=signal if disturbed else nothing,
-        )
-        return result(experiment, calibration, record.setpoint, record.angle, record.rate, record.command)
+    return lambda experiment: linear_run(experiment, axis(experiment, calibration, noisy), calibration, whole)
 
-    return run
+
+def linear_run(experiment: Experiment, loop: Axis, calibration: Calibration, whole: bool = True) -> Result:
+    """An experiment on any loop of the linear plant; ``whole`` as in :func:`linear`."""
+    signal = experiment.signal(calibration)
+    steps = round((experiment.run if whole else experiment.record) / experiment.step)
+    disturbed = experiment.kind == "disturbance"
+    record = simulate(
+        loop,
+        steps,
+        setpoint=nothing if disturbed else signal,
+        disturbance=signal if disturbed else nothing,
+    )
+    return result(experiment, calibration, record.setpoint, record.angle, record.rate, record.command)
 
 
 def result(
@@ -255,7 +258,8 @@ def result(
     reference, is_angle, is_rate = np.array(setpoint), np.array(angle), np.array(rate)
     rows = round(experiment.record / step)
     error = (is_rate if experiment.kind == "disturbance" else reference - is_angle)[:rows]
-    settles = len(is_rate) >= round(experiment.run / step) and not swings(is_rate, step, experiment.start + 2.0 * width)
+    whole = len(is_rate) >= round(experiment.run / step)
+    settles = whole and not swings(is_rate, step, experiment.start + 2.0 * width, experiment.stretch)
     edges = [round((experiment.start + n * width) / step) for n in range(3)]
     commanded = experiment.kind != "disturbance" and len(error) == rows
     overshoots, times = _steps(reference[:rows], is_angle[:rows], edges, step) if commanded else ([], [])
@@ -278,11 +282,11 @@ def result(
     )
 
 
-def swings(rate: Array, step: float, last_edge: float) -> bool:
-    """Whether the rate swings in the last second as it did in the one after the last edge."""
-    second = round(1.0 / step)
+def swings(rate: Array, step: float, last_edge: float, window: float = 1.0) -> bool:
+    """Whether the rate swings in the last ``window`` seconds as it did in those after the last edge."""
+    samples = round(window / step)
     after = round(last_edge / step)
-    before, end = np.std(rate[after : after + second]), np.std(rate[-second:])
+    before, end = np.std(rate[after : after + samples]), np.std(rate[-samples:])
     return not isfinite(float(end)) or bool(end > _FLOOR and end > _GROWS * before)
 
 

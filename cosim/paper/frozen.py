@@ -27,6 +27,9 @@ class Calibration(BaseModel):
     # Hex-Jet, found; rate integral in proportion to vehicle.toml
     hexjet_p: float
     hexjet_attitude_gain_1_s: float
+    # the same with the turbojet's dynamics in the plant and the printed gain (cosim.paper.readings)
+    corrected_p: float
+    corrected_attitude_gain_1_s: float
     # chosen
     predictor_sees_disturbance: bool = True  # it enters before the predictor's tap; see the claims
     extra_delay_samples: float = 0.0  # nothing printed asks for any that it could be told from d

@@ -26,7 +26,7 @@ from cosim.design.identify import identify_axis, identify_engine
 from cosim.design.identify.fit import fit
 from cosim.flight import fly
 from cosim.paper import numbers
-from cosim.paper.claims import Evidence, claim_rows
+from cosim.paper.claims import CONSISTENCY, Evidence, claim_rows
 from cosim.paper.comparison import (
     LinearPart,
     as_data,
@@ -51,8 +51,9 @@ from cosim.paper.loops import (
     controllers_response,
     measured_sweep,
 )
+from cosim.paper.readings import READINGS, fly_model_errors, fly_reading
 from cosim.paper.report.page import write_page
-from cosim.paper.result import (
+from cosim.paper.report.result import (
     COMPARISON,
     DATA,
     REPORT,
@@ -99,11 +100,16 @@ def reproduce(folder: Path, say: Say = lambda what, done, of: None, workers: int
 
 def _flight_data(reproduction: Reproduction) -> dict[str, Any]:
     """What the flights add to the data of the linear plant."""
+    decibel, degree = reproduction.identified.deviation
     return {
         "metrics": {name: result.metrics.model_dump() for name, result in reproduction.flight_results.items()},
         "measured_margins": {name: sweep.margins.model_dump() for name, sweep in reproduction.flight_sweeps.items()},
         "offsets": [asdict(offset) for offset in reproduction.offsets],
         "turbojet": [asdict(design) for design in reproduction.turbojet],
+        "readings": [reading.model_dump() for reading in reproduction.readings],
+        "model_errors": [error.model_dump() for error in reproduction.model_errors],
+        "consistency": [row.model_dump() for row in reproduction.consistency],
+        "worst_deviation_from_printed_roll": {"db": decibel, "deg": degree},
     }
 
 
@@ -116,6 +122,8 @@ def _tasks() -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
     for controller in FLIGHT_LOOPS:
         tasks[f"loop.{controller}"] = (fly_sweep, (controller,))
     tasks["identification"] = (identify, ())
+    tasks |= {f"reading.{key}": (fly_reading, (key,)) for key in READINGS}
+    tasks["model-errors"] = (fly_model_errors, ())
     for experiment in sorted(flight_experiments(), key=lambda e: -e.run):
         tasks[experiment.name] = (fly_experiment, (experiment,))
     tasks["manual"] = (fly_manual, ())
@@ -263,7 +271,9 @@ def identify() -> Identified:
     lag = -step / float(np.log(numbers.value("roll.pole_fast")))
     values["hexjet.delay"] = fit(roll.response, 1, "the paper's lag", {"lag_s": lag}).model.delay_samples
     responses["roll"] = _response(roll.response, 1.0)
-    return Identified(values, responses)
+    deviation = roll.reference_deviation()
+    assert deviation is not None  # the Hex-Jet states G(z) for these engines
+    return Identified(values, responses, deviation, (roll.sweep.from_hz, roll.sweep.to_hz))
 
 
 def _response(measured: FrequencyResponse, unit: float) -> Response:
@@ -345,6 +355,7 @@ def _put_together(parts: Mapping[str, Any]) -> Reproduction:
         margins={name: sweep.margins for name, sweep in sweeps.items()},
         gain_at_low_end={name: _gain_at(sweep, LOW_END_HZ) for name, sweep in sweeps.items()},
         gain_at_8_hz={name: _gain_at(sweep, 8.0) for name, sweep in sweeps.items()},
+        tracking=parts["manual"].numbers,
     )
     extra: dict[str, float] = {**parts["manual"].numbers, **parts["identification"].numbers}
     return Reproduction(
@@ -358,7 +369,10 @@ def _put_together(parts: Mapping[str, Any]) -> Reproduction:
         extra=extra,
         rows=comparison_rows(part.frozen, part.evidence, evidence, extra),
         claims=claim_rows(part.evidence, evidence),
-        responses=parts["identification"].responses,
+        consistency=claim_rows(part.evidence, evidence, CONSISTENCY),
+        readings=[parts[f"reading.{key}"] for key in READINGS],
+        model_errors=parts["model-errors"],
+        identified=parts["identification"],
     )
 
 

@@ -13,7 +13,7 @@ from cosim.cli.options import DONE, example
 from cosim.cli.outputs import Out
 
 if TYPE_CHECKING:
-    from cosim.paper.result import Reproduction
+    from cosim.paper.report.result import Reproduction
 
 
 @click.command(epilog=example("hexjet paper --out runs/paper"))
@@ -41,8 +41,8 @@ def paper(out: Path, workers: int, pages: tuple[Path, ...], as_json: bool) -> in
     Leaves comparison.csv, comparison.json and report.html in DIR.  An interrupted call goes on where it ended.
     """
     from cosim.paper.report.pages import check_page, write_page
+    from cosim.paper.report.result import DATA, REPORT
     from cosim.paper.reproduce import reproduce
-    from cosim.paper.result import DATA, REPORT
 
     for page in pages:
         check_page(page)
@@ -77,8 +77,9 @@ def print_paper(reproduction: Reproduction, report: Path) -> None:
     table = Table(box=box.SIMPLE_HEAD)
     for title in ("claim", "linear plant", "six degrees of freedom"):
         table.add_column(title)
-    for claim in reproduction.claims:
+    for claim in [*reproduction.claims, *reproduction.consistency]:
         table.add_row(claim.claim, claim.linear.verdict, claim.flight.verdict if claim.flight else "-")
     console.print(table)
     console.print(counts_in_words(reproduction.claims), highlight=False)
+    console.print("G(z) is read as delay only; the other readings are flown in the report", highlight=False)
     console.print(f"report: {report}", highlight=False, soft_wrap=True)

@@ -22,7 +22,7 @@ from cosim.paper.loops import Sweep
 from cosim.results.report.plot import BLUE, GREEN, GREY, MAGENTA, ORANGE, RED, axis_name, layout, share
 
 if TYPE_CHECKING:
-    from cosim.paper.result import Reproduction
+    from cosim.paper.report.result import Reproduction
 
 Figure = dict[str, Any]
 
@@ -168,7 +168,7 @@ def identification(reproduction: Reproduction) -> Figure:
         for name, response in printed.items():
             curve = 20.0 * np.log10(np.abs(response)) if what == "gain" else np.degrees(np.unwrap(np.angle(response)))
             curves = [Curve("printed", hertz.tolist(), curve, GREY)]
-            measured = reproduction.responses.get(name)
+            measured = reproduction.identified.responses.get(name)
             if measured:
                 points = np.array(getattr(measured, what))
                 if what == "phase":  # on the printed model's turn of the circle

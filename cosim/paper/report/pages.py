@@ -12,16 +12,22 @@ from cosim.paper import numbers
 from cosim.paper.claims import ClaimRow, Evidence, Judgement
 from cosim.paper.experiments import Metrics, Result
 from cosim.paper.report.figures import FIDELITIES, NAMES
-from cosim.paper.report.page import counts_in_words
+from cosim.paper.report.page import counts_in_words, verified_in_words
+from cosim.paper.report.readings import model_error_table, model_errors_in_words, readings_table
 from cosim.results.report.marks import check_marks, parts_of, table, write_marks
 
 if TYPE_CHECKING:
-    from cosim.paper.result import Reproduction
+    from cosim.paper.report.result import Reproduction
 
 COUNTS, DOUBLET, HELD, DIFFERS, CONSTRUCTED, TURBOJET = (
     "paper: " + part for part in ("counts", "doublet", "held", "differs", "by construction", "turbojet")
 )
-NAMED = (COUNTS, DOUBLET, HELD, DIFFERS, CONSTRUCTED, TURBOJET)
+READINGS, CONSISTENT, VERIFIED, OFF, OFF_IN_A_LINE = (
+    "paper: " + part for part in ("readings", "consistency", "verification", "model errors", "model errors in a line")
+)
+NAMED = (
+    COUNTS, DOUBLET, HELD, DIFFERS, CONSTRUCTED, TURBOJET, READINGS, CONSISTENT, VERIFIED, OFF, OFF_IN_A_LINE,
+)  # fmt: skip
 
 
 def check_page(path: Path) -> None:
@@ -49,6 +55,11 @@ def page_parts(reproduction: Reproduction) -> dict[str, str]:
         DIFFERS: _differs(reproduction),
         CONSTRUCTED: constructed_table(reproduction.claims),
         TURBOJET: _turbojet(reproduction),
+        READINGS: readings_table(reproduction.readings).markdown(),
+        CONSISTENT: _consistency(reproduction.consistency),
+        VERIFIED: verified_in_words(reproduction) + "\n",
+        OFF: model_error_table(reproduction.model_errors).markdown(),
+        OFF_IN_A_LINE: model_errors_in_words(reproduction.model_errors) + "\n",
     }
 
 
@@ -64,6 +75,15 @@ def constructed_table(claims: Iterable[ClaimRow]) -> str:
         if where:
             rows.append((row.claim, " and ".join(where), row.linear.basis, row.rests_on))
     return table(("claim", "by construction on", "ours is", "because"), rows, left=4)
+
+
+def _consistency(rows: Iterable[ClaimRow]) -> str:
+    """Our own questions to printed numbers, and the answers of both fidelities."""
+    cells = [
+        (row.claim, row.linear.verdict, row.flight.verdict if row.flight else "not flown", row.linear.condition)
+        for row in rows
+    ]
+    return table(("question", *FIDELITIES, "condition"), cells, left=4)
 
 
 def _doublet(reproduction: Reproduction) -> str:

@@ -29,8 +29,9 @@ from cosim.design.loop.frequency import margins
 from cosim.flight import fly
 from cosim.paper import frozen as calibration
 from cosim.paper import reproduce
-from cosim.paper.claims import Condition, Evidence, claim_rows
+from cosim.paper.claims import CONSISTENCY, Evidence, claim_rows
 from cosim.paper.comparison import LinearPart, comparison_rows
+from cosim.paper.conditions import Condition
 from cosim.paper.experiments import (
     COMPARED,
     Result,
@@ -50,12 +51,22 @@ from cosim.paper.loops import (
     open_loop,
     sweep,
 )
+from cosim.paper.readings import (
+    DELAY_ERRORS,
+    GAIN_FACTORS,
+    READINGS,
+    ModelError,
+    Reading,
+    ReadingResult,
+    Trial,
+    gain_pairs,
+)
 from cosim.paper.report.figures import panels, paper_figures
 from cosim.paper.report.page import counts_in_words, page_values, tally
 from cosim.paper.report.page import write_page as paper_report
 from cosim.paper.report.pages import CONSTRUCTED as CONSTRUCTED_PART
 from cosim.paper.report.pages import COUNTS, NAMED, write_page
-from cosim.paper.result import Manual, Reproduction
+from cosim.paper.report.result import Identified, Manual, Reproduction
 from cosim.results.report.marks import parts_of
 from cosim.results.report.page import figure_json
 from cosim.spec.scenario import Scenario
@@ -266,7 +277,34 @@ def found() -> Reproduction:
         extra=extra,
         rows=comparison_rows(FROZEN, evidence, evidence, extra),
         claims=claim_rows(evidence, evidence),
+        consistency=claim_rows(evidence, evidence, CONSISTENCY),
+        readings=[stand_in(reading, results) for reading in READINGS.values()],
+        model_errors=[
+            ModelError(
+                delay_error=delay, gain_factor=gain, stable=True, overshoot_percent=20.0, settling_s=1.0, rmse=0.1
+            )
+            for delay in DELAY_ERRORS
+            for gain in GAIN_FACTORS
+        ],
+        identified=Identified({}, {}, (0.97, 2.2), (0.3, 6.0)),
     )
+
+
+def stand_in(reading: Reading, results: dict[str, Result]) -> ReadingResult:
+    """A reading with the doublets of the delayed fans."""
+    trials = []
+    for gains in gain_pairs(reading, FROZEN.parameters):
+        for controller in ("baseline", "smith"):
+            kind = "-calibrated" if gains.name == "fitted" else ""
+            metrics = results[f"hexjet-doublet{kind}.{controller}"].metrics
+            lost = None if metrics.stable else 8.6
+            trials.append(
+                Trial(gains=gains, controller=controller, each_s=3.0, linear=metrics, flight=metrics, lost_s=lost)
+            )
+    return ReadingResult(
+        key=reading.key, title=reading.title, engine=reading.engine, thrust_n=20.0, inertia_kg_m2=reading.inertia,
+        slope=433.0, fast_pole=0.9024, largest_gains={"baseline": 1.1, "smith": 3.3}, trials=trials,
+    )  # fmt: skip
 
 
 def test_the_page_is_whole_stands_alone_and_is_the_same_each_time(found: Reproduction, tmp_path: Path) -> None:
@@ -322,7 +360,7 @@ def test_counts_are_those_of_the_rows(found: Reproduction) -> None:
     without = [row.model_copy(update={"flight": None}) for row in found.claims]
     assert tally(without)["six degrees of freedom"]["not flown"] == len(without)
     values = page_values(found)
-    assert values["used_count"] == len(FROZEN.used)
+    assert values["used_count"] == len({row.key for row in FROZEN.used}) < len(FROZEN.used)  # two are used twice
 
 
 def test_one_text_counts_the_claims_in_report_readme_and_docs(found: Reproduction, tmp_path: Path) -> None:
@@ -331,6 +369,7 @@ def test_one_text_counts_the_claims_in_report_readme_and_docs(found: Reproductio
     readme, docs = (parts[COUNTS] for parts in pages.values())
     assert readme == docs
     said = re.findall(r"(\d+) hold on the linear plant|; (\d+) and \d+ (hold under|hold by|do not hold)", docs)
+    assert docs.startswith(f"Of {len(found.claims)} claims of the paper ")
     counts = tally(found.claims)["linear plant"]
     now = [counts[verdict] for verdict in ("holds", "under a condition", "by construction", "does not hold")]
     assert [int(first or second) for first, second, _ in said] == now

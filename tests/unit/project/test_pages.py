@@ -109,7 +109,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/own-controller.md": ("test_own_controller.py",),
     "docs/own-engine.md": ("test_pages.py",),
     "docs/packages.md": ("marks", "test_package.py"),
-    "docs/paper.md": ("marks", "test_reproduce.py"),
+    "docs/paper.md": ("marks", "test_reproduce.py", "test_readings.py"),
     "docs/theory.md": ("test_theory.py",),
     "docs/runs.md": ("test_shelf.py",),
     "docs/versions.md": ("test_project_files.py",),
@@ -239,8 +239,6 @@ def test_a_figure_on_a_page_has_a_parent(page: str) -> None:
 TESTED = [
     ("README.md", "difference equations to {};", "test_engine_fmu.py", "atol=1e-12", (1e-12,)),
     ("README.md", "r x F to {};", "test_airframe.py", "rel=1e-9", (1e-9,)),
-    ("README.md", "lies within {} dB and {} deg of the paper's G(z) from {} to {} Hz", "test_simulation.py",
-     "Within 1 dB and 6 deg of G(z) from 0.3 to 4 Hz", (1.0, 6.0, 0.3, 4.0)),
     ("aircraft/quadrotor/README.md", "(a test wants {} dB and {} deg)", "test_quadrotor.py",
      "Within 1 dB and 8 deg of G_n(z) from 0.5 to 12 Hz", (1.0, 8.0)),
     ("aircraft/hexjet/README.md", "{} deg and {} dB at the lean command, peak sensitivity {}; {} deg, {} dB and {} where",
@@ -356,13 +354,9 @@ def test_what_identification_says_about_the_hexjet(roll: tuple[Identification, I
     late = low_frequency_delay(clean.fits[2])
     stated(page, "vehicle's delay is {} samples ({} ms) less than that of the paper's G(z), {} against {};",
            papers_delay() - late, 4.0 * (papers_delay() - late), late, papers_delay())  # fmt: skip
-    hertz, decibel, degrees = deviation(clean)
+    hertz, _, degrees = deviation(clean)
     (agree,) = figures(page, "around {} Hz the two agree")
     assert np.interp(0.0, -degrees[hertz > 3.0], hertz[hertz > 3.0]) == pytest.approx(value(agree), abs=0.15)
-    low, high, worst, most = map(value, figures(page, "Over {} to {} Hz the difference stays within {} dB and {} deg"))
-    within = (hertz > 0.98 * low) & (hertz < high)
-    assert 0.9 * worst < np.abs(decibel[within]).max() <= worst
-    assert 0.9 * most < np.abs(degrees[within]).max() <= most
 
 
 def papers_delay() -> float:
@@ -408,7 +402,7 @@ def test_what_a_design_is_asked_for() -> None:
 HEXJET = "aircraft/hexjet/README.md"
 
 
-def test_who_owns_the_delay(roll: tuple[Identification, Identification]) -> None:
+def test_who_owns_the_delay() -> None:
     """The table is the ledger's of a flight as shipped."""
     with build_flight(Scenario.load("hover")) as simulation:
         rows = rows_of(simulation.ledger, "roll")
@@ -420,13 +414,6 @@ def test_who_owns_the_delay(roll: tuple[Identification, Identification]) -> None
     assert samples is not None
     assert total[1:] == [f"{samples:.2f}", f"{4.0 * samples:.2f}"]
     stated(HEXJET, "The same count for the paper's G(z) gives {} samples", papers_delay())
-    hertz, decibel, degrees = deviation(roll[1])
-    low, high, worst, most = map(value, figures(
-        HEXJET, "Between {} and {} Hz the swept response of the co-simulation lies within {} dB and {} deg of G(z)"
-    ))  # fmt: skip
-    within = (hertz > 0.98 * low) & (hertz < 1.02 * high)
-    assert np.abs(decibel[within]).max() == pytest.approx(worst, abs=0.05)
-    assert np.abs(degrees[within]).max() == pytest.approx(most, abs=0.05)
 
 
 def owners() -> Iterator[list[str]]:

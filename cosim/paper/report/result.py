@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from cosim.paper.claims import ClaimRow, Evidence
 from cosim.paper.comparison import LinearPart, Row
 from cosim.paper.experiments import Result
 from cosim.paper.loops import Sweep
+from cosim.paper.readings import ModelError, ReadingResult
 
 COMPARISON, REPORT, DATA = "comparison.csv", "report.html", "comparison.json"
 
@@ -61,6 +62,8 @@ class Identified:
 
     numbers: dict[str, float]
     responses: dict[str, Response]  # turbojet, edf, roll
+    deviation: tuple[float, float]  # dB, deg: the swept roll response from the printed G(z), at worst
+    band: tuple[float, float]  # Hz
 
 
 @dataclass(frozen=True)
@@ -77,4 +80,7 @@ class Reproduction:
     extra: dict[str, float]
     rows: list[Row]
     claims: list[ClaimRow]
-    responses: dict[str, Response] = field(default_factory=dict)
+    consistency: list[ClaimRow]
+    readings: list[ReadingResult]
+    model_errors: list[ModelError]
+    identified: Identified

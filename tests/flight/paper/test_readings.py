@@ -1,0 +1,200 @@
+"""docs/paper.md, readings of section II-D: what each makes of the Hex-Jet, and its flights."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from places import ROOT
+from stated_figures import stated
+
+from cosim.base.constants import GRAVITY
+from cosim.control.predictors.linear import model_response
+from cosim.flight import fly
+from cosim.paper import numbers, readings
+from cosim.paper.claims import CLAIMS, CONSISTENCY, Evidence, claim_rows
+from cosim.paper.experiments import Experiment
+from cosim.paper.flight import scenario
+from cosim.paper.frozen import load
+from cosim.paper.readings import READINGS, Gains, ReadingResult, gain_pairs, reading_scenario
+from cosim.paper.report.readings import (
+    HANGS,
+    judge_reading,
+    model_error_table,
+    model_errors_in_words,
+    readings_table,
+)
+from cosim.results.report.marks import parts_of
+from cosim.spec.vehicle import load_vehicle
+
+FOUND = load().parameters
+PAGE = "docs/paper.md"
+STEP = numbers.value("hexjet.step")
+DELAY, CORRECTED, FANS = READINGS["delay"], READINGS["corrected"], READINGS["corrected-fans"]
+
+
+def pairs(key: str) -> dict[str, Gains]:
+    return {gains.name: gains for gains in gain_pairs(READINGS[key], FOUND)}
+
+
+@pytest.fixture(scope="module")
+def results() -> list[ReadingResult]:
+    return [readings.fly_reading(key) for key in READINGS]
+
+
+# --- what each reading says of the vehicle ----------------------------------------------------------------------------
+
+
+def test_a_corrected_model_is_the_printed_one_times_both_engines() -> None:
+    """G(z) G_turbo(z) / G_EDF(z) point by point, with the fans' gain; up to a factor with the turbojet's."""
+    z = np.exp(2j * np.pi * np.geomspace(0.05, 50.0, 40) * STEP)
+    turbojet = numbers.value("turbojet.gain") / (z - numbers.value("turbojet.pole"))
+    edf = numbers.value("edf.gain") / (z - numbers.value("edf.pole"))
+    product = model_response(numbers.roll_model(), z) * turbojet / edf
+    assert model_response(FANS.model, z) == pytest.approx(product, rel=1e-12)
+    assert model_response(CORRECTED.model, z) == pytest.approx(product / FANS.gain, rel=1e-12)
+    assert DELAY.model == numbers.roll_model()
+
+
+def test_inertia_follows_from_thrust_and_gain() -> None:
+    """``J_xx = 6 L_y T / K`` with the slope K of each reading, and the roll damping keeps the slow pole where it was."""
+    vehicle, _ = load_vehicle("hexjet")
+    for reading in READINGS.values():
+        assert 6.0 * 0.15 * GRAVITY * reading.thrust_kgf / (433.1 * reading.gain) == pytest.approx(
+            reading.inertia, rel=1e-3
+        )
+        changed = reading.vehicle()
+        if reading is DELAY:
+            assert changed == {}  # what ships, to the bit
+        else:
+            assert changed["inertia_kg_m2"][0] == reading.inertia
+            pole = vehicle.aero.damping_n_m_s[0] / vehicle.inertia_kg_m2[0]
+            assert changed["aero"]["damping_n_m_s"][0] / reading.inertia == pytest.approx(pole)
+
+
+def test_what_the_page_says_of_the_readings() -> None:
+    jet, fan = numbers.value("turbojet.pole"), numbers.value("edf.pole")
+    lag = {pole: -1e3 * STEP / np.log(pole) for pole in (jet, fan, numbers.value("roll.pole_fast"))}
+    printed = numbers.value("roll.pole_fast")
+    stated(PAGE, "has the turbojet's pole, {} ({} s), and {} of the fans' gain: {} N of thrust per throttle in place of {} N",
+           jet, 1e-3 * lag[jet], FANS.gain, GRAVITY * CORRECTED.thrust_kgf, GRAVITY * DELAY.thrust_kgf)  # fmt: skip
+    stated(PAGE, "{} samples of delay and one fast pole at {} ({} ms). It has none near {}",
+           numbers.value("hexjet.delay"), printed, lag[printed], jet)  # fmt: skip
+    stated(PAGE, "the {} samples were put in, and the lag stayed", numbers.value("hexjet.delay"))
+    stated(PAGE, "J_xx = {} kg m² and every number of the Hex-Jet follow", DELAY.inertia)
+    stated(
+        PAGE,
+        "makes J_xx {} kg m², or still the fans', so that the gain falls to {} of it",
+        CORRECTED.inertia,
+        FANS.gain,
+    )
+    stated(PAGE, "the printed lag is {} ms longer than the fans'", lag[printed] - lag[fan])
+    stated(PAGE, "and {} ms shorter than the turbojet's", lag[jet] - lag[printed])
+    stated(PAGE, "names the delay of {} s and no lag", numbers.value("turbojet.delay"))
+    turned = [np.degrees(np.arctan(2e-3 * np.pi * lag[pole])) for pole in (printed, jet)]
+    stated(PAGE, "(at {} Hz a lag of {} ms turns the phase by {}°, one of {} s by {}°)",
+           1.0, lag[printed], turned[0], 1e-3 * lag[jet], turned[1])  # fmt: skip
+
+
+def test_no_page_states_the_reading_as_a_fact() -> None:
+    """Where the delayed fans are told of, the page on the readings is named beside it."""
+    anchor = "which-model-was-flown-a-reading"
+    for page in ("README.md", "docs/full-scale.md", "docs/identification.md", "aircraft/hexjet/README.md",
+                 "engines/edf-as-flown/README.md", "engines/turbojet/README.md"):  # fmt: skip
+        assert f"paper.md#{anchor}" in (ROOT / page).read_text(encoding="utf-8"), page
+    assert "## Which model was flown: a reading\n" in (ROOT / PAGE).read_text(encoding="utf-8")
+
+
+# --- gains ------------------------------------------------------------------------------------------------------------
+
+
+def test_raised_gains_are_as_far_past_the_limit_as_the_shipped_ones() -> None:
+    """8 % past the largest gains with which the linear baseline is stable; Smith's limit lies beyond."""
+    shipped, fitted = pairs("delay")["shipped"], pairs("delay")["fitted"]
+    limit = readings.largest_gains(DELAY, "baseline", FOUND)
+    assert shipped.p / fitted.p / limit == pytest.approx(1.08, abs=0.01)
+    for reading in (CORRECTED, FANS):
+        assert readings.ABOVE / readings.largest_gains(reading, "baseline", FOUND) == pytest.approx(1.08, abs=0.01)
+        assert readings.largest_gains(reading, "smith", FOUND) > readings.ABOVE
+
+
+def test_the_readings_of_the_gain_are_one_loop() -> None:
+    """What one takes in the plant the other has in the rate gain."""
+    a, b = (pairs(key)["fitted"] for key in ("corrected", "corrected-fans"))
+    assert a.p == pytest.approx(FANS.gain * b.p)
+    assert a.attitude_gain_1_s == b.attitude_gain_1_s
+
+
+# --- flights ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_reading_that_ships_flies_as_the_experiments_do() -> None:
+    """The same bits: a reading adds nothing where it changes nothing."""
+    gains = pairs("delay")["shipped"]
+    ours = fly(reading_scenario(DELAY, gains, "smith", FOUND).replace(duration_s=2.0))
+    paper = fly(scenario(Experiment("hexjet-doublet", "smith", 25, gains="vehicle"), FOUND).replace(duration_s=2.0))
+    assert np.array_equal(ours.log["roll_rad"], paper.log["roll_rad"])
+
+
+def test_each_reading_has_gains_at_which_the_claims_hold_and_others_at_which_none_does(
+    results: list[ReadingResult],
+) -> None:
+    delay, *others = results
+    assert delay.trial("shipped", "smith").flight.stable
+    for result in others:
+        assert result.trial("shipped", "smith").lost_s is not None
+    for result in results:
+        verdicts = {row.key: (row.linear.verdict, row.flight and row.flight.verdict) for row in judge_reading(result)}
+        assert verdicts.keys() == set(HANGS)
+        assert verdicts["hexjet-smith"] == ("holds", "holds")
+        for key in set(HANGS) - {"hexjet-smith"}:
+            assert verdicts[key] == ("by construction", "by construction")
+    times = [trial.flight.settling_s or 0.0 for trial in (r.trial("fitted", "baseline") for r in results)]
+    stated(PAGE, "it is {} s on the first reading and {} s on the others", times[0], times[1])
+    assert times[1] == pytest.approx(times[2], rel=1e-3)
+
+
+def test_the_page_has_todays_readings(results: list[ReadingResult]) -> None:
+    said = parts_of((ROOT / PAGE).read_text(encoding="utf-8"), PAGE)["paper: readings"]
+    assert said == readings_table(results).markdown()
+
+
+def test_a_slow_swing_is_no_stability(results: list[ReadingResult]) -> None:
+    """Its period is longer than a second: the windows of judgement are as much longer as the doublet is."""
+    raised = results[1].trial("raised", "baseline")
+    assert not raised.linear.stable
+    assert not raised.flight.stable
+
+
+def test_smith_holds_with_models_that_are_off() -> None:
+    errors = readings.fly_model_errors()
+    assert len(errors) == 9
+    assert all(error.stable for error in errors)
+    said = parts_of((ROOT / PAGE).read_text(encoding="utf-8"), PAGE)["paper: model errors"]
+    assert said == model_error_table(errors).markdown()
+    readme = parts_of((ROOT / "README.md").read_text(encoding="utf-8"), "README.md")["paper: model errors in a line"]
+    assert readme == model_errors_in_words(errors) + "\n"
+    assert "8 of 8 flights settle" in readme
+    lost = errors[0].model_copy(update={"stable": False})
+    assert "7 of 8 flights settle" in model_errors_in_words([lost, *errors[1:]])
+
+
+# --- whose claims -----------------------------------------------------------------------------------------------------
+
+
+def test_questions_of_ours_are_no_claims_of_the_paper() -> None:
+    assert {claim.key for claim in CONSISTENCY} == {"tracking-numbers", "hexjet-both"}
+    assert not {claim.key for claim in CLAIMS} & {claim.key for claim in CONSISTENCY}
+
+
+@pytest.mark.parametrize(("factor", "verdict"), [(0.9, "holds"), (1.1, "does not hold")])
+def test_tracking_in_manual_flight_is_judged_by_the_printed_errors(factor: float, verdict: str) -> None:
+    printed = {key: factor * row.value for key, row in numbers.PRINTED.items() if key.startswith("hexjet-manual.")}
+    flight = Evidence(metrics={}, margins={}, gain_at_low_end={}, gain_at_8_hz={}, tracking=printed)
+    linear = Evidence(metrics={}, margins={}, gain_at_low_end={}, gain_at_8_hz={})
+    rows = {row.key: row for row in claim_rows(linear, flight)}
+    for key in ("manual-roll", "manual-pitch-yaw"):
+        assert rows[key].linear.verdict == "not flown"
+        judged = rows[key].flight
+        assert judged is not None
+        assert judged.verdict == verdict
+        assert judged.basis == "follows from a choice"
