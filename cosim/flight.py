@@ -46,6 +46,7 @@ from cosim.simulation.code import need_trust_of
 from cosim.simulation.controllers.source import OBJECT, Source, of_object
 from cosim.simulation.controllers.source import names as own_controllers
 from cosim.simulation.ending import Ending
+from cosim.simulation.model_agreement import flight_notes
 from cosim.simulation.pacing import Pace
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_autopilot import with_autopilot
@@ -447,6 +448,7 @@ def _setup(simulation: Simulation, resolved: Scenario) -> Setup:
         reach=reach(simulation),
         yardstick=yardstick(scenario, simulation.vehicle),
         expectation=expectation(scenario),
+        notes=flight_notes(scenario, simulation.vehicle, engine),
         versions=versions(),
         sha256={
             model: simulation.airframe.file_sha256,

@@ -22,9 +22,11 @@ from cosim.base.signals import AXES, ZERO3, Disturbance, Vector3
 from cosim.base.storage.files import write_files
 from cosim.campaign.authority_drawing import attainable_moments
 from cosim.control.allocation.authority import Authority, Range, Reach, reach_of
+from cosim.engine import engine_names
 from cosim.flight import fly
 from cosim.results.report.three_views import places, three_views
-from cosim.simulation.build import build
+from cosim.simulation.build import build, engines_of
+from cosim.simulation.model_agreement import NOTED, ModelAgreement, model_agreements
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen_from
@@ -131,7 +133,8 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
         reach = reach_of(vehicle, least.tolist(), most.tolist())
         authority = [reach.authority(lost) for lost in losses]
         engine_name = simulation.engine.name
-    lines += [_lift(authority[0]), *_axes(authority, vehicle.inertia_kg_m2), _flight(scenario)]
+        models = _models(simulation)
+    lines += [_lift(authority[0]), *_axes(authority, vehicle.inertia_kg_m2), *models, _flight(scenario)]
     return AircraftCheck(
         vehicle.name,
         vehicle.title,
@@ -253,6 +256,37 @@ def _axes(authority: Sequence[Authority], inertia: Vector3) -> list[Line]:
     if open_:
         text += f"; without {', '.join(map(str, open_))} nothing was found, which does not prove that there is nothing"
     return [*lines, Line("one engine lost", text)]
+
+
+def _models(simulation: Simulation) -> list[Line]:
+    """Each identified model against vehicle and engine, with full and with empty tank; a line a model."""
+    vehicle, lines = simulation.vehicle, []
+    for family, models in vehicle.identified.items():
+        scenario, engine = simulation.scenario, simulation.engine
+        if family != engine.family:
+            if family not in engine_names():
+                text = f"not compared: --engine FILE names the engine {family}"
+                lines += [Line(f"{axis} model, {family}", text) for axis in models]
+                continue
+            scenario = scenario.replace(engine=family)
+            engine = engines_of(scenario, vehicle)[0]
+        full = model_agreements(scenario, vehicle, engine)
+        empty = model_agreements(scenario, vehicle.with_fuel(0.0), engine, "without fuel") if vehicle.fuel else []
+        compared = {axis: [each for each in (*full, *empty) if each.axis == axis] for axis in models}
+        lines += [_model(axis, family, found) for axis, found in compared.items()]
+    return lines
+
+
+def _model(axis: str, family: str, found: Sequence[ModelAgreement]) -> Line:
+    """The worst of one model's comparisons: beyond what is noted it says so, and far beyond it is a fault."""
+    name = f"{axis} model, {family}"
+    if not found:
+        return Line(name, "not compared: its sample time is not the vehicle's control step")
+    worst = max(found, key=lambda each: each.distance)
+    text = f"{worst.numbers}{f', {worst.state}' if worst.state else ''}"
+    if worst.unfit:
+        return Line(name, text, f"not of this vehicle: make one with hexjet identify {axis}, or take it out")
+    return Line(name, f"{text}: more than {100.0 * NOTED:.0f} % off, which predictors feel" if worst.noted else text)
 
 
 def _flight(scenario: Scenario) -> Line:

@@ -36,10 +36,17 @@ def aircraft_new(name: str, base: str, out: Path | None) -> int:
     It begins as one that is shipped; change its vehicle.toml, and look it over with hexjet aircraft check.
     """
     from cosim.spec.new_aircraft import new_aircraft
+    from cosim.spec.vehicle import load_vehicle
 
     path = new_aircraft(name, base, Path(name) if out is None else out)
     folder = path.parent if path.parent.is_absolute() else f"./{path.parent}"
     click.echo(f"{path}\nhexjet aircraft check {folder}\nhexjet fly hover --aircraft {folder}")
+    if load_vehicle(base)[0].identified:
+        click.echo(
+            f"hexjet: note: its identified models are those of {base}: they hold until inertia, jets, sensors or "
+            f"engine change; hexjet aircraft check {folder} compares them",
+            err=True,
+        )
     return DONE
 
 

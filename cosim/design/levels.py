@@ -52,17 +52,6 @@ class Level:
     channels: Mapping[str, Channel]
 
 
-def lighter(vehicle: Vehicle, fuel: float) -> Vehicle:
-    """The vehicle with that share of its fuel: mass, and inertia about its own centre of gravity."""
-    assert vehicle.fuel is not None
-    burnt = (1.0 - fuel) * vehicle.fuel.mass_kg
-    whole, place = vehicle.mass_kg, vehicle.fuel.position_m
-    shift = burnt * whole / (whole - burnt)
-    squares = [x * x for x in place]
-    inertia = [j - shift * (sum(squares) - own) for j, own in zip(vehicle.inertia_kg_m2, squares, strict=True)]
-    return vehicle.model_copy(update={"mass_kg": whole - burnt, "inertia_kg_m2": tuple(inertia)})
-
-
 def levels(
     scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, dynamics: Callable[[Vehicle], Actuator]
 ) -> list[Level]:
@@ -73,7 +62,7 @@ def levels(
     """
     designed: list[Level] = []
     for fuel in PROVED:
-        there = lighter(vehicle, fuel)
+        there = vehicle.with_fuel(fuel)
         own = channels(scenario, there, spec, dynamics(there))
         full = designed[0].channels if designed else own
         kept = {axis: full[axis] if full[axis].by_servo else own[axis] for axis in AXES}

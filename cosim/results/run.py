@@ -186,6 +186,7 @@ class Setup(BaseModel):
     reach: Reach | None = None  # of throttles and tilts
     yardstick: Yardstick | None = None  # what its limits are made from; None: it has none
     expectation: Expectation | None = None  # what this controller with this engine must come to
+    notes: list[str] = []  # what is to be known of it: models that are not the vehicle's
     by_hand: int = 0  # steps whose command, throttles or tilts a program gave: the scenario alone does not repeat them
     versions: dict[str, str] = {}
     sha256: dict[str, str] = {}  # of the aircraft model and of every FMU

@@ -98,7 +98,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
     _need_tank(scenario, vehicle)
     _need_room_below(scenario, vehicle)
     PREDICTORS.check(vehicle.control.predictor, f"scenario {scenario.name}: vehicle.control.predictor")
-    engine, *stations = specs = _engines(scenario, vehicle)
+    engine, *stations = specs = engines_of(scenario, vehicle)
     laws = [spec.flame_out for spec in stations]
     step, initial = scenario.step_s, scenario.initial
     flown = as_flown(vehicle, scenario.mismatch)
@@ -223,10 +223,10 @@ def _starts_in_flight(scenario: Scenario, stations: Sequence[EngineSpec]) -> boo
     return True
 
 
-def _engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
+def engines_of(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
     """The scenario's engine, then the one at each station; each engine with its parameters is measured once.
 
-    They are measured in the still air at the height where the flight starts.
+    They are measured in the still air at the height where the flight starts.  Raises InputError as :func:`build`.
     """
     jets = len(vehicle.jets)
     air = Air(*standard_air(scenario.environment.ground_m + start_height(vehicle, scenario.initial)), 0.0)
@@ -368,7 +368,7 @@ class _Plugged:
 def belief_of(scenario: Scenario, parameters: Mapping[str, float]) -> Belief:
     """What a controller with these parameters would be told in a scenario.  Raises InputError as :func:`build`."""
     vehicle, _ = scenario.resolved_vehicle()
-    engine, *stations = _engines(scenario, vehicle)
+    engine, *stations = engines_of(scenario, vehicle)
     return _told(scenario, vehicle, engine, stations, parameters)
 
 

@@ -18,6 +18,13 @@ HEAD = """\
 """
 
 
+MODELS = """\
+# Under [identified] are models of {base}: those of this vehicle as long as its inertia, jets, sensors and engine are.
+# hexjet aircraft check compares them, and so does every flight with a predictor; hexjet identify roll makes another.
+
+"""
+
+
 def new_aircraft(name: str, base: str, folder: Path) -> Path:
     """Write ``vehicle.toml`` of an aircraft that flies as ``base`` does.
 
@@ -51,7 +58,7 @@ def new_aircraft(name: str, base: str, folder: Path) -> Path:
     stated, path = load_vehicle(base)[0], folder / VEHICLE
     text = source.read_text(encoding="utf-8")
     begin = text.index("\nname = ") + 1
-    text = HEAD.format(name=name, base=base) + text[begin:]
+    text = HEAD.format(name=name, base=base) + (MODELS.format(base=base) if stated.identified else "") + text[begin:]
     text = text.replace(f'name = "{stated.name}"', f'name = "{name}"', 1)
     text = text.replace(f'title = "{stated.title}"', f'title = "{name}, begun as a copy of {base}"', 1)
     text = re.sub(r'^model = ".*"\n', "", text, flags=re.MULTILINE)

@@ -267,6 +267,8 @@ def print_run(run: Run) -> None:
         f"seed {summary.seed}: {summary.duration_s:.2f} s flown" + _speed(summary.realtime_factor),
         highlight=False,
     )
+    for note in summary.notes:
+        console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
     print_metrics([run])
     _print_whole(run)
     for text in summary.exceeded:

@@ -88,12 +88,13 @@ def sweep(
     from cosim.campaign.analysis.page import write_campaign_report
     from cosim.campaign.analysis.summary import campaign_summary
     from cosim.campaign.run import opened, run_campaign, workers_at
+    from cosim.campaign.study.model_notes import model_notes
 
     options["settings"] = [*aircraft_settings(aircraft), *options["settings"], *brought_settings(metrics, wind)]
     if keys is not None:
         return _list_keys(name, options["settings"], keys, as_json)
     study, folder = opened(name, out, resume, **options)
-    for text in study.notes() if study is not None else ():
+    for text in (*study.notes(), *model_notes(study)) if study is not None else ():
         click.echo(f"hexjet: note: {text}", err=True)
     with output_to_stderr(as_json), sweep_progress(folder, quiet=as_json) as tell:
         with workers_at(workers, cluster, time_limit) as flying:

@@ -12,7 +12,7 @@ from cosim.base.errors import InputError
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.design.design import dynamics_of, identify_there, shipped
 from cosim.design.levels import AXES as LEVELLED
-from cosim.design.levels import at_share, lighter
+from cosim.design.levels import at_share
 from cosim.design.loop.channel import Actuator, Channel, channels, hover_share
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.tuning import Tuning
@@ -48,7 +48,7 @@ def plants_of(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Plants 
     if scenario.stations:
         return "the engines are not all the same"
     fuel = scenario.initial.fuel
-    there = vehicle if vehicle.fuel is None or fuel == 1.0 else lighter(vehicle, fuel)
+    there = vehicle if fuel == 1.0 else vehicle.with_fuel(fuel)
     try:
         engine = Actuator.of(spec.name, dynamics_of(identify_there(scenario, there, spec, None)))
         return Plants(channels(scenario, there, spec, engine), spec, hover_share(there, spec))

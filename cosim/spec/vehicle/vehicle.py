@@ -180,6 +180,22 @@ class Vehicle(Model):
         (a, b, c), (xy, xz, yz) = self.inertia_kg_m2, self.products_kg_m2
         return ((a, -xy, -xz), (-xy, b, -yz), (-xz, -yz, c))
 
+    def with_point_mass(self, mass_kg: float, position_m: Vector) -> Vehicle:
+        """Return the vehicle with a point mass [kg] more, or less where it is negative, fixed at a place [m, body].
+
+        Inertia is about its own centre of gravity then; places stay stated from the old one, as those of a small part.
+        """
+        shift = mass_kg * self.mass_kg / (self.mass_kg + mass_kg)  # by the theorem of parallel axes
+        squares = [x * x for x in position_m]
+        inertia = [j + shift * (sum(squares) - own) for j, own in zip(self.inertia_kg_m2, squares, strict=True)]
+        return self.model_copy(update={"mass_kg": self.mass_kg + mass_kg, "inertia_kg_m2": tuple(inertia)})
+
+    def with_fuel(self, share: float) -> Vehicle:
+        """Return the vehicle with that share of its fuel; itself without a tank."""
+        if self.fuel is None:
+            return self
+        return self.with_point_mass(-(1.0 - share) * self.fuel.mass_kg, self.fuel.position_m)
+
     def layout(self) -> Layout:
         """Where jets stand and push while hinges turn; its angles are the hinges', or those of the two banks."""
         return layout_of(self.jets, self.hinges)

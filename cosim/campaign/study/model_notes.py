@@ -1,0 +1,74 @@
+"""What is said before a study is flown of identified models that its flights do not keep: once, whatever varies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from cosim.base.errors import FlightError, InputError
+from cosim.campaign.study.keys import Value
+from cosim.campaign.study.plan import Flight, flights, scenario_of
+from cosim.campaign.study.study import Study
+from cosim.control.predictors.registry import PREDICTORS
+from cosim.simulation.build import engines_of
+from cosim.simulation.model_agreement import ModelAgreement, flown_agreements
+
+LOOKED_AT = 1000  # flights whose values are compared for the ends of what varies: they cost nothing to draw
+UNSEEN = ("mismatch.", "command.", "controller_parameters.")  # of keys that change neither model nor stated vehicle
+
+
+def model_notes(study: Study) -> list[str]:
+    """Return at most one line: of the flights at the ends of what varies, the one whose model is farthest off.
+
+    Empty where all models are the vehicles', and where no controller believes one.  A flight that cannot be built is
+    passed over: it is a row of the campaign, with the reason.
+    """
+    if study.autopilot is not None:
+        return []
+    looked_at = noted = 0
+    worst: tuple[Flight, ModelAgreement] | None = None
+    for flight in _ends(study):
+        try:
+            scenario = scenario_of(study, flight)
+            vehicle, _ = scenario.resolved_vehicle()
+            found = flown_agreements(scenario, vehicle, engines_of(scenario, vehicle)[0])
+        except (InputError, FlightError):
+            continue
+        looked_at += bool(found)
+        farthest = max(found, key=lambda agreement: agreement.distance, default=None)
+        if farthest is not None and farthest.noted:
+            noted += 1
+            if worst is None or farthest.distance > worst[1].distance:
+                worst = flight, farthest
+    if worst is None:
+        return []
+    flight, agreement = worst
+    return [
+        f"{agreement.note}; that is flight {flight.number}, the farthest off of {noted} among {looked_at} at the ends "
+        "of what varies"
+    ]
+
+
+def _ends(study: Study) -> Iterator[Flight]:
+    """The first draw with each controller that may believe another model, built-in ones being told the same; then the
+    draws with the least and the most of every key that may matter, with the first of these controllers."""
+    planned, names = flights(study), study.controller_names
+    count = len(names)
+    told = [k for k, name in enumerate(names) if name in PREDICTORS and PREDICTORS[name].needs_model][:1]
+    told += [k for k, name in enumerate(names) if name not in PREDICTORS]
+    drawn = [planned[n] for n in range(0, min(len(planned), LOOKED_AT * count), count)]
+    chosen = {0}
+    for vary in study.vary:
+        if not vary.key.startswith(UNSEEN):
+            values = [flight.values[vary.key] for flight in drawn]
+            chosen |= _extremes(values)
+    for n in sorted(chosen):
+        for k in told if n == 0 else told[:1]:
+            yield planned[n * count + k]
+
+
+def _extremes(values: list[Value]) -> set[int]:
+    """Where the least and the greatest number are; of what is no number the first of each value."""
+    numbers = [value for value in values if isinstance(value, (int, float))]
+    if len(numbers) < len(values):
+        return {values.index(value) for value in dict.fromkeys(values)}
+    return {numbers.index(min(numbers)), numbers.index(max(numbers))}

@@ -1,0 +1,306 @@
+"""Identified models held against the vehicle that they are of: gain, delay and lag.
+
+What a predictor believes is a response that was identified once, of a vehicle of one mass and inertia with one engine.
+The vehicle and the engine say the same otherwise: the gain at rest is a lever times thrust over a moment of inertia,
+and what is late is the engine, stepped by a little at the throttle of hover, the servos' lags, and the gyro.  Both are
+frequency responses ``G(z)`` from command to measured rate, and their ratio ``R = G_model / G_vehicle`` is taken at half
+the frequency at which the vehicle's, less the integral from moment to rate, is 1 rad late: there a loop closes.
+
+    gain   |R|                                        times that of the vehicle
+    delay  -arg(R) / (omega T)                        samples more than the vehicle's
+    lag    |R(2 omega) / (|R| exp(2j arg R)) - 1|     what gain and delay do not explain, at twice the frequency
+
+Compared is what the controller knows, without any mismatch, disturbance or delay that it adds itself.
+
+The limits.  A design bears 30 % of gain and of delay either way (:class:`cosim.design.tune.Requirements`); half of that
+is left for what is not known of the vehicle, and more than the other half, 15 %, is noted.  Below 2 samples of delay
+nothing is: so far may a fit and the engine be apart.  Unfit is a model with which a loop does not do its work: the
+Hex-Jet's roll doublet settles with inertia up to 1.5 times what its model has, and not at 1.75; with an engine 10
+samples later than the model's, and not with 15, that is 28 % and 43 % of all its delay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, log
+from typing import NamedTuple
+
+import numpy as np
+
+from cosim.base.arrays import Array, Complex
+from cosim.base.constants import GRAVITY
+from cosim.base.signals import AXES
+from cosim.base.storage.cache import Memory
+from cosim.control.predictors.linear import delayed_response
+from cosim.control.predictors.registry import PREDICTORS
+from cosim.engine import EngineSpec, make_bank
+from cosim.simulation.axis_chain import (
+    AxisPart,
+    axis_gain,
+    axis_moment,
+    bank_reaction,
+    by_throttle,
+    filter_pole,
+    hinged_parts,
+    measuring,
+    turning,
+)
+from cosim.simulation.build import effectiveness_of
+from cosim.spec.scenario import PayloadDisturbance, Scenario
+from cosim.spec.vehicle import RateModel, Vehicle
+
+NOTED = 0.15  # of gain, delay or lag
+LEAST_SAMPLES = 2.0  # of delay, from which it is noted
+UNFIT_GAIN = 1.5  # times, either way
+UNFIT_DELAY = 1.0 / 3.0  # of all delay of the vehicle
+UNFIT_LAG = 0.5
+
+_SMALL = 0.05  # of the throttle: a step that no limit of an engine sees, and that is above its trembling
+_GRID = 0.05  # throttles of hover are taken to the nearest of this, so that many vehicles share what was measured
+_LONGEST_S = 20.0
+_STANDS = 1e-4  # of the change, in a second: the engine has answered
+_POINTS = 96
+_LOWEST = 0.02  # rad/s
+_HIGHEST = 0.8 * np.pi  # rad per step
+
+
+@dataclass(frozen=True)
+class ModelAgreement:
+    """One identified model beside what the vehicle and its engine come to."""
+
+    engine: str  # the family that the model is filed under
+    axis: str
+    unit: str  # of the gain
+    state: str  # of the vehicle: "", or its fuel or payload
+    hertz: float  # at which both were taken
+    gain: float  # of the model, in the unit
+    own_gain: float  # of the vehicle
+    late: float  # all delay of the model, samples
+    own_late: float  # of the vehicle
+    lag_misfit: float
+    opposite: bool = False  # the model's sign is the other one
+
+    @property
+    def ratio(self) -> float:
+        """Gain of the model over that of the vehicle."""
+        return self.gain / self.own_gain
+
+    @property
+    def noted(self) -> bool:
+        """Whether the two differ by more than is to be passed over."""
+        return self._excess(1.0 + NOTED, NOTED, NOTED) > 1.0
+
+    @property
+    def unfit(self) -> bool:
+        """Whether they differ by so much that a predictor with this model does not do its work."""
+        return self._excess(UNFIT_GAIN, UNFIT_DELAY, UNFIT_LAG) > 1.0
+
+    @property
+    def distance(self) -> float:
+        """How far they are apart, of what is noted: 1 there."""
+        return self._excess(1.0 + NOTED, NOTED, NOTED)
+
+    def _excess(self, gain: float, delay: float, lag: float) -> float:
+        """Of the three differences the largest, over its limit; a model of the other sign is beyond any."""
+        if self.opposite:
+            return inf
+        samples = max(LEAST_SAMPLES, delay * self.own_late)
+        return max(abs(log(self.ratio)) / log(gain), abs(self.late - self.own_late) / samples, self.lag_misfit / lag)
+
+    @property
+    def numbers(self) -> str:
+        """Gain and delay of both, and how far the lag is off, in words."""
+        if self.opposite:
+            return f"it turns the other way than the vehicle, which has {self.own_gain:.4g} {self.unit}"
+        said = (
+            f"gain {self.gain:.4g} {self.unit}, and {self.own_gain:.4g} by geometry, inertia and engine "
+            f"({self.ratio:.2f} times); all delay {self.late:.1f} samples, and {self.own_late:.1f} by engine, servos "
+            f"and gyro (at {self.hertz:.2g} Hz)"
+        )
+        if self.lag_misfit > NOTED:
+            said += f"; {100.0 * self.lag_misfit:.0f} % off at twice that frequency, as lags of another length are"
+        return said
+
+    @property
+    def note(self) -> str:
+        """One line for whoever flies with it."""
+        where = f" {self.state}" if self.state else ""
+        return f"{self.axis}: the identified model with {self.engine} is not that of the vehicle{where}: {self.numbers}"
+
+
+class _EngineResponse(NamedTuple):
+    """Thrust to a command, over thrust at rest, on a grid."""
+
+    omega: Array  # rad/s
+    value: Complex
+
+
+_responses: Memory[_EngineResponse] = Memory(64)
+
+
+def flown_agreements(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[ModelAgreement]:
+    """Compare the models that the controller of a flight is told of with the vehicle, an axis and a state each.
+
+    The vehicle is taken as it starts: with that fuel, and without and with the payloads of the scenario.  Empty where
+    the controller needs no model; one from outside is told of all.  Raises EngineError if the engine fails.
+    """
+    if scenario.controller in PREDICTORS and not PREDICTORS[scenario.controller].needs_model:
+        return []
+    return [
+        agreement
+        for state, there in _states(scenario, vehicle)
+        for agreement in model_agreements(scenario, there, engine, state)
+    ]
+
+
+def flight_notes(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[str]:
+    """Return a line for each axis whose model the vehicle does not keep: of its first state that is to be noted."""
+    notes: dict[str, str] = {}
+    for agreement in flown_agreements(scenario, vehicle, engine):
+        if agreement.noted:
+            notes.setdefault(agreement.axis, agreement.note)
+    return list(notes.values())
+
+
+def model_agreements(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, state: str = "") -> list[ModelAgreement]:
+    """Compare the identified models of a vehicle with this engine, an axis each, with vehicle and engine.
+
+    Models of another sample time than the scenario's step are left out: no flight takes them.  ``state``: what is to be
+    said of the vehicle.  Raises EngineError if the engine fails.
+    """
+    return [
+        _compare(scenario, vehicle, engine, axis, model, state)
+        for axis, model in vehicle.identified.get(engine.family, {}).items()
+        if abs(model.sample_time_s - scenario.step_s) <= 1e-9
+    ]
+
+
+def _states(scenario: Scenario, vehicle: Vehicle) -> list[tuple[str, Vehicle]]:
+    """The vehicle as the flight begins, and with each payload that it carries in it."""
+    begun, state = vehicle, ""
+    if vehicle.fuel is not None and scenario.initial.fuel < 1.0:
+        begun = vehicle.with_fuel(scenario.initial.fuel)
+        state = f"with {100.0 * scenario.initial.fuel:.3g} % of its fuel"
+    loads = [entry for entry in scenario.disturbance if isinstance(entry, PayloadDisturbance)]
+    return [(state, begun)] + [
+        (f"with the payload of {load.mass_kg:g} kg", begun.with_point_mass(load.mass_kg, load.offset_m))
+        for load in loads
+    ]
+
+
+def _compare(
+    scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, axis: str, model: RateModel, state: str
+) -> ModelAgreement:
+    index, step = AXES.index(axis), scenario.step_s
+    span = engine.curve.thrust[-1] - engine.curve.thrust[0]
+    gain = axis_gain(vehicle, index, span)
+    damping = vehicle.aero.damping_n_m_s[index] / vehicle.inertia_kg_m2[index]
+    parts = _parts(scenario, vehicle, engine, index, span)
+    engine_response = _engine_response(engine, _hover_throttle(vehicle, engine), step)
+    omega = engine_response.omega
+    z = np.exp(1j * omega * step)
+    own = gain * _actuators(parts, engine_response, z, step) * _airframe(scenario, vehicle, damping, z)
+    # less the integral, which is 1 / (j omega + damping)
+    late = -np.unwrap(np.angle(own * (1j * omega + damping)))
+    at = 0.5 * _first_radian(late, omega)
+    ratio = delayed_response(model, z) / own
+    size, phase = np.log(np.abs(ratio)), np.unwrap(np.angle(ratio))
+    (g, g2), (p, p2) = (np.interp([at, 2.0 * at], omega, values) for values in (size, phase))
+    more = -float(p) / (at * step)
+    turned = float(np.interp(at, omega, late)) / (at * step)
+    return ModelAgreement(
+        engine.family,
+        axis,
+        _unit(vehicle, index),
+        state,
+        at / (2.0 * np.pi),
+        gain * float(np.exp(g)),
+        gain,
+        turned + more,
+        turned,
+        float(abs(np.exp((g2 - g) + 1j * (p2 - 2.0 * p)) - 1.0)),
+        bool(np.cos(phase[0]) < 0.0),
+    )
+
+
+def _first_radian(late: Array, omega: Array) -> float:
+    """The least frequency, rad/s, at which the phase is 1 rad late; the highest where there is none."""
+    first = int(np.argmax(late > 1.0))
+    if not late[first] > 1.0:
+        return float(omega[-1])
+    part = slice(max(first - 1, 0), first + 1)
+    return float(np.interp(1.0, late[part], omega[part]))
+
+
+def _unit(vehicle: Vehicle, index: int) -> str:
+    """Of an axis' gain."""
+    if vehicle.allocation == "effectiveness":
+        return "rad/s^2 per rad/s^2"
+    return "rad/s^2 per throttle" if by_throttle(vehicle, index) else "rad/s^2 per rad"
+
+
+def _parts(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, index: int, span: float) -> Sequence[AxisPart]:
+    """What gives the axis."""
+    step = scenario.step_s
+    if vehicle.allocation == "effectiveness":
+        return hinged_parts(vehicle, effectiveness_of(scenario, vehicle, engine), index, step)
+    if by_throttle(vehicle, index) or vehicle.servo is None:
+        return [AxisPart((), (), 1.0)]
+    kick = bank_reaction(vehicle, index, axis_moment(vehicle, index, span), step) * step * step
+    return [AxisPart((vehicle.servo,), (1.0,), 1.0, kick)]
+
+
+def _actuators(parts: Sequence[AxisPart], engine: _EngineResponse, z: Complex, step: float) -> Complex:
+    """Command to moment, over that at rest: the shares of engines and servos, with what turning kicks back."""
+    total = np.zeros_like(z)
+    for part in parts:
+        answer = engine.value
+        if part.servos:
+            pole = filter_pole(part.servos[0].lag_s, step)
+            answer = (1.0 - pole) / (z - pole)
+        total += (part.share + part.kick_s2 * ((1.0 - 1.0 / z) / step) ** 2) * answer
+    return total
+
+
+def _airframe(scenario: Scenario, vehicle: Vehicle, damping: float, z: Complex) -> Complex:
+    """Angular acceleration to measured rate."""
+    gyro = vehicle.sensors.gyro
+    (now, before, earlier), pole = turning(damping, scenario.step_s, scenario.substeps)
+    body = scenario.step_s * (now * z + before + earlier / z) / (z - pole)
+    return np.asarray(body * measuring(z, filter_pole(gyro.filter_s, scenario.step_s), gyro.latency_samples))
+
+
+def _hover_throttle(vehicle: Vehicle, engine: EngineSpec) -> float:
+    """The throttle of hover, to the nearest that is measured."""
+    thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
+    rising = engine.rising
+    throttle = float(np.interp(thrust, rising.thrust, rising.throttle))
+    return round(min(throttle, 1.0 - _SMALL) / _GRID) * _GRID
+
+
+def _engine_response(engine: EngineSpec, throttle: float, step: float) -> _EngineResponse:
+    """Of the engine's own answer to a small step of its throttle; one that states a pole is linear, and taken once."""
+    at = throttle if engine.pole is None else 0.5
+    key = (*engine.behaviour, engine.pole is None, at, step)
+    return _responses.get(key, lambda: _measure(engine, at, step))
+
+
+def _measure(engine: EngineSpec, throttle: float, step: float) -> _EngineResponse:
+    begin, end = min(throttle, 1.0 - _SMALL), min(throttle, 1.0 - _SMALL) + _SMALL
+    second = round(1.0 / step)
+    with make_bank([engine], step) as bank:
+        after = bank.reset(end).thrust[0]
+        before = bank.reset(begin).thrust[0]
+        course = [0.0]
+        for k in range(round(_LONGEST_S / step)):
+            course.append((bank.step(k, (end,)).thrust[0] - before) / (after - before))
+            if k > second and abs(course[-1] - course[-second]) < _STANDS and abs(course[-1] - 1.0) < 10.0 * _STANDS:
+                break
+    pushes = np.diff(np.array(course))
+    omega = np.geomspace(_LOWEST, _HIGHEST / step, _POINTS)
+    # what a step's end gives acts over the whole step; in the loop of a command it is known one sample later
+    back, value = np.exp(-1j * omega * step), np.zeros(_POINTS, complex)
+    for push in pushes[::-1]:
+        value = (value + push) * back
+    return _EngineResponse(omega, value)
