@@ -1,7 +1,7 @@
 """``python -m benchmarks.accuracy``: the airframe against NASA's check cases, and its error on our own flights.
 
     python -m benchmarks.accuracy --data FOLDER            both; FOLDER has NASA's trajectories, Atmos_02_sim_01.csv...
-    python -m benchmarks.accuracy --only flights           this part alone; it needs no data
+    python -m benchmarks.accuracy --only flights           this part alone; it needs no data, nor does "bare"
     python -m benchmarks.accuracy --data FOLDER --page docs/accuracy.md      and write the tables into the page
 
 The status is 1 if a check case lies outside the spread of NASA's simulators.
@@ -13,12 +13,15 @@ import argparse
 import sys
 from pathlib import Path
 
+from benchmarks.accuracy.bare_jsbsim import measure
 from benchmarks.accuracy.check_cases import CASES, Compared, compare, fly_case, read_simulators
-from benchmarks.accuracy.flights import CLOSED, RUNS, SCHEMES, closed_loop, courses, error, exact, fly_again
+from benchmarks.accuracy.flights import CLOSED, FLOWN_RUNS, RUNS, SCHEMES, closed_loop, courses, error, exact, fly_again
 from cosim.base.errors import InputError
 from cosim.results.report.marks import check_marks, table, write_marks
 
-CASE_MARK, FLIGHT_MARK, CLOSED_MARK = "check cases", "flights", "closed loop"
+BESIDE = (SCHEMES["flown"], SCHEMES["masses"])  # of flights that are no study of methods
+CASE_MARK, FLIGHT_MARK, CLOSED_MARK, BARE_MARK = "check cases", "flights", "closed loop", "bare JSBSim"
+PARTS = {"cases": [CASE_MARK], "flights": [FLIGHT_MARK, CLOSED_MARK], "bare": [BARE_MARK]}
 
 
 def case_table(folder: Path) -> tuple[str, list[Compared]]:
@@ -53,7 +56,9 @@ def flight_table() -> str:
         for scheme in SCHEMES.values():
             for runs in RUNS:
                 # the others at the number of runs that flights use
-                if runs != 4 and scheme is not SCHEMES["flown"]:
+                if runs != FLOWN_RUNS and not (flown.study and scheme is SCHEMES["flown"]):
+                    continue
+                if not flown.study and scheme not in BESIDE:
                     continue
                 wrong = error(fly_again(flown, scheme, runs)[1], truth)
                 rows.append(
@@ -74,7 +79,7 @@ def closed_table() -> str:
     """Whole flights with their controllers, at the number of runs that flights use."""
     rows = []
     for name in CLOSED:
-        angle, place = closed_loop(name, 4)
+        angle, place = closed_loop(name, FLOWN_RUNS)
         rows.append([name, f"{angle:.1e}", f"{place:.1e}"])
     return table(["flight, four runs against 64", "Euler angles, deg", "place, mm"], rows)
 
@@ -83,22 +88,24 @@ def main(arguments: list[str] | None = None) -> int:
     """The exit status."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy", description="How exact the airframe is.")
     parser.add_argument("--data", type=Path, help="folder with the trajectories of NASA's simulators")
-    parser.add_argument("--only", choices=["cases", "flights"], help="this part alone")
+    parser.add_argument("--only", choices=list(PARTS), help="this part alone")
     parser.add_argument("--page", type=Path, help="write the tables between the marks of this page")
     asked = parser.parse_args(arguments)
-    if asked.data is None and asked.only != "flights":
+    wanted = [asked.only] if asked.only else list(PARTS)
+    if asked.data is None and "cases" in wanted:
         parser.error("--data FOLDER is needed for the check cases; without it: --only flights")
     try:
         parts = {}
         if asked.page:
-            flights = [FLIGHT_MARK, CLOSED_MARK]
-            check_marks(asked.page, [CASE_MARK] * (asked.only != "flights") + flights * (asked.only != "cases"))
+            check_marks(asked.page, [mark for part in wanted for mark in PARTS[part]])
         outside = 0
-        if asked.only != "flights":
+        if "cases" in wanted:
             parts[CASE_MARK], rows = case_table(asked.data)
             outside = sum(not row.inside for row in rows)
-        if asked.only != "cases":
+        if "flights" in wanted:
             parts[FLIGHT_MARK], parts[CLOSED_MARK] = flight_table(), closed_table()
+        if "bare" in wanted:
+            parts[BARE_MARK] = table(["JSBSim alone", "comes to"], measure())
         if asked.page:
             write_marks(asked.page, parts)
     except InputError as problem:

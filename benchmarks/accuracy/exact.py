@@ -23,6 +23,8 @@ POLAR = 6356752.314245  # m
 Array = NDArray[np.float64]
 
 
+Payload = tuple[float, float, float, float]  # kg, then its place, m, body
+NO_PAYLOAD: Payload = (0.0, 0.0, 0.0, 0.0)
 Air = tuple[Vector3, Vector3]  # wind, m/s, NED, and rate at which turbulence turns the air, rad/s, body
 
 
@@ -33,6 +35,9 @@ class Held:
     forces: tuple[Vector3, ...]  # N, body, at the jets' stations
     disturbance: Disturbance
     air: tuple[Air, Air] | None = None  # at both ends of the step, linear between; None: the disturbance's wind
+    moment: Vector3 = (0.0, 0.0, 0.0)  # N m, body, beside the disturbance's
+    momentum: Vector3 = (0.0, 0.0, 0.0)  # of the rotors, kg m^2/s, body
+    burnt: float = 0.0  # kg
 
 
 @dataclass(frozen=True)
@@ -108,12 +113,16 @@ def density(height: float) -> float:
 class Body:
     """The vehicle with what is fixed to it during one step."""
 
-    def __init__(self, vehicle: Vehicle, payload: tuple[float, float, float, float]) -> None:
-        extra, place = payload[0], np.array(payload[1:])
-        self.mass = vehicle.mass_kg + extra
-        self.centre = place * extra / self.mass
-        reduced = vehicle.mass_kg * extra / self.mass
-        self.inertia = np.diag(vehicle.inertia_kg_m2) + reduced * (place @ place * np.eye(3) - np.outer(place, place))
+    def __init__(self, vehicle: Vehicle, payload: Payload, burnt: float = 0.0) -> None:
+        parts = [(payload[0], np.array(payload[1:]))]
+        if vehicle.fuel:
+            parts.append((-burnt, np.array(vehicle.fuel.position_m)))
+        self.mass = vehicle.mass_kg + sum(mass for mass, _ in parts)
+        self.centre = sum((mass * place for mass, place in parts), np.zeros(3)) / self.mass
+        xy, xz, yz = vehicle.products_kg_m2
+        self.inertia = np.diag(vehicle.inertia_kg_m2) - np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
+        for mass, place in [*parts, (-self.mass, self.centre)]:  # to the origin, and from there to the centre
+            self.inertia = self.inertia + mass * (place @ place * np.eye(3) - np.outer(place, place))
         self.inverse = np.linalg.inv(self.inertia)
         self.arms = [np.array(jet.position_m) - self.centre for jet in vehicle.jets]
         self.drag_area, self.damping = np.array(vehicle.aero.drag_area_m2), np.array(vehicle.aero.damping_n_m_s)
@@ -161,6 +170,13 @@ def motion_of(state: Array, t: float) -> Motion:
     return Motion(to_ned @ turn, state[10:] - turn.T @ EARTH_RATE, to_ned @ (v - cross(EARTH_RATE, r)), place)
 
 
+def let_go(state: Array, shift: Array) -> Array:
+    """The state with the centre of gravity elsewhere in the body, by ``shift`` [m, body]; the body moves as it did."""
+    turn = matrix(state[6:10])
+    moved = [state[:3] + turn @ shift, state[3:6] + turn @ cross(state[10:], shift), state[6:]]
+    return np.concatenate(moved)
+
+
 def air_at(held: Held, share: float) -> tuple[Array, Array]:
     """Wind and rate of the air when this share of the step is over."""
     if held.air is None:
@@ -170,7 +186,7 @@ def air_at(held: Held, share: float) -> tuple[Array, Array]:
     return wind, turning
 
 
-def derivative(state: Array, t: float, body: Body, held: Held, momentum: Array, share: float) -> Array:
+def derivative(state: Array, t: float, body: Body, held: Held, share: float) -> Array:
     """Of the state, while ``held`` acts, when ``share`` of the step is over."""
     wind, air_rate = air_at(held, share)
     r, v, q, w = state[:3], state[3:6], state[6:10], state[10:]
@@ -184,8 +200,9 @@ def derivative(state: Array, t: float, body: Body, held: Held, momentum: Array, 
     for arm, jet in zip(body.arms, held.forces, strict=True):
         newtons = np.array(jet)
         force, moment = force + newtons, moment + cross(arm, newtons)
-    moment = moment + np.array(held.disturbance.moment) - body.damping * (w - turn.T @ EARTH_RATE - air_rate)
-    spin = body.inverse @ (moment - cross(w, body.inertia @ w + momentum))
+    moment = moment + np.array(held.disturbance.moment) + np.array(held.moment)
+    moment = moment - body.damping * (w - turn.T @ EARTH_RATE - air_rate)
+    spin = body.inverse @ (moment - cross(w, body.inertia @ w + np.array(held.momentum)))
     a, (x, y, z) = q[0], q[1:].tolist()
     p, qq, rr = w.tolist()
     turning = 0.5 * np.array(
@@ -199,23 +216,27 @@ def integrate(
     state: Array,
     course: Sequence[Held],
     step: float,
-    momentum: Vector3 = (0.0, 0.0, 0.0),
     parts: int = 2,
+    payload: Payload | None = None,
 ) -> list[Motion]:
-    """The motion after every control step; ``parts``: steps of the Runge-Kutta method in each."""
+    """The motion after every control step; ``parts``: steps of the Runge-Kutta method in each.
+
+    ``payload``: on board at the start; None: that of the first step.
+    """
     found, h = [], step / parts
-    spin = np.array(momentum)
-    body, payload = Body(vehicle, (0.0,) * 4), (0.0,) * 4
+    masses = (course[0].disturbance.payload if payload is None else payload, course[0].burnt)
+    body = Body(vehicle, *masses)
     for k, held in enumerate(course):
-        if held.disturbance.payload != payload:
-            payload = held.disturbance.payload
-            body = Body(vehicle, payload)
+        if (held.disturbance.payload, held.burnt) != masses:
+            masses, before = (held.disturbance.payload, held.burnt), body.centre
+            body = Body(vehicle, *masses)
+            state = let_go(state, body.centre - before)
         for part in range(parts):
             t, begin, middle, end = k * step + part * h, part / parts, (part + 0.5) / parts, (part + 1) / parts
-            one = derivative(state, t, body, held, spin, begin)
-            two = derivative(state + 0.5 * h * one, t + 0.5 * h, body, held, spin, middle)
-            three = derivative(state + 0.5 * h * two, t + 0.5 * h, body, held, spin, middle)
-            four = derivative(state + h * three, t + h, body, held, spin, end)
+            one = derivative(state, t, body, held, begin)
+            two = derivative(state + 0.5 * h * one, t + 0.5 * h, body, held, middle)
+            three = derivative(state + 0.5 * h * two, t + 0.5 * h, body, held, middle)
+            four = derivative(state + h * three, t + h, body, held, end)
             state = state + h / 6.0 * (one + 2.0 * two + 2.0 * three + four)
         found.append(motion_of(state, (k + 1) * step))
     return found

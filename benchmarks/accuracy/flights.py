@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.exact import Air, Array, Held, Motion, integrate, start
+from benchmarks.accuracy.exact import NO_PAYLOAD, Air, Array, Held, Motion, integrate, start
 from cosim.base.frames import from_euler, jet_axis, rotate
 from cosim.base.signals import (
     Disturbance,
@@ -24,6 +24,7 @@ from cosim.base.signals import (
 from cosim.flight import fly
 from cosim.results.recorder import Log
 from cosim.simulation.build import build
+from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
 from cosim.vehicle.airframe import (
@@ -44,15 +45,18 @@ class Scheme:
     rates: tuple[float, float] = (ADAMS_BASHFORTH_2, ADAMS_BASHFORTH_2)  # rotational, translational
     attitude: float = BUSS_2
     make_up: float = 0.5
+    at_once: bool = True  # payload, fuel and rotors: else as JSBSim takes them when they are written
 
 
 SCHEMES = {
     "flown": Scheme("as flown"),
     "late": Scheme("without what the first run makes up", make_up=0.0),
+    "masses": Scheme("masses and rotors left to JSBSim", at_once=False),
     "third": Scheme("rates of third order", (ADAMS_BASHFORTH_3, ADAMS_BASHFORTH_3)),
-    "jsbsim": Scheme("JSBSim's own choice", (RECTANGULAR, ADAMS_BASHFORTH_2), RECTANGULAR, 0.0),
+    "jsbsim": Scheme("JSBSim's own choice", (RECTANGULAR, ADAMS_BASHFORTH_2), RECTANGULAR, 0.0, False),
 }
 RUNS = (1, 2, 4, 8)
+FLOWN_RUNS = 4
 
 
 @dataclass(frozen=True)
@@ -65,44 +69,73 @@ class Course:
     step: float
     initial: Initial
     held: list[Held]
-    momentum: Vector3 = (0.0, 0.0, 0.0)
+    study: bool = True  # of methods and runs; else as flown and with masses left to JSBSim
 
 
-class _Rows:
-    def __init__(self) -> None:
-        self.samples: list[Sample] = []
+class _Inputs:
+    """What the airframe of a flight was given in each of its steps."""
+
+    def __init__(self, simulation: Simulation, momentum: Vector3) -> None:
+        self.held: list[Held] = []
+        self._frame, self._propulsion, self._momentum = simulation.airframe, simulation.propulsion, momentum
 
     def observe(self, sample: Sample) -> None:
-        self.samples.append(sample)
+        frame = self._frame
+        twist = np.subtract(frame._twisted, sample.disturbance.moment).tolist()
+        self.held.append(
+            Held(
+                tuple(frame._forces),
+                sample.disturbance,
+                moment=(twist[0], twist[1], twist[2]),
+                momentum=self._propulsion.momentum if any(self._propulsion.momentum) else self._momentum,
+                burnt=frame._burnt,
+            )
+        )
 
 
-def course(title: str, name: str, changes: dict[str, Any], momentum: Vector3 = (0.0, 0.0, 0.0)) -> Course:
-    """Thrusts, tilts and disturbances of a flight; of gusts and turbulence there must be none."""
+def course(
+    title: str, name: str, changes: dict[str, Any], momentum: Vector3 = (0.0, 0.0, 0.0), study: bool = True
+) -> Course:
+    """What acted in a flight; of gusts and turbulence there must be none, and the aerodynamics ``vehicle.toml``'s.
+
+    ``momentum``: of rotors that the engines do not have.
+    """
     scenario = Scenario.load(name).replace(**changes, expect=[])
-    rows = _Rows()
     with build(scenario) as simulation:
-        ending = simulation.run([rows])
-    samples = rows.samples if ending.outcome == "completed" else rows.samples[:-1]
+        inputs = _Inputs(simulation, momentum)
+        ending = simulation.run([inputs])
+    held = inputs.held if ending.outcome == "completed" else inputs.held[:-1]
     vehicle, folder = load_vehicle(scenario.aircraft, scenario.vehicle)
-    left = [jet.servo == "left" for jet in vehicle.jets]
-    held = []
-    for sample in samples:
-        axes = [jet_axis(sample.tilt[0 if on_left else 1]) for on_left in left]
-        forces = tuple((n * x, n * y, n * z) for n, (x, y, z) in zip(sample.engines.thrust, axes, strict=False))
-        held.append(Held(forces, sample.disturbance))
-    return Course(title, vehicle, folder, scenario.step_s, scenario.initial, held, momentum)
+    return Course(title, vehicle, folder, scenario.step_s, scenario.initial, held, study)
+
+
+PICKED_UP = {"kind": "payload", "start_s": 2.0, "mass_kg": 0.5, "offset_m": [0.05, -0.02, 0.10]}
+WIND = {"kind": "wind", "start_s": 2.0, "velocity_ned_m_s": [-4.0, 3.0, 0.0]}
+OFF_CENTRE = {"fuel": {"mass_kg": 18.0, "position_m": [0.2, 0.1, 0.1]}}
 
 
 def courses(seconds: float | None = None) -> list[Course]:
     """The flights of the study; ``seconds``: the beginning alone."""
     short = {} if seconds is None else {"duration_s": seconds}
-    return [
+    studied = [
         course("roll doublet", "roll-doublet", short),
         course("the same, lost without a predictor", "roll-doublet", {"controller": "baseline", **short}),
         course("payload dropped", "payload-drop", short),
         course("full scale, roll doublet", "full-scale-roll-doublet", short),
         course("roll doublet, a rotor of 0.1 kg m²/s upright", "roll-doublet", short, (0.0, 0.0, -0.1)),
     ]
+    others: list[tuple[str, str, dict[str, Any]]] = [
+        ("payload picked up, off in three axes", "payload-drop", {"disturbance": [PICKED_UP]}),
+        ("full scale, payload dropped", "full-scale-payload-drop", {}),
+        ("full scale, fuel burnt off centre", "full-scale-roll-doublet", {"vehicle": OFF_CENTRE}),
+        ("full scale, pitch doublet, banks that react", "full-scale-pitch-doublet", {}),
+        ("full scale, lost with the rotors of turbine-220", "full-scale-yaw-doublet", {"engine": "turbine-220"}),
+        ("trijet, yaw doublet, hinges that react", "trijet-yaw-doublet", {}),
+        ("octojet, roll doublet", "octojet-roll-doublet", {}),
+        ("quadjet, roll doublet", "quadjet-roll-doublet", {}),
+        ("wind that jumps by 5 m/s", "hover", {"disturbance": [WIND]}),
+    ]
+    return studied + [course(title, name, {**changes, **short}, study=False) for title, name, changes in others]
 
 
 AXES: tuple[Vector3, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -120,25 +153,41 @@ def seen(state: State, place: tuple[float, float, float]) -> Motion:
 
 def fly_again(flown: Course, scheme: Scheme, runs: int) -> tuple[Motion, list[Motion]]:
     """The start, and the motion after every step, of the airframe."""
-    place = Environment()
-    spins = any(flown.momentum)
-    frame = Airframe(flown.vehicle, flown.folder, place, flown.step, runs, 1, spins)
+    spins = any(any(held.momentum) for held in flown.held)
+    frame = Airframe(flown.vehicle, flown.folder, Environment(), flown.step, runs, 1, spins)
 
     def where() -> tuple[float, float, float]:
         x, y, z = (frame._fdm.get_property_value(f"position/ecef-{axis}-ft") * FOOT for axis in "xyz")
         return (x, y, z)
 
-    try:
-        first = flown.held[0]
-        state = frame.reset(
-            flown.initial, list(first.forces), first.disturbance.wind, flown.momentum if spins else None
-        )
-        begin = seen(state, where())
+    def use() -> None:
         for kind, method in zip(("rotational", "translational"), scheme.rates, strict=True):
             frame._set(f"simulation/integrator/rate/{kind}", method)
         frame._set("simulation/integrator/position/rotational", scheme.attitude)
         frame._make_up = scheme.make_up
-        found = [seen(frame.step(list(held.forces), held.disturbance), where()) for held in flown.held]
+
+    def step(held: Held) -> Motion:
+        changed = held.disturbance.payload != frame._disturbance.payload
+        if scheme.at_once:
+            frame.carry(held.momentum, held.burnt)
+        else:
+            if flown.vehicle.fuel:
+                frame.burn(held.burnt)
+            if spins:
+                frame.set_momentum(held.momentum)
+            frame._apply(held.disturbance)
+        state = frame.step(list(held.forces), held.disturbance, held.moment)
+        if changed:
+            use()
+        return seen(state, where())
+
+    try:
+        first = flown.held[0]
+        spin = first.momentum if spins else None
+        state = frame.reset(flown.initial, list(first.forces), first.disturbance.wind, spin, first.burnt)
+        begin = seen(state, where())
+        use()
+        found = [step(held) for held in flown.held]
     finally:
         frame.close()
     return begin, found
@@ -159,10 +208,17 @@ def exact(flown: Course, parts: int = 2) -> list[Motion]:
     place = Environment()
     begin, _ = fly_again(replace(flown, held=flown.held[:1]), SCHEMES["flown"], 1)
     state = start(place.latitude_deg, place.longitude_deg, place.ground_m + flown.initial.altitude_m, begin)
-    return integrate(flown.vehicle, state, flown.held, flown.step, flown.momentum, parts)
+    return integrate(flown.vehicle, state, flown.held, flown.step, parts, NO_PAYLOAD)
 
 
-CLOSED = ("roll-doublet", "payload-drop", "climb-and-land", "full-scale-roll-doublet")
+CLOSED = (
+    "roll-doublet",
+    "payload-drop",
+    "climb-and-land",
+    "full-scale-roll-doublet",
+    "full-scale-payload-drop",
+    "trijet-yaw-doublet",
+)
 
 
 def closed_loop(name: str, runs: int, fine: int = 64) -> tuple[float, float]:

@@ -61,12 +61,12 @@ class Disturbance(NamedTuple):
 class State(NamedTuple):
     """The true motion of the airframe at one instant."""
 
-    position: Vector3  # m, NED
-    velocity: Vector3  # m/s, NED, over the ground
+    position: Vector3  # m, NED, of the centre of gravity, which a payload moves in the body
+    velocity: Vector3  # m/s, NED, over the ground, of the same
     attitude: Quaternion  # body to NED
     euler: Vector3  # roll, pitch, yaw [rad]
     rate: Vector3  # rad/s, body, against the rotating Earth
-    specific_force: Vector3  # m/s^2, body, what an accelerometer at the centre of gravity feels
+    specific_force: Vector3  # m/s^2, body, what an accelerometer at the centre of gravity as built feels
     altitude: float  # m above the ground
     wind: Vector3  # m/s, NED, turbulence included
     mass: float  # kg

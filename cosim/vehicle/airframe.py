@@ -9,6 +9,9 @@ run after the next: the method from acceleration to velocity makes up half a run
 their change on top, which gives the velocities the impulse of forces that act from the step's beginning, exactly and
 within the step.  With a single run a step there is no first run to correct, and a force acts half a run late, which the
 delay ledger lists.
+
+Where a payload comes or goes it is the mass that jumps, not the force: :meth:`Airframe._start_anew`.  With a single run
+a step it is half a run late like the forces, as being late together costs least.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ from typing import Any, Final
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError
-from cosim.base.frames import from_euler
+from cosim.base.frames import cross, from_euler, rotate
 from cosim.base.signals import (
     ZERO3,
     Disturbance,
@@ -37,6 +40,7 @@ from cosim.vehicle._properties import Properties
 from cosim.vehicle.executive import Complaint, Executive, Property
 from cosim.vehicle.jsbsim_model import MOMENTUM, PRODUCT_SIGN, PRODUCTS, render, structural
 from cosim.vehicle.jsbsim_units import FOOT, INCH, JSBSIM_POUNDS_PER_SLUG, POUND_FOOT, POUND_FORCE, SLUG, SLUG_FT2
+from cosim.vehicle.mass_change import MassChange, PointMass, find_centre
 from cosim.vehicle.model_file import read_model
 from cosim.vehicle.proof import prove
 
@@ -70,6 +74,7 @@ _NONE: Final[Any] = ZERO3  # as one object
 _number = itertools.count()  # of the airframes of this process
 
 Node = Callable[[str], Property]  # a property by its name
+Payload = tuple[float, float, float, float]  # kg, then its place, m from the centre of gravity as built, body
 Get = Callable[[], float]
 Set = Callable[[float], object]
 
@@ -197,6 +202,7 @@ class Airframe:
         self._set_wind = _Write(node, "atmosphere/wind-{}-fps", _NED, FOOT)
         self._set_payload = node("inertia/pointmass-weight-lbs").set_double_value
         self._payload_place = _Write(node, "inertia/pointmass-location-{}-inches", "XYZ")
+        self._mass_change = MassChange(self._jsbsim)
         self._momentum = _Write(node, MOMENTUM, "xyz", SLUG_FT2) if self._rotors else None
         self._pressure: Get = node("atmosphere/P-psf").get_double_value
         self._temperature: Get = node("atmosphere/T-R").get_double_value
@@ -256,6 +262,8 @@ class Airframe:
         self._forces, self._pushed, self._twisted = forces, ZERO3, ZERO3
         self._full = self._mass = self._get_mass() * SLUG
         self._burnt = 0.0
+        self._spin = ZERO3
+        self._ahead = False  # whether fuel or rotors are, by what the first run has on top
         if burnt:
             self.burn(burnt)
         turbulence = 4.0 if place.turbulence_severity else 0.0  # 4: MIL-F-8785C, Tustin form
@@ -283,15 +291,24 @@ class Airframe:
         """
         if self._touching != (self._method == ON_THE_GROUND):
             self._use(ON_THE_GROUND if self._touching else IN_THE_AIR)
+        old: Payload | None = None  # if there is another one now
         if disturbance is not self._disturbance:
+            if disturbance.payload != self._disturbance.payload:
+                old = self._disturbance.payload
             self._apply(disturbance)
         push, twist = disturbance.force, _sum(disturbance.moment, moment)
         run, runs = self._run, self.substeps
         try:
-            if runs > 1:
+            if old is not None and runs > 1:
+                self._settle()
+                ended = not self._start_anew(old, forces, push, twist)
+                runs -= 1
+            elif runs > 1:
                 self._act_with(forces, push, twist, self._make_up)
                 ended = not run()
                 runs -= 1
+                if self._ahead:
+                    self._settle()
             else:
                 ended = False
             self._act(forces, push, twist)
@@ -302,6 +319,40 @@ class Airframe:
         if ended:
             raise FlightError("JSBSim ended the run")
         return self._read()
+
+    def _start_anew(self, old: Payload, forces: list[Vector3], push: Vector3, twist: Vector3) -> bool:
+        """Make the first run of a step in which the payload is no longer the ``old`` one; whether JSBSim goes on.
+
+        See :mod:`cosim.vehicle.mass_change`.  The new centre of gravity gets its velocity by a force in the first run's
+        accelerations alone, of twice the size: the method of Adams and Bashforth takes half of it back in the run
+        after.  Over these runs the place gains half a run of that velocity, which it is begun behind by.  On the ground
+        nothing turns, and the velocity stays.
+        """
+        before, after = self._find_centre(old), self._find_centre(self._disturbance.payload)
+        shift = (after[0] - before[0], after[1] - before[1], after[2] - before[2])
+        x, y, z = cross(self.inertial_rate(), shift)
+        size = 0.0
+        if not self._touching:
+            size = 2.0 * self._mass / self._dt
+            shift = _beyond(shift, (shift[0] + x, shift[1] + y, shift[2] + z), 0.5 * self._dt)
+        jolt = (size * x, size * y, size * z)
+        # at the centre of gravity as built, and with no moment about the present one
+        self._act(forces, _sum(push, jolt), _sum(twist, cross(after, jolt)))
+        self._mass_change.shift(rotate(self._read().attitude, shift))
+        self._mass_change.evaluate(self._run)
+        self._use(ON_THE_GROUND)
+        self._act(forces, push, twist)
+        goes_on = self._run()
+        if not self._touching:
+            self._use(IN_THE_AIR)
+        return goes_on
+
+    def _find_centre(self, payload: Payload) -> Vector3:
+        """Return where the centre of gravity is with this payload, from that of the vehicle as built: m, body."""
+        others: list[PointMass] = [(payload[0], payload[1:])]
+        if self._vehicle.fuel:
+            others.append((-self._burnt, self._vehicle.fuel.position_m))
+        return find_centre(self._vehicle.mass_kg, others)
 
     def bare_run(self) -> Callable[[], bool]:
         """JSBSim's own ``run``, good until the next reset: one of its steps with everything held, to time it alone."""
@@ -347,7 +398,7 @@ class Airframe:
             self._start_gust(*disturbance.gust)
         self._disturbance = disturbance
 
-    def _apply_payload(self, payload: tuple[float, float, float, float]) -> None:
+    def _apply_payload(self, payload: Payload) -> None:
         mass, x, y, z = payload
         self._set_payload(mass / SLUG * JSBSIM_POUNDS_PER_SLUG)
         self._payload_place.put(*structural((x, y, z)))
@@ -355,8 +406,9 @@ class Airframe:
         self._mass = self._full - self._burnt
 
     def carry(self, momentum: Vector3, burnt: float, standing: PerServo = ()) -> None:
-        """From the next run on carry rotors of this ``momentum``, where they are modelled, and lack ``burnt`` kg.
+        """Over the next step carry rotors of this ``momentum``, where they are modelled, and lack ``burnt`` kg.
 
+        Both act from its beginning, as forces do: the first of several runs has :data:`MAKE_UP` of their change on top.
         ``standing``: where the servos stand, of which the last are those of the surfaces.
         """
         if self._surfaces:
@@ -364,9 +416,26 @@ class Airframe:
             for number, surface in enumerate(self._surfaces):
                 surface(standing[first + number])
         if burnt != self._burnt:
-            self.burn(burnt)
+            self._lack(burnt + self._share_of_first_run() * (burnt - self._burnt))
+            self._burnt, self._mass = burnt, self._full - burnt
+            self._ahead = True
+        if self._momentum is not None and momentum != self._spin:
+            x, y, z = _beyond(momentum, self._spin, self._share_of_first_run())
+            self._momentum.put(x, y, z)
+            self._spin = momentum
+            self._ahead = True
+
+    def _share_of_first_run(self) -> float:
+        """Return the share of a change that the first run has on top."""
+        return self._make_up if self.substeps > 1 else 0.0
+
+    def _settle(self) -> None:
+        """Let fuel and rotors be what they are, without what the first run had on top."""
+        self._ahead = False
+        if self._burnt:
+            self._lack(self._burnt)
         if self._momentum is not None:
-            self._momentum.put(momentum[0], momentum[1], momentum[2])
+            self.set_momentum(self._spin)
 
     def set_momentum(self, momentum: Vector3) -> None:
         """Hold the rotors' angular momentum (kg m^2/s, body, against the airframe) from the next run on.
@@ -377,15 +446,19 @@ class Airframe:
         """
         assert self._momentum is not None
         self._momentum.put(momentum[0], momentum[1], momentum[2])
+        self._spin = momentum
 
     def burn(self, mass: float) -> None:
         """From the next run on the vehicle lacks ``mass`` [kg] of fuel: mass, centre of gravity and inertia follow.
 
         The fuel is a point mass in its tank, and what is burnt a negative one beside the vehicle as built.
         """
-        self._set_burnt(-mass / SLUG * JSBSIM_POUNDS_PER_SLUG)
+        self._lack(mass)
         self._burnt = mass
         self._mass = self._full - mass
+
+    def _lack(self, mass: float) -> None:
+        self._set_burnt(-mass / SLUG * JSBSIM_POUNDS_PER_SLUG)
 
     def air(self) -> tuple[float, float]:
         """Static pressure [Pa] and temperature [K] of the air where the vehicle is."""

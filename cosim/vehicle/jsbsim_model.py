@@ -212,12 +212,13 @@ def _mass_balance(masses: ET.Element, model: Path) -> None:
 
 
 def _shift(root: ET.Element, model: Path) -> None:
-    """Put the origin of every place in the model at its centre of gravity, and what is felt there."""
+    """Put the origin of every place in the model at its centre of gravity, and what is felt and what disturbs there."""
     cg = _child(root, "mass_balance/location[@name='CG']")
     unit = _inches(cg, model)
     origin = [_number(cg.find(axis), model) * unit for axis in "xyz"]
-    felt = [_child(root, f"metrics/location[@name='{name}']") for name in ("EYEPOINT", "VRP")]
-    if not any(origin) and not any(_number(element, model) for location in felt for element in location):
+    here = [_child(root, f"metrics/location[@name='{name}']") for name in ("EYEPOINT", "VRP")]
+    here += root.findall("external_reactions/force[@name='push']/location")
+    if not any(origin) and not any(_number(element, model) for location in here for element in location):
         return
     for location in root.iter("location"):
         scale = _inches(location, model)
@@ -226,7 +227,7 @@ def _shift(root: ET.Element, model: Path) -> None:
             element = location.find(axis)
             if element is not None:
                 element.text = repr(_number(element, model) * scale - shift)
-    for element in (element for location in felt for element in location):
+    for element in (element for location in here for element in location):
         element.text = "0"
 
 

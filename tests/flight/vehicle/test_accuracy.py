@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,8 +20,18 @@ from benchmarks.accuracy.check_cases import (
     fly_case,
     read_simulators,
 )
-from benchmarks.accuracy.exact import density, geodetic, gravitation, integrate, local, start
-from benchmarks.accuracy.flights import SCHEMES, WINDOW, Course, course, error, exact, fly_again, from_the_log
+from benchmarks.accuracy.exact import density, geodetic, gravitation, local, start
+from benchmarks.accuracy.flights import (
+    OFF_CENTRE,
+    SCHEMES,
+    WINDOW,
+    Course,
+    course,
+    error,
+    exact,
+    fly_again,
+    from_the_log,
+)
 from cosim import Scenario, fly
 from cosim.results.report.marks import parts_of
 
@@ -136,17 +147,41 @@ def test_without_the_make_up_a_force_is_half_a_run_late(doublet: tuple[Course, l
 
 
 def test_a_payload_off_to_the_side_is_carried_alike() -> None:
-    """Mass, centre and products of inertia: beside the half run that its coming is late, to second order."""
+    """Mass, centre and products of inertia from the step on in which it comes; half a run late was 1e-3 of the rate."""
     flown = replace(FALL, held=[replace(FALL.held[0], disturbance=PAYLOAD)] * 100)
-    begin, found = fly_again(flown, SCHEMES["flown"], 16)
-    truth = integrate(flown.vehicle, start(22.35, 113.59, flown.initial.altitude_m, begin), flown.held, flown.step)
+    truth = exact(flown)
     spin = np.linalg.norm(truth[-1].rate)
     assert spin > 1.0
-    # half a run of 0.25 ms in 0.4 s
-    assert np.linalg.norm(found[-1].rate - truth[-1].rate) < 1.5 * spin * 0.000125 / 0.4
+    found = fly_again(flown, SCHEMES["flown"], 4)[1]
+    assert np.linalg.norm(found[-1].rate - truth[-1].rate) < 2e-5 * spin
+    assert error(found, truth).place_mm < 0.1
+    late = fly_again(flown, SCHEMES["masses"], 4)[1]
+    assert np.linalg.norm(late[-1].rate - truth[-1].rate) > 1e-3 * spin
 
 
 PAYLOAD = FALL.held[0].disturbance._replace(payload=(0.5, 0.1, -0.05, 0.04))
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("payload-drop", {"duration_s": 3.0}),
+        ("full-scale-roll-doublet", {"vehicle": OFF_CENTRE, "duration_s": 5.0}),
+        ("full-scale-yaw-doublet", {"engine": "turbine-220"}),
+        ("trijet-yaw-doublet", {"duration_s": 4.0}),
+    ],
+    ids=["payload", "fuel", "rotors", "hinges"],
+)
+def test_masses_and_rotors_act_with_the_forces(name: str, changes: dict[str, Any]) -> None:
+    """Second order like all else: a quarter of the error with twice the runs, where half a run late leaves a half."""
+    flown = course(name, name, changes)
+    truth = exact(flown, 1)
+    coarse, fine = (error(fly_again(flown, SCHEMES["flown"], runs)[1], truth) for runs in (4, 8))
+    late = error(fly_again(flown, SCHEMES["masses"], 4)[1], truth)
+    assert coarse.attitude_deg < 1e-3
+    assert coarse.velocity_mm_s < 0.1
+    assert coarse.attitude_deg / fine.attitude_deg == pytest.approx(4.0, rel=0.25)
+    assert late.attitude_deg > 5.0 * coarse.attitude_deg
 
 
 def test_a_gust_in_turbulence_is_integrated_from_its_log() -> None:
