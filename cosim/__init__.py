@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.base.compiled import choose
 from cosim.base.errors import EngineError, FlightError, InputError
-from cosim.base.runtime.kernels import same_kernels
+from cosim.base.runtime.kernels import load_with_reference
 
 if TYPE_CHECKING:
     from cosim.base.signals import Command
@@ -54,7 +54,7 @@ _WHERE = {
 }
 
 choose()  # before any module that may be compiled is imported
-same_kernels()  # before numpy is
+load_with_reference()  # before numpy is
 
 
 def __dir__() -> list[str]:

@@ -12,6 +12,7 @@ from typing import Any
 
 from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.protocols import Observer
+from cosim.base.runtime import kernels
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.control.cascade import Cascade
 from cosim.control.predictors.registry import PREDICTORS
@@ -450,6 +451,7 @@ def _setup(simulation: Simulation, resolved: Scenario) -> Setup:
         expectation=expectation(scenario),
         notes=flight_notes(scenario, simulation.vehicle, engine),
         versions=versions(),
+        blas_kernels=kernels.loaded(),
         sha256={
             model: simulation.airframe.file_sha256,
             f"{model} as flown": simulation.airframe.sha256,

@@ -9,11 +9,13 @@ import sys
 from typing import Any
 
 from cosim.base.errors import OUTPUT
+from cosim.base.runtime.kernels import set_for_command
 
 
 def main() -> None:
     """The command ``hexjet``."""
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    set_for_command()
     open_standard_streams()
     sys.stdout = named_output()
     from cosim.cli.main import main as command

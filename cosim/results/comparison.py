@@ -224,7 +224,7 @@ def _bits(values: Array) -> bytes:
 def _flat(run: Run) -> dict[str, Any]:
     scenario: Scenario = run.scenario
     table = scenario.model_dump(mode="json", exclude_none=True)
-    made = {"version": run.summary.versions, "sha256": run.summary.sha256}
+    made = {"version": run.summary.versions, "blas_kernels": run.summary.blas_kernels, "sha256": run.summary.sha256}
     return dict(_leaves({key: value for key, value in table.items() if key != "expect"} | made))
 
 

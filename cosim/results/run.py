@@ -189,6 +189,7 @@ class Setup(BaseModel):
     notes: list[str] = []  # what is to be known of it: models that are not the vehicle's
     by_hand: int = 0  # steps whose command, throttles or tilts a program gave: the scenario alone does not repeat them
     versions: dict[str, str] = {}
+    blas_kernels: dict[str, str] = {}  # of OpenBLAS, by the package that brought it; empty: not known
     sha256: dict[str, str] = {}  # of the aircraft model and of every FMU
 
     @property

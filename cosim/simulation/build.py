@@ -13,6 +13,7 @@ from cosim.base.constants import GRAVITY, SERVOS
 from cosim.base.errors import FlightError, InputError
 from cosim.base.frames import from_euler, rotate
 from cosim.base.protocols import Allocator, Predictor, Sensors
+from cosim.base.runtime import kernels
 from cosim.base.signals import AXES
 from cosim.base.storage.cache import Memory
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
@@ -90,6 +91,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
     Raises InputError for anything in scenario, vehicle, engine or controller that does not fit, or is not trusted.
     """
     need_trust_of(scenario)
+    kernels.warn_of_others()
     own = own or find_controller(scenario)
     told = own_parameters(scenario, own)
     brought = bring(scenario)

@@ -17,8 +17,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final
 
-os.environ.setdefault("JSBSIM_DEBUG", "0")  # JSBSim prints a banner to standard output otherwise
-
 import jsbsim
 
 from cosim.base.errors import FlightError, InputError, Notice
@@ -28,6 +26,7 @@ from cosim.vehicle.model_file import ACTING, acting, find_line
 
 Property = jsbsim.FGPropertyNode
 VERSION: Final[str] = jsbsim.__version__
+_DEBUG: Final = "JSBSIM_DEBUG"
 # JSBSim's exceptions, and those of C++ that its binding turns into ones of Python
 Complaint: Final = RuntimeError
 MOST_SAID: Final = 20  # lines of JSBSim's that are kept of one model
@@ -62,6 +61,17 @@ if threading.current_thread() is threading.main_thread():
     jsbsim.set_logger(_ear)  # of this thread; JSBSim's logger of another one prints
 
 
+def _quiet_executive(folder: str) -> jsbsim.FGFDMExec:
+    """Make a JSBSim, which reads JSBSIM_DEBUG then, and prints a banner to standard output where it is not 0."""
+    given = _DEBUG in os.environ
+    os.environ.setdefault(_DEBUG, "0")
+    try:
+        return jsbsim.FGFDMExec(folder, None)
+    finally:
+        if not given:
+            os.environ.pop(_DEBUG, None)
+
+
 class Executive:
     """One JSBSim with one model, of which every property that it reads is there.
 
@@ -72,7 +82,7 @@ class Executive:
     def __init__(self, file: Path, model: Path | None, name: str, step: float) -> None:
         self._model, self._called = model, str(model or name)
         _ear.said.clear()
-        fdm = jsbsim.FGFDMExec(str(file.parent), None)
+        fdm = _quiet_executive(str(file.parent))
         self.fdm = fdm
         self._manager = fdm.get_property_manager()
         fdm.set_debug_level(0)

@@ -2,31 +2,130 @@
 
 OpenBLAS, which numpy and scipy bring, takes the newest instructions that the processor has, and sums in another order
 with each: a Kalman gain or a plan around a lost engine then differs in its last bit, and so does every flight with it.
+It chooses once, while it is loaded, by an environment variable that is there for that time alone.
 """
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
+from types import ModuleType
+from typing import Any
 
-_NAME, _KERNELS = "OPENBLAS_CORETYPE", "Haswell"
+VARIABLE, REFERENCE = "OPENBLAS_CORETYPE", "Haswell"
 _NEEDED = {b"avx2", b"fma"}  # by those kernels; x86 processors have had both since 2013
 _ENOUGH = 8192  # bytes, with all of the first processor
+_MAPS = "/proc/self/maps"
+_warned: list[str] = []  # what was warned of in this process
+_NAMES = ("scipy_openblas_get_corename64_", "scipy_openblas_get_corename", "openblas_get_corename")
 
 
-def same_kernels(told: str = "/proc/cpuinfo") -> None:
-    """Ask for the kernels that every x86 processor since 2013 can run; before numpy is imported.
+def can_use_reference(cpuinfo: str = "/proc/cpuinfo") -> bool:
+    """Return whether the kernels that every x86 processor since 2013 can run are to be had here.
 
-    Leaves alone what the environment says, a processor without AVX2 and FMA, other processors, and systems that do not
-    tell which they have: there a flight is the same again on the same kind of processor.
+    Not on a processor without AVX2 and FMA, on other processors, and on systems that do not tell which they have: there
+    a flight is the same again on the same kind of processor.
     """
-    if _NAME in os.environ or not sys.platform.startswith("linux") or os.uname().machine != "x86_64":
-        return
+    if not sys.platform.startswith("linux") or os.uname().machine != "x86_64":
+        return False
     try:
-        with open(told, "rb") as file:
+        with open(cpuinfo, "rb") as file:
             first = file.read(_ENOUGH)
     except OSError:
-        return
+        return False
     flags = next((line for line in first.splitlines() if line.startswith(b"flags")), b"")
-    if set(flags.split()) >= _NEEDED:
-        os.environ[_NAME] = _KERNELS
+    return set(flags.split()) >= _NEEDED
+
+
+def load_with_reference() -> None:
+    """Load numpy and scipy, whenever they are imported from here on, with the reference kernels.
+
+    The environment is left as it is, but while they are loaded; a variable that is set there already stands.
+    """
+    if VARIABLE not in os.environ and can_use_reference():
+        sys.meta_path.insert(0, _WithReference())
+
+
+def set_for_command() -> None:
+    """Ask for the reference kernels in this process and its children, which are a command's own."""
+    if can_use_reference():
+        os.environ.setdefault(VARIABLE, REFERENCE)
+
+
+def loaded() -> dict[str, str]:
+    """Return the kernels of the OpenBLAS of numpy and scipy, by the package; empty where they cannot be asked."""
+    return dict(_loaded("scipy.linalg" in sys.modules))
+
+
+def warn_of_others() -> None:
+    """Warn, once in a process, if numpy or scipy was loaded with other kernels than the reference."""
+    others = [f"{package} computes with {kernel}" for package, kernel in loaded().items() if kernel != REFERENCE]
+    if others and not _warned and can_use_reference():
+        _warned.append(others[0])
+        warnings.warn(
+            f"{' and '.join(others)} instead of {REFERENCE}: flights may end in other last digits than those of the "
+            f"command hexjet; import cosim before numpy, or set {VARIABLE}={REFERENCE}",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+
+
+@cache
+def _loaded(with_scipy: bool) -> tuple[tuple[str, str], ...]:
+    """Ask each OpenBLAS that is loaded; asked again once scipy has brought its own."""
+    try:
+        with open(_MAPS, encoding="utf-8", errors="replace") as file:
+            paths = dict.fromkeys(line.split(maxsplit=5)[-1].strip() for line in file if "openblas" in line)
+    except OSError:
+        return ()
+    kernels = []
+    for path in paths:
+        try:
+            library = ctypes.CDLL(path)
+        except OSError:  # a file that was replaced since
+            continue
+        name = next((name for name in _NAMES if hasattr(library, name)), None)
+        if name is not None:
+            ask = library[name]
+            ask.restype = ctypes.c_char_p
+            kernels.append(("scipy" if "scipy.libs" in path else "numpy", (ask() or b"unknown").decode()))
+    return tuple(sorted(kernels))
+
+
+class _WithReference(MetaPathFinder):
+    """Finds numpy and the parts of scipy as ever, and has each loaded while the variable is set."""
+
+    def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        parts = fullname.split(".")
+        if not (fullname == "numpy" or (parts[0] == "scipy" and len(parts) == 2)):
+            return None
+        spec = PathFinder.find_spec(fullname, path, target)
+        loader = None if spec is None else spec.loader
+        if loader is None or not hasattr(loader, "exec_module"):
+            return spec
+        load = loader.exec_module
+
+        def load_with(module: ModuleType) -> None:
+            with _asked_for():
+                load(module)
+
+        loader.exec_module = load_with  # type: ignore[method-assign]
+        return spec
+
+
+@contextmanager
+def _asked_for() -> Iterator[None]:
+    before = os.environ.get(VARIABLE)
+    os.environ[VARIABLE] = before or REFERENCE
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(VARIABLE, None)

@@ -9,12 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from cosim.base.runtime.kernels import same_kernels
-
-NAME = "OPENBLAS_CORETYPE"
+from cosim.base.runtime.kernels import REFERENCE, VARIABLE, can_use_reference, set_for_command
 
 pytestmark = pytest.mark.skipif(
     not sys.platform.startswith("linux") or os.uname().machine != "x86_64", reason="kernels of x86 on Linux"
+)
+needs_reference = pytest.mark.skipif(not can_use_reference(), reason="a processor without AVX2 and FMA")
+OTHER = "Nehalem"  # kernels that every processor with AVX2 can run too
+FLY = (
+    "from cosim import Scenario, fly; from cosim.results.digest import log_digest\n"
+    "for name in ('fault-flame-out', 'hover-in-wind'):\n"
+    "    run = fly(Scenario.load(name).replace(duration_s=3.0, expect=()), report=False)\n"
+    "    print(log_digest(run.log), run.summary.blas_kernels)\n"
 )
 
 
@@ -24,49 +30,60 @@ def told(folder: Path, flags: str) -> str:
     return str(file)
 
 
+def ran(code: str, **more: str) -> subprocess.CompletedProcess[str]:
+    environment = {key: value for key, value in os.environ.items() if key != VARIABLE} | more
+    return subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=240.0, check=True
+    )
+
+
+@pytest.mark.parametrize(("flags", "can"), [("avx2 fma avx512f", True), ("fma avx2", True), ("avx fma", False)])
+def test_reference_kernels_need_what_processors_since_2013_have(flags: str, can: bool, tmp_path: Path) -> None:
+    assert can_use_reference(told(tmp_path, flags)) is can
+
+
+def test_a_system_that_does_not_tell_is_left_alone(tmp_path: Path) -> None:
+    assert not can_use_reference(str(tmp_path / "none"))
+
+
+@needs_reference
+def test_the_command_asks_for_itself_and_its_children(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, OTHER)
+    set_for_command()
+    assert os.environ[VARIABLE] == OTHER
+    monkeypatch.delenv(VARIABLE)
+    try:
+        set_for_command()
+        assert os.environ[VARIABLE] == REFERENCE
+    finally:
+        os.environ.pop(VARIABLE, None)
+
+
+@needs_reference
 @pytest.mark.parametrize(
-    ("flags", "named", "asked"),
+    "first",
     [
-        ("avx2 fma avx512f", None, "Haswell"),
-        ("fma avx2", None, "Haswell"),
-        ("avx fma", None, None),
-        ("avx2", None, None),
-        ("avx2 fma", "SkylakeX", "SkylakeX"),
+        "from cosim.base.errors import InputError",
+        "import cosim; cosim.fly(cosim.Scenario.load('hover', ['duration_s=0.1']), report=False)",
     ],
 )
-def test_kernels_that_all_processors_have_are_asked_for(
-    flags: str, named: str | None, asked: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv(NAME, raising=False)
-    if named is not None:
-        monkeypatch.setenv(NAME, named)
-    try:
-        same_kernels(told(tmp_path, flags))
-        assert os.environ.get(NAME) == asked
-    finally:
-        os.environ.pop(NAME, None)  # monkeypatch gives back what was there
-
-
-def test_a_system_that_does_not_tell_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(NAME, raising=False)
-    same_kernels(str(tmp_path / "none"))
-    assert NAME not in os.environ
-
-
-def test_a_flight_is_the_same_as_with_those_kernels_named() -> None:
-    """A plan around a lost engine and a position: both in other last bits on a processor with AVX-512 otherwise."""
+def test_an_import_leaves_the_environment_as_it_was(first: str) -> None:
     code = (
-        "from cosim import Scenario, fly; from cosim.results.digest import log_digest\n"
-        "for name in ('fault-flame-out', 'hover-in-wind'):\n"
-        "    print(log_digest(fly(Scenario.load(name).replace(duration_s=3.0, expect=()), report=False).log))"
+        f"import os; before = dict(os.environ)\n{first}\nassert os.environ == before\n"
+        "import numpy, scipy.linalg\nassert os.environ == before\n"
+        "from cosim.base.runtime.kernels import loaded; print(loaded())"
     )
-    environment = {key: value for key, value in os.environ.items() if key != NAME}
-    if not {"avx2", "fma"} <= set(Path("/proc/cpuinfo").read_text().split("\n\n")[0].split()):
-        pytest.skip("a processor without AVX2 and FMA")
-    flown = [
-        subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=120.0, check=True)
-        for env in (environment, environment | {NAME: "Haswell"})
-    ]
-    first, second = (done.stdout.split() for done in flown)
-    assert len(first) == 2
-    assert first == second
+    assert ran(code).stdout.strip() == str({"numpy": REFERENCE, "scipy": REFERENCE})
+
+
+@needs_reference
+def test_a_flight_has_the_bits_of_the_reference_and_others_are_told_once() -> None:
+    """A plan around a lost engine and a position: both in other last bits with other kernels."""
+    named = ran(FLY, **{VARIABLE: REFERENCE})
+    assert ran(FLY).stdout == named.stdout
+    assert REFERENCE in named.stdout
+    assert named.stderr == ""
+    other = ran(f"import numpy\n{FLY}", **{VARIABLE: OTHER})
+    assert OTHER in other.stdout
+    assert other.stderr.count("RuntimeWarning") == 1
+    assert f"instead of {REFERENCE}" in other.stderr
