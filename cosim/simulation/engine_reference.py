@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 from math import exp
 from typing import NamedTuple
 
@@ -26,6 +26,8 @@ class AroundTrim(NamedTuple):
     late: float | None  # all delay at low frequency, control steps from the throttle's move; None: it does not answer
     speed: float  # rad/s; 0 where it has none
     speed_per_n: float  # rad/s per N of thrust at rest
+    # thrust at the end of each step after the throttle's move, over its change: the mean of both ways; () as above
+    course: tuple[float, ...] = ()
 
 
 _references: Memory[EngineReference] = Memory(64)
@@ -53,18 +55,20 @@ def fuel_flow(spec: EngineSpec, throttle: float, step: float) -> float | None:
     return _flows.get((*spec.behaviour, throttle, step), lambda: _flow(spec, throttle, step))
 
 
-def around_trim(spec: EngineSpec, throttle: float, step: float) -> AroundTrim:
+def around_trim(spec: EngineSpec, throttle: float, step: float, sizes: tuple[float, ...] = _SMALL) -> AroundTrim:
     """Return how an engine answers small steps of the throttle either way, from rest at ``throttle``.
+
+    ``sizes``: of the steps; the first that the engine sees is taken.
 
     The delay is the mean over both ways of ``sum (y_end - y_k) / (y_end - y_0)`` over the steps ``k`` after the move.
     Raises EngineError if the engine fails.
     """
-    return _around.get((*spec.behaviour, throttle, step), lambda: _answers_around(spec, throttle, step))
+    return _around.get((*spec.behaviour, throttle, step, sizes), lambda: _answers_around(spec, throttle, step, sizes))
 
 
-def _answers_around(spec: EngineSpec, throttle: float, step: float) -> AroundTrim:
+def _answers_around(spec: EngineSpec, throttle: float, step: float, sizes: tuple[float, ...]) -> AroundTrim:
     with make_bank([spec], step) as bank:
-        for by in _SMALL:
+        for by in sizes:
             low, high = max(0.0, throttle - by), min(1.0, throttle + by)
             ends = []
             for end in (low, high):
@@ -74,24 +78,27 @@ def _answers_around(spec: EngineSpec, throttle: float, step: float) -> AroundTri
             expected = spec.thrust_at(high) - spec.thrust_at(low)
             if abs(more - less) < _SEEN * abs(expected) or more == less:
                 continue
-            late = [_lateness(bank, throttle, end, step) for end in (low, high) if end != throttle]
+            answers = [_left(bank, throttle, end, step) for end in (low, high) if end != throttle]
+            late = [sum(left) for left in answers]
             per_newton = (fast - slow) / (more - less)
-            return AroundTrim(sum(late) / len(late), 0.5 * (slow + fast), per_newton)
+            course = [1.0 - sum(each) / len(answers) for each in zip_longest(*answers, fillvalue=0.0)]
+            return AroundTrim(sum(late) / len(late), 0.5 * (slow + fast), per_newton, tuple(course))
         speed = bank.reset(throttle).spool_speed[0] if spec.has("spool_speed") else 0.0
         return AroundTrim(None, speed, 0.0)
 
 
-def _lateness(bank: Engines, first: float, then: float, step: float) -> float:
+def _left(bank: Engines, first: float, then: float, step: float) -> list[float]:
+    """What is left of the change after each step, until nothing has been for a second."""
     after = bank.reset(then).thrust[0]
     change = after - bank.reset(first).thrust[0]
-    late, quiet = 0.0, 0
+    course, quiet = [], 0
     for k in range(round(_LONGEST_S / step)):
         left = (after - bank.step(k, (then,)).thrust[0]) / change
-        late += left
+        course.append(left)
         quiet = quiet + 1 if abs(left) < _OVER else 0
         if quiet * step >= 1.0:
             break
-    return late
+    return course
 
 
 def _flow(spec: EngineSpec, throttle: float, step: float) -> float:

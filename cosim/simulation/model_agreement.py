@@ -34,7 +34,7 @@ from cosim.base.signals import AXES
 from cosim.base.storage.cache import Memory
 from cosim.control.predictors.linear import delayed_response
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.engine import EngineSpec, make_bank
+from cosim.engine import EngineSpec
 from cosim.simulation.axis_chain import (
     AxisPart,
     axis_gain,
@@ -47,6 +47,7 @@ from cosim.simulation.axis_chain import (
     turning,
 )
 from cosim.simulation.build import effectiveness_of
+from cosim.simulation.engine_reference import around_trim
 from cosim.spec.scenario import PayloadDisturbance, Scenario
 from cosim.spec.vehicle import RateModel, Vehicle
 
@@ -56,10 +57,8 @@ UNFIT_GAIN = 1.5  # times, either way
 UNFIT_DELAY = 1.0 / 3.0  # of all delay of the vehicle
 UNFIT_LAG = 0.5
 
-_SMALL = 0.05  # of the throttle: a step that no limit of an engine sees, and that is above its trembling
-_GRID = 0.05  # throttles of hover are taken to the nearest of this, so that many vehicles share what was measured
-_LONGEST_S = 20.0
-_STANDS = 1e-4  # of the change, in a second: the engine has answered
+_CLEAR = (0.05,)  # of the throttle: steps of engines that may tremble
+_GRID = 0.05  # of the throttle
 _POINTS = 96
 _LOWEST = 0.02  # rad/s
 _HIGHEST = 0.8 * np.pi  # rad per step
@@ -166,14 +165,19 @@ def flight_notes(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> li
 def model_agreements(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, state: str = "") -> list[ModelAgreement]:
     """Compare the identified models of a vehicle with this engine, an axis each, with vehicle and engine.
 
-    Models of another sample time than the scenario's step are left out: no flight takes them.  ``state``: what is to be
-    said of the vehicle.  Raises EngineError if the engine fails.
+    Models of another sample time than the scenario's step are left out: no flight takes them; and all of an engine
+    that does not answer a small step.  ``state``: what is to be said of the vehicle.  Raises EngineError if the engine
+    fails.
     """
-    return [
-        _compare(scenario, vehicle, engine, axis, model, state)
+    models = {
+        axis: model
         for axis, model in vehicle.identified.get(engine.family, {}).items()
         if abs(model.sample_time_s - scenario.step_s) <= 1e-9
-    ]
+    }
+    response = _engine_response(vehicle, engine, scenario.step_s) if models else None
+    if response is None:
+        return []
+    return [_compare(scenario, vehicle, engine, response, axis, model, state) for axis, model in models.items()]
 
 
 def _states(scenario: Scenario, vehicle: Vehicle) -> list[tuple[str, Vehicle]]:
@@ -190,17 +194,22 @@ def _states(scenario: Scenario, vehicle: Vehicle) -> list[tuple[str, Vehicle]]:
 
 
 def _compare(
-    scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, axis: str, model: RateModel, state: str
+    scenario: Scenario,
+    vehicle: Vehicle,
+    engine: EngineSpec,
+    response: _EngineResponse,
+    axis: str,
+    model: RateModel,
+    state: str,
 ) -> ModelAgreement:
     index, step = AXES.index(axis), scenario.step_s
     span = engine.curve.thrust[-1] - engine.curve.thrust[0]
     gain = axis_gain(vehicle, index, span)
     damping = vehicle.aero.damping_n_m_s[index] / vehicle.inertia_kg_m2[index]
     parts = _parts(scenario, vehicle, engine, index, span)
-    engine_response = _engine_response(engine, _hover_throttle(vehicle, engine), step)
-    omega = engine_response.omega
+    omega = response.omega
     z = np.exp(1j * omega * step)
-    own = gain * _actuators(parts, engine_response, z, step) * _airframe(scenario, vehicle, damping, z)
+    own = gain * _actuators(parts, response, z, step) * _airframe(scenario, vehicle, damping, z)
     # less the integral, which is 1 / (j omega + damping)
     late = -np.unwrap(np.angle(own * (1j * omega + damping)))
     at = 0.5 * _first_radian(late, omega)
@@ -271,36 +280,32 @@ def _airframe(scenario: Scenario, vehicle: Vehicle, damping: float, z: Complex) 
     return np.asarray(body * measuring(z, filter_pole(gyro.filter_s, scenario.step_s), gyro.latency_samples))
 
 
-def _hover_throttle(vehicle: Vehicle, engine: EngineSpec) -> float:
-    """The throttle of hover, to the nearest that is measured."""
-    thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
+def _engine_response(vehicle: Vehicle, engine: EngineSpec, step: float) -> _EngineResponse | None:
+    """Of the engine's own answer to small steps of its throttle; None where it gives none.
+
+    One of the library is taken where it hovers.  One that states a pole answers alike everywhere; any other at the
+    nearest throttle of a grid, so that many vehicles share it, and by steps that its trembling does not hide.
+    """
     rising = engine.rising
-    throttle = float(np.interp(thrust, rising.thrust, rising.throttle))
-    return round(min(throttle, 1.0 - _SMALL) / _GRID) * _GRID
+    hover = float(np.interp(vehicle.mass_kg * GRAVITY / len(vehicle.jets), rising.thrust, rising.throttle))
+    if engine.pole is not None:
+        around = around_trim(engine, 0.5, step)
+    elif engine.library:
+        around = around_trim(engine, hover, step)
+    else:
+        around = around_trim(engine, round(hover / _GRID) * _GRID, step, _CLEAR)
+    return _response(around.course, step) if around.course else None
 
 
-def _engine_response(engine: EngineSpec, throttle: float, step: float) -> _EngineResponse:
-    """Of the engine's own answer to a small step of its throttle; one that states a pole is linear, and taken once."""
-    at = throttle if engine.pole is None else 0.5
-    key = (*engine.behaviour, engine.pole is None, at, step)
-    return _responses.get(key, lambda: _measure(engine, at, step))
+def _response(course: tuple[float, ...], step: float) -> _EngineResponse:
+    """The frequency response of a course after a step of the throttle."""
+    return _responses.get((course, step), lambda: _transform(course, step))
 
 
-def _measure(engine: EngineSpec, throttle: float, step: float) -> _EngineResponse:
-    begin, end = min(throttle, 1.0 - _SMALL), min(throttle, 1.0 - _SMALL) + _SMALL
-    second = round(1.0 / step)
-    with make_bank([engine], step) as bank:
-        after = bank.reset(end).thrust[0]
-        before = bank.reset(begin).thrust[0]
-        course = [0.0]
-        for k in range(round(_LONGEST_S / step)):
-            course.append((bank.step(k, (end,)).thrust[0] - before) / (after - before))
-            if k > second and abs(course[-1] - course[-second]) < _STANDS and abs(course[-1] - 1.0) < 10.0 * _STANDS:
-                break
-    pushes = np.diff(np.array(course))
+def _transform(course: tuple[float, ...], step: float) -> _EngineResponse:
     omega = np.geomspace(_LOWEST, _HIGHEST / step, _POINTS)
-    # what a step's end gives acts over the whole step; in the loop of a command it is known one sample later
+    # the thrust of a step's end acts over all of it; the command of that step is known one sample before its end
     back, value = np.exp(-1j * omega * step), np.zeros(_POINTS, complex)
-    for push in pushes[::-1]:
+    for push in np.diff(np.array(course), prepend=0.0)[::-1]:
         value = (value + push) * back
     return _EngineResponse(omega, value)
