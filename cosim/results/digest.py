@@ -53,7 +53,7 @@ def log_digest(log: Log) -> str:
 class DigestSink:
     """For a flight of which little is wanted: keeps the columns of some ``names``, and the :class:`Digest` of all.
 
-    The 50 columns that metrics and limits need (:func:`cosim.results.metrics.columns`) come to 0.36 GB an hour at
+    The 73 columns that metrics and limits need (:func:`cosim.results.metrics.columns`) come to 0.53 GB an hour at
     250 Hz, all to 0.9 GB, which are kept if ``whole``.
     """
 

@@ -19,6 +19,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES
 from cosim.results.metrics import PLACE, Record, asks_for_a_place
+from cosim.results.steadiness import AxisYardstick, axis_limits
 from cosim.results.wording import metric
 
 if TYPE_CHECKING:
@@ -33,16 +34,29 @@ DRIFT_SPANS = 25.0  # 10 m: nobody holds the place, but nobody would say either 
 SPEEDS = 2.0  # 4 m/s
 SATURATED_PERCENT = 50.0  # most of its time in the air a vehicle is to have what its controllers ask for
 
+# Of the steps of any second, on which a command may turn back.  One that alternates, in a loop that oscillates at half
+# the control rate, does so on all; white noise on 2/3, its differences on 73 % (1/2 + asin(2/3) / pi), and by chance on
+# 8 % more in a second of 250 steps.
+ALTERNATING_PERCENT = 90.0
+
+AXIS_LIMITED = {  # those that limit a metric of every axis
+    "settling_s": "settling_time_s",
+    "oscillation_rad": "oscillation_rad",
+}
 LIMITED = {  # the keys of [limits] and the metrics that they limit
     "height_error_m": "altitude.max_abs_error_m",
     "place_error_m": "position.max_abs_error_m",
     "drift_m": "position.drift_m",
     "speed_m_s": "speed.max_m_s",
     "saturated_percent": "effort.saturated_percent",
+    "alternating_percent": "effort.alternating_percent",
     "throttle_activity_1_s": "effort.throttle_1_s",
     "tilt_activity_rad_s": "effort.tilt_rad_s",
     "fuel_burnt_kg": "fuel_burnt_kg",
 }
+
+
+NEVER_SETTLED = ".settling_time_s"  # the metric that is None where a step has not settled
 
 
 class Yardstick(Record):
@@ -50,8 +64,9 @@ class Yardstick(Record):
 
     span_m: float
     height_law: tuple[float, float, float]  # gain 1/s, most climb and most descent m/s
-    stated: dict[str, float | None]  # by the keys of LIMITED; None: none
+    stated: dict[str, float | None]  # by the keys of LIMITED and AXIS_LIMITED; None: none
     piloted: bool  # by an autopilot that is asked things: where it flies is no drift
+    axes: tuple[AxisYardstick, ...] = ()  # roll, pitch, yaw; empty: of a run from before axes had limits
 
 
 def yardstick(scenario: Scenario, vehicle: Vehicle) -> Yardstick:
@@ -63,6 +78,14 @@ def yardstick(scenario: Scenario, vehicle: Vehicle) -> Yardstick:
         height_law=(gains.position_1_s, gains.climb_limit_m_s, gains.descent_limit_m_s),
         stated={key: None if value is False else float(value) for key, value in stated.items()},
         piloted=scenario.requests is not None,
+        axes=tuple(
+            AxisYardstick(
+                gain_1_s=gain,
+                noise_rad=vehicle.sensors.attitude.noise_rad,
+                rate_noise_rad_s=vehicle.sensors.gyro.noise_rad_s,
+            )
+            for gain in vehicle.control.attitude.gain_1_s
+        ),
     )
 
 
@@ -72,12 +95,14 @@ def flight_limits(held: Yardstick, log: Columns, step_s: float) -> dict[str, flo
     The height's error may be ``HEIGHT_SPANS`` beyond what the height law leaves by itself, the drift ``DRIFT_SPANS``
     beyond the way that the commanded leans explain, the speed ``SPEEDS`` beyond the speed that they explain.  There is
     none on drift where a place is asked for, none on drift and speed where a pilot flies or body rates are commanded.
+    Those of the axes are :mod:`cosim.results.steadiness`'s.
     """
     span = held.span_m
     setpoint, altitude = log["altitude_setpoint_m"], log["altitude_m"]
     limits = {
         "height_error_m": HEIGHT_SPANS * span + height_lag(setpoint, altitude, held.height_law, step_s),
         "saturated_percent": SATURATED_PERCENT,
+        "alternating_percent": ALTERNATING_PERCENT,
     }
     placed, speed = asks_for_a_place(log), SPEEDS * sqrt(GRAVITY * span)
     if placed:
@@ -92,7 +117,8 @@ def flight_limits(held: Yardstick, log: Columns, step_s: float) -> dict[str, flo
             if asked is not None:
                 limits |= {"drift_m": DRIFT_SPANS * span + asked[0], "speed_m_s": speed + asked[1]}
     merged: dict[str, float | None] = {**limits, **held.stated}
-    return {LIMITED[key]: value for key, value in merged.items() if value is not None}
+    whole = {LIMITED[key]: value for key, value in merged.items() if value is not None and key in LIMITED}
+    return whole | axis_limits(held.axes, log, step_s, span, held.stated)
 
 
 def height_lag(setpoint: Array, altitude: Array, law: tuple[float, float, float], step_s: float) -> float:
@@ -148,12 +174,19 @@ def track_speed(north: Array, east: Array, step_s: float) -> float:
 
 
 def beyond(limits: Mapping[str, float], flat: Mapping[str, float | None]) -> list[str]:
-    """The limited metrics that are beyond their limit, by name; what a flight has not is within."""
-    return [name for name, most in limits.items() if (value := flat.get(name)) is not None and value > most]
+    """Return the names of the metrics that are beyond their limit.
+
+    What a flight has not is within, but for the settling time: it has a limit only where a step could have settled.
+    """
+    return [
+        name
+        for name, most in limits.items()
+        if (name.endswith(NEVER_SETTLED) if (value := flat.get(name)) is None else value > most)
+    ]
 
 
 def exceedance(name: str, limits: Mapping[str, float], flat: Mapping[str, float | None]) -> str:
     """A metric and its limit in words: ``drift from the start 125.7 m, limit 10 m``."""
     of, value = metric(name), flat[name]
-    assert value is not None
-    return f"{of.label} {of.factor * value:.4g} {of.unit}, limit {of.factor * limits[name]:.4g} {of.unit}"
+    shown = "none, not settled" if value is None else f"{of.factor * value:.4g} {of.unit}"
+    return f"{of.label} {shown}, limit {of.factor * limits[name]:.4g} {of.unit}"

@@ -10,7 +10,7 @@ docs/metrics.md has every definition.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from math import pi
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import nearest
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES, JETS
-from cosim.results.columns import HEXJET, RATES, LoggedVehicle, flown_in, jets_in, servos_in
+from cosim.results.columns import HEXJET, RATES, LoggedVehicle, flown_in, jets_in, log_columns, servos_in
 from cosim.spec.scenario import Range
 
 HOLD_S = 0.2  # chosen by us: shorter than any doublet worth flying, longer than the holds of recorded sticks at 10 Hz
@@ -30,9 +30,12 @@ SMALLEST_STEP_RAD = 1e-3  # chosen by us: a smaller offset at the start is trim 
 SETTLING_BAND = 0.05  # of the step's size, the common 5 % convention
 FINAL_S = 1.0  # the end of the flight that tells whether it is at rest
 FLIGHT_M = 0.2  # chosen by us: less is a hop at take-off or a bounce
+REVERSAL = 0.01  # of a command's range, chosen by us: 10 us of a pulse that spans 1000, several dead bands of a servo
 AT_LIMIT = 1e-9  # throttle, rad: rounding between a limit and a command that was cut there
 REFUSED = ("refused_roll", "refused_pitch", "refused_yaw", "refused_collective")
 PLACE = ("north_setpoint_m", "east_setpoint_m")
+WIND = ("wind_north_m_s", "wind_east_m_s", "wind_down_m_s")
+UPSETS = ("disturbance_", "payload_kg", "fault_")  # what acts from outside beside the wind: how its columns begin
 WAYPOINTS_LEFT = "waypoints_left"  # shown by the pilot of a script that has waypoints
 THROTTLE, HEALTH, FLOW = "throttle_{}", "health_{}", "fuel_flow_{}_kg_s"  # of a jet
 TILT = "tilt_{}_command_rad"
@@ -88,6 +91,7 @@ class EffortMetrics(Record):
     """What the actuators were made to do."""
 
     saturated_percent: float | None = None  # of the steps in the air
+    alternating_percent: float | None = None  # of the steps of the worst second, of the worst command
     throttle_1_s: float | None = None  # way of a throttle per second, mean over the jets
     tilt_rad_s: float | None = None  # the same of a servo's command
 
@@ -135,6 +139,7 @@ def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> M
         speed=speed_metrics(np.hypot(log["velocity_north_m_s"], log["velocity_east_m_s"])),
         effort=EffortMetrics(
             saturated_percent=share_percent(saturated_in_flight(log, reach), ~contact),
+            alternating_percent=alternating_percent(_ranges(log, reach), step_s),
             throttle_1_s=activity((log[name] for name in _of_jets(THROTTLE, jets_in(log.columns))), step_s),
             tilt_rad_s=activity((log[TILT.format(name)] for name in servos_in(log.columns)), step_s),
         ),
@@ -162,6 +167,8 @@ def columns(vehicle: LoggedVehicle = HEXJET, waypoints: bool = False) -> tuple[s
             *_of_jets(FLOW, jets),
             "fuel_kg",
         ),
+        *WIND,
+        *(column.name for column in log_columns(vehicle) if column.name.startswith(UPSETS)),
     )
 
 
@@ -287,10 +294,42 @@ def saturated(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
     for jet, (least, most) in enumerate(reach.throttle, 1):
         throttle, given_up = log[THROTTLE.format(jet)], log[HEALTH.format(jet)] < 1.0
         rows |= ((throttle <= least + AT_LIMIT) | (throttle >= most - AT_LIMIT)) & ~given_up
+    for command, least, most in _servo_ranges(log, reach):
+        rows |= (command <= least + AT_LIMIT) | (command >= most - AT_LIMIT)
+    return rows
+
+
+def _ranges(log: Columns, reach: Reach | None) -> Iterator[tuple[Array, float, float]]:
+    """Yield the command of every throttle, tilt, hinge and surface with the ends of its range."""
+    if reach is not None:
+        for jet, (least, most) in enumerate(reach.throttle, 1):
+            yield log[THROTTLE.format(jet)], least, most
+        yield from _servo_ranges(log, reach)
+
+
+def _servo_ranges(log: Columns, reach: Reach) -> Iterator[tuple[Array, float, float]]:
     banks = None if reach.tilt_rad is None else ((-reach.tilt_rad, reach.tilt_rad),) * 2
     for name, (least, most) in zip(_moved(flown_in(log.columns)), reach.servos or banks or (), strict=False):
-        rows |= (log[name] <= least + AT_LIMIT) | (log[name] >= most - AT_LIMIT)
-    return rows
+        yield log[name], least, most
+
+
+def alternating_percent(commands: Iterable[tuple[Array, float, float]], step_s: float) -> float | None:
+    """Return the share of a second's steps (percent) on which a command turns back: worst second, worst command.
+
+    ``commands`` come with the ends of their ranges.  A command turns back where it goes one way and then the other, by
+    more than ``REVERSAL`` of its range both times.  One that alternates at every step, at half the control rate, comes
+    to 100; white noise, however strong, to 2/3 of that: the probability that the middle of three is an extreme.
+    None for a flight of less than a second and where no range is known.
+    """
+    rows, worst = round(FINAL_S / step_s), None
+    for command, least, most in commands:
+        if most <= least or command.size < rows + 2 or not np.all(np.isfinite(command)):
+            continue
+        change = np.diff(command) / (most - least)
+        turns = (change[1:] * change[:-1] < 0.0) & (np.minimum(np.abs(change[1:]), np.abs(change[:-1])) > REVERSAL)
+        count = np.concatenate(([0], np.cumsum(turns)))
+        worst = max(worst or 0.0, 100.0 * float(np.max(count[rows:] - count[:-rows])) / rows)
+    return worst
 
 
 def share_percent(rows: NDArray[np.bool_], of: NDArray[np.bool_]) -> float | None:

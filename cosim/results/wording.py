@@ -44,7 +44,7 @@ WORDS = {
     "rate_rmse": "rate RMSE",
     "settling_time": "settling time",
     "final_error": "error at the end",
-    "oscillation": "swing at the end",
+    "oscillation": "residual oscillation",
     "touchdown": "touchdown speed",
     "fuel_burnt": "fuel burnt",
 }
@@ -55,6 +55,7 @@ WHOLE = {  # what is not of an axis and not said well by its parts
     "position.waypoints_left": "waypoints not reached",
     "speed.final_m_s": "ground speed at the end",
     "effort.saturated_percent": "time in saturation",
+    "effort.alternating_percent": "alternating commands",
     "effort.throttle_1_s": "throttle activity",
     "effort.tilt_rad_s": "tilt activity",
 }
@@ -65,7 +66,7 @@ AXIS_ROWS = (
     AxisRow("Settling, to 5 %", "settling_time_s", "s", 1.0, 3),
     AxisRow("Rate RMSE", "rate_rmse_rad_s", "deg/s", degrees(1.0), 2),
     AxisRow("Error at the end", "final_error_rad", "deg", degrees(1.0), 3),
-    AxisRow("Swing at the end", "oscillation_rad", "deg", degrees(1.0), 3),
+    AxisRow("Residual oscillation", "oscillation_rad", "deg", degrees(1.0), 3),
 )
 WHOLE_ROWS = (  # name and digits of what is measured of the whole flight, in the order in which it is shown
     ("altitude.rmse_m", 3),
@@ -81,6 +82,7 @@ WHOLE_ROWS = (  # name and digits of what is measured of the whole flight, in th
     ("speed.final_m_s", 2),
     ("touchdown_m_s", 2),
     ("effort.saturated_percent", 1),
+    ("effort.alternating_percent", 0),
     ("effort.throttle_1_s", 3),
     ("effort.tilt_rad_s", 1),
     ("fuel_burnt_kg", 3),

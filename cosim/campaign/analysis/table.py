@@ -207,7 +207,9 @@ def telling(values: Mapping[str, Array], required: Sequence[str]) -> list[str]:
 def criterion(success: Mapping[str, Range]) -> str:
     """What a study calls a success, in words: beside what it asks for, that a flight keeps its own limits."""
     parts = [f"{metric(name).label} {span(name, allowed)}" for name, allowed in success.items()]
-    return f"flies to its end within its limits{', with ' if parts else ''}{' and '.join(parts)}"
+    return (
+        f"flies to its end within its limits{', with ' if parts else '; nothing else is checked'}{' and '.join(parts)}"
+    )
 
 
 def span(name: str, allowed: Range) -> str:

@@ -130,7 +130,7 @@ def _axis_verdict(axis: str, metrics: AxisMetrics) -> str:
         settling = metrics.settling_time_s
         said.append("not settled" if settling is None else f"settled within {settling:.2f} s")
     if metrics.oscillation_rad is not None and degrees(metrics.oscillation_rad) >= 1.0:
-        said.append(f"swinging by ±{degrees(metrics.oscillation_rad):.1f}° at the end")
+        said.append(f"residual oscillation ±{degrees(metrics.oscillation_rad):.1f}°")
     elif metrics.final_error_rad is not None:
         said.append(f"{degrees(metrics.final_error_rad):.2g}° off at the end")
     return f"{axis.capitalize()}: {', '.join(said)}." if said else ""

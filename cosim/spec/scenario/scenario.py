@@ -85,6 +85,9 @@ class FlightLimits(Model):
     drift_m: Most = None  # largest, from the start; not limited by default where a place is asked for
     speed_m_s: Most = None  # largest, over the ground
     saturated_percent: Most = None  # of the steps in the air
+    settling_s: Most = None  # of every axis, after a step of its set-point
+    oscillation_rad: Most = None  # of every axis, in the last second
+    alternating_percent: Most = None  # of the steps of any second, on which a command turns back
     throttle_activity_1_s: Most = None  # none by default
     tilt_activity_rad_s: Most = None  # none by default
     fuel_burnt_kg: Most = None  # none by default

@@ -502,7 +502,7 @@ def test_names_are_short_and_tell_keys_apart() -> None:
 
 
 def test_what_success_is_in_words() -> None:
-    assert criterion({}) == "flies to its end within its limits"
+    assert criterion({}) == "flies to its end within its limits; nothing else is checked"
     limits = {"roll.rmse_rad": Range(max=pi / 180.0), "altitude.max_abs_error_m": Range(min=0.1, max=2.0)}
     expected = (
         "flies to its end within its limits, with roll RMSE at most 1 deg and altitude largest error 0.1 m to 2 m"

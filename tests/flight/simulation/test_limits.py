@@ -14,8 +14,11 @@ from flights import STEP, setup
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
+from cosim.base.signals import AXES
 from cosim.flight import fly
 from cosim.results.limits import (
+    ALTERNATING_PERCENT,
+    AXIS_LIMITED,
     DRIFT_SPANS,
     HEIGHT_SPANS,
     LIMITED,
@@ -42,8 +45,10 @@ def constant(value: float, seconds: float) -> np.ndarray:
 
 
 def test_every_key_limits_a_metric() -> None:
-    assert set(LIMITED) == set(FlightLimits.model_fields)
-    assert set(LIMITED.values()) <= set(metric_names())
+    assert {*LIMITED, *AXIS_LIMITED} == set(FlightLimits.model_fields)
+    assert {*LIMITED.values(), *(f"{axis}.{name}" for axis in AXES for name in AXIS_LIMITED.values())} <= set(
+        metric_names()
+    )
 
 
 # ---- what the commands explain
@@ -120,12 +125,13 @@ def test_defaults_come_from_the_span(aircraft: str, engine: str, span: float | N
     hover = Scenario.load("hover").replace(aircraft=aircraft, engine=engine, controller="baseline", **CALM)
     summary = fly(hover).summary
     span = span or 0.4 * (61.97 / 5.525) ** (1 / 3)  # lengths go with the cube root of the mass
-    assert summary.limits == pytest.approx(
+    assert {name: most for name, most in summary.limits.items() if name.split(".")[0] not in AXES} == pytest.approx(
         {
             "altitude.max_abs_error_m": HEIGHT_SPANS * span,
             "position.drift_m": DRIFT_SPANS * span,
             "speed.max_m_s": SPEEDS * sqrt(GRAVITY * span),
             "effort.saturated_percent": SATURATED_PERCENT,
+            "effort.alternating_percent": ALTERNATING_PERCENT,
         },
         rel=1e-3,
         abs=1e-6,
@@ -166,7 +172,57 @@ def test_a_scenario_widens_or_leaves_out_a_limit() -> None:
 def test_body_rates_are_asked_for_nowhere() -> None:
     entry = {"kind": "step", "signal": "rate_p_deg_s", "start_s": 1.0, "amplitude": 1.0}
     limits = fly(Scenario.load("hover").replace(command=[entry], **CALM)).summary.limits
-    assert set(limits) == {"altitude.max_abs_error_m", "effort.saturated_percent"}
+    assert set(limits) == {"altitude.max_abs_error_m", "effort.saturated_percent", "effort.alternating_percent"}
+
+
+def test_a_doublet_that_does_not_settle_is_beyond_its_limits() -> None:
+    """63 % of overshoot, a degree of swing at the end: 40 samples of delay and a predictor that believes in 25."""
+    late = Scenario.load("roll-doublet").replace(engine_parameters={"delay_samples": 40}, expect=[])
+    summary = fly(late).summary
+    assert summary.metrics["roll"].settling_time_s is None
+    assert (summary.outcome, summary.verdict, summary.succeeded) == ("completed", "beyond limits", False)
+    assert summary.beyond == ["roll.settling_time_s", "roll.oscillation_rad"]
+    assert summary.exceeded[0] == "roll settling time none, not settled, limit 2.857 s"
+    assert summary.limits["roll.oscillation_rad"] == pytest.approx(0.05 * radians(10.0))
+    wide = fly(late.replace(limits={"settling_s": False, "oscillation_rad": radians(1.0)})).summary
+    assert (wide.verdict, wide.beyond) == ("completed, nothing checked", [])
+    assert "roll.settling_time_s" not in wide.limits
+
+
+def test_a_hover_that_swings_is_beyond_its_limits() -> None:
+    """At 46 samples of delay it comes to swing by 41 deg and is not lost in 40 s."""
+    late = Scenario.load("hover").replace(engine_parameters={"delay_samples": 46}, duration_s=40.0)
+    summary = fly(late).summary
+    assert summary.outcome == "completed"
+    assert summary.metrics["roll"].oscillation_rad == pytest.approx(radians(41.0), abs=radians(5.0))
+    assert summary.beyond == ["roll.oscillation_rad"]
+    assert summary.limits["roll.oscillation_rad"] == pytest.approx(6.0 * 0.001, rel=0.02)  # the attitude's noise
+
+
+@pytest.mark.parametrize("noise", [False, True])
+def test_a_tilt_that_alternates_at_every_step_is_beyond_its_limit(noise: bool) -> None:
+    """Rate gains of pitch times 2.5, beyond the gain margin at half the control rate: no swing is to be seen."""
+    gains = {"control": {"rate": {"pitch": {"p": 0.865, "i": 2.575, "d": 0.020175}}}}
+    hunting = Scenario.load("full-scale-hover").replace(
+        duration_s=6.0, sensor_noise=noise, vehicle=gains, initial={"rate_deg_s": (0.0, 0.5, 0.0)}, expect=[]
+    )
+    run = fly(hunting)
+    turned = np.diff(run.log["tilt_left_command_rad"][-250:])
+    assert np.mean(turned[1:] * turned[:-1] < 0.0) > 0.95
+    assert run.summary.beyond == ["effort.alternating_percent"]
+    assert run.summary.effort.alternating_percent == pytest.approx(100.0, abs=1.0)
+    assert not run.summary.succeeded
+    allowed = fly(hunting.replace(limits={"alternating_percent": False})).summary
+    assert allowed.beyond == []
+
+
+@pytest.mark.parametrize("name", ["fault-slow-spool", "fault-servo-jam"])
+def test_a_scenario_that_expects_a_swing_says_so(name: str) -> None:
+    """Their limits are widened for a reason: without that they would be beyond the default."""
+    scenario = Scenario.load(name)
+    assert fly(scenario).summary.verdict == "as planned"
+    held = scenario.from_table(scenario.stated() | {"limits": {}}, scenario.folder, name)
+    assert fly(held).summary.verdict == "beyond limits"
 
 
 def test_a_failed_flight_is_not_completed_whatever_else() -> None:
@@ -193,7 +249,10 @@ def test_the_command_says_so_and_ends_with_1(hexjet: Hexjet, tmp_path: Path) -> 
     assert "beyond limits" in page
     assert f"{data['position']['drift_m']:.2f}" in page
     assert f"{data['position']['drift_m']:.2f}" in shown.out
-    assert hexjet("fly", "hover", "--set", "duration_s=2.0", "--out", str(tmp_path / "c")).status == 0
+    calm = hexjet("fly", "hover", "--set", "duration_s=2.0", "--out", str(tmp_path / "c"))
+    assert calm.status == 0
+    assert "hover: completed, nothing checked; flew 500 steps" in calm.out
+    assert "completed, nothing checked" in (tmp_path / "c" / "report.html").read_text()
 
 
 @pytest.mark.parametrize("value", ["-1.0", "true", "'far'", "inf"])

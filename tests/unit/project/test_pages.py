@@ -969,13 +969,17 @@ def test_what_campaigns_say_is_varied() -> None:
     assert ranged(full, "fault.0.lag_s")[1] == pytest.approx(0.1 / 1.295, abs=5e-4)
 
 
+UNLIMITED = ["limits.settling_s=false", "limits.oscillation_rad=false"]
+
+
 @pytest.mark.parametrize(
     ("sentence", "settings", "success"),
     [
         ("the first command finds {} more samples for Smith's predictor", [], []),
-        ("as in the command further below, find {}.", ["duration_s=40"], ["roll.oscillation_rad<=0.0175"]),
+        ("one that swings without end does not break, and it finds {};", UNLIMITED, []),
+        ("as in the command further below, find {}.", [*UNLIMITED, "duration_s=40"], ["roll.oscillation_rad<=0.0175"]),
     ],
-    ids=["lost", "swings"],
+    ids=["unsettled", "lost", "swings"],
 )
 def test_how_much_delay_a_search_finds(sentence: str, settings: list[str], success: list[str]) -> None:
     """So many samples more than the model has break Smith's predictor, and one less does not."""

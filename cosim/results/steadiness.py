@@ -1,0 +1,148 @@
+"""Limits on how an axis settles and on what it still swings by at the end, from what was commanded of it.
+
+An axis that follows a set-point is to settle after each step and to be at rest at the end.  Both limits are left out
+where the flight cannot tell: a step that ends before an axis could have settled, an axis whose rates are commanded, and
+rows on which something from outside acts anew (wind, forces, loads, faults, the ground).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import hypot, sqrt
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.constants import GRAVITY
+from cosim.base.protocols import Columns
+from cosim.base.signals import AXES
+from cosim.results.metrics import (
+    FINAL_S,
+    SETTLING_BAND,
+    SMALLEST_STEP_RAD,
+    UPSETS,
+    WIND,
+    Record,
+    Step,
+    find_steps,
+    settling_time,
+    touching,
+    wrap,
+)
+
+# Time constants 1/K of the attitude law that a step is given to settle.  By itself the law comes to within 5 % in
+# ln 20 = 3.0 of them; chosen by us: three times that and some, for the rate loop and the engines behind it.
+TIME_CONSTANTS = 10.0
+
+LEAST_GAIN_1_S = 1e-3  # an attitude law that takes longer than a quarter of an hour is none
+
+# Standard deviations of the attitude's noise that a swing may have.  A second of it reaches three either way; chosen by
+# us: twice that, because no controller holds an axis stiller than it is measured.
+DEVIATIONS = 6.0
+
+# Change of the wind, in Froude speeds sqrt(g span), from which on an axis counts as disturbed.  Chosen by us: 0.1 m/s
+# on the prototype.
+WIND_CHANGE = 0.05
+
+
+class AxisYardstick(Record):
+    """What the limits of one axis are made from, beside the log."""
+
+    gain_1_s: float  # of the attitude law
+    noise_rad: float  # standard deviation of the measured attitude
+    rate_noise_rad_s: float  # of the measured rate
+
+
+class Upsets:
+    """When something from outside acted anew: wind, forces, loads, faults, the ground."""
+
+    def __init__(self, log: Columns, wind_m_s: float) -> None:
+        """Read the log; ``wind_m_s`` is the change of the wind that counts."""
+        acts = touching(log)
+        for name in log.columns:
+            if name.startswith(UPSETS):
+                changed = np.diff(log[name])
+                acts[1:] |= (changed != 0.0) & np.isfinite(changed)
+        self._count = np.concatenate(([0], np.cumsum(acts)))
+        self._wind = [log[name] for name in WIND if name in log.columns]
+        self._wind_m_s = wind_m_s
+
+    def within(self, first: int, end: int) -> bool:
+        """Return whether anything acted anew on rows ``first`` to ``end - 1``."""
+        if self._count[end] > self._count[first]:
+            return True
+        return any(np.ptp(wind[first:end]) > self._wind_m_s for wind in self._wind)
+
+
+def settling_limit(axis: AxisYardstick) -> float:
+    """Return the time (s) in which a step of an axis is to settle: ``TIME_CONSTANTS`` of the attitude law, 1/K each."""
+    return TIME_CONSTANTS / axis.gain_1_s
+
+
+def noise_floor(axis: AxisYardstick, step_s: float) -> float:
+    """Return the half peak-to-peak (rad) of a second that cannot be told from the sensors' noise.
+
+    ``DEVIATIONS`` of the root of the sum of the squares of the attitude's noise and of what the rate's noise moves an
+    axis by: white noise of s rad/s through the attitude law's lag 1/K leaves ``s sqrt(dt / (2 K))``.
+    """
+    moved = axis.rate_noise_rad_s * sqrt(step_s / (2.0 * axis.gain_1_s))
+    return max(SMALLEST_STEP_RAD, DEVIATIONS * hypot(axis.noise_rad, moved))
+
+
+def axis_limits(
+    axes: Sequence[AxisYardstick], log: Columns, step_s: float, span_m: float, stated: Mapping[str, float | None]
+) -> dict[str, float]:
+    """Return the limits of every axis by metric; ``stated`` are those of the scenario by key, None for no limit."""
+    upsets = Upsets(log, WIND_CHANGE * sqrt(GRAVITY * span_m))
+    limits: dict[str, float | None] = {}
+    for axis, name in zip(axes, AXES, strict=False):
+        setpoint, angle = log[f"{name}_setpoint_rad"], log[f"{name}_rad"]
+        steps = find_steps(setpoint, angle, step_s)
+        error = wrap(setpoint - angle)
+        if "settling_s" in stated:
+            limits[f"{name}.settling_time_s"] = stated["settling_s"] if steps else None
+        else:
+            limits[f"{name}.settling_time_s"] = _settling(axis, steps, error, upsets, step_s)
+        if "oscillation_rad" in stated:
+            limits[f"{name}.oscillation_rad"] = stated["oscillation_rad"]
+        else:
+            limits[f"{name}.oscillation_rad"] = _oscillation(axis, steps, setpoint, upsets, step_s)
+    return {name: value for name, value in limits.items() if value is not None}
+
+
+def _settling(axis: AxisYardstick, steps: Sequence[Step], error: Array, upsets: Upsets, step_s: float) -> float | None:
+    """Return the limit on the settling time (s); None where no step can tell, or not all and none is late.
+
+    A step of which 5 % are below the noise floor is settled within that floor.
+    """
+    if axis.gain_1_s < LEAST_GAIN_1_S:
+        return None
+    most = settling_limit(axis)
+    least_size = noise_floor(axis, step_s) / SETTLING_BAND
+    judged = [
+        settling_time(error[step.first : step.end], max(abs(step.size), least_size), step_s)
+        for step in steps
+        if (step.end - step.first) * step_s >= most and not upsets.within(step.first, step.end)
+    ]
+    if any(time is None or time > most for time in judged):
+        return most
+    measured = [settling_time(error[step.first : step.end], step.size, step_s) for step in steps]
+    return most if judged and all(time is not None and time <= most for time in measured) else None
+
+
+def _oscillation(
+    axis: AxisYardstick, steps: Sequence[Step], setpoint: Array, upsets: Upsets, step_s: float
+) -> float | None:
+    """Return the limit on the residual oscillation (rad); None where the end of the flight cannot tell.
+
+    It is ``SETTLING_BAND`` of the last step, or the noise floor if that is more, and beyond it the range over which the
+    set-point has moved since the axis had time to settle before the last second.
+    """
+    if axis.gain_1_s < LEAST_GAIN_1_S:
+        return None
+    first = setpoint.size - round((settling_limit(axis) + FINAL_S) / step_s)
+    recent = setpoint[max(first, 0) :]
+    if first < 0 or not np.all(np.isfinite(recent)) or upsets.within(first, setpoint.size):
+        return None
+    share = SETTLING_BAND * abs(steps[-1].size) if steps else 0.0
+    return max(share, noise_floor(axis, step_s)) + float(np.ptp(np.unwrap(recent)))
