@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from benchmarks.accuracy.__main__ import CASE_MARK, main
+from benchmarks.accuracy.__main__ import BARE_MARK, CASE_MARK, CLOSED_MARK, FLIGHT_MARK, main
+from benchmarks.accuracy.bare_jsbsim import measure
 from benchmarks.accuracy.check_cases import (
     AFTER_30_S,
     CASES,
@@ -22,6 +23,8 @@ from benchmarks.accuracy.check_cases import (
 )
 from benchmarks.accuracy.exact import density, geodetic, gravitation, local, start
 from benchmarks.accuracy.flights import (
+    CLOSED,
+    FLOWN_RUNS,
     OFF_CENTRE,
     SCHEMES,
     WINDOW,
@@ -223,6 +226,27 @@ def test_the_page_says_inside_of_every_quantity() -> None:
     assert len(rows) > 30
     assert all(row.endswith("| inside |") for row in rows)
     assert {row[2:4] for row in rows} == set(CASES)
+
+
+def test_no_flight_as_flown_is_off_by_more_than_a_tenth_of_a_degree_and_a_centimetre() -> None:
+    parts = parts_of((ROOT / "docs" / "accuracy.md").read_text(), "accuracy.md")
+    rows = [[cell.strip() for cell in row.strip("| ").split("|")] for row in parts[FLIGHT_MARK].splitlines()[2:]]
+    flown = [row for row in rows if row[1:3] == ["as flown", str(FLOWN_RUNS)]]
+    closed = [[cell.strip() for cell in row.strip("| ").split("|")] for row in parts[CLOSED_MARK].splitlines()[2:]]
+    assert len(flown) >= 14
+    assert {row[0] for row in closed} == set(CLOSED)
+    for row in [*flown, *closed]:
+        degrees, millimetres = float(row[3] if len(row) > 3 else row[1]), float(row[-1])
+        assert degrees < 0.1, row
+        assert millimetres < 10.0, row
+
+
+@pytest.mark.filterwarnings("ignore:the matrix subclass")  # in which JSBSim's binding answers
+def test_jsbsim_alone_is_late_and_moves_the_structure() -> None:
+    """What docs/accuracy.md says to JSBSim's people, measured again."""
+    page = parts_of((ROOT / "docs" / "accuracy.md").read_text(), "accuracy.md")[BARE_MARK]
+    for what, measured in measure():
+        assert f"| {what} | {measured} |" in page
 
 
 @pytest.mark.parametrize(
