@@ -48,6 +48,7 @@ from cosim.simulation.controllers.source import OBJECT, Source, of_object
 from cosim.simulation.controllers.source import names as own_controllers
 from cosim.simulation.ending import Ending
 from cosim.simulation.model_agreement import flight_notes
+from cosim.simulation.notes import idle_notes
 from cosim.simulation.pacing import Pace
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_autopilot import with_autopilot
@@ -449,7 +450,10 @@ def _setup(simulation: Simulation, resolved: Scenario) -> Setup:
         reach=reach(simulation),
         yardstick=yardstick(scenario, simulation.vehicle),
         expectation=expectation(scenario),
-        notes=flight_notes(scenario, simulation.vehicle, engine),
+        notes=[
+            *flight_notes(scenario, simulation.vehicle, engine),
+            *idle_notes(scenario, simulation.vehicle, simulation.stations),
+        ],
         versions=versions(),
         blas_kernels=kernels.loaded(),
         sha256={

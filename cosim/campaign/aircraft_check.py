@@ -27,6 +27,7 @@ from cosim.flight import fly
 from cosim.results.report.three_views import places, three_views
 from cosim.simulation.build import build, engines_of
 from cosim.simulation.model_agreement import NOTED, ModelAgreement, model_agreements
+from cosim.simulation.notes import tank_notes
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen_from
@@ -133,7 +134,7 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
         reach = reach_of(vehicle, least.tolist(), most.tolist())
         authority = [reach.authority(lost) for lost in losses]
         engine_name = simulation.engine.name
-        models = _models(simulation)
+        models = [*_models(simulation), *(Line("fuel", text) for text in tank_notes(vehicle, simulation.stations))]
     lines += [_lift(authority[0]), *_axes(authority, vehicle.inertia_kg_m2), *models, _flight(scenario)]
     return AircraftCheck(
         vehicle.name,

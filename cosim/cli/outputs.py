@@ -31,7 +31,7 @@ class Out(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path.  Raises InputError for the ending of a file that the command does not write."""
-        path = Path(super().convert(value, param, ctx))
+        path = Path(str(super().convert(value, param, ctx)))
         ending = path.suffix.lower()
         if path.is_file() and ending not in self.endings:
             raise InputError(f"--out {path}: is a file; {self._allowed(ctx)}")

@@ -354,11 +354,12 @@ def activity(commands: Iterable[Array], step_s: float) -> float | None:
 def fuel_burnt(left: Array, flows: Iterable[Array], step_s: float) -> float | None:
     """Fuel (kg) burnt from the first row to the last: what has left the tank, or what the engines report in all.
 
-    None where there is no tank and no engine reports its flow.
+    None where no engine reports its flow: a tank stays full then, whatever is burnt.
     """
-    if left.size and np.all(np.isfinite(left)):
+    reported = [flow for flow in flows if flow.size and np.any(np.isfinite(flow))]
+    if reported and left.size and np.all(np.isfinite(left)):
         return float(left[0] - left[-1])
-    known = [float(np.sum(flow[:-1])) for flow in flows if flow.size and np.all(np.isfinite(flow))]
+    known = [float(np.sum(flow[:-1])) for flow in reported if np.all(np.isfinite(flow))]
     return sum(known) * step_s if known else None
 
 

@@ -186,7 +186,9 @@ class Setup(BaseModel):
     reach: Reach | None = None  # of throttles and tilts
     yardstick: Yardstick | None = None  # what its limits are made from; None: it has none
     expectation: Expectation | None = None  # what this controller with this engine must come to
-    notes: list[str] = []  # what is to be known of it: models that are not the vehicle's
+    notes: list[
+        str
+    ] = []  # what is to be known of it: models that are not the vehicle's, what is stated and does nothing
     by_hand: int = 0  # steps whose command, throttles or tilts a program gave: the scenario alone does not repeat them
     versions: dict[str, str] = {}
     blas_kernels: dict[str, str] = {}  # of OpenBLAS, by the package that brought it; empty: not known

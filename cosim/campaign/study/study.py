@@ -34,6 +34,7 @@ from cosim.results.metrics import metric_names
 from cosim.simulation.brought import metrics_of
 from cosim.simulation.code import aircraft_code, block_code, engine_code, scenario_code
 from cosim.simulation.controllers.source import find
+from cosim.simulation.notes import varied_turbulence_notes
 from cosim.spec.controller_name import is_design, seen_from
 from cosim.spec.scenario import Range, Scenario, find_scenario
 
@@ -161,12 +162,13 @@ class Study(Model):
 
     def notes(self) -> list[str]:
         """What is allowed and yet worth a word before flying."""
+        told = varied_turbulence_notes(self.base(), [vary.key for vary in self.vary])
         if self.design == "sobol" and self.draws & (self.draws - 1):
             below = 1 << (self.draws.bit_length() - 1)
-            return [
+            told.append(
                 f"sobol: {self.draws} runs are no power of two; Sobol's points are balanced at {below} and {2 * below}"
-            ]
-        return []
+            )
+        return told
 
     def __eq__(self, other: object) -> bool:
         """Whether both state the same, wherever they were read."""

@@ -247,7 +247,7 @@ def _check(
         outputs=_described(archive.outputs),
         parameters=_described(archive.parameters),
         problems=_checksums(archive.path),
-        notes=_notes(archive),
+        notes=_notes(archive, source.engine is not None),
     )
     if report.problems:
         return report, None
@@ -422,12 +422,14 @@ def blemish_lines(archive: Archive) -> list[str]:
     return [*lines, f"and {rest} more blemishes like these"] if rest else lines
 
 
-def _notes(archive: Archive) -> list[str]:
+def _notes(archive: Archive, library: bool) -> list[str]:
     notes = [*blemish_lines(archive), *archive.port_notes]
     if not archive.saves_state:
         notes.append("cannot save its state")
     if archive.once_per_process:
         notes.append("may be instantiated once per process: every engine gets a library of its own")
+    if not library and not any("fuel_flow" in ports for ports in archive.engines):
+        notes.append("reports no fuel flow: the tank of a vehicle stays full with it")
     return notes
 
 

@@ -52,7 +52,8 @@ class Environment(Model):
     ground_m: Annotated[float, Field(ge=-400.0, le=5000.0)] = 0.0
     wind_ned_m_s: Vector = (0.0, 0.0, 0.0)
     turbulence_wind_m_s: NotNegative = 0.0  # mean wind at 6 m that sets the turbulence's strength below 300 m
-    turbulence_severity: Annotated[int, Field(ge=0, le=7)] = 0  # probability-of-exceedance index; 0 is none
+    # probability-of-exceedance index; 0 is none; below 300 m any other is the same: a switch
+    turbulence_severity: Annotated[int, Field(ge=0, le=7)] = 0
 
 
 class Range(Model):

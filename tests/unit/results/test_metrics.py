@@ -339,6 +339,7 @@ def test_fuel_burnt_is_what_left_the_tank_or_what_the_engines_say() -> None:
     assert fuel_burnt(left, [flow, flow], STEP) == pytest.approx(1.2 * STEP)
     assert fuel_burnt(np.full(4, nan), [flow, flow, np.full(4, nan)], STEP) == pytest.approx(1.2 * STEP)
     assert fuel_burnt(np.full(4, nan), [np.full(4, nan)], STEP) is None
+    assert fuel_burnt(np.full(4, 2.0), [np.full(4, nan)], STEP) is None  # a tank that nobody reports to stays full
     assert fuel_burnt(np.zeros(0), [], STEP) is None
 
 

@@ -1,0 +1,53 @@
+"""What of a flight does nothing although it is stated: a line each, for terminal, page and summary."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+
+from cosim.engine import EngineSpec
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle
+
+BY_WIND_M = 300.0  # JSBSim's MIL-F-8785C takes its strength from the wind below, from the severity well above
+
+
+def idle_notes(scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineSpec]) -> list[str]:
+    """Return what a flight's turbulence and tank do not do; empty where all that is stated acts."""
+    return [*turbulence_notes(scenario), *tank_notes(vehicle, engines)]
+
+
+def turbulence_notes(scenario: Scenario) -> list[str]:
+    """Return a line where turbulence is stated by half: by its wind without a severity, or the other way round."""
+    place = scenario.environment
+    wind, severity = place.turbulence_wind_m_s, place.turbulence_severity
+    if wind and not severity:
+        return [
+            f"turbulence is off: environment.turbulence_wind_m_s = {wind:g} acts with a turbulence_severity of 1 to 7"
+        ]
+    if severity and not wind:
+        return [
+            f"no turbulence below {BY_WIND_M:g} m: environment.turbulence_severity = {severity} switches it on, and "
+            "its strength there is turbulence_wind_m_s, which is 0"
+        ]
+    return []
+
+
+def varied_turbulence_notes(scenario: Scenario, keys: Collection[str]) -> list[str]:
+    """Return a line where ``keys``, which a study varies, change the turbulence by nothing or by a switch alone."""
+    wind, severity = "environment.turbulence_wind_m_s", "environment.turbulence_severity"
+    if severity in keys:
+        return [f"below {BY_WIND_M:g} m {severity} is a switch: 1 to 7 are the same there, {wind} is the strength"]
+    if wind in keys and not scenario.environment.turbulence_severity:
+        return [f"turbulence is off: {wind} acts with a {severity} of 1 to 7"]
+    return turbulence_notes(scenario) if wind not in keys else []
+
+
+def tank_notes(vehicle: Vehicle, engines: Iterable[EngineSpec]) -> list[str]:
+    """Return a line for each kind of engine that reports no fuel flow to a vehicle with a tank."""
+    specs = list(engines)
+    silent = dict.fromkeys(spec.name for spec in specs if not spec.has("fuel_flow"))
+    if vehicle.fuel is None or not silent:
+        return []
+    some = any(spec.has("fuel_flow") for spec in specs)
+    ending = "what it burns does not leave the tank" if some else "the tank stays full"
+    return [f"engine {name} reports no fuel flow: {ending}" for name in silent]
