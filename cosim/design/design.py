@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import ceil, floor, inf, isfinite, pi
+from math import ceil, floor, inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,6 @@ from cosim.design.loop.channel import (
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import Dynamics, fit_dynamics, lags, with_misfit
 from cosim.design.loop.firmware import Firmware
-from cosim.design.loop.frequency import crossings, wrapped
 from cosim.design.loop.tuning import Tuning, candidates, designable
 from cosim.design.proof import Proof
 from cosim.design.tune import (
@@ -525,20 +524,11 @@ def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
 
 
 def margins(closed: ClosedLoop) -> Margins:
-    """Gain, phase and delay margins from the loop's response, straight lines between its points."""
-    theta = closed.points.theta
-    inside = theta < pi * (1.0 - 1e-9)
-    last = closed.open_loop[~inside].real  # at half the sampling rate it is real: a gain may put a pole at -1
-    gains, angle, omega = crossings(closed.open_loop[inside], theta[inside] / closed.points.channel.step)
-    gains = np.concatenate([gains, -1.0 / last[last < 0.0]])
-    up, down = gains[gains > 1.0], gains[gains < 1.0]
-    turns = [wrapped(float(np.degrees(radians))) for radians in angle]
-    return Margins(
-        gain_db=float(20.0 * np.log10(up.min())) if len(up) else None,
-        gain_down_db=float(20.0 * np.log10(down.max())) if len(down) else None,
-        phase_deg=min(turns, key=abs, default=None),
-        delay_s=float((angle / omega).min()) if len(angle) else None,
-    )
+    """Return what is kept of a loop's margins: of lag and lead the less, lead with a minus."""
+    found = closed.margins
+    lag, lead = found.phase_deg, found.phase_lead_deg
+    turns = [turn for turn in (lag, None if lead is None else -lead) if turn is not None]
+    return Margins(found.gain_db, found.gain_down_db, min(turns, key=abs, default=None), found.delay_s)
 
 
 def _limits(channel: Channel, after: Assessment, need: Requirements, lead: EngineLead | None) -> dict[str, float]:

@@ -11,8 +11,8 @@ weighted by their shares: in that limit this is the delay of the axis, while the
 be measured.
 
 What thrusts give beside servos, or servos beside thrusts, is not in the sum while it is at most :data:`BESIDE` of the
-axis: with a share ``w`` of it the phase is within ``asin(w / (1 - w))`` of what the sum says, 3 deg, at all
-frequencies.  Where both give more the delay of the axis is another one at every frequency, and there is no sum.
+axis: with a share ``w`` of it the phase is within ``asin(w / (1 - w))``, 3 deg, of the sum at every frequency.
+Where both give more the delay of the axis is another one at every frequency, and there is no sum.
 
 The angular momentum of rotors that hinges turn, or that change their speed with the thrust, acts by the rate of the
 command and takes delay away.  The reaction of what hinges and banks turn acts by its acceleration, and has no part.
@@ -85,6 +85,12 @@ def total_samples(rows: Sequence[LedgerRow], axis: str = "roll") -> float | None
     """Return the sum of an axis in control steps; None if any element is unknown."""
     samples = [row.samples for row in rows_of(rows, axis)]
     return None if any(value is None for value in samples) else sum(value for value in samples if value is not None)
+
+
+def transport_samples(rows: Sequence[LedgerRow], axis: str) -> float | None:
+    """Return how much of an axis's delay is transport, control steps; None if any of it is unknown."""
+    late = [row.samples for row in rows_of(rows, axis) if row.kind in ("transport", "mixed")]
+    return None if any(value is None for value in late) else sum(value for value in late if value is not None)
 
 
 def why_none(rows: Sequence[LedgerRow], axis: str) -> str:

@@ -26,6 +26,8 @@ from cosim.control.lead import lead_polynomials
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.loop.channel import Channel, angles
 from cosim.design.loop.frequency import (
+    LoopMargins,
+    loop_margins,
     pid_response,
     zeros_outside,
 )
@@ -98,6 +100,13 @@ class ClosedLoop:
     def open_loop(self) -> Complex:
         """``L``, broken at the plant's input."""
         return np.asarray(self.outer / self.inner)
+
+    @cached_property
+    def margins(self) -> LoopMargins:
+        """Gain, phase and delay margins, up to half the sampling rate."""
+        channel = self.points.channel
+        hertz = self.points.theta / (2.0 * pi * channel.step)
+        return loop_margins(self.open_loop, hertz, channel.step, channel.transport_samples * channel.step)
 
     @property
     def peak_sensitivity(self) -> float:

@@ -10,7 +10,8 @@ the command, ``y^`` the predicted rate, ``T`` the control step:
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import pi
+from dataclasses import dataclass
+from math import inf, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,13 +87,74 @@ def pid_response(gains: RateGains, step: float, z: Complex) -> Pair:
     return np.asarray(gains.p + gains.i * step / difference), np.asarray(of_slope)
 
 
-def crossings(loop: Complex, omega: Array) -> tuple[Array, Array, Array]:
+@dataclass(frozen=True)
+class LoopMargins:
+    """Of a stable loop broken at the plant's input: what of one kind puts a closed-loop pole on the stability limit.
+
+    None where there is no such thing in the frequencies that were looked at.
+    """
+
+    gain_db: float | None  # least factor up
+    gain_down_db: float | None  # least factor down
+    phase_deg: float | None  # least lag, up to half a turn
+    phase_lead_deg: float | None  # least lead, below half a turn
+    delay_s: float | None  # least further delay
+    delay_less_s: float | None  # least delay taken away, of what there is
+    peak_sensitivity: float | None
+    crossover_hz: float | None  # the highest frequency with gain 1
+
+
+def loop_margins(loop: Complex, hertz: Array, step: float = 0.0, transport_s: float | None = None) -> LoopMargins:
+    """Return the margins of a loop from its response, straight lines between its points.
+
+    A factor ``k`` puts a pole on the limit where ``L = -1 / k``: at every crossing of the negative real axis, and at
+    half the sampling rate, where the loop is real.  A turn by ``phi`` does where ``|L| = 1`` and the angle from L down
+    to -1 is ``phi``; the same point is reached by the turn ``2 pi - phi`` the other way round.  Of the two the shorter
+    is the margin and the other its mirror, so a loop with one crossover has a margin for lag or for lead, and a
+    conditionally stable one may have both.  Further delay ``tau`` turns by ``omega tau``, without end, so every
+    crossover limits it.  Delay taken away turns the other way, and cannot be more than there is.
+
+    Parameters
+    ----------
+    loop, hertz
+        ``L`` at rising frequencies, close enough for straight lines between them.
+    step
+        Control step of a sampled loop, s; at a last frequency of half its rate the loop counts as real.  0: none is.
+    transport_s
+        Transport delay in the loop, s: what can be taken away.  None: not known; counted is what turns by less than
+        half a turn.
+    """
+    factors, angles, at = crossings(loop, 2.0 * pi * hertz, step)
+    up, down = factors[factors > 1.0], factors[factors < 1.0]
+    lead = 2.0 * pi - angles
+    less = lead[lead < pi] / at[lead < pi] if transport_s is None else lead / at
+    return LoopMargins(
+        gain_db=_least(20.0 * np.log10(up)),
+        gain_down_db=None if not len(down) else float(20.0 * np.log10(down.max())),
+        phase_deg=_least(np.degrees(angles[angles <= pi])),
+        phase_lead_deg=_least(np.degrees(lead[lead < pi])),
+        delay_s=_least(angles / at),
+        delay_less_s=_least(less[less <= (inf if transport_s is None else transport_s)]),
+        peak_sensitivity=float(np.max(1.0 / np.abs(1.0 + loop))),
+        crossover_hz=float(at.max() / (2.0 * pi)) if len(at) else None,
+    )
+
+
+def _least(values: Array) -> float | None:
+    return float(values.min()) if len(values) else None
+
+
+def crossings(loop: Complex, omega: Array, step: float = 0.0) -> tuple[Array, Array, Array]:
     """Where a loop's response meets the negative real axis and the unit circle, straight lines between its points.
 
     The factors that put it on -1; then at every gain of 1 the angle [rad, 0 to 2 pi] down to -1, and ``omega`` there.
+    A last point at half the sampling rate, ``omega step = pi``, is on the real axis itself.
     """
-    at, part = _passing(loop.imag)
+    sampled = bool(step) and len(omega) > 0 and omega[-1] * step >= pi * (1.0 - 1e-9)
+    at, part = _passing(loop.imag[:-1] if sampled else loop.imag)
     real = loop.real[at] + part * np.diff(loop.real)[at]
+    if sampled:
+        real = np.append(real, loop.real[-1])
     size, phase = np.log(np.abs(loop)), np.unwrap(np.angle(loop))
     at, part = _passing(size)
     angle = phase[at] + part * np.diff(phase)[at] + pi
@@ -101,7 +163,8 @@ def crossings(loop: Complex, omega: Array) -> tuple[Array, Array, Array]:
 
 def _passing(value: Array) -> tuple[NDArray[np.intp], Array]:
     """Where ``value`` changes its sign: the point before, and the part of the way to the next."""
-    at = np.flatnonzero(np.sign(value[:-1]) * np.sign(value[1:]) < 0.0)
+    below = value < 0.0
+    at = np.flatnonzero(below[:-1] != below[1:])
     return at, value[at] / (value[at] - value[at + 1])
 
 
@@ -133,6 +196,9 @@ def margins(response: Response, step: float, low: float = 0.05, points: int = 40
     for k in np.flatnonzero(turns):
         crossing = _bisect(lambda f: at(f).imag, frequencies[k], frequencies[k + 1])
         gains.append(-20.0 * float(np.log10(abs(at(crossing)))))
+    last = complex(response(np.array([-1.0 + 0.0j]))[0]).real  # at half the sampling rate the loop is real
+    if last < 0.0:
+        gains.append(-20.0 * float(np.log10(-last)))
     return Margins(
         cutoff=falls[0] if falls else None,
         gain_margin=min(gains, key=abs, default=None),

@@ -15,8 +15,8 @@ from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import at_share
 from cosim.design.loop.channel import Actuator, Channel, channels, hover_share
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from cosim.design.loop.frequency import LoopMargins
 from cosim.design.loop.tuning import Tuning
-from cosim.design.measured.estimate import LoopMargins, loop_margins
 from cosim.design.tune import FINE
 from cosim.engine import EngineSpec
 from cosim.spec.scenario import Scenario
@@ -83,9 +83,8 @@ def computed(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[
         closed = ClosedLoop(FrequencyGrid(plants.channels[axis], close=FINE), tunings[axis])
         if closed.unstable_poles:
             return f"{axis}: the linear loop is not stable"
-        below = closed.points.theta < np.pi * (1.0 - 1e-9)
-        hertz, loop = closed.points.theta[below] / (2.0 * np.pi * step), closed.open_loop[below]
-        margins[axis] = Computed(loop_margins(loop, hertz), hertz, loop)
+        hertz = closed.points.theta / (2.0 * np.pi * step)
+        margins[axis] = Computed(closed.margins, hertz, closed.open_loop)
     return margins
 
 

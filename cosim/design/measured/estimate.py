@@ -18,48 +18,12 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import FlightError
-from cosim.design.loop.frequency import crossings
+from cosim.design.loop.frequency import LoopMargins, loop_margins
 
 FEW = 10  # lines, of which no margins are made
 NOISY = 0.1  # of S, one standard deviation: lines that are hidden deeper in noise say nothing about margins
 TINY = 1e-12  # a gain of nothing, for its logarithm
 FINE = 20  # points between two measured ones, on straight lines of log gain and phase over log frequency
-
-
-@dataclass(frozen=True)
-class LoopMargins:
-    """Of a loop broken at the plant's input; None where nothing is crossed in the band."""
-
-    gain_db: float | None  # least factor up to instability
-    gain_down_db: float | None  # least factor down to it
-    phase_deg: float | None  # least lag to instability
-    phase_lead_deg: float | None  # least lead to it
-    delay_s: float | None  # least further delay to it
-    delay_less_s: float | None  # least delay taken away
-    peak_sensitivity: float | None
-    crossover_hz: float | None  # the highest frequency with gain 1
-
-
-def loop_margins(loop: Complex, hertz: Array) -> LoopMargins:
-    """Of a loop's response at rising frequencies, close enough for straight lines between them."""
-    omega = 2.0 * np.pi * hertz
-    factors, angles, at = crossings(loop, omega)
-    up, down = factors[factors > 1.0], factors[factors < 1.0]
-    lead = 2.0 * np.pi - angles
-    return LoopMargins(
-        gain_db=_least(20.0 * np.log10(up)),
-        gain_down_db=None if not len(down) else float(20.0 * np.log10(down.max())),
-        phase_deg=_least(np.degrees(angles)),
-        phase_lead_deg=_least(np.degrees(lead)),
-        delay_s=_least(angles / at),
-        delay_less_s=_least(lead / at),
-        peak_sensitivity=float(np.max(1.0 / np.abs(1.0 + loop))),
-        crossover_hz=float(at.max() / (2.0 * np.pi)) if len(at) else None,
-    )
-
-
-def _least(values: Array) -> float | None:
-    return float(values.min()) if len(values) else None
 
 
 QUANTITIES = tuple(field.name for field in fields(LoopMargins))
@@ -87,8 +51,10 @@ class Response:
     margins: Mapping[str, Bounded]
 
 
-def measured(sensitivity: Complex, hertz: Array) -> Response:
+def measured(sensitivity: Complex, hertz: Array, step: float = 0.0, transport_s: float | None = None) -> Response:
     """Loop and margins of ``S`` by period and line, (periods, lines); two periods at least.
+
+    ``step`` and ``transport_s``: see :func:`cosim.design.loop.frequency.loop_margins`.
 
     Raises FlightError where next to nothing stands out of the noise.
     """
@@ -104,7 +70,7 @@ def measured(sensitivity: Complex, hertz: Array) -> Response:
         )
 
     def margins_of(rows: Complex) -> dict[str, float | None]:
-        return vars(loop_margins(*_fine((1.0 / rows.mean(axis=0) - 1.0)[used], hertz[used])))
+        return vars(loop_margins(*_fine((1.0 / rows.mean(axis=0) - 1.0)[used], hertz[used]), step, transport_s))
 
     whole = margins_of(sensitivity)
     without = [margins_of(np.delete(sensitivity, number, axis=0)) for number in range(periods)]

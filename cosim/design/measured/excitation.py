@@ -66,10 +66,10 @@ def multisine(period_s: float, step: float, low: float, high: float) -> Multisin
     """
     period = round(period_s / step)
     first, last = ceil(low * period * step - 1e-9), floor(high * period * step + 1e-9)
-    if low * period * step < 1.0 - 1e-9 or last - first < 10 or 2 * last >= period:
+    if low * period * step < 1.0 - 1e-9 or last - first < 10 or 2 * last > period:
         raise InputError(
             f"{low:g} to {high:g} Hz with a period of {period_s:g} s: the lowest must be at least {1.0 / period_s:.3g} "
-            f"Hz, the highest below {0.5 / step:g} Hz and {10.0 / period_s:.3g} Hz above it"
+            f"Hz, the highest at most {0.5 / step:g} Hz and {10.0 / period_s:.3g} Hz above it"
         )
     count = ceil(LINES * np.log10(last / first)) + 1
     bins = np.unique(np.round(np.geomspace(first, last, count))).astype(np.float64)
@@ -77,6 +77,8 @@ def multisine(period_s: float, step: float, low: float, high: float) -> Multisin
     turn = 2.0 * np.pi * np.outer(np.arange(period), bins) / period
     over, under = np.cos(turn) * size, np.sin(turn) * size
     phases = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, (DRAWS, len(bins)))
+    if 2 * last == period:  # at half the sampling rate a sine has two phases
+        phases[:, -1] = np.pi * np.round(phases[:, -1] / (2.0 * np.pi))
     waves = over @ np.cos(phases.T) - under @ np.sin(phases.T)
     peaks = np.abs(waves).max(axis=0)
     best = int(peaks.argmin())

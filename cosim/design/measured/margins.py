@@ -14,6 +14,7 @@ from cosim.design.measured.estimate import QUANTITIES, Response, apart, measured
 from cosim.design.measured.excitation import Multisine, Record, Tap, fly_with, multisine, still
 from cosim.simulation.build import build, find_controller
 from cosim.simulation.controllers.source import Source, of_object
+from cosim.simulation.delay_ledger import transport_samples
 from cosim.spec.controller_name import label, seen_from
 from cosim.spec.scenario import Scenario
 
@@ -22,6 +23,9 @@ WITHIN = 10.0
 PERIODS = 5
 LEAST_PERIODS = 3  # that say a spread
 TO_HZ = 0.1  # over the control step
+NYQUIST_HZ = 0.5  # over the control step
+FALLS = 0.7  # |L| at the band's end over an octave below: one that falls less is measured up to half the control rate
+LITTLE = 0.01  # |L| at the band's end that is not looked after: 40 dB of gain
 LESS, TRIES = 0.4, 5  # times the amplitude where the vehicle was lost or an actuator at its end
 LINEAR = 0.05  # that a number may change by at half the amplitude beside its bounds
 JUDGED = ("gain_db", "gain_down_db", "phase_deg", "delay_s", "peak_sensitivity")
@@ -44,12 +48,17 @@ class AxisMargins:
     computed: Computed | None
     notes: tuple[str, ...]
 
+    @property
+    def whole(self) -> bool:
+        """Whether it was measured up to half the control rate, above which a sampled loop has nothing."""
+        return bool(self.sine.hertz[-1] * self.sine.step >= NYQUIST_HZ * (1.0 - 1e-9))
+
     def off(self, name: str) -> float | None:
         """The measured number less the computed, over that; of gains that of their factors.  None: one is not there."""
         if self.computed is None or name not in self.response.margins:
             return None
         ours, theirs = self.response.margins[name].value, getattr(self.computed.margins, name)
-        if theirs is None:
+        if not theirs:
             return None
         return float(10.0 ** ((ours - theirs) / 20.0) - 1.0 if name.endswith("_db") else (ours - theirs) / theirs)
 
@@ -98,15 +107,20 @@ def _axis_dict(measured: AxisMargins) -> dict[str, Any]:
         "period_s": measured.sine.period * measured.sine.step,
         "periods": measured.periods,
         "least_coherence": float(measured.response.coherence.min()),
+        "whole_band": measured.whole,
         "measured": {
             name: {"value": bounded.value, "low": number(bounded.low), "high": number(bounded.high)}
-            for name, bounded in measured.response.margins.items()
+            if bounded
+            else None
+            for name, bounded in ((name, measured.response.margins.get(name)) for name in QUANTITIES)
         },
         "computed": None
         if measured.computed is None
         else {n: number(getattr(measured.computed.margins, n)) for n in QUANTITIES},
         "off": {name: number(measured.off(name)) for name in QUANTITIES},
-        "at_half_the_amplitude": {name: bounded.value for name, bounded in measured.half.margins.items()},
+        "at_half_the_amplitude": {
+            name: measured.half.margins[name].value if name in measured.half.margins else None for name in QUANTITIES
+        },
         "notes": list(measured.notes),
     }
 
@@ -137,7 +151,8 @@ def measure_margins(
         Peak of what is added, in shares of thrust or rad of tilt; None: 0.03 or 0.06, less where that does not fit.
         With allocation by effectiveness in rad/s^2; None: as much as moves a thrust or a hinge by that.
     from_hz, to_hz : float or None
-        The band; None: from two periods on to a tenth of the control rate.
+        The band; None: from two periods on to a tenth of the control rate, and to half of it where the loop's gain does
+        not fall towards the tenth.
     period_s : float or None
         Of the multisine [s]; None: 20 s, or 60 s for a loop that is slow.
     periods : int
@@ -175,11 +190,25 @@ def measure_margins(
     with build(scenario, own) as simulation:
         vehicle, spec = simulation.vehicle, simulation.engine
         taps = {axis: Tap(axis, scenario, vehicle, simulation.stations) for axis in axes}
+        ledger = simulation.ledger
     say("computing")
     known = computed(scenario, vehicle, spec, list(axes))
     by_axis = {}
     for axis in axes:
-        asked = _Asked(scenario, own, axis, taps[axis], amplitude, from_hz, to_hz, period_s, periods, say)
+        late = transport_samples(ledger, axis)
+        asked = _Asked(
+            scenario,
+            own,
+            axis,
+            taps[axis],
+            amplitude,
+            from_hz,
+            to_hz,
+            period_s,
+            periods,
+            None if late is None else late * scenario.step_s,
+            say,
+        )
         by_axis[axis] = asked.measure(None if isinstance(known, str) else known[axis])
     return MeasuredMargins(scenario, own, by_axis, known if isinstance(known, str) else "")
 
@@ -197,27 +226,33 @@ class _Asked:
     to_hz: float | None
     period_s: float | None
     periods: int
+    transport_s: float | None  # that the vehicle has from command to measured rate; None: not known
     say: Say
 
     def measure(self, known: Computed | None) -> AxisMargins:
-        sine = self._sine(self.period_s or PERIOD_S)
-        size, record = self._fitting(sine, self.amplitude or self.tap.usual)
-        response = measured(record.sensitivity(), sine.hertz)
+        period, to_hz = self.period_s or PERIOD_S, self.to_hz or TO_HZ / self.scenario.step_s
+        sine, size, response = self._measured(period, to_hz, self.amplitude or self.tap.usual)
         if self.period_s is None and _slow(response):
-            sine = self._sine(LONG_S)
-            size, record = self._fitting(sine, size)
-            response = measured(record.sensitivity(), sine.hertz)
+            period = LONG_S
+            sine, size, response = self._measured(period, to_hz, size)
+        if self.to_hz is None and _stays_up(response):
+            sine, size, response = self._measured(period, NYQUIST_HZ / self.scenario.step_s, size)
         self.say(f"{self.axis}: half the amplitude")
         half = fly_with(self.scenario, self.axis, sine, 0.5 * size, LEAST_PERIODS, self.own)
-        other = measured(half.sensitivity(), sine.hertz)
+        other = self._of(half, sine)
         notes = _notes(response, other)
         return AxisMargins(self.axis, self.tap.unit, sine, size, self.periods, response, other, known, notes)
 
-    def _sine(self, period_s: float) -> Multisine:
+    def _measured(self, period_s: float, to_hz: float, size: float) -> tuple[Multisine, float, Response]:
         step = self.scenario.step_s
         count = self.scenario.count(period_s, "--period")
         low = 2.0 / period_s if self.from_hz is None else self.from_hz
-        return multisine(count * step, step, low, TO_HZ / step if self.to_hz is None else self.to_hz)
+        sine = multisine(count * step, step, low, to_hz)
+        size, record = self._fitting(sine, size)
+        return sine, size, self._of(record, sine)
+
+    def _of(self, record: Record, sine: Multisine) -> Response:
+        return measured(record.sensitivity(), sine.hertz, sine.step, self.transport_s)
 
     def _fitting(self, sine: Multisine, size: float) -> tuple[float, Record]:
         """The flight with that amplitude, or with one that fits.  Raises InputError where it was asked for."""
@@ -244,6 +279,13 @@ def _slow(response: Response) -> bool:
     crossing = response.margins.get("crossover_hz")
     within = WITHIN if "gain_down_db" in response.margins else 2.0 * WITHIN
     return crossing is None or crossing.value * PERIOD_S < within
+
+
+def _stays_up(response: Response) -> bool:
+    """Whether the loop's gain does not fall towards the band's end, so that it may bind above."""
+    hertz, size = response.hertz[response.used], abs(response.loop[response.used])
+    octave = float(size[abs(hertz - 0.5 * hertz[-1]).argmin()])
+    return bool(size[-1] > LITTLE and size[-1] > FALLS * octave)
 
 
 def _notes(response: Response, half: Response) -> tuple[str, ...]:

@@ -37,25 +37,35 @@ def rows(measured: AxisMargins) -> list[list[str]]:
     for name, title, form in SHOWN:
         ours = measured.response.margins.get(name)
         theirs = None if measured.computed is None else getattr(measured.computed.margins, name)
-        if ours is None and theirs is None:
-            continue
-        value, bounds = "not in the band", ""
+        value, bounds = _none(name, measured), ""
         if ours is not None:
             value = form.format(ours.value)
             bounds = f"{form.split(' ')[0].format(ours.low)} to {form.format(ours.high)}" if isfinite(ours.low) else "-"
         share = measured.off(name)
         off = "" if share is None else f"{100.0 * share:+.1f} %"
-        lines.append([title, value, bounds, "-" if theirs is None else form.format(theirs), off])
+        other = "none" if theirs is None else form.format(theirs)
+        lines.append([title, value, bounds, "-" if measured.computed is None else other, off])
     return lines
+
+
+def _none(name: str, measured: AxisMargins) -> str:
+    """That there is none, and where it was looked for; of lead and less delay the crossovers are what was found."""
+    if name in ("phase_lead_deg", "delay_less_s") and "crossover_hz" in measured.response.margins:
+        return "none"
+    low, high = f"{measured.sine.hertz[0]:.3g} Hz", f"{measured.sine.hertz[-1]:.4g} Hz"
+    if name == "gain_db":
+        return "none" if measured.whole else f"none up to {high}"
+    return f"none from {low} on" if name == "gain_down_db" or measured.whole else f"none from {low} to {high}"
 
 
 def heading(measured: AxisMargins) -> str:
     """What was done on an axis."""
     sine = measured.sine
     band = f"{measured.axis.capitalize()}: {sine.hertz[0]:.3g} to {sine.hertz[-1]:.3g} Hz"
+    above = "" if measured.whole else f"; above {sine.hertz[-1]:.4g} Hz nothing was measured"
     return (
         f"{band}, {len(sine.bins)} lines, {measured.periods} "
-        f"periods of {sine.period * sine.step:g} s, peak {measured.amplitude:g} {measured.unit}"
+        f"periods of {sine.period * sine.step:g} s, peak {measured.amplitude:g} {measured.unit}{above}"
     )
 
 

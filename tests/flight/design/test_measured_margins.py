@@ -20,14 +20,18 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError
 from cosim.base.signals import Actuation, Ambient, Unallocated
 from cosim.design.controller_file import with_controller
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from cosim.design.loop.frequency import LoopMargins, loop_margins
 from cosim.design.measured import margins, measure_margins
-from cosim.design.measured.computed import computed
-from cosim.design.measured.estimate import LoopMargins, loop_margins, measured
+from cosim.design.measured.computed import computed, plants_of, tunings_of
+from cosim.design.measured.estimate import measured
 from cosim.design.measured.excitation import LINES, USUAL_SHARE, USUAL_TILT, Record, Tap, fly_with, multisine, still
+from cosim.design.measured.page import rows
+from cosim.design.tune import FINE
 from cosim.engine import EngineSpec, load_engine
 from cosim.engine.bank import EngineBank
 from cosim.simulation.build import build
-from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.spec.vehicle import Vehicle, engine_of, load_vehicle
 
 DESIGNS = ROOT / "tests" / "designs"
 CLOSE = 0.05  # of what is computed
@@ -46,9 +50,110 @@ def test_an_integrator_with_a_delay_has_the_margins_of_its_closed_form() -> None
     assert found.gain_db == pytest.approx(20.0 * log10(pi / (2.0 * k * tau)), abs=1e-3)
     assert found.gain_down_db is None
     assert found.phase_deg == pytest.approx(90.0 - degrees(k * tau), abs=1e-3)
-    assert found.phase_lead_deg == pytest.approx(270.0 + degrees(k * tau), abs=1e-3)
+    assert (found.phase_lead_deg, found.delay_less_s) == (None, None)  # the mirror of the lag, and 1 / f less the delay
     assert found.delay_s == pytest.approx((0.5 * pi - k * tau) / k, abs=1e-6)
     assert found.crossover_hz == pytest.approx(k / (2.0 * pi), rel=1e-5)
+
+
+def test_a_conditionally_stable_loop_has_margins_both_ways() -> None:
+    """``2 s / (s^2 - s + 1)``: crossed at ``(1 - w^2)^2 = 3 w^2``, 60 deg from -1 either way, and stable from half the gain on."""
+    hertz = np.geomspace(0.01, 10.0, 40000)
+    s = 2j * pi * hertz
+    loop = 2.0 * s / (s * s - s + 1.0)
+    slow, fast = (float(np.sqrt(0.5 * (5.0 + sign * np.sqrt(21.0)))) for sign in (-1.0, 1.0))
+    found = loop_margins(loop, hertz)
+    assert found.gain_db is None
+    assert found.gain_down_db == pytest.approx(20.0 * log10(0.5), abs=1e-4)
+    assert (found.phase_deg, found.phase_lead_deg) == (pytest.approx(60.0, abs=1e-3), pytest.approx(60.0, abs=1e-3))
+    assert found.delay_s == pytest.approx(pi / 3.0 / fast, rel=1e-5)
+    assert found.delay_less_s == pytest.approx(pi / 3.0 / slow, rel=1e-5)
+    assert loop_margins(loop, hertz, transport_s=3.0).delay_less_s == pytest.approx(pi / 3.0 / slow, rel=1e-5)
+    assert loop_margins(loop, hertz, transport_s=2.0).delay_less_s is None  # there is not as much to take away
+    for turn, stable in ((59.9, True), (60.1, False), (-59.9, True), (-60.1, False)):
+        poles = np.roots([1.0, 2.0 * np.exp(-1j * np.radians(turn)) - 1.0, 1.0])
+        assert bool(np.all(poles[poles.imag > 0.0].real < 0.0)) is stable
+    for factor, stable in ((0.501, True), (0.499, False), (1e6, True)):
+        assert bool(np.all(np.roots([1.0, 2.0 * factor - 1.0, 1.0]).real < 0.0)) is stable
+
+
+def test_a_sampled_loop_is_limited_at_half_its_rate() -> None:
+    """``0.2 / (z + 0.5)`` closed has its pole at ``-0.5 - 0.2 k``: on -1 with 2.5 times the gain, where no phase crosses."""
+    step = 0.004
+    hertz = np.linspace(0.1, 0.5 / step, 3000)
+    loop = 0.2 / (np.exp(2j * pi * hertz * step) + 0.5)
+    assert loop_margins(loop, hertz, step).gain_db == pytest.approx(20.0 * log10(2.5), abs=1e-9)
+    assert loop_margins(loop[:-1], hertz[:-1], step).gain_db is None
+    assert loop_margins(3.0 * loop, hertz, step).gain_down_db == pytest.approx(20.0 * log10(2.5 / 3.0), abs=1e-9)
+
+
+def test_a_point_on_the_limit_is_crossed() -> None:
+    """A point of the grid that lies on the axis or the circle itself is no gap between two others."""
+    loop = np.array([-2.0 - 1.0j, -0.5 + 0.0j, -0.2 + 0.1j])
+    assert loop_margins(loop, np.array([1.0, 2.0, 3.0])).gain_db == pytest.approx(20.0 * log10(2.0))
+    on_circle = np.array([-2.0j, -1.0j, -0.5j])
+    assert loop_margins(on_circle, np.array([1.0, 2.0, 4.0])).phase_deg == pytest.approx(90.0)
+
+
+AIRCRAFT = ("hexjet", "hexjet-100", "hexjet-p220", "octojet", "quadjet", "trijet", "jetwing", "quadrotor")
+
+
+@pytest.mark.parametrize("aircraft", AIRCRAFT)
+def test_the_computed_margins_are_those_of_a_count_of_the_encirclements(aircraft: str) -> None:
+    """Of every axis: half a per cent either side of a gain margin the turns of ``1 + k L`` about 0 are other ones and
+    between are not; lag, lead and delay put a point on -1, and less of them does not.  On a grid of its own."""
+    engine = engine_of(aircraft)
+    table = {"name": "x", "duration_s": 1.0, "aircraft": aircraft, "engine": engine, "controller": "smith"}
+    scenario = Scenario.from_table(table, Path(), "x")
+    vehicle, _ = scenario.resolved_vehicle()
+    plants = plants_of(scenario, vehicle, load_engine(engine, {}, scenario.step_s))
+    assert not isinstance(plants, str)
+    theta = np.unique(np.concatenate([np.geomspace(1e-5, pi, 40000), np.linspace(1e-3, pi, 40000)]))
+    z = np.exp(1j * theta)
+    z[-1] = -1.0
+    for axis, tuning in tunings_of(plants, scenario, vehicle, ["roll", "pitch", "yaw"]).items():
+        channel = plants.channels[axis]
+        found = ClosedLoop(FrequencyGrid(channel, close=FINE), tuning).margins
+        loop = ClosedLoop(FrequencyGrid(channel, z=z), tuning).open_loop
+
+        def turns(k: float, loop: Any = loop) -> int:
+            return round(float(np.ptp(np.unwrap(np.angle((1.0 + k * loop) * (1.0 - 1.0 / z) ** 3))[[0, -1]]) / pi))
+
+        def nearest(turn: Any, loop: Any = loop) -> float:
+            return float(np.abs(1.0 + loop * np.exp(-1j * turn)).min())
+
+        for decibel in (found.gain_db, found.gain_down_db):
+            if decibel is not None:
+                k = 10.0 ** (decibel / 20.0)
+                beyond = k ** (1.0 + 0.005 / abs(np.log(k)))
+                for between in np.geomspace(1.0, k, 12)[:-1]:
+                    assert turns(float(between)) == turns(1.0), (axis, decibel)
+                assert turns(beyond) != turns(1.0), (axis, decibel)
+        if found.gain_db is None:
+            assert all(turns(float(k)) == turns(1.0) for k in np.geomspace(1.0, 1e3, 60)), axis
+        for size, turned in (
+            (None if found.phase_deg is None else np.radians(found.phase_deg), 1.0),
+            (None if found.phase_lead_deg is None else -np.radians(found.phase_lead_deg), 1.0),
+            (found.delay_s, theta / channel.step),
+        ):
+            if size is not None:
+                assert nearest(size * turned) < 2e-3, axis
+                assert min(nearest(part * size * turned) for part in np.linspace(0.0, 0.9, 40)) > 5e-3, axis
+
+
+def test_the_gain_that_the_tilts_of_the_full_scale_allow_is_measured_at_half_the_rate() -> None:
+    """7.83 dB: flown with 2.4 times the gain it comes to rest, with 2.5 times its tilts change sign at every step."""
+    scenario = Scenario.load("full-scale-hover").replace(sensor_noise=False, expect=[])
+    found = measure_margins(scenario, ["pitch"], **SHORT)
+    pitch = found.axes["pitch"]
+    assert pitch.whole
+    assert pitch.response.margins["gain_db"].value == pytest.approx(7.83, abs=0.1)
+    off = pitch.off("gain_db")
+    assert off is not None
+    assert abs(off) < 0.01
+    said = found.to_dict()["axes"]["pitch"]["measured"]
+    assert (said["phase_lead_deg"], said["delay_less_s"]) == (None, None)
+    table = {row[0]: row for row in rows(pitch)}
+    assert (table["phase, lead"][1], table["delay, less"][1]) == ("none", "none")
 
 
 def test_bounds_hold_what_is_true_about_as_often_as_they_say() -> None:
