@@ -277,7 +277,7 @@ def _discretised(gain: float, slow: float, lags: list[float], step: float, sourc
 
 
 def turbojet(calibration: Calibration) -> list[Reach]:
-    """Which bandwidth each controller reaches, with the engines as flown and with the true turbojet.
+    """Which bandwidth each controller reaches, with the delayed fans and with the true turbojet.
 
     A search over rate gain, derivative in time constants of the engine, attitude gain, and what the predictor is tuned
     with; no integral, which costs every controller the same.
