@@ -100,7 +100,7 @@ def print_margins(margins: MeasuredMargins, paths: dict[str, Path]) -> None:
 
     console = terminal()
     console.print(
-        f"[bold]{margins.controller}[/bold] on {margins.scenario.aircraft}, engine {margins.scenario.engine}",
+        f"[bold]{margins.controller_shown}[/bold] on {margins.scenario.aircraft}, engine {margins.scenario.engine}",
         highlight=False,
     )
     for measured in margins.axes.values():

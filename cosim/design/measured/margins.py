@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
+from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FlightError, InputError, nearest
@@ -16,7 +17,7 @@ from cosim.simulation.build import build, find_controller
 from cosim.simulation.controllers.source import Source, of_object
 from cosim.simulation.delay_ledger import transport_samples
 from cosim.spec.controller_name import label, seen_from
-from cosim.spec.scenario import Scenario
+from cosim.spec.scenario import Scenario, controller_shown, flown_parameters
 
 PERIOD_S, LONG_S = 20.0, 60.0  # of the multisine; the longer one where the loop crosses over below WITHIN periods
 WITHIN = 10.0
@@ -77,6 +78,11 @@ class MeasuredMargins:
         """Its name without a folder."""
         return label(self.scenario.controller)
 
+    @property
+    def controller_shown(self) -> str:
+        """The controller for people: a design by its file and the first letters of its hash.  Raises InputError."""
+        return controller_shown(self.scenario)
+
     def to_dict(self) -> dict[str, Any]:
         """Everything that is not a curve, for JSON."""
         scenario, own = self.scenario, self.own
@@ -87,6 +93,10 @@ class MeasuredMargins:
             "controller_level": own.level if own else "built-in",
             "controller_sha256": own.sha256 if own else None,
             "controller_parameters": dict(scenario.controller_parameters),
+            "parameter_files": [
+                {"kind": each.kind, "file": Path(each.file).name, "sha256": each.sha256, "changed": each.changed}
+                for each in flown_parameters(scenario)
+            ],
             "seed": scenario.seed,
             "step_s": scenario.step_s,
             "sensor_noise": scenario.sensor_noise,

@@ -152,3 +152,13 @@ def test_an_older_summary_opens(design: Path, tmp_path: Path) -> None:
         del summary[key]
     (out / "summary.json").write_text(json.dumps(summary))
     assert open_run(out).summary.controller_shown == "state-disturbance"
+
+
+@pytest.mark.unit
+def test_margins_name_the_design(design: Path) -> None:
+    from cosim.design.measured.margins import MeasuredMargins
+
+    margins = MeasuredMargins(with_controller("hover", design), None, {}, "")
+    (given,) = margins.to_dict()["parameter_files"]
+    assert (given["kind"], given["file"], given["changed"]) == ("design", "my-design.toml", [])
+    assert margins.controller_shown == f"my-design {given['sha256'][:8]} (state-disturbance)"
