@@ -85,6 +85,7 @@ def write_report(run: Run, path: Path, shared_assets: bool = False) -> None:
         verdict=verdict(summary),
         badge=verdict_badge(summary),
         metrics=metric_table(summary),
+        axis_limits=axis_limits_line(summary),
         whole=whole_rows(summary),
         expectations=expectation_rows(summary),
         ledgers=ledgers(summary),
@@ -146,16 +147,24 @@ def _worst_error(summary: Summary) -> str:
 
 
 def metric_table(summary: Summary) -> list[dict[str, Any]]:
-    """One row an axis, commanded ones first, with its cells in the order of AXIS_ROWS."""
+    """Return a row for each axis, commanded ones first, with its cells in the order of AXIS_ROWS."""
     ordered = sorted(summary.metrics.items(), key=lambda item: not item[1].commanded)
     return [
         {
             "axis": axis,
             "commanded": metrics.commanded,
             "cells": [axis_cell(metrics, key, factor, digits) for _, key, _, factor, digits in AXIS_ROWS],
+            "beyond": [f"{axis}.{row.key}" in summary.beyond for row in AXIS_ROWS],
         }
         for axis, metrics in ordered
     ]
+
+
+def axis_limits_line(summary: Summary) -> str:
+    """Return the limits of the axes in words; an empty string for a flight that has none."""
+    limits = [(metric(name), most) for name, most in summary.limits.items() if name.split(".")[0] in summary.metrics]
+    said = ", ".join(f"{of.label} {of.factor * most:.4g} {of.unit}" for of, most in limits)
+    return f"Limits: {said}." if said else ""
 
 
 def whole_rows(summary: Summary) -> list[dict[str, Any]]:

@@ -31,6 +31,7 @@ from cosim.results.limits import (
     track_speed,
 )
 from cosim.results.metrics import metric_names
+from cosim.results.report.flight import write_report
 from cosim.results.run import open_run
 from cosim.simulation.script.commander import Commander
 from cosim.spec.scenario import FlightLimits, Scenario
@@ -175,15 +176,20 @@ def test_body_rates_are_asked_for_nowhere() -> None:
     assert set(limits) == {"altitude.max_abs_error_m", "effort.saturated_percent", "effort.alternating_percent"}
 
 
-def test_a_doublet_that_does_not_settle_is_beyond_its_limits() -> None:
+def test_a_doublet_that_does_not_settle_is_beyond_its_limits(tmp_path: Path) -> None:
     """63 % of overshoot, a degree of swing at the end: 40 samples of delay and a predictor that believes in 25."""
     late = Scenario.load("roll-doublet").replace(engine_parameters={"delay_samples": 40}, expect=[])
-    summary = fly(late).summary
+    run = fly(late)
+    summary = run.summary
     assert summary.metrics["roll"].settling_time_s is None
     assert (summary.outcome, summary.verdict, summary.succeeded) == ("completed", "beyond limits", False)
     assert summary.beyond == ["roll.settling_time_s", "roll.oscillation_rad"]
     assert summary.exceeded[0] == "roll settling time none, not settled, limit 2.857 s"
     assert summary.limits["roll.oscillation_rad"] == pytest.approx(0.05 * radians(10.0))
+    write_report(run, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert "Limits: roll settling time 2.857 s, roll residual oscillation 0.5 deg" in page
+    assert '<td class="unmet">not settled</td>' in page
     wide = fly(late.replace(limits={"settling_s": False, "oscillation_rad": radians(1.0)})).summary
     assert (wide.verdict, wide.beyond) == ("completed, nothing checked", [])
     assert "roll.settling_time_s" not in wide.limits
