@@ -18,6 +18,7 @@ from benchmarks.accuracy.check_cases import CASES, Compared, compare, fly_case, 
 from benchmarks.accuracy.flights import CLOSED, FLOWN_RUNS, RUNS, SCHEMES, closed_loop, courses, error, exact, fly_again
 from cosim.base.errors import InputError
 from cosim.results.report.marks import check_marks, table, write_marks
+from cosim.vehicle.executive import VERSION
 
 BESIDE = (SCHEMES["flown"], SCHEMES["masses"])  # of flights that are no study of methods
 CASE_MARK, FLIGHT_MARK, CLOSED_MARK, BARE_MARK = "check cases", "flights", "closed loop", "bare JSBSim"
@@ -105,7 +106,7 @@ def main(arguments: list[str] | None = None) -> int:
         if "flights" in wanted:
             parts[FLIGHT_MARK], parts[CLOSED_MARK] = flight_table(), closed_table()
         if "bare" in wanted:
-            parts[BARE_MARK] = table(["JSBSim alone", "comes to"], measure())
+            parts[BARE_MARK] = table([f"JSBSim {VERSION} alone", "comes to"], measure())
         if asked.page:
             write_marks(asked.page, parts)
     except InputError as problem:
