@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import tomllib
 from hashlib import sha256
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import Model
+
+_GIVEN: dict[tuple[str, str], bytes] = {}  # contents by path and hash, of files that a command or a study named
 
 
 class ParameterFile(Model):
@@ -32,13 +35,42 @@ def parameter_files(known: list[ParameterFile], kind: Literal["design", "models"
 
     Raises InputError if the file cannot be read.
     """
-    entry = {"kind": kind, "file": str(path.absolute()), "sha256": sha256(read_whole(path, str(path))).hexdigest()}
+    content = read_whole(path, str(path))
+    entry = {"kind": kind, "file": str(path.absolute()), "sha256": sha256(content).hexdigest()}
+    _GIVEN[entry["file"], entry["sha256"]] = content
     return [*(file.model_dump() for file in known if file.kind != kind), entry]
+
+
+def stated_content(entry: ParameterFile, folder: Path, where: str) -> bytes:
+    """Return the content of a parameter file, whose hash is the one stated.
+
+    What this process was given stays what it was, however its file was written over since, so that a session goes on
+    with it.  Raises InputError that begins with ``where`` for a file that is missing or another one.
+    """
+    path = folder / entry.file
+    given = _GIVEN.get((str(path.absolute()), entry.sha256))
+    if given is not None:
+        return given
+    content = read_whole(path, where)
+    found = sha256(content).hexdigest()
+    if found != entry.sha256:
+        raise InputError(f"{where}: {path}: is another file (SHA-256 {found[:12]}) than stated ({entry.sha256[:12]})")
+    return content
 
 
 def read_whole(path: Path, where: str) -> bytes:
     """Return a file's content.  Raises InputError that begins with ``where``."""
     try:
+        if path.exists() and not path.is_file():
+            raise InputError(f"{where}: {path}: is no file")
         return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{where}: {path}: {error.strerror or error}") from error
+    except (OSError, ValueError) as error:  # a name may have a zero in it
+        raise InputError(f"{where}: {path}: {getattr(error, 'strerror', None) or error}") from error
+
+
+def parsed(content: bytes, where: str) -> dict[str, Any]:
+    """Return a parameter file's table.  Raises InputError that begins with ``where`` if it is no TOML."""
+    try:
+        return tomllib.loads(content.decode())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{where}: not valid TOML: {str(error).splitlines()[0]}") from error

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from hashlib import sha256
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from cosim.base.errors import InputError
-from cosim.base.storage.toml import merge, read_toml
+from cosim.base.storage.toml import merge
 from cosim.spec.controller_name import SHORT, controller_words, label
-from cosim.spec.scenario.parameter_file import ParameterFile, read_whole
+from cosim.spec.scenario.parameter_file import ParameterFile, parsed, stated_content
 from cosim.spec.scenario.scenario import Scenario
 from cosim.spec.vehicle import is_file, is_own, load_vehicle
 
@@ -55,19 +54,13 @@ def flown_parameters(scenario: Scenario) -> list[FlownParameters]:
     flown = []
     for index, entry in enumerate(scenario.parameter_files):
         where = f"scenario {scenario.name}: parameter_files.{index}"
-        path = scenario.folder / entry.file
-        content = read_whole(path, where)
-        found = sha256(content).hexdigest()
-        if found != entry.sha256:
-            raise InputError(
-                f"{where}: {path}: is another file (SHA-256 {found[:12]}) than stated ({entry.sha256[:12]})"
-            )
-        table = read_toml(path)
+        content = stated_content(entry, scenario.folder, where)
+        table = parsed(content, where)
         controller = str(table.get("controller", "")) if entry.kind == "design" else ""
         changed = [] if controller in ("", scenario.controller) else ["controller"]
         stated = table.get("vehicle") if entry.kind == "design" else {"identified": table.get("identified")}
         changed += _not_in_effect(scenario, stated if isinstance(stated, dict) else {})
-        flown.append(FlownParameters(entry.kind, entry.file, found, content, controller, changed))
+        flown.append(FlownParameters(entry.kind, entry.file, entry.sha256, content, controller, changed))
     return flown
 
 
@@ -116,9 +109,9 @@ def changes_of(scenario: Scenario, parameters: list[FlownParameters]) -> list[st
 def _differing(scenario: Scenario, origin: Scenario, parameters: list[FlownParameters]) -> Iterator[tuple[str, Any]]:
     """Yield the keys whose values are others than the file's, but for those that a parameter file states so."""
     now, before = (dict(_leaves(_comparable(one))) for one in (scenario, origin))
-    kinds = {each.kind: scenario.folder / each.file for each in parameters}
-    design = read_toml(kinds["design"]).get("vehicle", {}) if "design" in kinds else {}
-    stated = dict(_leaves(design, "vehicle."))
+    kinds = {each.kind: parsed(each.content, each.file) for each in parameters}
+    design = kinds.get("design", {}).get("vehicle")
+    stated = dict(_leaves(design if isinstance(design, dict) else {}, "vehicle."))
     for key in dict.fromkeys([*now, *before]):
         modelled = "models" in kinds and key.startswith("vehicle.identified.")
         if now.get(key) != before.get(key) and not modelled and stated.get(key, now) != now.get(key):

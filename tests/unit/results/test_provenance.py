@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -72,6 +73,34 @@ def test_a_design_that_is_another_or_gone_does_not_fly(design: Path, tmp_path: P
     copy.unlink()
     with pytest.raises(InputError, match=r"parameter_files\.0: .*No such file"):
         fly(out / "scenario.toml")
+
+
+@pytest.mark.unit
+def test_a_session_goes_on_with_the_design_that_it_was_given(design: Path, tmp_path: Path) -> None:
+    scenario, content = with_controller("roll-doublet", design, SHORT), design.read_bytes()
+    design.write_text("written over")
+    run = fly(scenario, tmp_path / "run", report=False)
+    assert (tmp_path / "run" / "my-design.toml").read_bytes() == content
+    assert run.summary.parameter_files[0].changed == ()
+
+
+@pytest.mark.unit
+@pytest.mark.parametrize(
+    ("file", "content", "said"),
+    [
+        ("/dev/zero", None, "is no file"),
+        ("a\0b.toml", None, "null"),
+        ("x.toml", b"\xff\xfe", "not valid TOML"),
+        ("x.toml", b"= 3", "not valid TOML"),
+    ],
+)
+def test_a_parameter_file_of_somebody_else_is_data(file: str, content: bytes | None, said: str, tmp_path: Path) -> None:
+    if content is not None:
+        (tmp_path / file).write_bytes(content)
+    entry = {"kind": "design", "file": file, "sha256": sha256(content or b"").hexdigest()}
+    table = {"name": "theirs", "duration_s": 0.1, "parameter_files": [entry]}
+    with pytest.raises(InputError, match=rf"parameter_files\.0: .*{said}"):
+        fly(Scenario.from_table(table, tmp_path, "theirs"), report=False)
 
 
 @pytest.mark.unit
