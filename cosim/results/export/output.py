@@ -17,6 +17,7 @@ from cosim.results.columns import COLUMNS
 from cosim.results.events import events_of
 from cosim.results.export import ulog_autopilot
 from cosim.results.run import RUN_FILES, Run, Summary
+from cosim.results.verdict import NOT_COMPLETED
 from cosim.spec.scenario import Scenario
 
 Block = dict[str, Array]
@@ -44,7 +45,8 @@ def log_lines(run: Run, lines: Sequence[ulog_autopilot.Line]) -> list[LogLine]:
     texts += [LogLine(k, k * step, INFO, "pilot", text) for k, text in ulog_autopilot.mode_changes(lines)]
     level = INFO if summary.outcome == "completed" else ERROR
     end, last = summary.steps, summary.duration_s
-    texts.append(LogLine(end, last, level, "outcome", summary.ending))
+    worth = "" if summary.verdict in (None, NOT_COMPLETED) else f"; {summary.verdict}"
+    texts.append(LogLine(end, last, level, "outcome", f"{summary.outcome}: {summary.reason}{worth}"))
     texts += [LogLine(end, last, ERROR, "limit", f"beyond its limit: {text}") for text in summary.exceeded]
     for event in events_of(run):
         if event.kind != "pilot":
