@@ -53,6 +53,27 @@ class LevelRecord(Model):
     axes: dict[str, AxisRecord]
 
 
+class FlownRecord(Model):
+    """One flight of the proof with the gains that ship and with the designed ones, measured; a flight does not read it.
+
+    By the keys of :data:`cosim.design.as_flown.MEASURES`; what a flight does not tell is left out.
+    """
+
+    flight: str
+    shipped_lost: str = ""  # when, where the gains that ship could not fly this
+    shipped: dict[str, float] = Field(default_factory=dict)
+    designed: dict[str, float] = Field(default_factory=dict)
+
+
+class ProofRecord(Model):
+    """What a design was flown with before it was believed; a flight does not read it."""
+
+    flights: int  # all kept what was promised
+    lean_deg: float  # to which the doublets went
+    worse: list[str] = Field(default_factory=list)  # what is worse as flown than with the gains that ship
+    flown: list[FlownRecord] = Field(default_factory=list)
+
+
 class Purpose(Model):
     """What a controller was designed for."""
 
@@ -72,6 +93,7 @@ class Purpose(Model):
     requirements: Requirements
     axes: dict[str, AxisRecord]
     levels: list[LevelRecord] = Field(default_factory=list)
+    proof: ProofRecord | None = None  # None: it was left out, or a file from before it was stated
 
 
 class ControllerFile(Model):

@@ -9,9 +9,11 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.design.controller_file import AxisRecord, LevelRecord, Purpose
+from cosim.design.as_flown import FlownMeasures, worse_lines
+from cosim.design.controller_file import AxisRecord, FlownRecord, LevelRecord, ProofRecord, Purpose
 from cosim.design.design import Assessment, Design
 from cosim.design.loop.channel import Channel
+from cosim.design.proof import Proof
 from cosim.spec.vehicle import RateModel
 
 
@@ -88,12 +90,35 @@ def controller_table(design: Design) -> dict[str, Any]:
             )
             for level in design.levels
         ],
+        proof=proof_record(design.proof) if design.proof else None,
     )
     return {
         "controller": roll.controller,
         "vehicle": vehicle,
         "design": purpose.model_dump(mode="json", exclude_none=True),
     }
+
+
+def proof_record(proof: Proof) -> ProofRecord:
+    """Return what a controller file says of its proof."""
+    return ProofRecord(
+        flights=len(proof.flights),
+        lean_deg=_rounded(proof.lean_deg),
+        worse=worse_lines(proof.compared),
+        flown=[
+            FlownRecord(
+                flight=pair.flight,
+                shipped_lost=pair.shipped.lost,
+                shipped=_measured(pair.shipped),
+                designed=_measured(pair.designed),
+            )
+            for pair in proof.compared
+        ],
+    )
+
+
+def _measured(flown: FlownMeasures) -> dict[str, float]:
+    return {key: _rounded(value) for key, value in flown.values.items() if value is not None}
 
 
 def _all_rounded(table: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,23 +6,34 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 
+from cosim.design.as_flown import FlownMeasures, FlownPair
+
 
 @dataclass(frozen=True)
 class ProofFlight:
-    """One flight of a proof."""
+    """One flight of a proof.
+
+    ``flown``: what was measured of it; None where it was not flown (older code, tests).
+    """
 
     scenario: str
     gain: float  # times that of roll, pitch and yaw
     later: int  # control steps
     fault: str  # what it did that was not promised; empty where it kept it
+    engine: str = ""  # which engine was off, and by how much; empty where all are the same
+    flown: FlownMeasures | None = None
 
     @property
     def words(self) -> str:
         """Which flight it is."""
-        where = (
-            "as designed" if (self.gain, self.later) == (1.0, 0) else f"gain {self.gain:.2f}, {self.later} steps later"
-        )
-        return f"{self.scenario}, {where}"
+        corner = f"gain {self.gain:.2f}, {self.later} steps later"
+        where = "as designed" if self.is_as_designed else corner
+        return f"{self.scenario}, {self.engine or where}"
+
+    @property
+    def is_as_designed(self) -> bool:
+        """Whether vehicle and engines were those of the design."""
+        return (self.gain, self.later) == (1.0, 0) and not self.engine
 
 
 @dataclass(frozen=True)
@@ -36,6 +47,8 @@ class Proof:
     above: float  # greatest loop gain where nothing was measured
     flights: Sequence[ProofFlight]
     unsure: tuple[tuple[float, float], ...] = ()  # (Hz, share): how far the measured response was off; where it fails
+    compared: Sequence[FlownPair] = ()  # with the gains that ship; empty where nothing was flown
+    lean_deg: float = 0.0  # to which the doublets went; 0 where nothing was flown
 
     def lines(self) -> list[str]:
         """A sentence each."""
@@ -50,6 +63,11 @@ class Proof:
             kept = sum(not flight.fault for flight in self.flights)
             said.append(
                 f"flown in six degrees of freedom with noise and the engine itself: {kept} of {len(self.flights)} "
-                "flights kept what was promised (hover, doublet, gust; as designed and at the tolerances' corners)"
+                f"flights kept what was promised ({self._flown_words()})"
             )
         return said
+
+    def _flown_words(self) -> str:
+        names = ", ".join(dict.fromkeys(flight.scenario for flight in self.flights if not flight.engine))
+        odd = "; one engine off" if any(flight.engine for flight in self.flights) else ""
+        return f"{names}: as designed and at the tolerances' corners{odd}"

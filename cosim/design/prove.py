@@ -10,8 +10,10 @@ throttle, a limit on its acceleration, dead times that differ up and down.  So e
    :data:`ABOVE`, and the measured response takes the model's place.  With ``T = L / (1 + L)`` and ``r`` measured over
    model, the loop keeps its number of unstable poles while ``|T (r - 1)| < 1`` (the small gain theorem), and its
    sensitivity is ``1 / (1 + r L)``.
-3. Hover, roll doublet and gust are flown with noise and the engine itself, as designed and at the corners of the
-   tolerances.
+3. Hover, roll doublets and gust are flown with noise and the engine itself, as designed, at the corners of the
+   tolerances, and with one engine off (:mod:`cosim.design.proof_flights`); the doublets to the lean that the pilot may
+   ask for.
+4. Hover and doublets are flown with the gains that ship too, for a comparison (:mod:`cosim.design.as_flown`).
 
 An FMU cannot be made to answer earlier than it does: the earlier half of the delay's tolerance is left to the linear
 loop, unless the engine states a parameter for it.
@@ -19,26 +21,21 @@ loop, unless the engine states a parameter for it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
-from math import ceil, degrees, floor, pi
-from typing import Any
+from math import pi
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import EngineError, InputError
-from cosim.base.storage.toml import merge, read_toml
-from cosim.design.controller_table import controller_table
 from cosim.design.design import Design, throttle_for
 from cosim.design.identify.engine import fly_sweep
 from cosim.design.identify.result import Sweep, suitable_duration
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import Dynamics, bounds
-from cosim.design.proof import Proof, ProofFlight
-from cosim.flight import fly
-from cosim.results.run import Run
-from cosim.spec.scenario import Scenario, find_scenario
+from cosim.design.proof import Proof
+from cosim.design.proof_flights import compare_with_shipped, fly_all, lean_of
 
 MOST_MISFIT = 0.50  # of the response, half of it or 29 deg; chosen by us: a predictor is told nothing by such a model
 PAST = 3.0  # times the crossover, up to where the engine is measured
@@ -46,16 +43,6 @@ MOST_HZ = 0.4  # over the control step: the highest that is swept
 SHARE_LEFT = 0.8  # of what stability allows, |T (r - 1)| at most
 WORSE = 1.25  # times the sensitivity asked for, that of the measured loop at most
 ABOVE = 0.5  # loop gain where nothing was measured, at most: the engine may answer twice as much as its model
-
-# Of flights; chosen by us: 1 deg is the twentieth of a doublet's change of 20 deg, to which a settling time is counted.
-STILL_DEG = 1.0  # in hover, of the second half, and what is left of a doublet's swing
-OVERSHOOT = 0.10  # more than promised, for noise and what is not linear
-GUST_DEG = 25.0  # in the gust, of roll and pitch: the doublet's amplitude is 10 deg
-HEIGHT_M = 2.0  # off the height, at most
-CORNER = 2.0  # times these, at a corner of the tolerances, where stability alone is promised
-LARGE_KG = 20.0  # from here on the gust is that of the full scale
-HOVER_S = 20.0
-
 
 Again = Callable[[tuple[tuple[float, float], ...]], Design]
 
@@ -100,13 +87,14 @@ def prove(design: Design, say: Callable[[str], None] = lambda text: None) -> Pro
         proof = _measured(design, dynamics)
         if proof.reason:
             return proof
-    flights = _fly_all(design, say)
+    flights = fly_all(design, say)
     bad = [flight for flight in flights if flight.fault]
     reason = ""
     if bad:
         more = f" (and {len(bad) - 1} of {len(flights)} flights more)" if len(bad) > 1 else ""
         reason = f"flown with the engine itself it does not keep what it promises: {bad[0].words}: {bad[0].fault}{more}"
-    return replace(proof, reason=reason, flights=flights)
+    compared = compare_with_shipped(design, flights, say)
+    return replace(proof, reason=reason, flights=flights, compared=compared, lean_deg=lean_of(design.vehicle))
 
 
 # ---- the loop, with what was measured in place of the model
@@ -174,88 +162,3 @@ def _crossover(closed: ClosedLoop, gain: float = 1.0) -> float:
     """Hz, the highest at which the loop has this gain."""
     over = np.flatnonzero(np.abs(closed.open_loop) >= gain)
     return float(closed.points.theta[over[-1]] / (2.0 * pi * closed.points.channel.step)) if len(over) else 0.0
-
-
-# ---- flights
-
-
-def _fly_all(design: Design, say: Callable[[str], None]) -> list[ProofFlight]:
-    need, roll = design.need, design.axes["roll"]
-    assert roll.after is not None
-    later = floor(need.delay_samples(roll.channel))
-    low, high = 1.0 - need.gain_tolerance, 1.0 + need.gain_tolerance
-    corners = dict.fromkeys([(1.0, 0), (low, 0), (high, 0), (low, later), (high, later)])
-    tables = _tables(design)
-    flights: list[ProofFlight] = []
-    for gain, steps in corners:
-        for name, table in tables.items():
-            say(f"flight: {name}, gain {gain:.2f}, {steps} steps later")
-            flights.append(ProofFlight(name, gain, steps, _flight(design, name, table, gain, steps)))
-        if any(flight.fault for flight in flights[-len(tables) :]):
-            break  # one corner that fails is enough
-    return flights
-
-
-def _tables(design: Design) -> dict[str, dict[str, Any]]:
-    roll = design.axes["roll"].after
-    assert roll is not None
-    assert roll.bandwidth_hz is not None
-    # a side lasts 3 s, or twenty time constants of a loop that is slower: it has arrived at its end
-    width = max(3.0, ceil(20.0 / (2.0 * pi * roll.bandwidth_hz)))
-    doublet = read_toml(find_scenario("roll-doublet"))
-    doublet = merge(doublet, {"duration_s": 1.0 + 4.0 * width})
-    doublet["command"] = [{**doublet["command"][0], "width_s": width}]
-    hover = merge(read_toml(find_scenario("hover")), {"duration_s": max(HOVER_S, 2.0 * width)})
-    gust = read_toml(find_scenario("gust" if design.vehicle.mass_kg < LARGE_KG else "full-scale-gust"))
-    return {"hover": hover, "doublet": doublet, "gust": gust}
-
-
-def _flight(design: Design, name: str, table: Mapping[str, Any], gain: float, later: int) -> str:
-    made, given = controller_table(design), design.scenario
-    inertia = [moment / gain for moment in design.vehicle.inertia_kg_m2]
-    vehicle = merge(merge(table.get("vehicle", {}), given.vehicle), made["vehicle"])
-    flown = {
-        "name": f"proof-{name}",
-        "aircraft": given.aircraft,
-        "engine": given.engine,
-        "engine_parameters": dict(given.engine_parameters),
-        "engine_unchecked": True,  # it was measured already
-        "engine_isolated": not design.engine.library,  # a crash or a hang is a reason, not an end
-        "step_s": given.step_s,
-        "substeps": given.substeps,
-        "added_delay_samples": given.added_delay_samples,
-        "controller": made["controller"],
-        "vehicle": merge(vehicle, {"inertia_kg_m2": inertia} if gain != 1.0 else {}),
-        "mismatch": {"delay_samples": later},
-        "expect": [],
-        "limits": {},
-    }
-    scenario = Scenario.from_table({**table, **flown}, given.folder, f"proof: {name}")
-    run = fly(scenario, report=False)
-    return fault_of(name, run, design.axes["roll"].after.overshoot or 0.0, 1.0 if (gain, later) == (1.0, 0) else CORNER)  # type: ignore[union-attr]
-
-
-def fault_of(name: str, run: Run, promised: float, wider: float) -> str:
-    """What a flight did that was not promised, or nothing; ``wider`` times the bounds are allowed."""
-    if run.outcome != "completed":
-        return f"{run.outcome}, {run.reason}"
-    log = run.log
-    half = len(log["time_s"]) // 2
-    height = float(np.abs(log["altitude_m"] - log["altitude_setpoint_m"]).max())
-    for axis in ("roll", "pitch"):
-        angle = np.degrees(np.abs(log[f"{axis}_rad"] - log[f"{axis}_setpoint_rad"]))
-        if name == "hover" and angle[half:].max() > wider * STILL_DEG:
-            return f"{axis} swings by {angle[half:].max():.1f} deg, {wider * STILL_DEG:g} at most"
-        if name == "gust" and angle.max() > wider * GUST_DEG:
-            return f"{axis} goes {angle.max():.0f} deg off, {wider * GUST_DEG:g} at most"
-    if name == "doublet":
-        roll = run.metrics["roll"]
-        over, most = (roll.overshoot_percent or 0.0) / 100.0, wider * (promised + OVERSHOOT)
-        if over > most:
-            return f"overshoot of {100.0 * over:.0f} %, {100.0 * promised:.0f} % promised"
-        swing = degrees(roll.oscillation_rad or 0.0)
-        if swing > wider * STILL_DEG:
-            return f"roll still swings by {swing:.1f} deg at its end, {wider * STILL_DEG:g} at most"
-    if height > wider * HEIGHT_M:
-        return f"{height:.1f} m off its height, {wider * HEIGHT_M:g} at most"
-    return ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from math import degrees, exp, inf, isfinite
 from pathlib import Path
@@ -11,6 +11,14 @@ from typing import Any
 from cosim.base.signals import AXES
 from cosim.base.storage.files import finite, write_files
 from cosim.base.storage.toml import toml_text
+from cosim.design.as_flown import (
+    WORSE,
+    WORSE_WORDS,
+    comparison_columns,
+    comparison_lines,
+    comparison_rows,
+    worse_lines,
+)
 from cosim.design.controller_table import controller_table
 from cosim.design.design import (
     WITH_LEAD,
@@ -20,6 +28,7 @@ from cosim.design.design import (
 )
 from cosim.design.figures import design_figures
 from cosim.design.loop.channel import Channel
+from cosim.design.loop.closed_loop import window_s
 from cosim.design.loop.firmware import Firmware
 from cosim.flight import new_folder
 from cosim.results.report.page import render
@@ -50,9 +59,14 @@ def write(design: Design, out: Path | None) -> dict[str, Path]:
         design_figures(design),
         found=design,
         lines=summary_lines(design),
-        wrong=lambda line: "NOT" in line or "no acceptable" in line,
+        wrong=lambda line: "NOT" in line or "no acceptable" in line or line.startswith(WORSE),
         columns=COLUMNS,
         rows=rows(design),
+        row_lines=row_lines(design),
+        compared=design.proof.compared if design.proof else (),
+        compared_columns=comparison_columns,
+        compared_rows=comparison_rows,
+        worse_words=WORSE_WORDS,
         axes=list(design.axes),
     )
     return paths
@@ -89,6 +103,7 @@ def to_dict(design: Design, paths: Mapping[str, Path] | None = None) -> dict[str
         "schedule": design.schedule.model_dump(exclude_none=True) if design.schedule else None,
         "file": controller_table(design) if design.ok else None,
         "proof": finite(design.proof) if design.proof else None,
+        "worse": worse_lines(design.proof.compared) if design.proof else [],
         "paths": {name: str(path) for name, path in (paths or {}).items()},
     }
 
@@ -133,31 +148,41 @@ def _assessment_dict(assessment: Assessment | None) -> dict[str, Any] | None:
 
 
 def summary_lines(design: Design) -> list[str]:
-    """What a person has to know, a sentence each."""
-    lines = [*_model_lines(design)]
+    """Return what a person has to know, a sentence each, the answer first."""
+    return [*answer_lines(design), *detail_lines(design)]
+
+
+def answer_lines(design: Design) -> list[str]:
+    """Return the answer: the controller, what is worse with it, what limits it; or why there is none."""
     if not design.ok:
-        lines.append(f"no acceptable design: {design.reason}")
-        lines += design.proof.lines() if design.proof else []
-        lines += _allowing_lines(design)
-        return lines
+        return [f"no acceptable design: {design.reason}", *_allowing_lines(design)]
     roll = design.axes["roll"]
-    assert roll.after is not None
+    lines = [f"controller: {design.controller}; {_compared(roll)}"]
+    lines += comparison_lines(design.proof.compared) if design.proof else []
+    if design.proof is None and design.firmware is None:
+        lines.append("not flown: the proof was left out")
+    return [*lines, *_limit_lines(roll), *(design.proof.lines() if design.proof else [])]
+
+
+def detail_lines(design: Design) -> list[str]:
+    """Return what the answer rests on."""
+    lines = _model_lines(design)
+    if not design.ok:
+        return [*lines, *(design.proof.lines() if design.proof else [])]
     if design.firmware is not None:
         lines += _firmware_lines(design, design.firmware)
-    lines.append(f"controller: {design.controller}; {_compared(roll)}")
     lines += [
         f"{axis}: {_lead_words(axis_design.after.tuning.lead)}"
         for axis, axis_design in design.axes.items()
         if axis_design.after is not None and axis_design.after.tuning.lead is not None
     ]
-    lines += _limit_lines(roll)
     lines.append(_reach(design))
     lines += _level_lines(design)
     for axis, axis_design in design.axes.items():
         lines += [
             f"{axis}: {'stable' if fine else 'NOT stable'} for {what}" for what, fine in axis_design.checks.items()
         ]
-    return [*lines, *(design.proof.lines() if design.proof else [])]
+    return lines
 
 
 def _firmware_lines(design: Design, firmware: Firmware) -> list[str]:
@@ -342,22 +367,55 @@ COLUMNS = (
 
 
 def rows(design: Design) -> list[list[str]]:
-    """Before and after of every channel, and while fuel burns, as :data:`COLUMNS`."""
+    """Return before and after of every channel, and what differs from it while fuel burns, as :data:`COLUMNS`."""
     table = []
     for axis, axis_design in design.axes.items():
         for when, state in (("shipped", axis_design.before), ("designed", axis_design.after)):
             if state is not None:
-                table.append([f"{axis}, {when}", *_cells(state)])
+                table.append([f"{axis}, {when}", *_cells(state, axis_design.channel)])
+    full = {row[0].removesuffix(", designed"): row[1:] for row in table}
+    different: dict[tuple[str, ...], list[str]] = {}
+    for axis, when, fuel, cells in _level_cells(design):
+        if cells != full[axis]:
+            different.setdefault((axis, when, *cells), []).append(f"{fuel:.0%}")
+    return table + [
+        [f"{axis}, {', '.join(fuels)} of fuel, {when}", *cells] for (axis, when, *cells), fuels in different.items()
+    ]
+
+
+def row_lines(design: Design) -> list[str]:
+    """Return what :func:`rows` leaves out, and why a cell has no number, a sentence each."""
+    states = [
+        state for axis_design in design.axes.values() for state in (axis_design.before, axis_design.after) if state
+    ]
+    lines = []
+    if any(state.stable and state.settling_s is None for state in states):
+        lines.append(
+            "settled > N s: a step is not within 5 % after N s, as long as the linear loop is looked at (50 times the "
+            "channel's delay)"
+        )
+    full = {axis: _cells(each.after, each.channel) for axis, each in design.axes.items() if each.after is not None}
+    changed = {axis for axis, _, _, cells in _level_cells(design) if cells != full[axis]}
+    fuels = [level.level.fuel for level in design.levels]
+    lines += [
+        f"{axis}, designed: the same at {100.0 * fuels[0]:.0f} to {100.0 * fuels[-1]:.0f} % of the fuel"
+        for axis in (design.levels[0].held if design.levels else ())
+        if axis not in changed
+    ]
+    return lines
+
+
+def _level_cells(design: Design) -> Iterator[tuple[str, str, float, list[str]]]:
+    """Every level of fuel by axis: with the gains of a full tank, and as the schedule has it where there is one."""
     for level in design.levels:
-        for axis in level.held:
-            where = f"{axis}, {level.level.fuel:.0%} of fuel"
-            table.append([f"{where}, held", *_cells(level.held[axis])])
+        for axis, state in level.held.items():
+            channel = level.level.channels[axis]
+            yield axis, "held", level.level.fuel, _cells(state, channel)
             if design.schedule is not None:
-                table.append([f"{where}, scheduled", *_cells(level.after[axis])])
-    return table
+                yield axis, "scheduled", level.level.fuel, _cells(level.after[axis], channel)
 
 
-def _cells(state: Assessment) -> list[str]:
+def _cells(state: Assessment, channel: Channel) -> list[str]:
     gains = state.tuning.gains
     first = [
         state.controller + (WITH_LEAD if state.tuning.lead else ""),
@@ -376,7 +434,7 @@ def _cells(state: Assessment) -> list[str]:
         _number(None if m.delay_s is None else 1e3 * m.delay_s, 0),
         _number(state.bandwidth_hz, 2),
         _number(None if state.overshoot is None else 100.0 * state.overshoot, 1),
-        _number(state.settling_s, 2),
+        f"> {window_s(channel):.2g}" if state.settling_s is None else _number(state.settling_s, 2),
         _number(state.tolerated, 2),
     ]
 

@@ -28,7 +28,7 @@ enum { LINE = 2048, MOST = 6 };
 #define PI 3.14159265358979323846
 
 typedef struct {
-    double line[LINE], held, x, x2, m, dm, soak, slow, more[8], y;
+    double line[LINE], held, x, x2, m, dm, soak, slow, more[8], y, mean, surged;
 } One;
 
 #define FIELD(name, otherwise) double name;
@@ -38,7 +38,8 @@ typedef struct {
     0.0) X(sign, 1.0) X(drag, 0.0) X(crashes, 0.0) X(hangs, 0.0) X(floods, 0.0) X(engines, 1.0) \
     X(over, 0.0) X(over_s, 4.0) X(warm, 0.0) X(warm_s, 45.0) X(more, 0.0) X(more_s, 0.05) X(delta, 0.0) \
     X(prints, 0.0) X(threads, 0.0) X(dies, 0.0) X(leaks, 0.0) X(uneven, 0.0) X(coupled, 0.0) \
-    X(forward, 0.0) X(right, 0.0) X(torque, 0.0) X(clocked, 0.0) X(strict, 0.0)
+    X(forward, 0.0) X(right, 0.0) X(torque, 0.0) X(clocked, 0.0) X(strict, 0.0) \
+    X(surge, 0.0)
 
 typedef struct {
     PARTS(FIELD)
@@ -136,6 +137,11 @@ static void part(Engine *e, One *s, double u)
     if (e->of.over != 0.0) { /* thrust goes beyond what it comes to, and back slowly */
         s->slow += (y - s->slow) * -expm1(-H / e->of.over_s);
         y += e->of.over * (y - s->slow);
+    }
+    if (e->of.surge > 0.0) { /* a throttle that is opened so far within 50 ms halves the thrust for 0.6 s */
+        s->mean += (u - s->mean) * -expm1(-H / 0.05);
+        s->surged = u - s->mean > e->of.surge ? 0.6 : fmax(s->surged - H, 0.0);
+        y *= s->surged > 0.0 ? 0.5 : 1.0;
     }
     s->soak += (s->x - s->soak) * -expm1(-H / 120.0);
     s->y = y * (1.0 - e->of.soak * s->soak) + e->of.hunts * sin(2.0 * PI * 1.3 * e->time);

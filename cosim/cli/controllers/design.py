@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +15,8 @@ from cosim.cli.console import output_to_stderr, part_progress, terminal
 from cosim.cli.options import DONE, FLIGHT_FAILED, Number, engine_for, example, offer_to_compile, warn_of_blemishes
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from cosim.design.design import Design
 
 
@@ -115,7 +118,9 @@ def design(
     """Design a controller for an engine on an aircraft: predictor, its model, and the gains of all axes.
 
     Writes a controller file for hexjet fly --controller, and a page beside it.  A design ends with its proof: the loops
-    with the engine's own response, and hover, doublet and gust flown with noise at the corners of the tolerances.
+    with the engine's own response, and hover, gust, and doublets to the lean that the pilot may ask for, flown with
+    noise, at the corners of the tolerances and with one engine off.  What is worse as flown than with the gains that
+    ship is said first.
     Status 1: no design keeps the requirements, and what would allow one; or its proof failed, and where.
     """
     from cosim.base.runtime.threads import one_thread
@@ -184,27 +189,40 @@ def design(
 
 
 def print_design(design: Design, paths: dict[str, Path]) -> None:
-    """The model, shipped and designed margins, what limits the design or why there is none, and the files."""
+    """Print the answer and the files, the margins of the linear loops, what they rest on, and the flights compared."""
+    from cosim.design.as_flown import WORSE_WORDS, comparison_columns, comparison_rows
+    from cosim.design.result import COLUMNS, answer_lines, detail_lines, row_lines, rows
+
+    console = terminal()
+
+    def print_lines(lines: Iterable[str]) -> None:
+        for line in lines:
+            console.print(line, highlight=False, markup=False)
+
+    console.print(f"{design.vehicle.name} with engine [bold]{design.engine.name}[/bold]", highlight=False)
+    print_lines(answer_lines(design))
+    for name, path in paths.items():
+        console.print(f"{name}: {path}", highlight=False, soft_wrap=True)
+    shown = [k for k, column in enumerate(COLUMNS) if column not in ("attitude 1/s", "P", "I", "D", "delay ms")]
+    columns = [list(column) for column in zip(COLUMNS, *rows(design), strict=True)]
+    _print_side_by_side(console, [columns[k] for k in shown])
+    print_lines([*row_lines(design), *detail_lines(design)])
+    if design.proof is not None and design.proof.compared:
+        compared = design.proof.compared
+        _print_side_by_side(console, [comparison_columns(compared), *comparison_rows(compared)])
+        print_lines([WORSE_WORDS])
+
+
+def _print_side_by_side(console: Console, lines: Sequence[Sequence[str]]) -> None:
+    """Print a table, headings first, in pieces of as many pairs of columns as the terminal is wide."""
     from rich import box
     from rich.table import Table
 
-    from cosim.design.result import COLUMNS, rows, summary_lines
-
-    console = terminal()
-    console.print(f"{design.vehicle.name} with engine [bold]{design.engine.name}[/bold]", highlight=False)
-    shown = [k for k, column in enumerate(COLUMNS) if column not in ("attitude 1/s", "P", "I", "D", "delay ms")]
-    table_rows = rows(design)
-    # so many stand side by side: before and after together where they fit
     side = max(1, (console.width - 14) // 40 * 2)
-    for first in range(0, len(table_rows), side):
+    for first in range(1, len(lines[0]), side):
         table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
-        beside = table_rows[first : first + side]
-        for n, heading in enumerate((COLUMNS[0], *(row[0] for row in beside))):
+        for n, heading in enumerate((lines[0][0], *lines[0][first : first + side])):
             table.add_column(heading, justify="right" if n else "left")
-        for k in shown[1:]:
-            table.add_row(COLUMNS[k], *(row[k] for row in beside))
+        for line in lines[1:]:
+            table.add_row(line[0], *line[first : first + side])
         console.print(table)
-    for line in summary_lines(design):
-        console.print(line, highlight=False, markup=False)
-    for name, path in paths.items():
-        console.print(f"{name}: {path}", highlight=False, soft_wrap=True)

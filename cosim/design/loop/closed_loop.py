@@ -64,6 +64,11 @@ class FrequencyGrid:
         self.unsure = channel.actuator.dynamics.uncertainty(hertz) if channel.identified is None else None
 
 
+def window_s(channel: Channel) -> float:
+    """Return for how long responses in time of a channel are looked at, s."""
+    return max(WINDOW * channel.pace_s, LONGEST * channel.longest_s)
+
+
 class ClosedLoop:
     """A channel closed with a tuning, at the points."""
 
@@ -161,7 +166,7 @@ class ClosedLoop:
     def steps(self) -> Steps:
         """Unit steps of set-point and load over :data:`WINDOW` times the channel's pace, exactly."""
         channel = self.points.channel
-        samples = ceil(max(WINDOW * channel.pace_s, LONGEST * channel.longest_s) / channel.step)
+        samples = ceil(window_s(channel) / channel.step)
         if self.tuning.firmware is not None or PREDICTORS[self.tuning.controller].space is None:
             return steps_by_response(channel, self.tuning, samples)
         return self.space.steps(samples)

@@ -16,8 +16,11 @@ from foreign_engines import foreign, mapped
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml
 from cosim.design import design as making
+from cosim.design import proof_flights as flying
 from cosim.design import prove as proving
 from cosim.design import tune as search
+from cosim.design.as_flown import FlownMeasures, FlownPair, comparison_lines, comparison_rows, worse_lines
+from cosim.design.controller_file import ControllerFile
 from cosim.design.controller_table import controller_table
 from cosim.design.design import Design, design
 from cosim.design.identify.response import FrequencyResponse
@@ -25,7 +28,8 @@ from cosim.design.loop.channel import Actuator, channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import bounds, fit_dynamics, with_misfit
 from cosim.design.proof import Proof
-from cosim.design.prove import CORNER, fault_of, prove, proved
+from cosim.design.proof_flights import CORNER, fault_of
+from cosim.design.prove import prove, proved
 from cosim.design.result import summary_lines, to_dict
 from cosim.design.tune import Requirements
 from cosim.engine import load_engine
@@ -102,7 +106,7 @@ def test_a_misfit_is_no_design(monkeypatch: pytest.MonkeyPatch, sound: Design) -
     actuator = height.channel.actuator
     wrong = replace(actuator, dynamics=replace(actuator.dynamics, misfit=0.62))
     axes = {**made.axes, "altitude": replace(height, channel=replace(height.channel, actuator=wrong))}
-    monkeypatch.setattr(proving, "_fly_all", lambda *a: pytest.fail("flown all the same"))
+    monkeypatch.setattr(proving, "fly_all", lambda *a: pytest.fail("flown all the same"))
     found = proved(replace(made, axes=axes))
     assert not found.ok
     assert "the best one is 62 % off its response" in found.reason
@@ -197,12 +201,24 @@ def test_a_sound_engine_is_proved_and_the_proof_is_told(sound: Design) -> None:
     found = proved(sound)
     assert found.ok, found.reason
     assert found.proof is not None
-    assert len(found.proof.flights) == 15
+    assert len(found.proof.flights) == 22
+    assert found.proof.lean_deg == pytest.approx(20.0)
+    assert sum("with 0.70 of its thrust and 1.30 times its lag" in each.words for each in found.proof.flights) == 1
     assert {(each.gain, each.later) for each in found.proof.flights} >= {(0.7, 3), (1.3, 3), (1.0, 0)}
     assert found.proof.sensitivity <= 1.7 * 1.02  # the measured loop's, an engine whose model is exact
     assert found.proof.share < 0.05
-    assert any("15 of 15 flights" in line for line in summary_lines(found))
+    assert any("22 of 22 flights" in line for line in summary_lines(found))
     assert to_dict(found)["proof"]["flights"][0]["fault"] == ""
+    # the same flights with the gains that ship, in the file too, which still is one
+    assert [each.flight for each in found.proof.compared] == ["hover", "doublet", "doublet to 20 deg"]
+    written = ControllerFile.model_validate(controller_table(found)).design.proof
+    assert written is not None
+    assert (written.flights, written.lean_deg) == (22, 20.0)
+    flown = found.proof.flights[1].flown
+    assert flown is not None
+    assert written.flown[1].designed["throttle_activity_1_s"] == pytest.approx(
+        flown.values["throttle_activity_1_s"], rel=1e-5
+    )
 
 
 def test_a_light_mode_past_the_band_is_found_by_measuring_there(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -213,7 +229,7 @@ def test_a_light_mode_past_the_band_is_found_by_measuring_there(place: Path, mon
     """
     monkeypatch.setattr(search, "GENERATIONS", GENERATIONS)
     monkeypatch.setattr(search, "ROUNDS", ROUNDS)
-    monkeypatch.setattr(proving, "_fly_all", lambda *a: pytest.fail("flown all the same"))
+    monkeypatch.setattr(proving, "fly_all", lambda *a: pytest.fail("flown all the same"))
     made = quick(foreign(place, "mode", "lag=0.4,mode=0.01,mode_hz=9,damping=0.01"), lead=True)
     assert made.ok
     found = prove(made)
@@ -231,7 +247,77 @@ def test_what_only_a_flight_shows_is_no_design(place: Path, sound: Design) -> No
     assert to_dict(found)["file"] is None
     assert any(line.startswith("no acceptable design: flown") for line in summary_lines(found))
     assert found.proof is not None
-    assert len(found.proof.flights) == 3  # a corner that fails is enough
+    assert len(found.proof.flights) == 4  # a corner that fails is enough
+
+
+def test_an_engine_that_surges_on_a_fast_throttle_is_no_design(place: Path, sound: Design) -> None:
+    """It keeps what was promised at 10 deg, with every corner; the pilot may ask for 20."""
+    surges = foreign(place, "surges", f"lag=0.15,delay=0.04,surge={SURGE}")
+    made = replace(sound, scenario=sound.scenario.replace(engine=str(surges)))
+    tables = flying.flight_tables(made)
+    low, high = [name for name in tables if name.startswith("doublet")]
+    assert (low, high) == ("doublet", "doublet to 20 deg")
+    for gain, later in [(1.0, 0), (0.7, 0), (1.3, 0), (0.7, 3), (1.3, 3)]:
+        assert flying.fly_corner(made, low, tables[low], gain, later).fault == ""
+    assert flying.fly_corner(made, high, tables[high], 1.0, 0).fault
+    found = proved(made)
+    assert not found.ok
+    assert "does not keep what it promises: doublet to 20 deg, as designed: " in found.reason
+
+
+def test_an_engine_that_is_off_is_flown_as_such(sound: Design, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Thrust comes to 0.7 and 1.3 times in steps, the lag is longer by 0.3 of the engine's, and nothing has failed."""
+    flown: list[Scenario] = []
+    monkeypatch.setattr(flying, "fly", lambda scenario, **_: flown.append(scenario))
+    monkeypatch.setattr(flying, "fault_of", lambda *_: "")
+    monkeypatch.setattr(flying, "measure_flight", lambda *_: None)
+    tables = flying.flight_tables(sound)
+    for factor in (0.7, 1.3):
+        flight = flying.fly_with_odd_engine(sound, tables, factor)
+        assert not flight.is_as_designed
+    weak, strong = flown
+    for scenario, last in ((weak, 0.7), (strong, 1.3)):
+        slow = scenario.fault[-1]
+        assert thrust_at(0.0, scenario) == pytest.approx(1.0, rel=0.06)
+        assert thrust_at(scenario.command[0].start_s, scenario) == pytest.approx(last)
+        assert slow.kind == "slow_spool"
+        assert slow.lag_s == pytest.approx(0.3 * 0.15, rel=0.02)
+        assert not scenario.monitored
+        assert scenario.command[0].amplitude == pytest.approx(20.0)
+
+
+def thrust_at(time: float, scenario: Scenario) -> float:
+    """The thrust of the first engine over that of the others."""
+    losses = [each for each in scenario.fault if each.kind == "thrust_loss"]
+    acting = [each for each in losses if each.start_s <= time < each.start_s + (each.duration_s or np.inf)]
+    return float(np.prod([1.0 - each.share for each in acting], initial=scenario.mismatch.thrust_factor_1))
+
+
+def flight_of(**values: float | None) -> FlownMeasures:
+    return FlownMeasures("", True, {"roll_rmse_deg": 3.39, "settling_s": 1.84, "throttle_activity_1_s": 0.075} | values)
+
+
+def test_what_is_worse_as_flown_is_the_first_thing_said(sound: Design) -> None:
+    """Of a design that tracks worse, with 18 times the work of the throttles."""
+    before, after = flight_of(), flight_of(roll_rmse_deg=3.76, settling_s=1.65, throttle_activity_1_s=1.331)
+    pair = FlownPair("doublet", before, after)
+    assert pair.worse() == {"roll_rmse_deg": pytest.approx(1.109, rel=1e-3), "throttle_activity_1_s": pytest.approx(17.75, rel=1e-3)}  # fmt: skip
+    lines = worse_lines([FlownPair("hover", before, before), pair])
+    assert lines[1] == "WORSE as flown than what ships: throttle activity 0.075 -> 1.331 1/s (17.7 times) in doublet"
+    proof = Proof("", 9.0, 0.1, 1.7, 0.1, (), (), [pair], 20.0)
+    made = replace(sound, proof=proof)
+    assert summary_lines(made)[1:3] == lines
+    assert to_dict(made)["worse"] == lines
+    assert controller_table(made)["design"]["proof"]["worse"] == lines
+    never = FlownPair("doublet", before, flight_of(settling_s=None))
+    assert "settling, to 5 % 1.84 -> never s" in worse_lines([never])[0]
+    assert worse_lines([FlownPair("doublet", after, before)]) == []
+
+
+def test_what_ships_may_not_fly_the_engine(sound: Design) -> None:
+    gone = FlownPair("doublet", FlownMeasures("lost at 4.2 s", True, {}), flight_of())
+    assert comparison_lines([gone]) == ["the gains that ship do not fly this engine: doublet lost at 4.2 s"]
+    assert comparison_rows([gone])[0] == ["roll error, RMSE, deg", "lost at 4.2 s", "3.39"]
 
 
 def test_an_aircraft_of_a_folder_is_proved_as_what_it_is(
@@ -242,10 +328,14 @@ def test_an_aircraft_of_a_folder_is_proved_as_what_it_is(
     given = sound.scenario.replace(aircraft=str(aircraft))
     design = replace(sound, scenario=given, vehicle=given.resolved_vehicle()[0])
     flown: list[Scenario] = []
-    monkeypatch.setattr(proving, "fly", lambda scenario, **_: flown.append(scenario))
-    monkeypatch.setattr(proving, "fault_of", lambda *_: "")
-    assert proving._flight(design, "hover", read_toml(find_scenario("hover")), 1.0, 0) == ""
+    monkeypatch.setattr(flying, "fly", lambda scenario, **_: flown.append(scenario))
+    monkeypatch.setattr(flying, "fault_of", lambda *_: "")
+    monkeypatch.setattr(flying, "measure_flight", lambda *_: None)
+    assert flying.fly_corner(design, "hover", read_toml(find_scenario("hover")), 1.0, 0).fault == ""
     assert flown[0].resolved_vehicle()[0].name == "mine"
+
+
+SURGE = 0.3
 
 
 def flown(**changes: Any) -> Any:
@@ -302,8 +392,8 @@ def test_an_engine_with_a_zero_beside_a_slow_pole_is_designed_for(name: str, mad
     assert 0.02 < roll.channel.pace_s < 0.25
     assert (roll.channel.slowness_s > 2.0) if name == "creeps" else (roll.channel.slowness_s < 0.0)
     assert proving._measured(made, made.engine_dynamics).reason == ""
-    for flight, table in proving._tables(made).items():
-        assert proving._flight(made, flight, table, 1.0, 0) == "", flight
+    for flight, table in flying.flight_tables(made).items():
+        assert flying.fly_corner(made, flight, table, 1.0, 0).fault == "", flight
     words = [line for line in summary_lines(made) if "where a loop is closed" in line]
     assert len(words) == 1
 
