@@ -15,6 +15,10 @@ class InputError(ValueError):
     """The user's input is wrong: one line that names what, where and what is allowed (exit status 2)."""
 
 
+class NotIdentifiedError(InputError):
+    """A sweep or a log that does not tell a model: one line with the reason and what to do (exit status 1)."""
+
+
 class FlightError(RuntimeError):
     """Something failed while the vehicle flew: the run ends as ``failed`` and its log is kept (exit status 1)."""
 

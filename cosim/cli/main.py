@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from cosim.base.errors import MACHINE_TROUBLE, OUTPUT, FlightError, InputError, Notice
+from cosim.base.errors import MACHINE_TROUBLE, OUTPUT, FlightError, InputError, Notice, NotIdentifiedError
 from cosim.base.trust import at_a_command
 from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, WRONG_INPUT, Terminated, terminated_as_interrupted
 from cosim.cli.trust import asks, with_trust
@@ -79,7 +79,7 @@ def main(arguments: list[str] | None = None) -> None:
             status = cli.main(args=given, prog_name="hexjet", standalone_mode=False)
     except InputError as error:
         _complain(str(error))
-        status = WRONG_INPUT
+        status = FLIGHT_FAILED if isinstance(error, NotIdentifiedError) else WRONG_INPUT
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.ctx.get_help() if error.ctx else "", err=True)
         status = WRONG_INPUT

@@ -52,7 +52,7 @@ def controller_table(design: Design) -> dict[str, Any]:
     if PREDICTORS[roll.controller].needs_model:
         vehicle["identified"] = {
             design.engine.family: {
-                axis: _model(design.axes[axis].channel, chosen[axis], design.model_source).model_dump()
+                axis: _model(design.axes[axis].channel, chosen[axis], design).model_dump()
                 for axis in AXES
                 if PREDICTORS[chosen[axis].controller].needs_model
             }
@@ -130,10 +130,11 @@ def _rounded(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-def _model(channel: Channel, chosen: Assessment, source: str) -> RateModel:
+def _model(channel: Channel, chosen: Assessment, design: Design) -> RateModel:
     """Without the delay that the controller adds itself, of which the flight tells the predictor."""
     own = chosen.tuning.model
-    return own.model_copy(update={"delay_samples": own.delay_samples - channel.added_delay, "source": source})
+    known = {"source": design.model_source, "engine_sha256": design.engine.fingerprint}
+    return own.model_copy(update={"delay_samples": own.delay_samples - channel.added_delay, **known})
 
 
 def _record(after: Assessment, candidates: Mapping[str, float] | None = None) -> AxisRecord:

@@ -219,6 +219,8 @@ def design(
     if model and not given:
         raise InputError(f"{model}: holds no model of {vehicle.name} with engine {spec.family!r}")
     for axis, table in given.items():
+        if not spec.owns(table.get("engine_sha256", "")):
+            raise InputError(f"{model}: its model of {axis} is of another {spec.family}: its hash is another")
         plants[axis] = replace(plants[axis], identified=RateModel(**table))
     if controller == "auto" and plants["roll"].by_servo and firmware is None:
         names = (BASELINE.name,)  # a predictor is for engines that answer late
@@ -494,7 +496,7 @@ def shipped(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
     gains = getattr(control.rate, channel.name)
     angle = control.attitude.gain_1_s[AXES.index(channel.name)]
     model = vehicle.identified.get(spec.family, {}).get(channel.name)  # type: ignore[call-overload]
-    if model is None or abs(model.sample_time_s - channel.step) > 1e-9:
+    if model is None or not spec.owns(model.engine_sha256) or abs(model.sample_time_s - channel.step) > 1e-9:
         return Tuning(BASELINE.name, angle, gains, control.predictor, channel.model("none"), lead)
     model = model.model_copy(update={"delay_samples": model.delay_samples + channel.added_delay})
     return Tuning(SMITH.name, angle, gains, control.predictor, model, lead)

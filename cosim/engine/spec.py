@@ -4,6 +4,7 @@ delay.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from bisect import bisect_right
 from collections.abc import Hashable, Mapping
@@ -75,6 +76,21 @@ class EngineSpec:
     def identity(self) -> str:
         """What a design says which engine it was made for by: the hash of its equations, else of its archive."""
         return self.archive.equations_sha256 or self.sha256
+
+    @property
+    def fingerprint(self) -> str:
+        """What an identified model says which file's engine it is of: a hash of archive and mapping file; "": library.
+
+        A name alone does not tell one ``kestrel.toml`` from another.
+        """
+        if self.library:
+            return ""
+        stated = self.mapping.read_bytes() if self.mapping else b""
+        return hashlib.sha256(self.identity.encode() + stated).hexdigest()
+
+    def owns(self, model_sha256: str) -> bool:
+        """Whether a model that states this hash, or none, may be one of this engine."""
+        return self.library or model_sha256 in ("", self.fingerprint)
 
     @property
     def source(self) -> tuple[Hashable, ...]:

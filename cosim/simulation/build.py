@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from itertools import pairwise
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from cosim.base.constants import GRAVITY, SERVOS
-from cosim.base.errors import FlightError, InputError
+from cosim.base.errors import FlightError, InputError, Notice
 from cosim.base.frames import from_euler, rotate
 from cosim.base.protocols import Allocator, Predictor, Sensors
 from cosim.base.runtime import kernels
@@ -398,10 +399,30 @@ def _told(
     )
 
 
+def models_of(vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:
+    """Return the models, by axis, that the vehicle states for an engine.
+
+    Those of an engine that is a file are filed under its name and its hash: with a note, one whose hash is of another
+    file of that name is left out, and one without a hash is taken.
+    """
+    models: dict[str, RateModel] = {}
+    for axis, model in vehicle.identified.get(engine.family, {}).items():
+        where = f"vehicle.identified.{engine.family!r}.{axis}"
+        if not engine.owns(model.engine_sha256):
+            other = f"is of another {engine.family} (sha256 {model.engine_sha256[:12]}, not {engine.fingerprint[:12]})"
+            warnings.warn(f"{where}: {other}: left out; hexjet identify {axis} makes one of this", Notice, stacklevel=2)
+            continue
+        if not engine.library and not model.engine_sha256:
+            unsure = f"states no hash: that it is of this {engine.family} is not verified"
+            warnings.warn(f"{where}: {unsure}", Notice, stacklevel=2)
+        models[axis] = model
+    return models
+
+
 def _believed(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:
     """The identified models for this engine and this step, the delay that the controller adds in that of roll."""
     models: dict[str, RateModel] = {}
-    for axis, model in vehicle.identified.get(engine.family, {}).items():
+    for axis, model in models_of(vehicle, engine).items():
         if abs(model.sample_time_s - scenario.step_s) <= 1e-9:
             added = scenario.added_delay_samples if axis == "roll" else 0
             delay = model.delay_samples + added
@@ -701,7 +722,7 @@ def _said_of(models: Mapping[str, Any]) -> str:
 def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[Predictor]:
     """One predictor per axis: the controller's where the vehicle has an identified model for this engine, else none."""
     spec = PREDICTORS[scenario.controller]
-    models = vehicle.identified.get(engine.family, {})
+    models = models_of(vehicle, engine) if spec.needs_model else {}
     if spec.needs_model and not models:
         raise InputError(
             f"controller {scenario.controller!r} needs an identified model of {vehicle.name} with engine "

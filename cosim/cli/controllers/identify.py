@@ -12,7 +12,7 @@ import click
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.cli.console import output_to_stderr, terminal
-from cosim.cli.options import DONE, Number, example, log_options
+from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, log_options
 from cosim.cli.outputs import Out
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def _finish_identification(identification: Any, out: Path | None, name: str, as_
         click.echo(json.dumps(identification.to_dict(), allow_nan=False))
     else:
         print_identification(identification, paths)
-    return DONE
+    return FLIGHT_FAILED if identification.refused else DONE
 
 
 def _axis_command(axis: str) -> None:
@@ -149,7 +149,7 @@ def identify_from_log(log: Path, channels: bool, out: Path | None, as_json: bool
 
     Reads runs, ULog, ArduPilot DataFlash, Betaflight blackbox, Crazyflie, CSV and Parquet.  Leaves a page,
     identification.json for hexjet validate; of an axis a model file for hexjet fly and design --model, of an engine's
-    thrust an engine.  Status 2: the log does not tell.
+    thrust an engine.  Status 1: the log does not tell.
     """
     from cosim.base.runtime.threads import one_thread
 
@@ -275,7 +275,9 @@ def print_identification(identification: Identification, paths: dict[str, Path])
         highlight=False,
     )
     console.print(_side_by_side([fit.label for fit in identification.fits], fit_rows(identification)))
-    for text in equations(identification):
+    for reason in identification.refused:
+        console.print(f"no model: {reason}", highlight=False, markup=False)
+    for text in () if identification.refused else equations(identification):
         console.print(f"G(z) = {text}", highlight=False, markup=False)
     deviation = identification.reference_deviation()
     if identification.reference is not None and deviation is not None:

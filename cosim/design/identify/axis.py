@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.base.signals import AXES, Sample
 from cosim.base.storage.toml import parse_setting, set_path
 from cosim.control.predictors.registry import BASELINE
-from cosim.design.identify.fit import Fit, doubted, fit
+from cosim.design.identify.engine import settling_lag
+from cosim.design.identify.fit import Fit, fit
 from cosim.design.identify.response import FrequencyResponse, Record, estimate
 from cosim.design.identify.result import (
     Identification,
@@ -23,8 +24,10 @@ from cosim.design.identify.result import (
     need_coherence,
     suitable_duration,
 )
-from cosim.engine import EngineSpec
-from cosim.simulation.build import build
+from cosim.design.identify.verdict import why_refused
+from cosim.engine import EngineSpec, load_engine
+from cosim.simulation.axis_chain import by_throttle, hinged_parts
+from cosim.simulation.build import build, effectiveness_of
 from cosim.simulation.delay_ledger import total_samples, why_none
 from cosim.simulation.ending import Ending
 from cosim.spec.scenario import Scenario
@@ -32,9 +35,16 @@ from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen
 
 LEAD_S = 1.0
 REST_S = 6.0  # after the sweep, for the loop to come to rest
-FROM_HZ, TO_HZ = 0.3, 6.0
+TO_HZ = 6.0  # at most, where nothing is said: quicker than any loop that is flown here
+LEAST_HZ = 0.1  # to begin with, where nothing is said: lower ones take longer than fuel and place stay the same
+SPAN = 20.0  # the highest frequency over the lowest, where nothing is said
+CORNERS = 4.0  # the highest frequency over an engine's corner: beyond, it hardly answers
+PARTAKES = 0.05  # share of an axis from which the engines' lag counts in it
 AMPLITUDE = 0.02  # to start with, in the unit of the axis; made smaller while it saturates
+MOST = {"throttle": 1.0, "rad": 1.5707963267948966, "rad/s^2": 200.0}  # amplitudes that no vehicle follows are above
 TRIES = 6
+MORE = 3.0  # times the amplitude, where the answer is lost in noise
+LOUDER = 3  # times that this is tried
 LESS = 0.3  # of the amplitude, to try again with after the vehicle was lost
 MARGIN = 0.8  # of the amplitude that would just have fitted
 UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}
@@ -69,19 +79,23 @@ def identify_axis(
     if amplitude is not None and not amplitude > 0.0:
         raise InputError(f"--amplitude {amplitude:g}: must be above 0")
     base = _scenario(axis, aircraft, engine, controller, substeps, seed, settings)
-    low, high = FROM_HZ if from_hz is None else from_hz, TO_HZ if to_hz is None else to_hz
+    vehicle = base.resolved_vehicle()[0]
+    accelerates = vehicle.allocation == "effectiveness"
+    usual, unit = (ACCELERATION, ACCELERATION_UNIT) if accelerates else (AMPLITUDE, UNITS[axis])
+    if unit == "rad" and by_throttle(vehicle, AXES.index(axis)):
+        unit = UNITS["roll"]
+    size = usual if amplitude is None else amplitude
+    if size > MOST[unit]:
+        raise InputError(f"--amplitude {size:g}: at most {MOST[unit]:.4g} {unit}, which is more than any vehicle has")
+    low, high = _band(base, vehicle, axis, from_hz, to_hz)
     check_band(low, high, duration, base.step_s)
     seconds = suitable_duration(low) if duration is None else duration
-    accelerates = base.resolved_vehicle()[0].allocation == "effectiveness"
-    usual, unit = (ACCELERATION, ACCELERATION_UNIT) if accelerates else (AMPLITUDE, UNITS[axis])
-    size = usual if amplitude is None else amplitude
-    flight = _sweep(base, axis, Sweep(low, high, size, seconds), automatic=amplitude is None)
+    asked, what = Sweep(low, high, size, seconds), f"{base.aircraft_name} {axis}"
+    flight, response, notes = _answered(base, axis, asked, amplitude is None, what, lags)
     sweep, family = flight.sweep, flight.engine.family
-    response, notes = _response(flight.record(), sweep, f"{base.aircraft_name} {axis}", lags)
     # pitch and yaw turn the jets, they do not throttle them; what hinges and engines share has no one engine's delay
     own = flight.engine.delay if axis == "roll" and not accelerates else None
     fits = _fits(response, lags, hold, None if own is None else own / base.step_s)
-    notes += doubted(fits[0])
     return Identification(
         kind="axis",
         subject=base.aircraft_name,
@@ -96,12 +110,64 @@ def identify_axis(
         f"{base.aircraft_name} with {family}; {fits[0].label}",
         ledger_samples=flight.ledger_samples,
         no_ledger=flight.no_ledger,
+        engine_sha256=flight.engine.fingerprint,
         reference=flight.vehicle.identified.get(family, {}).get(axis),  # type: ignore[call-overload]
         notes=tuple(notes),
     )
 
 
 # ---- flying
+
+
+def _band(
+    base: Scenario, vehicle: Vehicle, axis: str, from_hz: float | None, to_hz: float | None
+) -> tuple[float, float]:
+    """Return the band [Hz], what is not given by the lag of the engines where they turn the axis.
+
+    From the engine's answer to a step about hover: above CORNERS times its corner it hardly answers.
+    """
+    high = TO_HZ
+    if from_hz is None or to_hz is None:
+        parameters, unchecked = base.engine_parameters, base.engine_unchecked
+        engine = load_engine(base.engine, parameters, base.step_s, unchecked=unchecked, apart=base.engine_isolated)
+        if _turned_by_engines(base, vehicle, engine, AXES.index(axis)):
+            high = min(TO_HZ, CORNERS / (2.0 * np.pi * settling_lag(engine, base.step_s)))
+    high = high if to_hz is None else to_hz
+    low = min(max(high / SPAN, LEAST_HZ), 0.5 * high) if from_hz is None else from_hz
+    return _two_digits(low) if from_hz is None else low, _two_digits(high) if to_hz is None else high
+
+
+def _turned_by_engines(base: Scenario, vehicle: Vehicle, engine: EngineSpec, index: int) -> bool:
+    if vehicle.allocation != "effectiveness":
+        return by_throttle(vehicle, index)
+    parts = hinged_parts(vehicle, effectiveness_of(base, vehicle, engine), index, base.step_s)
+    return abs(parts[0].share) > PARTAKES
+
+
+def _answered(
+    base: Scenario, axis: str, sweep: Sweep, automatic: bool, what: str, lags: int
+) -> tuple[_Flight, FrequencyResponse, list[str]]:
+    """Fly the sweep and estimate the response; an automatic amplitude grows while points or the fit are lost in noise.
+
+    Raises NotIdentifiedError where it stays lost.
+    """
+    flight = _sweep(base, axis, sweep, automatic)
+    made: tuple[_Flight, FrequencyResponse, list[str]] | None = None
+    lost: NotIdentifiedError | None = None
+    for _ in range(LOUDER if automatic else 1):
+        try:
+            made = (flight, *_response(flight.record(), flight.sweep, what, lags))
+        except NotIdentifiedError as error:
+            lost = error
+        if not automatic or (made and not made[2] and not why_refused(fit(made[1], lags, "first"), engine=False)):
+            break
+        flight = _fly(base, axis, replace(sweep, amplitude=_two_digits(MORE * flight.sweep.amplitude)))
+        if not flight.fine:
+            break
+    if made is None:
+        assert lost is not None
+        raise lost
+    return made
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import EngineError, InputError
-from cosim.design.identify.fit import WHOLE, Fit, doubted, fit
+from cosim.design.identify.fit import WHOLE, Fit, fit
 from cosim.design.identify.response import FrequencyResponse, Record, estimate, shortest_record
 from cosim.design.identify.result import (
     LONGEST_SWEEP_S,
@@ -82,7 +82,7 @@ def identify_engine(
         source=f"swept {low:.3g} to {high:.3g} Hz around throttle {throttle:g}, amplitude {size:.3g}",
         ledger_samples=None,
         reference=None,
-        notes=(*notes, *doubted(fits[0])),
+        notes=tuple(notes),
     )
 
 
@@ -106,6 +106,15 @@ def _band(
     start = max(DECADES[0] * slow, LEAST * least) if low is None else low
     end = min(DECADES[1] * quick, 0.4 / step) if high is None else high
     return float(start), float(end)
+
+
+def settling_lag(engine: EngineSpec, step: float) -> float:
+    """Return the lag [s] with which an engine's thrust comes to its end after a small step about half throttle.
+
+    Raises InputError for an engine that does not answer.
+    """
+    throttle = 0.5
+    return _lags(engine, throttle, 0.02, step)[1]
 
 
 def _lags(engine: EngineSpec, throttle: float, size: float, step: float) -> tuple[float, float]:

@@ -21,7 +21,6 @@ from cosim.spec.vehicle import RateModel
 LONGEST_DELAY_S = 10.0
 UNAMBIGUOUS = 0.75  # of the delay after which the phases of the two closest points repeat
 _EXP = 300.0  # whose exponential still is a number
-POOR = 0.15  # misfit above which the form is said not to fit
 WHOLE = 0.05  # samples: nearer than this to a whole number, a delay may be taken as whole
 LEAST_COHERENCE = 0.6  # below it a point does not count (Tischler and Remple's bound)
 
@@ -112,19 +111,12 @@ class Fit:
     misfit: float  # root mean square of |ln(model / response)| over the points that count: 0.01 is 1 % or 0.6 deg
     worst_db: float
     worst_deg: float
+    all_delay_half: float = 0.0  # samples: 95 % bound of delay and lags together, which are known better than either
 
     @property
     def values(self) -> dict[str, float]:
         """The continuous parameters by name."""
         return dict(zip(names(len(self.model.lags)), _natural(self.model), strict=True))
-
-
-def doubted(chosen: Fit) -> list[str]:
-    """What is to be said of a form that does not follow the response."""
-    if chosen.misfit <= POOR:
-        return []
-    off = f"the chosen form is {100 * chosen.misfit:.0f} % off the response"
-    return [f"{off}; more --amplitude, another band or another --lags may help"]
 
 
 def names(lags: int) -> list[str]:
@@ -278,11 +270,17 @@ class _Problem:
         error = self.error(self.model(x))
         model = self.model(x)
         spread: dict[str, tuple[float, float]] = {}
+        together = 0.0
         if self.free:
             freedom = 2 * len(self.hertz) - len(self.free)
             variance = float(np.sum(self.residuals(x) ** 2)) / freedom
             covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
-            half = float(stdtrit(freedom, 0.975)) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+            wide_by = float(stdtrit(freedom, 0.975))
+            half = wide_by * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+            lags = dict(zip(self.names[2:-1], model.lags, strict=True))
+            slope = [lags[name] / self.step if name in lags else float(name == "delay_samples") for name in self.names]
+            turn = np.array(slope)[self.free]
+            together = wide_by * float(np.sqrt(max(float(turn @ covariance @ turn), 0.0)))
             for i, value, wide in zip(self.free, x, half, strict=True):
                 spread[self.names[i]] = self._ends(self.names[i], float(value), float(wide))
         return Fit(
@@ -293,6 +291,7 @@ class _Problem:
             float(np.sqrt(np.mean(np.abs(error) ** 2))),
             float(np.abs(error.real).max() * 20.0 / log(10.0)),
             float(np.degrees(np.abs(error.imag).max())),
+            together,
         )
 
 

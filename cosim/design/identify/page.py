@@ -39,6 +39,7 @@ _COHERENCE = 4
 def write(identification: Identification, folder: Path) -> dict[str, Path]:
     """Write ``identification.json``, ``response.csv``, ``report.html`` and, for an axis, ``model.toml``.
 
+    Where the fit is refused there is no ``model.toml``, and one that an earlier call left in the folder is removed.
     Raises FlightError if a file cannot be written.
     """
     paths = {"json": folder / "identification.json", "response": folder / "response.csv"}
@@ -46,7 +47,9 @@ def write(identification: Identification, folder: Path) -> dict[str, Path]:
         "json": json.dumps(identification.to_dict(), indent=2, allow_nan=False) + "\n",
         "response": _csv(identification),
     }
-    if identification.kind == "axis":
+    if identification.kind == "axis" and identification.refused:
+        (folder / "model.toml").unlink(missing_ok=True)
+    elif identification.kind == "axis":
         paths["model"] = folder / "model.toml"
         texts["model"] = toml_text(identification.model_table())
     write_files({path: texts[name] for name, path in paths.items()})
@@ -78,7 +81,7 @@ def write_page(identification: Identification, path: Path) -> None:
         found=identification,
         columns=[fit.label for fit in identification.fits],
         rows=fit_rows(identification),
-        equation="\n       ".join(equations(identification)),
+        equation="" if identification.refused else "\n       ".join(equations(identification)),
         source=identification.source,
     )
 

@@ -10,15 +10,23 @@ import numpy as np
 
 from cosim.base.arrays import Array, Complex
 from cosim.base.constants import GRAVITY
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.design.identify.fit import LEAST_COHERENCE, Fit
 from cosim.design.identify.response import FrequencyResponse, shortest_record
+from cosim.design.identify.verdict import (
+    all_delay_is_determined,
+    half_width,
+    is_determined,
+    is_none,
+    why_refused,
+)
 from cosim.spec.vehicle import RateModel
 
 CHIRP_MARGIN = (0.7, 1.2)  # the chirp runs from this times the lowest to this times the highest frequency of the band
 LONGEST_SWEEP_S = 3600.0
 CYCLES = 20.0  # of the lowest frequency, in a sweep of automatic duration
 USABLE = 0.5  # share of the points that must have coherence
+SLOW_POLE = 20.0  # 1/s: a slow pole that may be faster is not known at all
 
 
 @dataclass(frozen=True)
@@ -52,6 +60,7 @@ class Identification:
     ledger_samples: float | None  # low-frequency delay that the delay ledger states
     reference: RateModel | None  # the model that the aircraft states
     notes: tuple[str, ...]
+    engine_sha256: str = ""  # EngineSpec.fingerprint
     no_ledger: str = ""  # why the delay ledger of the axis has no sum
 
     @property
@@ -60,9 +69,15 @@ class Identification:
         return self.fits[0]
 
     @property
+    def refused(self) -> list[str]:
+        """Why the chosen fit is no model that may be used, a line a reason; empty where it is one."""
+        return why_refused(self.chosen, self.kind == "engine")
+
+    @property
     def model(self) -> RateModel:
         """The chosen model as a predictor reads it."""
-        return self.chosen.model.discrete(self.source)
+        model = self.chosen.model.discrete(self.source)
+        return model.model_copy(update={"engine_sha256": self.engine_sha256}) if self.kind == "axis" else model
 
     def reference_deviation(self) -> tuple[float, float] | None:
         """How far the stated model is from the measured response where that has coherence: most dB, most deg."""
@@ -80,6 +95,8 @@ class Identification:
             "subject": self.subject,
             "engine": self.engine,
             "channel": self.channel,
+            "found": not self.refused,
+            "refused": self.refused,
             "command_unit": self.command_unit,
             "output_unit": self.output_unit,
             "sample_time_s": self.response.step,
@@ -106,6 +123,7 @@ def fit_dict(fit: Fit, source: str, engine: bool) -> dict[str, Any]:
     model = fit.model
     values: dict[str, Any] = dict(fit.values)
     axis = {} if engine else {"low_frequency_delay_samples": low_frequency_delay(fit)}
+    axis |= {} if engine else {"low_frequency_delay_bound_95_samples": fit.all_delay_half}
     if engine and model.rate > 0.0:
         slow = 1.0 / model.rate
         values |= {"time_constant_s": slow, "gain_at_rest": model.gain * slow}
@@ -156,10 +174,10 @@ def suitable_duration(low: float) -> float:
 
 
 def need_coherence(response: FrequencyResponse, what: str, amplitude: float) -> list[str]:
-    """Refuse a response in which most points are noise; say how many are left out otherwise.  Raises InputError."""
+    """Say how many points are left out as noise.  Raises NotIdentifiedError where most are."""
     good = response.coherence >= LEAST_COHERENCE
     if np.mean(good) < USABLE:
-        raise InputError(
+        raise NotIdentifiedError(
             f"{what} does not answer the sweep: coherence is at least {LEAST_COHERENCE:g} at {int(good.sum())} of "
             f"{len(good)} points (median {np.median(response.coherence):.2f}); "
             f"raise --amplitude (now {amplitude:g}), sweep longer, or narrow the band"
@@ -201,7 +219,7 @@ def fit_rows(identification: Identification) -> list[list[str]]:
         at_rest = [fit.model.gain / fit.model.rate if fit.model.rate else float("inf") for fit in identification.fits]
         rows.append(["gain at rest, N", *(f"{value:.4g} ({value / GRAVITY:.4g} kgf)" for value in at_rest)])
     if identification.kind == "axis":
-        rows.append(["all delay, samples", *(f"{low_frequency_delay(fit):.2f}" for fit in identification.fits)])
+        rows.append(["all delay, samples", *(_all_delay(fit) for fit in identification.fits)])
     rows.append(["misfit, %", *(f"{100 * fit.misfit:.2g}" for fit in identification.fits)])
     rows.append(["worst, dB and deg", *(f"{fit.worst_db:.2g}, {fit.worst_deg:.2g}" for fit in identification.fits)])
     return rows
@@ -218,10 +236,21 @@ def _with_bounds(fit: Fit, name: str, scale: float, invert: bool) -> str:
     value = fit.values[name]
     if name in fit.held:
         return f"{shown(value)} held"
+    if is_none(fit, name):
+        return "none"
     low, high = fit.bounds[name]
+    if not is_determined(fit, name):
+        # a slow pole near 0 is known from above alone
+        return f"below {high:.1g}" if name == "rate_1_s" and not invert and high < SLOW_POLE else "not determined"
+    if name == "delay_samples" and half_width(fit, name) > value:
+        return f"below {high:.2g}"
     ends = (scale * (1.0 / end if invert and end else end) for end in (low, high))
     half = max(abs(end - scale * (1.0 / value if invert and value else value)) for end in ends)
     return f"{shown(value)} ±{float(f'{half:.1g}'):g}"
+
+
+def _all_delay(fit: Fit) -> str:
+    return f"{low_frequency_delay(fit):.2f}" if all_delay_is_determined(fit) else "not determined"
 
 
 def low_frequency_delay(fit: Fit) -> float:

@@ -30,6 +30,7 @@ class RateModel(Model):
     delay_samples: Annotated[float, Field(ge=0.0, le=1000.0)]  # need not be whole
     sample_time_s: Annotated[float, Field(ge=1e-6, le=1000.0)]  # so that poles in 1/s are numbers
     source: str
+    engine_sha256: str = ""  # EngineSpec.fingerprint, of an engine that is a file; "" in older models
 
     @model_validator(mode="after")
     def _strictly_proper(self) -> RateModel:
@@ -52,7 +53,7 @@ class RateModel(Model):
     @model_serializer(mode="wrap")
     def _without_empty_pairs(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         stated: dict[str, Any] = handler(self)
-        return {key: value for key, value in stated.items() if not key.endswith("_pairs") or value}
+        return {key: value for key, value in stated.items() if value or not key.endswith(("_pairs", "_sha256"))}
 
 
 class ModelFile(Model):
