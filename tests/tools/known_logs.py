@@ -1,12 +1,14 @@
-"""Logs whose truth is known: many closed loops at once, solved on a fifth of a sample, with all that spoils a log.
+"""Logs whose truth is known: many closed loops at once, solved exactly on a fifth of a sample, with what spoils a log.
 
 Noise of the gyro, turbulence through the airframe, jitter of the sampling, stamps that are wrong, rows that are lost.
 The loop is a rate loop inside an attitude loop, flown through doublets: the command contains the noise that came back.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import expm
 
 SUB = 5  # steps of the solution in one of the controller
 
@@ -42,18 +44,47 @@ class Log:
     setpoint: np.ndarray
 
 
+def drawn(count, seed=1):
+    """So many vehicles of 30 to 180 ms of delay, 20 to 120 ms of lag, gains of 150 to 500, and the gains p, attitude of
+    a loop that holds each.
+    """
+    rng = np.random.default_rng([seed, 17])
+    fine = Truth.step / SUB
+    truths = [
+        Truth(gain, 0.04, (lag,), round(delay / fine) / SUB)
+        for gain, lag, delay in rng.uniform((150.0, 0.02, 0.03), (500.0, 0.12, 0.18), (count, 3))
+    ]
+    cut = np.array([0.5 / (truth.delay_samples * truth.step + truth.lags[0] + 0.01) for truth in truths])
+    return truths, cut / np.array([truth.gain for truth in truths]), 0.25 * cut
+
+
+def _exact(truth, fine):
+    """Of the lags and the rate over a fine step: transition, of a held command, and of a held angular acceleration."""
+    n = len(truth.lags) + 1
+    whole = np.zeros((n + 2, n + 2))
+    for i, lag in enumerate(truth.lags):
+        whole[i, i], whole[i, i - 1 if i else n] = -1.0 / lag, 1.0 / lag
+    whole[n - 1, n - 1] = -truth.rate
+    whole[n - 1, n - 2 if n > 1 else n] = truth.gain
+    whole[n - 1, n + 1] = 1.0
+    made = expm(whole * fine)
+    return made[:n, :n], made[:n, n], made[:n, n + 1]
+
+
 def closed_loops(
     count, seconds=20.0, seed=1, truth=Truth(), flaws=Flaws(), p=0.004, attitude=0.8, size=0.25, loop=True, sweep=0.0
 ):
     """``count`` logs of an axis under control; without ``loop`` the doublets are the command;
     ``sweep`` is the amplitude of one that is added to it, from 0.3 to 8 Hz.
+
+    ``truth``, ``p`` and ``attitude``: the same for all, or one for each, of as many lags.
     """
+    truths = truth if isinstance(truth, Sequence) else [truth] * count
+    truth = truths[0]
     rng = np.random.default_rng([seed, 16])
     steps, fine = round(seconds / truth.step), truth.step / SUB
-    late = round(truth.delay_samples * SUB)
-    decays = [np.exp(-fine / lag) for lag in truth.lags]
-    decay = np.exp(-truth.rate * fine)
-    held = fine if truth.rate == 0.0 else (1.0 - decay) / truth.rate
+    late = np.array([round(each.delay_samples * SUB) for each in truths])
+    move, drive, push = (np.array(part) for part in zip(*(_exact(each, fine) for each in truths), strict=True))
     keep = np.exp(-fine / flaws.turbulence_s)
     kick = flaws.turbulence * np.sqrt(1.0 - keep**2)
     doublets = np.zeros((steps, count))
@@ -72,15 +103,15 @@ def closed_loops(
     moved = np.clip(np.rint(flaws.jitter * SUB * rng.standard_normal((steps, count))), -most, most).astype(int)
     instants = (np.arange(steps)[:, None] + 1) * SUB + moved
     command, output, asked = (np.zeros((steps, count)) for _ in range(3))
-    rate, gust, lean, torque, since = (np.zeros(count) for _ in range(5))
-    lags = [np.zeros(count) for _ in truth.lags]
-    buffer = np.zeros((late + 1, count))
+    gust, lean, torque, since = (np.zeros(count) for _ in range(4))
+    state = np.zeros((count, len(truth.lags) + 1))
+    buffer = np.zeros((int(late.max()) + 1, count))
     following, every = np.zeros(count, int), np.arange(count)
     for m in range((steps + 1) * SUB):
         act = (following < steps) & (instants[np.minimum(following, steps - 1), every] == m)
         if act.any():
             k = np.minimum(following, steps - 1)
-            measured = rate + gyro[k, every]
+            measured = state[:, -1] + gyro[k, every]
             leaned = lean + measured * (m * fine - since)
             wanted = attitude * (doublets[k, every] - leaned)
             made = p * (wanted - measured) if loop else doublets[k, every]
@@ -91,13 +122,9 @@ def closed_loops(
             command[at], output[at], asked[at] = made[act], measured[act], wanted[act]
             following += act
         buffer[m % len(buffer)] = torque
-        value = truth.gain * buffer[(m - late) % len(buffer)]
-        for i, share in enumerate(decays):
-            before = lags[i]
-            lags[i] = share * before + (1.0 - share) * value
-            value = 0.5 * (before + lags[i])
+        held = buffer[(m - late) % len(buffer), every]
         gust = keep * gust + kick * rng.standard_normal(count)
-        rate = decay * rate + held * (value + gust)
+        state = (move @ state[:, :, None])[:, :, 0] + drive * held[:, None] + push * gust[:, None]
     times = instants * fine + flaws.stamps * truth.step * rng.standard_normal((steps, count))
     kept = rng.random((steps, count)) >= flaws.lost
     return [

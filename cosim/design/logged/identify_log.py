@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
-from cosim.base.errors import InputError
+from cosim.base.errors import NotIdentifiedError
 from cosim.design.identify.fit import Model
 from cosim.design.logged.pem import Estimate, Form, Problem, identify
 from cosim.design.logged.stretches import Prepared, halves, prepare
@@ -25,6 +25,7 @@ SMALL_MISFIT = 1e-3  # of what the command explains: less left over is little, h
 FED_BACK = 0.25  # of what the command explains: if more than that follows it, it is no misfit; chosen by us
 ENOUGH = 0.2  # of what is left over, that the command explains in flights whose delay comes out (docs/logs.py)
 NOISELESS = 1e-6  # of the output's standard deviation: residuals below it are rounding, and no test says anything
+DEVIATIONS_95 = 1.96  # standard deviations of a 95 % bound
 SIGNIFICANCE = 1e-3  # p-value below which a test is said to have failed
 TEST_LAGS = 12  # of the set-point and of the command, that the residuals are tested against
 TEST_S = 0.6  # over which they are spread
@@ -161,7 +162,8 @@ def identify_log(
     """Identify command to output of a log; ``what`` is an axis or begins with ``engine``.
 
     ``lags`` is the number of lags beside the pole (an axis: 1 or more); the better of two forms by Akaike's criterion
-    where it is None.  Raises InputError where the log does not tell, which says why.
+    where it is None.  Raises NotIdentifiedError where the log does not tell, which says
+    why, and InputError for channels or stretches that cannot be used.
     """
     of_sums: list[str] = []
     command, output = log.signal(signals.command, of_sums), log.signal(signals.output, of_sums)
@@ -173,8 +175,9 @@ def identify_log(
     _refuse(problem, estimates, prepared, where)
     notes = [*log.remarks, *of_sums, *prepared.notes, *_doubts(chosen, problem)]
     checks = _checks(problem, chosen, log.signal(signals.setpoint) if signals.setpoint else None)
-    if _misfit(problem, chosen, checks[1]):
-        raise InputError(f"{where}: {_why_refused(problem, chosen, checks)}")
+    reason = _why_refused(problem, chosen, checks)
+    if reason:
+        raise NotIdentifiedError(f"{where}: {reason}")
     notes += _failed(checks) if _noisy(problem, chosen) else [NO_NOISE]
     band = _band(chosen, problem.working_step)
     notes += _advice(chosen, bounds(estimates), prepared, band)
@@ -226,23 +229,36 @@ def _refuse(problem: Problem, estimates: Sequence[Estimate], prepared: Prepared,
     chosen = estimates[0]
     fall = problem.without_command(chosen) - chosen.deviance
     if not fall >= LEAST_DEVIANCE_FALL:
-        raise InputError(
+        raise NotIdentifiedError(
             f"{where}: the output does not show the command (it lowers the deviance by {fall:.1f}, "
             f"{LEAST_DEVIANCE_FALL:g} are needed); fly doublets or a sweep on it, or look at other channels"
+        )
+    unknown = _not_determined(chosen)
+    if unknown:
+        raise NotIdentifiedError(
+            f"{where}: this log does not tell {unknown}: the 95 % bounds exceed the value; fly doublets or a sweep, "
+            "larger or longer, or state what is known by --hold"
         )
     if "delay_s" in chosen.held:
         return
     if chosen.delay > prepared.longest_delay - prepared.working_step:
-        raise InputError(
+        raise NotIdentifiedError(
             f"{where}: the delay is at the end of the search, {prepared.longest_delay:g} s; "
             "try a longer --longest-delay, or the channels belong to different clocks"
         )
     low, high = bounds(estimates)
     if not high - low < UNBOUNDED * prepared.longest_delay:
-        raise InputError(
+        raise NotIdentifiedError(
             f"{where}: this log does not tell the delay: anything from {1e3 * low:.0f} to {1e3 * high:.0f} ms fits; "
             "fly doublets or a sweep, or state what is known: --hold lag_s=..., --lags 1"
         )
+
+
+def _not_determined(chosen: Estimate) -> str:
+    """Which of gain and the sum of delay and lags, if any, has bounds that exceed it: the split may be unknown."""
+    total, wide = chosen.all_delay
+    known = {"the gain": (chosen.gain, chosen.gain_deviation), "delay and lags together": (total, wide)}
+    return " and ".join(name for name, (value, one) in known.items() if not DEVIATIONS_95 * one <= abs(value))
 
 
 def _doubts(chosen: Estimate, problem: Problem) -> list[str]:
@@ -329,7 +345,7 @@ def _explained(problem: Problem, chosen: Estimate) -> float:
     return float(np.exp(problem.without_command(chosen) / chosen.count) * chosen.count - chosen.loss)
 
 
-def _misfit(problem: Problem, chosen: Estimate, command: Check) -> bool:
+def _follows(problem: Problem, chosen: Estimate, command: Check) -> bool:
     """Whether more of what the command does is left over than a small misfit of the form leaves."""
     if not command.failed or command.share <= MISFIT or not _noisy(problem, chosen):
         return False
@@ -337,37 +353,49 @@ def _misfit(problem: Problem, chosen: Estimate, command: Check) -> bool:
 
 
 def _why_refused(problem: Problem, chosen: Estimate, checks: Sequence[Check]) -> str:
-    """Why what is left over follows the command: the form, or a disturbance that the loop feeds back into the command.
+    """Why what is left over and the command hang together: the form, or a disturbance that is fed back; or nothing.
 
-    A form that does not fit leaves a part of what the command does, and it leaves the set-point too, which contains no
-    disturbance.  Where the command explains little, and about as much follows it as it explains at all, it is the
-    disturbance: the model of the noise is of finite order, and what it lacks is in command and residual alike.
+    A form that does not fit leaves a part of what the command did before, and it leaves the set-point too.  Where the
+    command explains little, and about as much of what is left over goes with the command of that time as it explains
+    at all, the loop feeds the disturbance back: the model of the noise is of finite order, and what it lacks is in
+    command and residual alike.
     """
-    follows = f"{100.0 * checks[1].share:.0f} % of what is left over still follows the command"
+    white, use = problem.residuals(chosen)
+    spread = max(1, round(TEST_S / TEST_LAGS / problem.working_step))
+    together = _against("fed back", white, use, _on_blocks(problem, None), spread, first=0)
     explained = max(_explained(problem, chosen), 0.0)
     by_setpoint = any(check.failed for check in checks[2:])
-    strong = explained > ENOUGH * chosen.loss
-    if strong or by_setpoint or checks[1].share * chosen.loss <= FED_BACK * explained:
+    weak = explained <= ENOUGH * chosen.loss and together.share * chosen.loss > FED_BACK * explained
+    if weak and not by_setpoint and _follows(problem, chosen, together):
+        share = max(explained / chosen.loss, 1e-4)
+        larger = max(2.0, (ENOUGH / share) ** 0.5)
         return (
-            f"no model of this form fits: {follows}; try --lags, a known --hold, a shorter --longest-delay, or hexjet "
-            "identify engine"
+            f"the disturbance is too large beside what the command does, which explains {100.0 * share:.1g} % as much "
+            f"as is left over; the loop feeds it back into the command ({100.0 * together.share:.0f} % of what is left "
+            f"over is in the command of that time); a stronger manoeuvre is needed: doublets or a sweep about "
+            f"{larger:.0f} times as large, or calmer air"
         )
-    share = max(explained / chosen.loss, 1e-4)
-    larger = max(2.0, (ENOUGH / share) ** 0.5)
+    if not _follows(problem, chosen, checks[1]):
+        return ""
     return (
-        f"the disturbance is too large beside what the command does, which explains {100.0 * share:.1g} % as much as "
-        f"is left over; the loop feeds it back into the command ({follows}); a stronger manoeuvre is needed: doublets "
-        f"or a sweep about {larger:.0f} times as large, or calmer air"
+        f"no model of this form fits: {100.0 * checks[1].share:.0f} % of what is left over still follows the command; "
+        "try --lags, a known --hold, a shorter --longest-delay, or hexjet identify engine"
     )
 
 
-def _against(name: str, white: Array, use: NDArray[np.bool_], signal: Array, spread: int) -> Check:
-    """Regress the residuals on what a signal was: the F test of nothing."""
+def _against(name: str, white: Array, use: NDArray[np.bool_], signal: Array, spread: int, first: int = 1) -> Check:
+    """Regress the residuals on what a signal was before each of them: the F test of nothing.
+
+    ``first``: working samples before; 1 at least for a test of the form, because what the command is at the time of a
+    residual or after contains that very noise where a controller is at work, and would be found there whatever the form
+    (Ljung, System Identification, 2nd ed., section 16.6).
+    """
     from scipy.special import fdtrc
 
-    late = [np.concatenate([np.zeros(n * spread), signal[: len(signal) - n * spread]]) for n in range(TEST_LAGS)]
+    by = [first + n * spread for n in range(TEST_LAGS)]
+    late = [np.concatenate([np.zeros(n), signal[: len(signal) - n]]) for n in by]
     use = use.copy()
-    use[: TEST_LAGS * spread] = False
+    use[: by[-1] + 1] = False
     matrix = np.stack([*late, np.ones(len(signal))], axis=1)[use]
     residual = white[use]
     size = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))

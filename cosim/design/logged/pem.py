@@ -457,7 +457,11 @@ class Problem:
         covariance = estimate.covariance.copy()
         covariance[np.ix_(rows, rows)] = made
         wider = replace(estimate, covariance=covariance)
-        return wider if wider.all_delay[1] > estimate.all_delay[1] else estimate
+        chosen = wider if wider.all_delay[1] > estimate.all_delay[1] else estimate
+        variances = np.stack([np.diag(estimate.covariance), np.diag(covariance)])[:, rows]
+        factors = np.ones(len(covariance))
+        factors[rows] = np.sqrt(variances.max(axis=0) / np.diag(chosen.covariance)[rows])
+        return replace(chosen, covariance=chosen.covariance * np.outer(factors, factors))
 
     # ---- pieces of it
 
@@ -582,7 +586,9 @@ class Problem:
         self, form: Form, x: Array, linear: Array, ar: Array, loss: float, count: int, jacobian: Array, free: list[int]
     ) -> Estimate:
         low, high = self._limits(form)
-        within = [n for n, i in enumerate(free) if low[i] < x[i] < high[i]]
+        # a slow pole that ended at 0 is uncertain as any other, and the gain with it: held there both look surer than
+        # they are
+        within = [n for n, i in enumerate(free) if low[i] < x[i] < high[i] or (i == 0 and not form.engine)]
         kept = [*within, *range(len(free), jacobian.shape[1])]
         size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
         size[size < _NEGLIGIBLE] = 1.0

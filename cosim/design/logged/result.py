@@ -12,7 +12,7 @@ import numpy as np
 from cosim.base.errors import FlightError
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import toml_text
-from cosim.design.logged.identify_log import LogIdentification, information
+from cosim.design.logged.identify_log import DEVIATIONS_95, LogIdentification, information
 from cosim.design.logged.pem import Estimate
 from cosim.results.report.page import render
 from cosim.results.report.plot import BLUE, GREEN, GREY, HOVER, MAGENTA, ORANGE, beneath, panels, trace
@@ -116,11 +116,11 @@ def rows(result: LogIdentification) -> list[list[str]]:
             i = estimate.form.names.index(name)
             value, deviation = float(estimate.x[i]), estimate.deviation(i)
             if name == "rate_1_s" and result.engine:
-                cells.append(_held(estimate, name, _about(1e3 / value, 1e3 * deviation / value**2)))
+                cells.append(_held(estimate, name, 1e3 / value, _about(1e3 / value, 1e3 * deviation / value**2)))
             elif name == "rate_1_s":
-                cells.append(_held(estimate, name, _about(value, deviation) if deviation > 0.0 else "0 (at its limit)"))
+                cells.append(_held(estimate, name, value, _slow_pole(value, deviation)))
             else:
-                cells.append(_held(estimate, name, _about(1e3 * value, 1e3 * deviation)))
+                cells.append(_held(estimate, name, 1e3 * value, _about(1e3 * value, 1e3 * deviation)))
         titles = {"rate_1_s": "time constant, ms" if result.engine else "slow pole, 1/s", "lag_s": "lag, ms"}
         if result.engine:
             titles["lag_s"] = "second lag, ms"
@@ -148,12 +148,23 @@ def _place(name: str) -> int:
     return ["rate_1_s", "lag_s", "lag_2_s", "lag_3_s"].index(name)
 
 
-def _held(estimate: Estimate, name: str, text: str) -> str:
-    return f"{text.split(' ±')[0]} held" if name in estimate.held else text
+def _held(estimate: Estimate, name: str, value: float, text: str) -> str:
+    return f"{value:.4g} held" if name in estimate.held else text
+
+
+def _slow_pole(value: float, deviation: float) -> str:
+    """A slow pole may be anything near 0: then it is known from above alone."""
+    high = value + DEVIATIONS_95 * deviation
+    return _about(value, deviation) if high < 2.0 * value else f"below {high:.2g}"
 
 
 def _about(value: float, deviation: float) -> str:
-    half = 1.96 * deviation
+    """Value and bound; none of a lag that ended at its limit, and no number where the bound exceeds it."""
+    half = DEVIATIONS_95 * deviation
+    if not half > 0.0:
+        return "none"
+    if not half <= abs(value):
+        return "not determined"
     return f"{value:.4g} ±{float(f'{half:.2g}'):g}"
 
 

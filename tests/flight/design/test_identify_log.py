@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_tools import Hexjet
-from known_logs import Flaws, Log, Truth, closed_loops
+from known_logs import Flaws, Log, Truth, closed_loops, drawn
 from scipy.special import chdtr, ndtri
 
-from cosim.base.errors import InputError
-from cosim.design.logged.identify_log import LogIdentification, identify_log
+from cosim.base.errors import InputError, NotIdentifiedError
+from cosim.design.logged.identify_log import LogIdentification, _against, identify_log
 from cosim.design.logged.pem import CHI2_95, MIXED_95
 from cosim.design.logged.stretches import WORKING_STEP_S
 from cosim.design.logged.validate import StatedModel, read_model, validate
@@ -104,7 +104,7 @@ def test_a_form_that_leaves_the_command_in_what_is_left_over_is_refused() -> Non
         output = log.output - echo * np.concatenate([np.zeros(late), log.output[:-late]])
         flight = flight_log(log, output=output)
         if echo:
-            with pytest.raises(InputError, match=r"no model of this form fits: \d+ % of what is left over"):
+            with pytest.raises(NotIdentifiedError, match=r"no model of this form fits: \d+ % of what is left over"):
                 identify_log(flight, "engine:1", LogSignals("u", "y"), longest_delay=0.3, lags=0)
         else:
             identify_log(flight, "engine:1", LogSignals("u", "y"), longest_delay=0.3, lags=0)
@@ -132,6 +132,32 @@ def test_weak_doublets_in_turbulence_are_refused_for_the_disturbance_and_stronge
     for log in flown(0.27):
         low, high = identify_log(flight_log(log), "roll", signals, longest_delay=0.3).delay_bounds
         assert low < 0.08 < high
+
+
+def test_noise_that_the_controller_feeds_back_at_once_is_no_misfit() -> None:
+    """The form is the truth and the manoeuvre is strong: what the controller makes of a sample's noise in that very
+    step is in command and residual alike, and was taken for a form that does not fit.
+    """
+    rng = np.random.default_rng(0)
+    truths, p, attitude = drawn(4, 14)
+    logs = closed_loops(4, 14.0, 14, truths, Flaws(0.01, 0.02, jitter=0.0, lost=0.0), p, attitude, size=0.5)
+    for log, truth in zip(logs, truths, strict=True):
+        low, high = identify_log(flight_log(log), "roll", LogSignals("u", "y", "r")).delay_bounds
+        assert low <= truth.delay_samples * truth.step <= high
+    # and a command that holds nothing but fed-back noise has it at its own time, not before
+    noise = rng.standard_normal(4000)
+    together, before = (_against("", noise, np.ones(4000, bool), -noise, 5, first) for first in (0, 1))
+    assert together.failed
+    assert together.share == pytest.approx(1.0)
+    assert not before.failed
+
+
+def test_a_slow_pole_at_its_end_leaves_the_gain_its_bounds() -> None:
+    """Of an integrator the pole ends at 0: held there the gain looked surer than it is."""
+    (log,) = closed_loops(1, 14.0, 2, Truth(rate=0.0), Flaws(jitter=0.0, lost=0.0), size=0.5)
+    chosen = identify_log(flight_log(log), "roll", LogSignals("u", "y"), lags=1).chosen
+    assert chosen.x[0] < 0.05
+    assert chosen.deviation(0) > 0.0
 
 
 def test_wrong_stamps_are_told_from_jitter() -> None:
