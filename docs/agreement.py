@@ -3,7 +3,7 @@
 python docs/agreement.py --rows FILE.json                 all axes swept and measured; what is done is kept in the file
 python docs/agreement.py --rows FILE.json --only octojet  of these aircraft alone (more than one: --only again)
 python docs/agreement.py --rows FILE.json --what margins  identify or margins alone
-python docs/agreement.py --rows FILE.json --write         the tables of which all rows are kept, written into the page
+python docs/agreement.py --rows FILE.json --write         what is kept, written into the page; other rows are "not measured"
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def swept(aircraft: str, axis: str) -> Cells:
         return ["", f"refused: {error}", *[""] * 6]
     band = f"{found.sweep.from_hz:g} to {found.sweep.to_hz:g}"
     if found.refused:
-        return [band, "refused: " + "; ".join(found.refused), *[""] * 6]
+        return [band, "refused: " + "; ".join(reason.partition(":")[0] for reason in found.refused), *[""] * 6]
     cells = {row[0].partition(",")[0]: row[1] for row in fit_rows(found)}
     total, ledger = low_frequency_delay(found.chosen), found.ledger_samples
     numbers = [cells[name] for name in ("gain", "lag", "delay", "misfit", "all delay")]
@@ -109,8 +109,10 @@ def main(kept: Path, only: tuple[str, ...], what: tuple[str, ...], write: bool) 
     made = {}
     for kind, columns in COLUMNS.items():
         keys = [(aircraft, axis) for aircraft in aircraft_names() for axis in AXES]
-        if all(f"{kind} {aircraft} {axis}" in done for aircraft, axis in keys):
-            made[f"agreement-{kind}"] = table(columns, [(*key, *done[f"{kind} {' '.join(key)}"]) for key in keys])
+        absent = ["not measured", *[""] * (len(columns) - 3)]
+        rows = [(*key, *done.get(f"{kind} {' '.join(key)}", absent)) for key in keys]
+        if any(f"{kind} {' '.join(key)}" in done for key in keys):
+            made[f"agreement-{kind}"] = table(columns, rows)
     if write:
         write_marks(PAGE, made)
     sys.stdout.write("\n".join(made.values()))
