@@ -3,7 +3,7 @@
 python docs/agreement.py --rows FILE.json                 all axes swept and measured; what is done is kept in the file
 python docs/agreement.py --rows FILE.json --only octojet  of these aircraft alone (more than one: --only again)
 python docs/agreement.py --rows FILE.json --what margins  identify or margins alone
-python docs/agreement.py --rows FILE.json --write         what is kept, written into the page; other rows are "not measured"
+python docs/agreement.py --rows FILE.json --write         what is kept, written into the page, the rest "not measured"
 """
 
 from __future__ import annotations
