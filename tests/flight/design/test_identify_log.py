@@ -146,9 +146,10 @@ def test_noise_that_the_controller_feeds_back_at_once_is_no_misfit() -> None:
         assert low <= truth.delay_samples * truth.step <= high
     # and a command that holds nothing but fed-back noise has it at its own time, not before
     noise = rng.standard_normal(4000)
-    together, before = (_against("", noise, np.ones(4000, bool), -noise, 5, first) for first in (0, 1))
+    command = 0.1 * rng.standard_normal(4000) - noise
+    together, before = (_against("", noise, np.ones(4000, bool), command, 5, first) for first in (0, 1))
     assert together.failed
-    assert together.share == pytest.approx(1.0)
+    assert together.share > 0.9
     assert not before.failed
 
 
