@@ -13,7 +13,7 @@ from cosim.design.as_flown import FlownMeasures, FlownPair
 class ProofFlight:
     """One flight of a proof.
 
-    ``flown``: what was measured of it; None where it was not flown (older code, tests).
+    ``flown``: what was measured of it; None where nothing was.
     """
 
     scenario: str
