@@ -52,7 +52,13 @@ class AxisMargins:
     @property
     def whole(self) -> bool:
         """Whether it was measured up to half the control rate, above which a sampled loop has nothing."""
-        return bool(self.sine.hertz[-1] * self.sine.step >= NYQUIST_HZ * (1.0 - 1e-9))
+        return self.band_hz[1] * self.sine.step >= NYQUIST_HZ * (1.0 - 1e-9)
+
+    @property
+    def band_hz(self) -> tuple[float, float]:
+        """The lowest and the highest line that stands out of the noise."""
+        heard = self.response.hertz[self.response.used]
+        return float(heard[0]), float(heard[-1])
 
     def off(self, name: str) -> float | None:
         """The measured number less the computed, over that; of gains that of their factors.  None: one is not there."""

@@ -52,7 +52,8 @@ def _none(name: str, measured: AxisMargins) -> str:
     """That there is none, and where it was looked for; of lead and less delay the crossovers are what was found."""
     if name in ("phase_lead_deg", "delay_less_s") and "crossover_hz" in measured.response.margins:
         return "none"
-    low, high = f"{measured.sine.hertz[0]:.3g} Hz", f"{measured.sine.hertz[-1]:.4g} Hz"
+    least, most = measured.band_hz
+    low, high = f"{least:.3g} Hz", f"{most:.4g} Hz"
     if name == "gain_db":
         return "none" if measured.whole else f"none up to {high}"
     return f"none from {low} on" if name == "gain_down_db" or measured.whole else f"none from {low} to {high}"
@@ -62,7 +63,9 @@ def heading(measured: AxisMargins) -> str:
     """What was done on an axis."""
     sine = measured.sine
     band = f"{measured.axis.capitalize()}: {sine.hertz[0]:.3g} to {sine.hertz[-1]:.3g} Hz"
-    above = "" if measured.whole else f"; above {sine.hertz[-1]:.4g} Hz nothing was measured"
+    heard = measured.band_hz[1]
+    why = "noise hides all" if heard < sine.hertz[-1] else "nothing was measured"
+    above = "" if measured.whole else f"; above {heard:.4g} Hz {why}"
     return (
         f"{band}, {len(sine.bins)} lines, {measured.periods} "
         f"periods of {sine.period * sine.step:g} s, peak {measured.amplitude:g} {measured.unit}{above}"

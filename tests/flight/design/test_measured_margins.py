@@ -26,7 +26,7 @@ from cosim.design.measured import margins, measure_margins
 from cosim.design.measured.computed import computed, plants_of, tunings_of
 from cosim.design.measured.estimate import measured
 from cosim.design.measured.excitation import LINES, USUAL_SHARE, USUAL_TILT, Record, Tap, fly_with, multisine, still
-from cosim.design.measured.page import rows
+from cosim.design.measured.page import heading, rows
 from cosim.design.tune import FINE
 from cosim.engine import EngineSpec, load_engine
 from cosim.engine.bank import EngineBank
@@ -179,6 +179,25 @@ def test_lines_that_noise_hides_are_left_out_and_nothing_is_made_of_none() -> No
     assert measured(true, hertz).used.sum() == 30
     with pytest.raises(FlightError, match="lines stand out of the noise"):
         measured(np.random.default_rng(3).normal(0.0, 1.0, (4, 40)) + 0j, hertz)
+
+
+def test_where_noise_hides_the_top_of_the_band_none_is_said_of_what_is_below_alone() -> None:
+    """Swept to half the control rate, of which the highest lines are not heard: not "none" of the whole band."""
+    sine = multisine(4.0, 0.004, 0.5, 125.0)
+    s = 2j * pi * sine.hertz
+    true = np.tile(1.0 / (1.0 + 0.5 / s), (4, 1))  # never on the negative real axis
+    noisy = true.copy()
+    noisy[:, -3:] += np.random.default_rng(2).normal(0.0, 2.0, (4, 3))
+    said = []
+    for sensitivity in (true, noisy):
+        response = measured(sensitivity, sine.hertz)
+        found = margins.AxisMargins("pitch", "rad of tilt", sine, 0.06, 4, response, response, None, ())
+        said.append((found.whole, {row[0]: row[1] for row in rows(found)}["gain up"], heading(found)))
+    (whole, up, _), (hidden_whole, hidden_up, head) = said
+    assert (whole, up) == (True, "none")
+    top = f"{sine.hertz[-4]:.4g} Hz"
+    assert (hidden_whole, hidden_up) == (False, f"none up to {top}")
+    assert head.endswith(f"above {top} noise hides all")
 
 
 def test_a_drift_over_the_periods_is_taken_off() -> None:
