@@ -66,6 +66,7 @@ from cosim.spec.scenario import (
     flown_parameters,
 )
 from cosim.spec.vehicle import VEHICLE, aircraft_names, as_read, is_file, is_own, load_vehicle
+from cosim.spec.vehicle.sensor_profile import profile_words
 from cosim.vehicle.airframe import (
     IN_THE_AIR,
     METHODS,
@@ -439,6 +440,7 @@ def _setup(simulation: Simulation, resolved: Scenario) -> Setup:
             for source in sources
         ],
         seed=scenario.seed,
+        sensors=profile_words(scenario.sensor_profile),
         step_s=scenario.step_s,
         integration=integration(scenario),
         planned_s=scenario.duration_s,

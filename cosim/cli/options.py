@@ -208,7 +208,8 @@ def own_blocks(command: Callable[..., int]) -> Callable[..., int]:
         click.option("metrics", "--metric", metavar="NAME", multiple=True,
                      help="One of yours beside the built-in ones: FILE.py:Name, package.module:Name, an entry."),
         click.option("own_observers", "--observer", metavar="NAME", multiple=True, help="One of yours, the same way."),
-        click.option("--sensors", metavar="NAME", help="Yours behind the built-in ones, the same way."),
+        click.option("--sensors", metavar="NAME",
+                     help="Yours behind the built-in ones, the same way, or a profile of these: measured."),
         click.option("--wind", metavar="NAME|FILE.csv",
                      help="Yours over time and place, the same way, or a table over time."),
     )  # fmt: skip

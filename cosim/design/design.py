@@ -372,8 +372,8 @@ def _scenario(engine: str, aircraft: str, settings: Sequence[str]) -> tuple[Scen
     scenario = Scenario.from_table(table, Path(), "design")
     if scenario.stations:
         raise InputError("design: --set stations: a design is for one engine at all stations")
-    vehicle, _ = load_vehicle(scenario.aircraft, scenario.vehicle, "design: vehicle")
-    return scenario, vehicle
+    load_vehicle(scenario.aircraft, scenario.vehicle, "design: vehicle")  # a wrong key is the design's
+    return scenario, scenario.resolved_vehicle()[0]
 
 
 def identify_there(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, amplitude: float | None) -> Identification:

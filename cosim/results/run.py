@@ -175,6 +175,7 @@ class Setup(BaseModel):
     changed: list[str] = []  # what was written over the scenario's own file, key = value
     brought: list[BroughtBlock] = []  # what else is the user's
     seed: int
+    sensors: str = ""  # the profile over the aircraft's sensors, with its file's hash; empty: none, or not known
     step_s: float
     integration: Integration | None = None  # None: of a run from before it was written down
     planned_s: float  # how long the flight is meant to be

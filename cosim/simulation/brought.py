@@ -37,6 +37,7 @@ from cosim.simulation.script.wind import FieldWind
 from cosim.spec.controller_name import file_name
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
+from cosim.spec.vehicle.sensor_profile import profile_names
 
 if TYPE_CHECKING:
     import numpy as np
@@ -143,7 +144,8 @@ def find_block(kind: str, name: str, folder: Path) -> Source:
     if name not in entries:
         ways = f"FILE.py:Name, package.module:Name or an entry point of {GROUPS[kind]}"
         more = f" ({nearest(name, entries)})" if entries else ""
-        raise InputError(f"{where}: must be {'FILE.csv, ' if kind == 'wind' else ''}{ways}{more}")
+        first = {"wind": "FILE.csv, ", "sensors": "".join(f"{profile}, " for profile in profile_names())}
+        raise InputError(f"{where}: must be {first.get(kind, '')}{ways}{more}")
     block, package = loaded(entries[name], where)
     path_of = file_of(block)
     return _stated(kind, name, block, {} if path_of is None else {path_of.name: path_of}, package, copied=False)
@@ -199,7 +201,7 @@ def bring(scenario: Scenario) -> Brought:
     Raises InputError for a name, a file or a table that does not do, and for another file than the one that flew.
     """
     asked = {"metrics": scenario.metrics, "observers": scenario.observers}
-    asked |= {key: [name] for key, name in (("sensors", scenario.sensors), ("wind", scenario.wind)) if name}
+    asked |= {key: [name] for key, name in (("sensors", scenario.sensor_plugin), ("wind", scenario.wind)) if name}
     kinds = {"metrics": "metric", "observers": "observer"}
     sources = {
         key: [_source(kinds.get(key, key), name, scenario) for name in names] for key, names in asked.items() if names

@@ -1,12 +1,13 @@
 """What the controller is told: gyro, attitude, GNSS, barometer and accelerometer, with noise, bias, lag and latency.
 
 The noise comes from a generator of its own, seeded by the scenario, so that a change elsewhere does not change it; the
-accelerometer's from another one, so that what the other sensors give is the same with it as it was without.
+accelerometer's from another one, so that what the other sensors give is the same with it as it was without, and the
+constant biases that a flight draws from a third.
 """
 
 from __future__ import annotations
 
-from math import atan2, cos, exp, hypot, sin, sqrt
+from math import atan2, cos, exp, floor, hypot, sin, sqrt
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -34,6 +35,7 @@ Fix = tuple[Any, Any]  # position and velocity: vectors that are handed on as th
 _DRAWS = 13  # standard normals a step: gyro 3, attitude 3, position 3, velocity 3, height 1
 _FORCE_DRAWS = 3  # of the accelerometer
 _BLOCK = 256  # steps drawn at once
+_BIAS_KEY = 6  # of the random numbers that biases are drawn from; the others' are 0 and 1
 
 
 class Latency(Generic[T]):
@@ -105,7 +107,8 @@ class SensorSuite:
     """All sensors of the vehicle, sampled once a control step.
 
     The gyro's filter is ``y += (1 - exp(-T/tau)) (rate - y)``: pole ``a = exp(-T/tau)``, a delay of ``a / (1 - a)``
-    samples at rest.  ``noisy`` False leaves filter, latency and hold, and takes away noise and bias.
+    samples at rest.  A value is rounded to the sensor's resolution with its noise and bias in it, before the filter.
+    ``noisy`` False leaves filter, latency, hold and resolution, and takes away noise and bias.
     """
 
     def __init__(self, sensors: SensorSettings, step: float, seed: int, noisy: bool) -> None:
@@ -115,7 +118,9 @@ class SensorSuite:
         self._share = 1.0 - exp(-step / gyro.filter_s) if gyro.filter_s > 0.0 else 1.0
         on = 1.0 if noisy else 0.0
         self._gyro_noise = gyro.noise_rad_s * on
-        self._gyro_bias = _scaled(gyro.bias_rad_s, on)
+        drawn = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_BIAS_KEY,))).standard_normal(6).tolist()
+        self._gyro_bias = _drawn(gyro.bias_rad_s, gyro.bias_sigma_rad_s, drawn[:3], on)
+        self._gyro_resolution = gyro.resolution_rad_s
         self._attitude_noise = attitude.noise_rad * on
         self._attitude_bias = _scaled(attitude.bias_rad, on)
         tau = attitude.ahrs_time_constant_s
@@ -132,7 +137,8 @@ class SensorSuite:
         self._late = gyro.latency_samples + attitude.latency_samples + barometer.latency_samples > 0
         accelerometer = sensors.accelerometer
         self._force_noise = accelerometer.noise_m_s2 * on
-        self._force_bias = _scaled(accelerometer.bias_m_s2, on)
+        self._force_bias = _drawn(accelerometer.bias_m_s2, accelerometer.bias_sigma_m_s2, drawn[3:], on)
+        self._force_resolution = accelerometer.resolution_m_s2
         self._force_line: Latency[Vector3] = Latency(accelerometer.latency_samples)
         self._draws: list[list[float]] = []
         self._force_draws: list[list[float]] = []
@@ -164,6 +170,8 @@ class SensorSuite:
         new_fix = self._count % self._period == 0
         force = state.specific_force
         position, velocity = state.position, state.velocity
+        off = ZERO3
+        n: list[float] = []
         if self._noisy:
             m = self._next_force_draws()
             s = self._force_noise
@@ -177,8 +185,14 @@ class SensorSuite:
             p += off[0]
             q += off[1]
             r += off[2]
-            if self._lean:
-                attitude = self._lean.update(attitude, off, force)
+        if self._force_resolution > 0.0:
+            force = _rounded(force, self._force_resolution)
+        if self._gyro_resolution > 0.0:
+            p, q, r = _rounded((p, q, r), self._gyro_resolution)
+            off = (p - state.rate[0], q - state.rate[1], r - state.rate[2])
+        if self._lean:
+            attitude = self._lean.update(attitude, off, force)
+        if self._noisy:
             s = 0.5 * self._attitude_noise
             ax, ay, az = self._attitude_bias
             attitude = normalize(
@@ -191,8 +205,6 @@ class SensorSuite:
                 u, v, w = velocity
                 position = (x + s * n[6], y + s * n[7], z + s * n[8])
                 velocity = (u + t * n[9], v + t * n[10], w + t * n[11])
-        elif self._lean:
-            attitude = self._lean.update(attitude, ZERO3, force)
         fp, fq, fr = self._rate
         share = self._share
         self._rate = rate = (fp + share * (p - fp), fq + share * (q - fq), fr + share * (r - fr))
@@ -279,3 +291,17 @@ def _sum(a: Vector3, b: Vector3) -> Vector3:
 
 def _scaled(vector: Vector3, factor: float) -> Vector3:
     return (vector[0] * factor, vector[1] * factor, vector[2] * factor)
+
+
+def _drawn(bias: Vector3, sigma: float, draws: list[float], factor: float) -> Vector3:
+    """Return the stated bias with what was drawn for this flight added; exactly the stated one where sigma is 0."""
+    return _sum(_scaled(bias, factor), _scaled((draws[0], draws[1], draws[2]), sigma * factor))
+
+
+def _rounded(vector: Vector3, resolution: float) -> Vector3:
+    """Return the nearest whole multiples of the resolution, as an analogue-digital converter gives them."""
+    return (
+        resolution * floor(vector[0] / resolution + 0.5),
+        resolution * floor(vector[1] / resolution + 0.5),
+        resolution * floor(vector[2] / resolution + 0.5),
+    )

@@ -33,6 +33,7 @@ from cosim.simulation.controllers.source import names as own_controllers
 from cosim.spec.controller_name import is_design
 from cosim.spec.scenario import Scenario, parameter_files
 from cosim.spec.vehicle import PredictorTuning, aircraft_names, engine_of, is_file, is_own
+from cosim.spec.vehicle.sensor_profile import STATED, profile_names
 
 if TYPE_CHECKING:
     from cosim.engine.fmu.archive import Archive
@@ -331,6 +332,8 @@ def _scenario_keys(scenario: Scenario, name: str, field: FieldInfo) -> Iterator[
         return
     if name in ("aircraft", "engine", "controller"):
         yield Key(name, "choice", value, choices=tuple(_names(name)))
+    elif name == "sensors":
+        yield Key(name, "choice", value or STATED, choices=tuple(profile_names()))
     elif name in LISTS:
         for place, entry in enumerate(value):
             for key in _below(f"{name}.{place}", entry):

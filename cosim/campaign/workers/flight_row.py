@@ -131,7 +131,7 @@ def own_names(study: Study) -> list[str]:
 def _brought(study: Study) -> Kinds:
     """A column where a study brings anything beside its controllers."""
     base = study.base()
-    return {"brought_sha256": str} if base.metrics or base.observers or base.sensors or base.wind else {}
+    return {"brought_sha256": str} if base.metrics or base.observers or base.sensor_plugin or base.wind else {}
 
 
 def _sink(scenario: Scenario) -> DigestSink:

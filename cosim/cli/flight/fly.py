@@ -255,6 +255,10 @@ def _others(summary: Summary) -> str:
     return "".join(f", {engine} at {' and '.join(numbers)}" for engine, numbers in at.items())
 
 
+def _sensors(summary: Summary) -> str:
+    return f", sensors {summary.sensors}" if summary.sensors else ""
+
+
 def print_run(run: Run) -> None:
     """Outcome, metrics, what was expected and not met, and where the report is."""
     from rich.markup import escape
@@ -264,7 +268,7 @@ def print_run(run: Run) -> None:
     console.print(f"{summary.scenario}: [bold]{escape(summary.ending)}[/bold]", highlight=False)
     console.print(
         f"{summary.aircraft}, engine {summary.engine_shown}{_others(summary)}, controller {summary.controller_shown}, "
-        f"seed {summary.seed}: {summary.duration_s:.2f} s flown" + _speed(summary.realtime_factor),
+        f"seed {summary.seed}{_sensors(summary)}: {summary.duration_s:.2f} s flown" + _speed(summary.realtime_factor),
         highlight=False,
     )
     for note in summary.notes:

@@ -11,7 +11,8 @@ from cosim.base.storage.toml import merge
 from cosim.spec.controller_name import SHORT, controller_words, label
 from cosim.spec.scenario.parameter_file import ParameterFile, parsed, stated_content
 from cosim.spec.scenario.scenario import Scenario
-from cosim.spec.vehicle import is_file, is_own, load_vehicle
+from cosim.spec.vehicle import is_file, is_own
+from cosim.spec.vehicle.sensor_profile import load_with_profile
 
 # Keys that say how a flight is watched, judged or proved to be the same, and not what flies.
 _BESIDE_THE_FLIGHT = frozenset(
@@ -132,7 +133,10 @@ def _not_in_effect(scenario: Scenario, stated: Mapping[str, Any]) -> list[str]:
     """Return the keys of a vehicle that would be others if what a file states were written over it once more."""
     flown, _ = scenario.resolved_vehicle()
     try:
-        again, _ = load_vehicle(scenario.aircraft, merge(scenario.vehicle, stated), folder=scenario.folder)
+        again, _ = load_with_profile(
+            scenario.aircraft, merge(scenario.vehicle, stated), "vehicle", scenario.folder, scenario.sensor_profile,
+            scenario.step_s,
+        )  # fmt: skip
     except InputError:  # of another aircraft
         return ["vehicle"]
     if again == flown:

@@ -29,7 +29,8 @@ from cosim.spec.scenario.disturbances import DisturbanceEntry
 from cosim.spec.scenario.faults import FaultEntry, SensorBias, SensorDropout, ServoJam, StationNumber
 from cosim.spec.scenario.mismatch import Mismatch
 from cosim.spec.scenario.parameter_file import ParameterFile
-from cosim.spec.vehicle import STEP_S, Step, Vehicle, is_own, load_vehicle
+from cosim.spec.vehicle import STEP_S, Step, Vehicle, is_own
+from cosim.spec.vehicle.sensor_profile import STATED, load_with_profile, profile_names, refuse_restated
 
 
 class Initial(Model):
@@ -155,7 +156,7 @@ class Scenario(Model):
     requests: str | None = None  # a file of what is asked of the autopilot, which flies then
     metrics: list[str] = []  # of one's own, beside the built-in ones: FILE.py:Name, package.module:Name, entry points
     observers: list[str] = []  # of one's own, the same way, as the next two
-    sensors: str | None = None  # behind the built-in ones
+    sensors: str | None = None  # behind the built-in ones; or a profile of these: "stated" (as none) or "measured"
     wind: str | None = None  # over time and place, beside the environment's; or a table over time, FILE.csv
     own_sha256: dict[str, str] = {}  # of the four above, by name: they fly only if they are these still
     parameter_files: list[ParameterFile] = []  # whose numbers are in vehicle; written by hexjet
@@ -166,7 +167,7 @@ class Scenario(Model):
 
     _folder: Path = PrivateAttr(default_factory=Path)
     _origin: Scenario | None = PrivateAttr(default=None)  # as its file states it; None: as this is
-    _resolved: tuple[str, dict[str, Any], tuple[Vehicle, Path]] | None = PrivateAttr(default=None)  # once needed
+    _resolved: tuple[tuple[Any, ...], dict[str, Any], tuple[Vehicle, Path]] | None = PrivateAttr(default=None)
 
     @model_validator(mode="before")
     @classmethod
@@ -221,12 +222,26 @@ class Scenario(Model):
         InputError
             As :func:`cosim.spec.vehicle.load_vehicle`.
         """
-        known = self._resolved
-        if known is None or known[0] != self.aircraft or known[1] is not self.vehicle:  # a copy may have another
-            where = f"scenario {self.name}: vehicle"
-            vehicle = load_vehicle(self.aircraft, self.vehicle, where, self.folder)
-            known = self._resolved = (self.aircraft, self.vehicle, vehicle)
+        known, of = self._resolved, (self.aircraft, self.sensors, self.step_s)
+        if known is None or known[0] != of or known[1] is not self.vehicle:  # a copy may have another
+            where, profile, filed = f"scenario {self.name}", self.sensor_profile, self._origin
+            if filed is not None and filed.sensor_profile != profile:
+                refuse_restated(filed.vehicle.get("sensors", {}), (filed.sensor_profile, profile), where)
+            vehicle = load_with_profile(
+                self.aircraft, self.vehicle, f"{where}: vehicle", self.folder, profile, self.step_s
+            )
+            known = self._resolved = (of, self.vehicle, vehicle)
         return known[2]
+
+    @property
+    def sensor_profile(self) -> str:
+        """The name of the profile that is written over the aircraft's sensors."""
+        return self.sensors if self.sensors is not None and self.sensors in profile_names() else STATED
+
+    @property
+    def sensor_plugin(self) -> str | None:
+        """The name of the user's own sensors behind the built-in ones; None: there are none."""
+        return None if self.sensors is None or self.sensors in profile_names() else self.sensors
 
     @property
     def aircraft_name(self) -> str:

@@ -12,12 +12,18 @@ Samples = Annotated[int, Field(ge=0, le=1000)]
 
 
 class GyroSensor(Model):
-    """Rate gyro: first-order low-pass, constant bias, white noise, whole samples of latency."""
+    """Rate gyro: white noise, constant bias, quantisation, then a first-order low-pass, whole samples of latency.
+
+    ``bias_sigma_rad_s`` is the standard deviation of a further constant bias that the flight's seed draws for each
+    axis; ``resolution_rad_s`` the step of the values that it gives, 0: none.
+    """
 
     filter_s: NotNegative
     noise_rad_s: NotNegative
     bias_rad_s: Vector
     latency_samples: Samples
+    bias_sigma_rad_s: NotNegative = 0.0
+    resolution_rad_s: NotNegative = 0.0
 
 
 class AttitudeSensor(Model):
@@ -55,12 +61,14 @@ class ForceSensor(Model):
 
     The defaults are a small MEMS sensor's (TDK ICM-42688-P, data sheet DS-000347): 70 ug per root Hz make 0.008 m/s^2
     of noise in 125 Hz, to which the engines add; 0.05 m/s^2 with them is chosen by us.  Its zero moves by 0.15 mg/K,
-    hence 0.03 m/s^2 at 20 K from where it was calibrated.
+    hence 0.03 m/s^2 at 20 K from where it was calibrated.  ``bias_sigma_m_s2`` and ``resolution_m_s2`` as the gyro's.
     """
 
     noise_m_s2: NotNegative = 0.05
     bias_m_s2: Vector = (0.03, 0.03, 0.03)
     latency_samples: Samples = 0
+    bias_sigma_m_s2: NotNegative = 0.0
+    resolution_m_s2: NotNegative = 0.0
 
 
 class Sensors(Model):

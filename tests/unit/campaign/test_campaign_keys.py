@@ -144,7 +144,10 @@ def test_values_out_of_range(key: str, value: Any, words: str) -> None:
         ("vehicle.control.rate.rol.p", "did you mean vehicle.control.rate.roll.p"),
         ("wind", "did you mean environment.wind_ned_m_s.0"),
         ("xyzzy", "lists all of them"),
-        ("vehicle.sensors.gyro", "below it: filter_s, noise_rad_s, bias_rad_s, latency_samples"),
+        (
+            "vehicle.sensors.gyro",
+            "below it: filter_s, noise_rad_s, bias_rad_s, latency_samples, bias_sigma_rad_s, resolution_rad_s",
+        ),
         ("environment.wind_ned_m_s", "below it: 0, 1, 2"),
         ("seed", "every flight has one already"),
         ("title", "is not a number or a choice"),

@@ -104,6 +104,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/laws.md": ("marks", "test_laws.py"),
     "docs/margins.md": ("test_measured_margins.py",),
     "docs/metrics.md": ("test_metrics_docs.py",),
+    "docs/sensors.md": ("marks", "test_sensor_profile.py"),
     "docs/own-aircraft.md": ("test_aircraft_check.py", "test_model_agreement.py"),
     "docs/own-blocks.md": ("test_own_blocks.py",),
     "docs/own-controller.md": ("test_own_controller.py",),

@@ -44,6 +44,7 @@ SAME = {
     "spin", "range_rad", "friction_static", "friction_dynamic", "tilt_deg", "lean_rad", "stick_lean_rad",  # no unit
     "filter_s", "noise_rad_s", "bias_rad_s", "latency_samples", "noise_rad", "bias_rad",  # electronics
     "position_noise_m", "velocity_noise_m_s", "period_samples", "noise_m", "bias_m", "noise_m_s2", "bias_m_s2", "ahrs_time_constant_s",
+    "bias_sigma_rad_s", "bias_sigma_m_s2", "resolution_rad_s", "resolution_m_s2",
     "integral_limit", "integral_limit_m_s2", "acceleration_m_s2",  # commands without a unit, accelerations
     "throttle_min", "throttle_max",
     "endurance_s",  # what is in the battery or tank

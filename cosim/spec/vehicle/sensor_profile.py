@@ -1,0 +1,100 @@
+"""Profiles of sensors, which a scenario names and which are written over the sensors of any aircraft."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import InputError
+from cosim.base.storage.paths import data_folder
+from cosim.base.storage.toml import merge, read_toml, validate
+from cosim.spec.controller_name import SHORT
+from cosim.spec.vehicle.files import load_vehicle
+from cosim.spec.vehicle.sensors import Sensors
+from cosim.spec.vehicle.vehicle import Vehicle
+
+STATED = "stated"  # the profile that changes nothing
+_LATENCY = ("latency_s", "latency_samples")  # as a profile has it, and as a vehicle has it
+
+
+def profile_names() -> list[str]:
+    """Return the names of all sensor profiles, the one that changes nothing first."""
+    return [STATED, *read_toml(_file())]
+
+
+def profile_words(profile: str) -> str:
+    """Return a profile's name with its file and the first letters of that file's SHA-256; nothing for ``stated``."""
+    if profile == STATED:
+        return ""
+    return f"{profile} ({_file().name} {sha256(_file().read_bytes()).hexdigest()[:SHORT]})"
+
+
+def load_with_profile(
+    aircraft: str, overrides: dict[str, Any], where: str, folder: Path, profile: str, step: float
+) -> tuple[Vehicle, Path]:
+    """Read an aircraft with a profile written over its sensors, and what a scenario states over that.
+
+    Parameters
+    ----------
+    aircraft, overrides, where, folder
+        As :func:`cosim.spec.vehicle.load_vehicle`.
+    profile
+        A name of :func:`profile_names`.
+    step
+        Control step [s]; a profile's latency is rounded to a whole number of them.
+
+    Returns
+    -------
+    The vehicle, and the folder of its file.
+
+    Raises
+    ------
+    InputError
+        As :func:`cosim.spec.vehicle.load_vehicle`.
+    """
+    vehicle, place = load_vehicle(aircraft, overrides, where, folder)
+    tables = _tables(profile)
+    if not tables:
+        return vehicle, place
+    for table in tables.values():
+        if _LATENCY[0] in table:
+            table[_LATENCY[1]] = round(table.pop(_LATENCY[0]) / step)
+    merged = merge(merge(vehicle.sensors.model_dump(), tables), overrides.get("sensors", {}))
+    return vehicle.model_copy(update={"sensors": validate(Sensors, merged, f"{where}.sensors")}), place
+
+
+def refuse_restated(stated: dict[str, Any], profiles: Iterable[str], where: str) -> None:
+    """Refuse another profile over a file whose own sensors would hide it, as the scenario of a run does.
+
+    Parameters
+    ----------
+    stated
+        The file's own ``vehicle.sensors``.
+    profiles
+        The file's profile, and the one that is to be flown.
+    where
+        What the file is called, for the error.
+
+    Raises
+    ------
+    InputError
+        If the file states a value that one of the profiles states.
+    """
+    for sensor, table in (each for profile in profiles for each in _tables(profile).items()):
+        for key in table:
+            name = _LATENCY[1] if key == _LATENCY[0] else key
+            if name in stated.get(sensor, {}):
+                raise InputError(
+                    f"{where}: sensors: the file itself states {sensor}.{name} in vehicle.sensors, which would stand "
+                    "instead of the profile's; leave vehicle.sensors out of it, or take the scenario it was made from"
+                )
+
+
+def _file() -> Path:
+    return data_folder("aircraft") / "sensors.toml"
+
+
+def _tables(profile: str) -> dict[str, dict[str, Any]]:
+    return {} if profile == STATED else read_toml(_file())[profile]
