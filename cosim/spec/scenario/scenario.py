@@ -358,7 +358,18 @@ class Scenario(Model):
 
     @classmethod
     def as_filed(cls, path: Path) -> Scenario | None:
-        """Return the scenario of a file as it is; None if it is not whole without what is written over it."""
+        """Return the scenario of a file as it is, without settings.
+
+        Parameters
+        ----------
+        path : Path
+            The scenario's TOML file.
+
+        Returns
+        -------
+        Scenario or None
+            Validated; None if the file is not whole without what is written over it.
+        """
         try:
             return cls.from_table(read_toml(path), path.parent, str(path))
         except InputError:
@@ -454,13 +465,35 @@ class Scenario(Model):
         return self.from_table(data, self.folder, f"scenario {self.name}", self._origin or self)
 
     def resolved(self, **parts: Any) -> Scenario:
-        """Return a copy with parts that were checked already, as what a file of its own states from now on."""
+        """Return a copy with parts that were checked already, as what a file of its own states from now on.
+
+        Parameters
+        ----------
+        **parts : object
+            Values of fields by name, as validation leaves them; they are not checked again.
+
+        Returns
+        -------
+        Scenario
+            The copy; it has no origin whose changes could be listed.
+        """
         copy = self.model_copy(update=parts)
         copy._origin = None
         return copy
 
     def seen_from(self, folder: Path) -> Scenario:
-        """Return a copy whose relative file names start from ``folder``, where the files have been copied to."""
+        """Return a copy whose relative file names start from another folder, where the files have been copied to.
+
+        Parameters
+        ----------
+        folder : Path
+            Where the files are; a relative path is seen from the working directory.
+
+        Returns
+        -------
+        Scenario
+            The copy; nothing else of it is different.
+        """
         copy = self.model_copy()
         copy._folder = folder.absolute()
         return copy

@@ -192,7 +192,7 @@ def test_at_its_own_gains_the_delay_loses_it(minute: AutopilotRun, tmp_path: Pat
     assert quick.metrics["roll"].settling_time_s is not None
     stated(
         "docs/autopilots.md",
-        "With the Hex-Jet's engines as flown, 0.1 s late, Betaflight as it ships "
+        "With the Hex-Jet's engines, 0.1 s late, Betaflight as it ships "
         "is lost {} s after the start of a hover. With the gains of `vehicle.toml`, which are made for a predictor, it is lost "
         "in a hover at {} s and in the roll doublet at {} s; without the delay (`--engine edf`) that settles. With the gains that "
         "`hexjet design --controller baseline --no-lead` finds it holds roll within {}° for a minute, and the doublet settles in {} s",
