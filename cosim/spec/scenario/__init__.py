@@ -42,6 +42,7 @@ from cosim.spec.scenario.faults import (
     StuckThrottle,
     ThrustLoss,
 )
+from cosim.spec.scenario.files import find_scenario, scenario_names
 from cosim.spec.scenario.mismatch import Mismatch
 from cosim.spec.scenario.parameter_file import ParameterFile, parameter_files
 from cosim.spec.scenario.provenance import (
@@ -59,8 +60,6 @@ from cosim.spec.scenario.scenario import (
     Range,
     Scenario,
     Station,
-    find_scenario,
-    scenario_names,
 )
 
 __all__ = [

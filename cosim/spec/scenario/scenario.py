@@ -10,8 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
 from cosim.base.constants import Outcome
-from cosim.base.errors import InputError, similar
-from cosim.base.storage.paths import data_folder
+from cosim.base.errors import InputError
 from cosim.base.storage.toml import (
     Duration,
     Model,
@@ -27,6 +26,7 @@ from cosim.base.trust import mention
 from cosim.spec.scenario.commands import CommandEntry
 from cosim.spec.scenario.disturbances import DisturbanceEntry
 from cosim.spec.scenario.faults import FaultEntry, SensorBias, SensorDropout, ServoJam, StationNumber
+from cosim.spec.scenario.files import find_scenario
 from cosim.spec.scenario.mismatch import Mismatch
 from cosim.spec.scenario.parameter_file import ParameterFile
 from cosim.spec.vehicle import STEP_S, Step, Vehicle, is_own
@@ -507,22 +507,3 @@ def _named(changes: Mapping[str, Any]) -> Iterator[str]:
     for station in (changes.get("stations") or {}).values():
         engine = station.get("engine") if isinstance(station, Mapping) else getattr(station, "engine", None)
         yield from [engine] if isinstance(engine, str) else []
-
-
-def scenario_names() -> list[str]:
-    """Every scenario that is shipped."""
-    return sorted(path.stem for path in data_folder("scenarios").glob("*.toml"))
-
-
-def find_scenario(name: str | Path) -> Path:
-    """The file of a scenario given by name or path."""
-    path = Path(name)
-    if path.suffix == ".toml" or path.is_file():
-        if not path.is_file():
-            raise InputError(f"{path}: no such scenario file")
-        return path
-    if str(name) not in scenario_names():
-        raise InputError(
-            f"unknown scenario {str(name)!r}; {similar(str(name), scenario_names())}, or give the path of a .toml file"
-        )
-    return data_folder("scenarios") / f"{name}.toml"

@@ -1,0 +1,27 @@
+"""The scenarios that are shipped, and how one is found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cosim.base.errors import InputError, similar
+from cosim.base.storage.paths import data_folder
+
+
+def scenario_names() -> list[str]:
+    """Return the name of every scenario that is shipped."""
+    return sorted(path.stem for path in data_folder("scenarios").glob("*.toml"))
+
+
+def find_scenario(name: str | Path) -> Path:
+    """Return the file of a scenario given by name or path; raise InputError where there is none."""
+    path = Path(name)
+    if path.suffix == ".toml" or path.is_file():
+        if not path.is_file():
+            raise InputError(f"{path}: no such scenario file")
+        return path
+    if str(name) not in scenario_names():
+        raise InputError(
+            f"unknown scenario {str(name)!r}; {similar(str(name), scenario_names())}, or give the path of a .toml file"
+        )
+    return data_folder("scenarios") / f"{name}.toml"
