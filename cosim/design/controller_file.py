@@ -68,7 +68,8 @@ class FlownRecord(Model):
 class ProofRecord(Model):
     """What a design was flown with before it was believed; a flight does not read it."""
 
-    flights: int  # all kept what was promised
+    flights: int  # all kept what was promised, where nothing failed
+    failed: str | None = None  # why it failed; only of a design whose file was written under an earlier proof
     lean_deg: float  # to which the doublets went
     worse: list[str] = Field(default_factory=list)  # what is worse as flown than with the gains that ship
     flown: list[FlownRecord] = Field(default_factory=list)
@@ -184,7 +185,7 @@ def differences(scenario: Scenario, path: Path) -> list[str]:
     made = file.design
     engine, unchecked, apart = str(scenario.engine), scenario.engine_unchecked, scenario.engine_isolated
     spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, apart=apart)
-    lines = []
+    lines = [f"its proof failed: {made.proof.failed}"] if made.proof and made.proof.failed else []
     if made.engine_sha256 not in (spec.identity, spec.sha256):
         lines.append(f"designed for engine {made.engine} ({made.engine_sha256[:12]}), flown with {spec.name} "
                      f"({spec.identity[:12]})")  # fmt: skip

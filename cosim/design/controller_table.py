@@ -103,6 +103,7 @@ def proof_record(proof: Proof) -> ProofRecord:
     """Return what a controller file says of its proof."""
     return ProofRecord(
         flights=len(proof.flights),
+        failed=proof.reason or None,
         lean_deg=_rounded(proof.lean_deg),
         worse=worse_lines(proof.compared),
         flown=[

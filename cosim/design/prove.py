@@ -42,6 +42,7 @@ PAST = 3.0  # times the crossover, up to where the engine is measured
 MOST_HZ = 0.4  # over the control step: the highest that is swept
 SHARE_LEFT = 0.8  # of what stability allows, |T (r - 1)| at most
 WORSE = 1.25  # times the sensitivity asked for, that of the measured loop at most
+NOT_KEPT = "flown with the engine itself it does not keep what it promises"
 ABOVE = 0.5  # loop gain where nothing was measured, at most: the engine may answer twice as much as its model
 
 Again = Callable[[tuple[tuple[float, float], ...]], Design]
@@ -92,7 +93,7 @@ def prove(design: Design, say: Callable[[str], None] = lambda text: None) -> Pro
     reason = ""
     if bad:
         more = f" (and {len(bad) - 1} of {len(flights)} flights more)" if len(bad) > 1 else ""
-        reason = f"flown with the engine itself it does not keep what it promises: {bad[0].words}: {bad[0].fault}{more}"
+        reason = f"{NOT_KEPT}: {bad[0].words}: {bad[0].fault}{more}"
     compared = compare_with_shipped(design, flights, say)
     return replace(proof, reason=reason, flights=flights, compared=compared, lean_deg=lean_of(design.vehicle))
 

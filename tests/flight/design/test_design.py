@@ -18,6 +18,7 @@ from state_space import Body, Loop, first_order
 from stored_designs import LINEAR, small_step, stored
 
 from cosim.base.errors import InputError
+from cosim.base.storage.toml import read_toml, toml_text
 from cosim.cli.main import main
 from cosim.control.predictors.linear import model_response, observer_response
 from cosim.control.predictors.registry import PREDICTORS
@@ -551,6 +552,14 @@ def test_a_file_for_another_engine_is_told() -> None:
         "roll-doublet", path, ["vehicle.mass_kg=6.0", "vehicle.control.attitude.gain_1_s=[1,1,1]"]
     )
     assert differences(heavier, path) == ["designed for hexjet with no changes, flown with {'mass_kg': 6.0}"]
+
+
+def test_a_file_whose_proof_failed_later_is_told(tmp_path: Path) -> None:
+    table = read_toml(DESIGNS / "edf-as-flown.toml")
+    table["design"]["proof"] = {"flights": 4, "lean_deg": 20.0, "failed": "doublet to 20 deg: diverged"}
+    path = tmp_path / "older.toml"
+    path.write_text(toml_text(table), encoding="utf-8")
+    assert differences(with_controller("roll-doublet", path), path) == ["its proof failed: doublet to 20 deg: diverged"]
 
 
 @pytest.mark.usefixtures("quick")

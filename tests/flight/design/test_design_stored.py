@@ -275,11 +275,14 @@ def test_the_pages_state_what_the_designs_do() -> None:
         parts = parts_of(path.read_text(encoding="utf-8"), path)
         assert parts["margins"] == page.margins(name)
         assert parts["fuel"] == page.levels(name)
+        if aircraft == "hexjet-100":
+            assert parts["proof"] == page.proofs([name])
         if aircraft == "hexjet-p220":
             assert parts["more inertia"] == page.heavier(name)
     path = root / "docs" / "control-design.md"
     parts = parts_of(path.read_text(encoding="utf-8"), path)
     assert parts["designs"] == page.designs()
+    assert parts["designs proved"] == page.proofs()
     # begun anew: every file, and the one that ships
     rows = [line.strip("| ").split(" | ") for line in parts["designs anew"].splitlines()[2:]]
     assert [[name, digest] for name, digest, *_ in rows] == [[name, page.ships(name)] for name in page.COMMANDS]
