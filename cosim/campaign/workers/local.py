@@ -284,6 +284,8 @@ class _Process:
         with suppress(subprocess.TimeoutExpired):
             code = self._process.wait(1.0)
             return f"ended by {signal.Signals(-code).name}" if code < 0 else f"left with status {code}"
+        if self.since is None:
+            return f"was not ready after {START_LIMIT_S:g} s, as on a machine with too much to do"
         return "closed its connection"
 
     def mark(self, wall_s: float | None = None) -> Row:

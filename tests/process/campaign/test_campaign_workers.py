@@ -22,6 +22,7 @@ from places import TOOLS
 from cosim.base.errors import FlightError, InputError
 from cosim.campaign.study.plan import Flight, flights, scenario_of
 from cosim.campaign.study.study import Study
+from cosim.campaign.workers import local
 from cosim.campaign.workers.flight_row import Row, fly_one, kinds
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.campaign.workers.tasks import in_order
@@ -259,6 +260,16 @@ def test_a_flight_that_does_not_end_is_ended(study: Study, rows: list[Row], note
 def test_processes_that_do_not_start_end_it(study: Study) -> None:
     with LocalWorkers(2, fly=tools.Deadly()) as workers:  # type: ignore[arg-type]
         with pytest.raises(FlightError, match="8 processes in a row ended before they could fly; the last left with"):
+            list(workers.fly(study, flights(study)))
+        assert all_gone()
+
+
+def test_processes_that_start_too_slowly_are_called_that(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They have neither left nor closed anything: the machine has too much to do."""
+    monkeypatch.setattr(local, "START_LIMIT_S", 0.0)
+    monkeypatch.setattr(local, "LOOK_S", 0.0)
+    with LocalWorkers(1) as workers:
+        with pytest.raises(FlightError, match="the last was not ready after 0 s"):
             list(workers.fly(study, flights(study)))
         assert all_gone()
 
