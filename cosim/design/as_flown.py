@@ -115,8 +115,9 @@ def _degrees(value: float | None) -> float | None:
 
 
 def worse_lines(pairs: Sequence[FlownPair]) -> list[str]:
-    """Return a sentence for each measure that is worse as designed in some flight, in the worst of them."""
-    lines = []
+    """Return a sentence for each flight that is lost as designed alone, and each measure that is worse in the worst."""
+    gone = [pair for pair in pairs if pair.designed.lost and not pair.shipped.lost]
+    lines = [f"{WORSE}: {pair.flight} {pair.designed.lost}, which the gains that ship fly" for pair in gone]
     found = [(pair, pair.worse()) for pair in pairs]
     for key, measure in MEASURES.items():
         hit = [(factors[key], pair) for pair, factors in found if key in factors]

@@ -331,6 +331,14 @@ def test_what_ships_may_not_fly_the_engine(sound: Design) -> None:
     gone = FlownPair("doublet", FlownMeasures("lost at 4.2 s", True, {}), flight_of())
     assert comparison_lines([gone]) == ["the gains that ship do not fly this engine: doublet lost at 4.2 s"]
     assert comparison_rows([gone])[0] == ["roll error, RMSE, deg", "lost at 4.2 s", "3.39"]
+    assert worse_lines([gone]) == []
+
+
+def test_a_flight_that_is_lost_as_designed_alone_is_worse() -> None:
+    lost = FlownPair("doublet", flight_of(), FlownMeasures("lost at 4.2 s", True, {}))
+    assert comparison_lines([lost]) == [
+        "WORSE as flown than what ships: doublet lost at 4.2 s, which the gains that ship fly"
+    ]
 
 
 def test_an_aircraft_of_a_folder_is_proved_as_what_it_is(
