@@ -1,6 +1,6 @@
 """The coverage of docs/identify-logs.md: logs whose truth is known, and how often the bounds hold it.
 
-python docs/logs.py                        all of them, the tables written into the page; half an hour of a processor
+python docs/logs.py                        all of them, the tables written into the page; ten minutes of a processor
 python docs/logs.py --rows FILE.json       the same; what is done is kept in the file, and a second call goes on there
 python docs/logs.py --share 0.05 --print   a twentieth of them, printed
 python docs/logs.py --only drawn           kinds with this word alone, and their tables alone
@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -45,6 +46,8 @@ TWO = Truth(lags=(0.0299, 0.009))
 DOUBLETS, STRONG, SWEEP = {"size": 0.5}, {"size": 1.5}, {"size": 0.5, "sweep": 0.006}
 ALONE = {"size": 0.0, "sweep": 0.2, "loop": False}
 CALM = Flaws(gyro=0.01, turbulence=0.02, jitter=0.075, lost=0.01)
+ROUGH = replace(CALM, turbulence=0.05)
+EVERY = replace(ROUGH, jitter=0.0, lost=0.0)  # then the noise's model has terms of 4 ms, else of two samples
 SHORT_KNOWN = {"lags": 2, "hold": {"lag_2_s": 0.009}}
 
 
@@ -59,15 +62,18 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "drawn vehicles, strong doublets": Kind(None, CALM, 60, DOUBLETS),
-    "drawn vehicles, sweep": Kind(None, CALM, 60, SWEEP),
-    "two lags, sweep": Kind(TWO, Flaws(), 280, SWEEP),
-    "one lag, sweep, wrong stamps": Kind(Truth(), Flaws(jitter=0.0, stamps=0.15, lost=0.0), 100, SWEEP),
-    "engine, sweep, no loop": Kind(ENGINE, Flaws(gyro=0.05, turbulence=0.0), 100, ALONE),
-    "one lag, doublets": Kind(Truth(), Flaws(), 170, DOUBLETS),
-    "one lag, doublets three times as strong": Kind(Truth(), Flaws(), 100, STRONG),
-    "two lags, doublets": Kind(TWO, Flaws(), 150, DOUBLETS),
-    "two lags, doublets, the short lag stated": Kind(TWO, Flaws(), 100, DOUBLETS, SHORT_KNOWN),
+    "drawn vehicles, strong doublets": Kind(None, CALM, 40, DOUBLETS),
+    "drawn vehicles, strong doublets, rough air": Kind(None, ROUGH, 40, DOUBLETS),
+    "drawn vehicles, strong doublets, rough air, every sample": Kind(None, EVERY, 40, DOUBLETS),
+    "drawn vehicles, sweep": Kind(None, CALM, 20, SWEEP),
+    "drawn vehicles, sweep, rough air": Kind(None, ROUGH, 20, SWEEP),
+    "two lags, sweep": Kind(TWO, Flaws(), 10, SWEEP),
+    "one lag, sweep, wrong stamps": Kind(Truth(), Flaws(jitter=0.0, stamps=0.15, lost=0.0), 10, SWEEP),
+    "engine, sweep, no loop": Kind(ENGINE, Flaws(gyro=0.05, turbulence=0.0), 10, ALONE),
+    "one lag, doublets": Kind(Truth(), Flaws(), 10, DOUBLETS),
+    "one lag, doublets three times as strong": Kind(Truth(), Flaws(), 10, STRONG),
+    "two lags, doublets": Kind(TWO, Flaws(), 10, DOUBLETS),
+    "two lags, doublets, the short lag stated": Kind(TWO, Flaws(), 10, DOUBLETS, SHORT_KNOWN),
 }
 # delay, bounds; less the truth, samples; errors of gain, lag, and delay and lags together, in standard deviations; the
 # gain's, as a share; the lag's is NaN where the form has another number of lags than the truth

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.errors import NotIdentifiedError
 from cosim.design.identify.fit import Model
-from cosim.design.logged.pem import Estimate, Form, Problem, identify
+from cosim.design.logged.pem import EACH, Estimate, Form, Problem, identify
 from cosim.design.logged.stretches import Prepared, halves, prepare
 from cosim.results.logs import Channel, FlightLog, LogSignals
 from cosim.spec.vehicle import RateModel
@@ -305,7 +305,8 @@ def _checks(problem: Problem, estimate: Estimate, setpoint: Channel | None) -> l
     value = np.where(use, white, 0.0)
     power = float(value @ value)
     count, total = len(rows), 0.0
-    for lag in range(estimate.order + 1, estimate.order + 1 + lags):
+    first = min(estimate.order, EACH) + 1  # up to there each term of the noise's model made it white
+    for lag in range(first, first + lags):
         together = use[lag:] & use[:-lag]
         if together.any():
             r = float(value[lag:] @ value[:-lag]) / power

@@ -11,8 +11,9 @@ What that gives and what it does not:
   changes of the command.  A delay of a fraction of a sample, jitter and lost samples need no interpolation.
 - In a closed loop the command contains the output's noise.  The direct method is consistent there if the model of the
   noise is rich enough (Ljung, section 13.4), and biased otherwise; so the order of ``A`` is chosen by Akaike's
-  criterion out of a long list, and what is left is tested for whiteness and against the set-point, which contains no
-  noise.  In the loop the parameters of ``g`` and ``A`` are not independent: the bounds are those of both together.
+  criterion out of a long list, as long as delay and lags at least, and what is left is tested for whiteness and against
+  the set-point, which contains no noise.  In the loop the parameters of ``g`` and ``A`` are not independent: the bounds
+  are those of both together.
 - The bounds of the delay are those of its profile likelihood, all other parameters estimated anew at each delay.
 """
 
@@ -20,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from math import exp, log, prod
 
 import numpy as np
@@ -30,7 +31,8 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.design.identify.fit import apart
 
-ORDERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40)  # of A, tried
+ORDERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 52, 64, 80, 100, 128, 160)  # of A, tried
+EACH = 20  # terms of A that are each estimated; those beyond are linear between the orders above; chosen by us
 LEAST_VALID = 0.4  # share of the equations that lost samples may leave, which bounds the order
 CHI2_95 = 3.841458820694124  # of one degree of freedom
 MIXED_95 = 5.1383807853214485  # of an even mixture of chi-squared of one and of two degrees of freedom
@@ -164,7 +166,7 @@ class Estimate:
     linear: Array
     loss: float  # sum of e^2
     count: int  # equations
-    covariance: Array  # of (x, linear, ar), 0 for what is at its limit
+    covariance: Array  # of (x, linear, terms of A), 0 for what is at its limit
     free: tuple[int, ...]  # of x
     held: tuple[str, ...] = ()
     delay_bounds: tuple[float, float] = (float("nan"), float("nan"))
@@ -177,7 +179,7 @@ class Estimate:
     @property
     def parameters(self) -> int:
         """How many were estimated."""
-        return len(self.free) + len(self.linear) + self.order
+        return len(self.free) + len(self.linear) + int(spread(self.order).shape[1])
 
     @property
     def deviance(self) -> float:
@@ -324,18 +326,30 @@ class Problem:
         solution = _least_squares(matrix, self.output[use])
         return -solution[:order]
 
-    def best_order(self, error: Array, most: int | None = None) -> int:
-        """The order of A for this v: by Akaike's criterion, on the same equations for all."""
-        orders = [n for n in ORDERS if self.equations(n).sum() >= LEAST_VALID * self.samples]
-        orders = [n for n in orders or ORDERS[:1] if n <= (most or max(ORDERS)) and n < self.samples // 10] or [1]
+    @cached_property
+    def orders(self) -> list[int]:
+        """The orders of A that lost samples and the length of the stretches allow."""
+        allowed = [n for n in ORDERS if self.equations(n).sum() >= LEAST_VALID * self.samples]
+        return [n for n in allowed or ORDERS[:1] if n < self.samples // 10] or [1]
+
+    def best_order(self, error: Array, least: float) -> int:
+        """The order of A for this v: by Akaike's criterion, on the same equations for all, and ``least`` [s] at least.
+
+        As long as delay and lags it has to be in a loop: the command of that long before carries the noise of that time
+        and earlier, and what a shorter A leaves of it in e would be taken for an answer to the command.
+        """
+        long_enough = [n for n in self.orders if n * self.working_step >= least]
+        orders = long_enough or self.orders[-1:]
         use = self.equations(orders[-1])
         late = np.stack([_late(error, i) for i in range(1, orders[-1] + 1)], axis=1)[use]
         gram, right, power = late.T @ late, late.T @ error[use], float(error[use] @ error[use])
         best: tuple[float, int] = (float("inf"), 1)
         for order in orders:
-            part = np.linalg.lstsq(gram[:order, :order], right[:order], rcond=None)[0]
-            loss = max(power - float(right[:order] @ part), 1e-12 * power)
-            best = min(best, (int(use.sum()) * log(loss) + 2.0 * order, order))
+            terms = spread(order)
+            known = terms.T @ right[:order]
+            part = np.linalg.lstsq(terms.T @ gram[:order, :order] @ terms, known, rcond=None)[0]
+            loss = max(power - float(known @ part), 1e-12 * power)
+            best = min(best, (int(use.sum()) * log(loss) + 2.0 * terms.shape[1], order))
         return best[1]
 
     # ---- the solution
@@ -346,7 +360,7 @@ class Problem:
         for _ in range(1 if order is not None else 3):
             linear = self._linear(form, x, ar)
             error = self._error(form, x, linear)
-            chosen = order if order is not None else self.best_order(error)
+            chosen = order if order is not None else self.best_order(error, float(x[1:].sum()))
             if estimate is not None and chosen == estimate.order:
                 break
             ar = self._noise(error, chosen)
@@ -493,9 +507,9 @@ class Problem:
         return np.asarray(self.columns(estimate.form, estimate.x) @ estimate.linear)
 
     def _noise(self, error: Array, order: int) -> Array:
-        use = self.equations(order)
+        use, terms = self.equations(order), spread(order)
         late = np.stack([_late(error, i) for i in range(1, order + 1)], axis=1)[use]
-        return -_least_squares(late, error[use])
+        return np.asarray(-terms @ _least_squares(late @ terms, error[use]))
 
     def _limits(self, form: Form) -> tuple[Array, Array]:
         lag = SHORTEST_LAG * self.working_step
@@ -514,7 +528,7 @@ class Problem:
         self, form: Form, x: Array, linear: Array, ar: Array, fixed: Sequence[int], noise: bool = True
     ) -> Estimate:
         """Damped steps down; without ``noise`` A is kept."""
-        use = self.equations(len(ar))
+        use, terms = self.equations(len(ar)), spread(len(ar))
         low, high = self._limits(form)
         x = np.clip(x, low, high)
         free = [i for i in range(len(x)) if i not in fixed]
@@ -545,7 +559,7 @@ class Problem:
                 moved = x.copy()
                 moved[free] += step[: len(free)]
                 moved = np.clip(moved, low, high)
-                after = linear + step[len(free) : len(free) + len(linear)], ar + step[len(free) + len(linear) :]
+                after = linear + step[len(free) : -terms.shape[1]], ar + terms @ step[-terms.shape[1] :]
                 tried = losses(moved, *after)
                 if tried[0] <= loss:
                     fell = (loss - tried[0]) / max(loss, 1e-300)
@@ -580,7 +594,7 @@ class Problem:
             parts.append(-_whitened(slope, ar)[use])
         whitened = -_whitened(columns, ar)[use]
         late = np.stack([_late(error, i) for i in range(1, len(ar) + 1)], axis=1)[use]
-        return np.column_stack([*parts, whitened, late])
+        return np.column_stack([*parts, whitened, late @ spread(len(ar))])
 
     def _estimate(
         self, form: Form, x: Array, linear: Array, ar: Array, loss: float, count: int, jacobian: Array, free: list[int]
@@ -595,8 +609,9 @@ class Problem:
         scaled = (jacobian / size)[:, kept]
         variance = loss / max(count - len(kept), 1)
         inverse = variance * np.linalg.pinv(scaled.T @ scaled, rcond=1e-13)
-        places = [free[n] for n in within] + [len(x) + n for n in range(len(linear) + len(ar))]
-        covariance = np.zeros((len(x) + len(linear) + len(ar),) * 2)
+        rest = jacobian.shape[1] - len(free)
+        places = [free[n] for n in within] + [len(x) + n for n in range(rest)]
+        covariance = np.zeros((len(x) + rest,) * 2)
         covariance[np.ix_(places, places)] = inverse / np.outer(size[kept], size[kept])
         return Estimate(form, x, float(linear[0]), len(ar), ar, linear, loss, count, covariance, tuple(free))
 
@@ -620,6 +635,17 @@ def identify(problem: Problem, engine: bool, keep: dict[str, float] | None = Non
 
 
 # ---- small things
+
+
+@cache
+def spread(order: int) -> Array:
+    """What each estimated term of A gives to its coefficients, (order, terms): the first ``EACH`` one each.
+
+    Those beyond are linear between ``ORDERS``, because noise that goes through an airframe fades slowly and smoothly.
+    """
+    knots = [*range(1, min(order, EACH) + 1), *(n for n in ORDERS if EACH < n < order), order]
+    at = np.unique(knots)
+    return np.asarray([np.interp(np.arange(1, order + 1), at, row) for row in np.eye(len(at))]).T
 
 
 def _with_a_lag(near: Estimate) -> list[tuple[Array, Array]]:

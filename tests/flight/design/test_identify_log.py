@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from command_tools import Hexjet
 from known_logs import Flaws, Log, Truth, closed_loops, drawn
+from scipy.signal import lfilter
 from scipy.special import chdtr, ndtri
 
 from cosim.base.errors import InputError, NotIdentifiedError
@@ -198,6 +199,24 @@ def test_a_log_that_does_not_tell_is_refused(logs: list[Log]) -> None:
     assert "have no time in common" in refusal(flight_log(log), begin=100.0)
     assert "a sample every 4e+03 s" in refusal(flight_log(log, times=1e6 * log.times))  # us that were ms
     assert "values that are numbers" in refusal(flight_log(log, output=still + np.nan))
+
+
+def test_bounds_above_the_value_are_refused() -> None:
+    """An engine of 3.3 s that is pushed up and down within 0.4 s: in noise its gain at rest is anybody's guess."""
+    times = 0.004 * np.arange(1150)
+    up_and_down = np.where(times < 0.2, 0.0, np.where((2.5 * times).astype(int) % 2, -1.0, 1.0))
+    pole = np.exp(-0.004 / 3.3)
+    thrust = lfilter([1.0 - pole], [1.0, -pole], np.concatenate([np.zeros(21), up_and_down])[: len(times)])
+    noise = np.random.default_rng(0).standard_normal(len(times))
+    for size, told in ((0.11, False), (0.003, True)):
+        log = Log(times, up_and_down, thrust + size * noise, up_and_down)
+        arguments = (flight_log(log), "engine:1", LogSignals("u", "y"))
+        if told:
+            chosen = identify_log(*arguments, longest_delay=0.12, lags=0).chosen
+            assert abs(chosen.gain - 1.0) < 3.0 * chosen.gain_deviation < 1.0
+        else:
+            with pytest.raises(NotIdentifiedError, match=r"does not tell the gain.*: the 95 % bounds exceed the value"):
+                identify_log(*arguments, longest_delay=0.12, lags=0)
 
 
 def test_what_is_wrong_with_a_log_is_said(logs: list[Log]) -> None:
