@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
 from math import degrees, exp, inf, isfinite
 from pathlib import Path
@@ -178,11 +178,20 @@ def detail_lines(design: Design) -> list[str]:
     ]
     lines.append(_reach(design))
     lines += _level_lines(design)
-    for axis, axis_design in design.axes.items():
-        lines += [
-            f"{axis}: {'stable' if fine else 'NOT stable'} for {what}" for what, fine in axis_design.checks.items()
-        ]
-    return lines
+    checks = [
+        (axis, f"{'stable' if fine else 'NOT stable'} for {what}")
+        for axis, axis_design in design.axes.items()
+        for what, fine in axis_design.checks.items()
+    ]
+    return [*lines, *_same_said_once(checks)]
+
+
+def _same_said_once(said: Iterable[tuple[str, str]]) -> list[str]:
+    """Return a line for each text, with the axes that it is said of before it."""
+    axes: dict[str, list[str]] = {}
+    for axis, text in said:
+        axes.setdefault(text, []).append(axis)
+    return [f"{', '.join(names)}: {text}" for text, names in axes.items()]
 
 
 def _firmware_lines(design: Design, firmware: Firmware) -> list[str]:
@@ -236,6 +245,7 @@ def _model_lines(design: Design) -> list[str]:
     if roll.unit == "share":
         room = f"{roll.room:.2f} of share to either side at hover"
         return [*lines, f"roll: {roll.gain:.4g} rad/s^2 per unit of share, {delay}, {room}"]
+    said = []
     for axis in AXES:
         channel = design.axes[axis].channel
         delay = _delay_words(channel)
@@ -243,15 +253,15 @@ def _model_lines(design: Design) -> list[str]:
         by, dynamics = "thrust", channel.actuator.dynamics
         if channel.by_servo:
             by, room = f"hinges, lag {1e3 * dynamics.lag_s:.4g} ms", f"{room} that their rates and ranges follow"
-        line = f"{axis}: by {by}, {delay}, {room}"
+        line = f"by {by}, {delay}, {room}"
         if channel.by_servo and dynamics.unsure:
             at, most = max(dynamics.unsure, key=lambda point: point[1])
             line += f"; designed for what others and all that turns add, up to {100.0 * most:.2g} % at {at:.2g} Hz"
             if most > 1.0:
                 first = next(hertz for hertz, share in dynamics.unsure if share > 1.0)
                 line += f", more than itself from {first:.2g} Hz on"
-        lines.append(line)
-    return lines
+        said.append((axis, line))
+    return [*lines, *_same_said_once(said)]
 
 
 def _compared(roll: AxisDesign) -> str:
@@ -279,15 +289,16 @@ def _limit_lines(roll: AxisDesign) -> list[str]:
     after = roll.after
     assert after is not None
     assert after.bandwidth_hz is not None
-    lines = []
+    reached = f"roll: bandwidth {after.bandwidth_hz:.2f} Hz"
+    if not roll.limits:
+        return [reached]
+    most = max(roll.limits, key=lambda name: roll.limits[name])
+    parts = []
     for what, value in roll.limits.items():
         gain = 100.0 * (value / after.bandwidth_hz - 1.0)
-        more = f"{value:.2f} Hz ({gain:+.0f} %)" if gain > NOTHING else "no more"
-        lines.append(f"bandwidth {after.bandwidth_hz:.2f} Hz; without {what} {more}")
-    if roll.limits:
-        most = max(roll.limits, key=lambda name: roll.limits[name])
-        lines.append(f"what limits it most: {most}")
-    return lines
+        more = f"{value:.2f} Hz ({gain:+.0f} %)" if gain > NOTHING else "the same"
+        parts.append(f"without {what} {more}")
+    return [f"{reached}, limited most by {most}: {', '.join(parts)}"]
 
 
 def _level_lines(design: Design) -> list[str]:
@@ -368,17 +379,27 @@ COLUMNS = (
 
 def rows(design: Design) -> list[list[str]]:
     """Return before and after of every channel, and what differs from it while fuel burns, as :data:`COLUMNS`."""
-    table = []
-    for axis, axis_design in design.axes.items():
-        for when, state in (("shipped", axis_design.before), ("designed", axis_design.after)):
-            if state is not None:
-                table.append([f"{axis}, {when}", *_cells(state, axis_design.channel)])
-    full = {row[0].removesuffix(", designed"): row[1:] for row in table}
+    return [*channel_rows(design), *level_rows(design)]
+
+
+def channel_rows(design: Design) -> list[list[str]]:
+    """Return before and after of every channel, as :data:`COLUMNS`."""
+    return [
+        [f"{axis}, {when}", *_cells(state, axis_design.channel)]
+        for axis, axis_design in design.axes.items()
+        for when, state in (("shipped", axis_design.before), ("designed", axis_design.after))
+        if state is not None
+    ]
+
+
+def level_rows(design: Design) -> list[list[str]]:
+    """Return what differs from the channels of a full tank while fuel burns, as :data:`COLUMNS`; equal rows are one."""
+    full = {row[0].removesuffix(", designed"): row[1:] for row in channel_rows(design)}
     different: dict[tuple[str, ...], list[str]] = {}
     for axis, when, fuel, cells in _level_cells(design):
         if cells != full[axis]:
             different.setdefault((axis, when, *cells), []).append(f"{fuel:.0%}")
-    return table + [
+    return [
         [f"{axis}, {', '.join(fuels)} of fuel, {when}", *cells] for (axis, when, *cells), fuels in different.items()
     ]
 

@@ -188,10 +188,14 @@ def design(
     return DONE if made.ok else FLIGHT_FAILED
 
 
+AT_A_LEVEL = ("peak |S|", "phase deg", "bandwidth Hz", "tolerated")  # of fuel; the page has every column
+NAME_WIDTH = 32  # "altitude, 75% of fuel, scheduled"
+
+
 def print_design(design: Design, paths: dict[str, Path]) -> None:
     """Print the answer and the files, the margins of the linear loops, what they rest on, and the flights compared."""
     from cosim.design.as_flown import WORSE_WORDS, comparison_columns, comparison_rows
-    from cosim.design.result import COLUMNS, answer_lines, detail_lines, row_lines, rows
+    from cosim.design.result import COLUMNS, answer_lines, channel_rows, detail_lines, level_rows, row_lines
 
     console = terminal()
 
@@ -204,8 +208,11 @@ def print_design(design: Design, paths: dict[str, Path]) -> None:
     for name, path in paths.items():
         console.print(f"{name}: {path}", highlight=False, soft_wrap=True)
     shown = [k for k, column in enumerate(COLUMNS) if column not in ("attitude 1/s", "P", "I", "D", "delay ms")]
-    columns = [list(column) for column in zip(COLUMNS, *rows(design), strict=True)]
+    columns = [list(column) for column in zip(COLUMNS, *channel_rows(design), strict=True)]
     _print_side_by_side(console, [columns[k] for k in shown])
+    if levels := level_rows(design):
+        said = [0, *(COLUMNS.index(column) for column in AT_A_LEVEL)]
+        _print_table(console, [[row[k] for k in said] for row in (COLUMNS, *levels)])
     print_lines([*row_lines(design), *detail_lines(design)])
     if design.proof is not None and design.proof.compared:
         compared = design.proof.compared
@@ -215,14 +222,20 @@ def print_design(design: Design, paths: dict[str, Path]) -> None:
 
 def _print_side_by_side(console: Console, lines: Sequence[Sequence[str]]) -> None:
     """Print a table, headings first, in pieces of as many pairs of columns as the terminal is wide."""
+    side = max(1, (console.width - 14) // 40 * 2)
+    for first in range(1, len(lines[0]), side):
+        _print_table(console, [[line[0], *line[first : first + side]] for line in lines])
+
+
+def _print_table(console: Console, lines: Sequence[Sequence[str]]) -> None:
+    """Print a table, headings first; a line's name is wrapped last."""
     from rich import box
     from rich.table import Table
 
-    side = max(1, (console.width - 14) // 40 * 2)
-    for first in range(1, len(lines[0]), side):
-        table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
-        for n, heading in enumerate((lines[0][0], *lines[0][first : first + side])):
-            table.add_column(heading, justify="right" if n else "left")
-        for line in lines[1:]:
-            table.add_row(line[0], *line[first : first + side])
-        console.print(table)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    for n, heading in enumerate(lines[0]):
+        least = 1 if n else min(NAME_WIDTH, max(len(line[0]) for line in lines))
+        table.add_column(heading, justify="right" if n else "left", min_width=least)
+    for line in lines[1:]:
+        table.add_row(*line)
+    console.print(table)

@@ -454,3 +454,18 @@ def test_an_engine_that_is_told_of_changes_alone_is_swept_by_more_where_asked(pl
         making.identify_there(scenario, vehicle, spec, None)
     found = making.identify_there(scenario, vehicle, spec, 0.15)
     assert found.chosen.model.delay_samples == pytest.approx(12.0, abs=6.0)
+
+
+def test_what_is_the_same_of_several_axes_is_said_once(sound: Design) -> None:
+    """Also what limits roll: one line, with the bandwidth and what each limit's absence gives."""
+    limited = replace(sound.axes["roll"], limits={"delay": 0.5, "noise": 100.0})
+    lines = summary_lines(replace(sound, axes={**sound.axes, "roll": limited}))
+    said = [line.partition(": ")[2] for line in lines if " for gain " in line or " for lags " in line]
+    assert said
+    assert len(said) == len(set(said))
+    checks = {(axis, what) for axis, each in sound.axes.items() for what in each.checks}
+    told = {(axis, said) for line in lines if ": stable for " in line
+            for names, _, said in [line.partition(": stable for ")] for axis in names.split(", ")}  # fmt: skip
+    assert told == checks
+    (bandwidth,) = [line for line in lines if line.startswith("roll: bandwidth ")]
+    assert "limited most by noise: without delay the same, without noise 100.00 Hz (+" in bandwidth
