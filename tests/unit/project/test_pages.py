@@ -184,7 +184,7 @@ TYPED: Mapping[str, int] = {
     "docs/ground-station.md": 18,
     "docs/identification.md": 21,
     "docs/identify-logs.md": 1,
-    "docs/metrics.md": 6,
+    "docs/metrics.md": 7,
     "docs/own-engine.md": 12,
     "docs/paper.md": 10,
 }

@@ -53,6 +53,7 @@ NOISE = steadiness.AxisYardstick(gain_1_s=ROLL, noise_rad=0.001, rate_noise_rad_
         ("The noise floor is {} standard deviations", [steadiness.DEVIATIONS]),
         (": {}° on the prototype. A smaller step", [degrees(steadiness.noise_floor(NOISE, 0.004))]),
         ("a wind that changes by {} sqrt(g span)", [steadiness.WIND_CHANGE]),
+        ("the limit on the swing is {} deg instead", [degrees(steadiness.SWING_IN_WIND_RAD)]),
     ],
 )
 def test_the_figures_of_the_axes_limits(sentence: str, figures: list[float]) -> None:
