@@ -64,7 +64,7 @@ class Kind(NamedTuple):
 KINDS = {
     "drawn vehicles, strong doublets": Kind(None, CALM, 40, DOUBLETS),
     "drawn vehicles, strong doublets, rough air": Kind(None, ROUGH, 40, DOUBLETS),
-    "drawn vehicles, strong doublets, rough air, every sample": Kind(None, EVERY, 40, DOUBLETS),
+    "drawn vehicles, strong doublets, rough air, every sample": Kind(None, EVERY, 20, DOUBLETS),
     "drawn vehicles, sweep": Kind(None, CALM, 20, SWEEP),
     "drawn vehicles, sweep, rough air": Kind(None, ROUGH, 20, SWEEP),
     "two lags, sweep": Kind(TWO, Flaws(), 10, SWEEP),
