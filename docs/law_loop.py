@@ -210,6 +210,12 @@ class LawLoop:
         """Integrated absolute error of the angle after a unit step of load, rad s per unit of the command."""
         return float(np.abs(np.cumsum(self._load.angle)).sum()) * self.channel.step
 
+    def errors_within(self, seconds: float) -> tuple[float, float]:
+        """Return :attr:`step_error` and :attr:`load_error` as integrated over the first ``seconds`` alone."""
+        end = round(seconds / self.channel.step)
+        step, load = np.abs(1.0 - self.angle[:end]), np.abs(np.cumsum(self._load.angle[:end]))
+        return float(step.sum()) * self.channel.step, float(load.sum()) * self.channel.step
+
     @property
     def load_left(self) -> float:
         """Angle that a unit of load leaves, at the end of what is looked at."""

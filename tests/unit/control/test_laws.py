@@ -35,6 +35,7 @@ from cosim.design.loop.closed_loop import WINDOW, ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import lags
 from cosim.design.loop.tuning import Tuning
 from cosim.engine import EngineSpec, load_engine
+from cosim.results.report.marks import parts_of
 from cosim.simulation.build import belief_of, build, predictors
 from cosim.spec.vehicle import Vehicle
 
@@ -157,6 +158,24 @@ def test_every_law_has_the_stated_peak_sensitivity(name: str) -> None:
     found = LawLoop(channel, block, attitude)
     for cell, value in zip(cells[1:4], (found.step_error, found.load_error, found.load_left), strict=True):
         assert abs(float(cell) - value) <= 0.6 * last_digit(cell)
+
+
+def test_the_rank_of_smith_depends_on_the_horizon_as_the_page_says() -> None:
+    """The lean that a load leaves is integrated for as long as the horizon: ahead of PID over 3 s, behind over 5 s."""
+    vehicle, _, _, channel = place()
+    attitude = vehicle.control.attitude.gain_1_s[0]
+    found = {name: LawLoop(channel, law(name), attitude, 20.0) for name in ("pid", "pid-smith")}
+    for each in found.values():  # over all that is followed: the error itself
+        assert each.errors_within(each.samples * channel.step) == pytest.approx((each.step_error, each.load_error))
+    part = parts_of((ROOT / PAGE).read_text(encoding="utf-8"), PAGE)["horizons"]
+    (line,) = [line for line in part.splitlines() if line.startswith(f"| {TITLES['pid-smith']} |")]
+    cells = [cell.strip() for cell in line.strip("|").split("|")[1:]]
+    for horizon, cell in zip((2.0, 3.0, 5.0, 7.0, 14.0), cells, strict=True):
+        (step, load), (a, b) = (found[name].errors_within(horizon) for name in ("pid-smith", "pid"))
+        assert float(cell.split()[0]) == pytest.approx((step * load / (a * b)) ** 0.5, abs=0.01)
+        assert (step * load < a * b) == (horizon < 4.0)
+    stated(PAGE, "where a load lasts for {} s; where it lasts for {} s it is ahead of PID", 7.0, 3.0)
+    stated(PAGE, "The tunings are those for {} s throughout", round(WINDOW * channel.slowness_s))
 
 
 def test_what_the_page_says_was_chosen() -> None:
