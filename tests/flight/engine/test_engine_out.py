@@ -95,6 +95,22 @@ def test_the_bound_of_engines_that_jump_after_a_delay_is_the_double_integrators(
     )
 
 
+def test_the_bound_with_idle_in_place_of_the_allocations_least_is_the_pages() -> None:
+    """The allocation does not go down to idle; verdicts are the same either way: both are past 80 deg."""
+    scenario = flight("p220", 5, PLANNED)
+    bounds = []
+    least_throttle = scenario.resolved_vehicle()[0].control.allocation.throttle_min
+    for least in (0.0, least_throttle):
+        with build(scenario.replace(vehicle={"control": {"allocation": {"throttle_min": least}}})) as simulation:
+            bounds.append(roller(simulation).least_lean(5).lean_deg)
+    assert 80.0 < bounds[0] < bounds[1]
+    sentence = (
+        "{} % of the range of thrust), below which nothing here asks an engine to go; with the engine's idle in its "
+        "place the bound of `p220` is {} deg and not {}"
+    )
+    stated("docs/faults.md", sentence, 100.0 * least_throttle, *bounds)
+
+
 @pytest.mark.parametrize("engine", [name for name in engine_names() if name not in NOT_A_JET])
 def test_no_throttles_take_an_engine_out_of_the_strip_of_its_two_extremes(engine: str) -> None:
     """What the bound rests on: full and least throttle are the fastest up and down, whatever else is tried."""

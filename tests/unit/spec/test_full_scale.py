@@ -513,6 +513,15 @@ def test_the_verdict_is_that_of_the_tables() -> None:
     for limit in ("100 ms late", "200 % a second"):
         said = cells(limit, "ecu")
         assert (said[0] != "lost", said[4]) == (True, "lost"), limit
+    (rate,) = figures("rate that is published for such engines, {} Hz")
+    period, *over = figures(
+        "Read every {} ms, the shipped gains overshoot the doublet by {} % on `p220` and by {} % on `p220-2025`, "
+        "and neither settles"
+    )
+    assert period == 1e3 / rate
+    slow = cells(f"reads every {period:g} ms", "ecu")
+    assert [slow[0], slow[4]] == [f"{value:.0f} %" for value in over]
+    assert (slow[1], slow[5]) == ("never", "never")
     # the gains for the slower engine hold on both, those for the faster one lose the slower in every flight
     flown = {name: cells(name, "two-engines") for name in ("hover", "roll-doublet", "gust", "payload-drop", "manual")}
     assert all("lost" not in (a, b, d) and c == "lost" for a, b, c, d in flown.values())
