@@ -20,14 +20,13 @@ from __future__ import annotations
 import argparse
 import sys
 import tomllib
-from math import ceil, pi
+from math import atan2, ceil, hypot, inf, pi, sqrt
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cosim.base.constants import GRAVITY
-from cosim.campaign.failsafe_survey import trip_speed
 from cosim.results.report.marks import table, write_marks
 from cosim.spec.vehicle import Vehicle, load_vehicle
 
@@ -111,6 +110,30 @@ def _turned(axis: Any, angle: Any, vector: Any) -> Any:
     axis = ca.DM(axis)
     c, s = ca.cos(angle), ca.sin(angle)
     return vector * c + ca.cross(axis, vector) * s + axis * ca.dot(axis, vector) * (1.0 - c)
+
+
+def trip_speed(vehicle: Vehicle) -> float:
+    """Return the speed over the ground [m/s] whose energy lifts a vehicle over legs that catch, all thrust gone.
+
+    About the line between two legs, ``d`` from under the centre of gravity and ``h`` below it, the moment of momentum
+    ``m v h`` stays, and the turning that it becomes has to lift the weight over the legs:
+
+        ``(m v h)^2 / (2 I) = m g (sqrt(h^2 + d^2) - h)``,  ``I = I_c + m (h^2 + d^2)``
+
+    It is what the evaluation of road vehicles calls critical sliding velocity; the least of all pairs of neighbours.
+    Legs that slide, with the friction that the ground has, tip over later or never.
+    """
+    legs = [contact.position_m for contact in vehicle.contacts if contact.kind == "leg"]
+    legs.sort(key=lambda place: atan2(place[1], place[0]))
+    jx, jy, _ = vehicle.inertia_kg_m2
+    slowest = inf
+    for (ax, ay, az), (bx, by, bz) in zip(legs, [*legs[1:], *legs[:1]], strict=True):
+        length, h = hypot(bx - ax, by - ay), 0.5 * (az + bz)
+        d = abs(ax * by - ay * bx) / length
+        inertia = (jx * (bx - ax) ** 2 + jy * (by - ay) ** 2) / length**2 + vehicle.mass_kg * (h * h + d * d)
+        lift = sqrt(h * h + d * d) - h
+        slowest = min(slowest, sqrt(2.0 * GRAVITY * lift * inertia / vehicle.mass_kg) / h)
+    return slowest
 
 
 class Problem:

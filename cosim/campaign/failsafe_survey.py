@@ -10,15 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import atan2, hypot, inf, isnan, nan, radians, sqrt
+from math import hypot, isnan, nan, radians
 from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.storage.files import finite
 from cosim.campaign.fault_survey import Say, controllers_for, step_of
+from cosim.campaign.tipping import tip_speed
 from cosim.campaign.workers.tasks import in_order
 from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.control.autopilot.requests import (
@@ -147,7 +147,7 @@ class Failsafes:
     engine: str
     controller: str
     limit_m_s: float  # a leg that touches faster counts as a crash
-    trip_m_s: float  # of a leg that touches faster sideways it is said
+    trip_m_s: float  # from which it tips over legs that catch: what touches faster sideways has slid
     flights: list[FailsafeFlight]
     airborne: bool = False  # they began in the air
 
@@ -193,30 +193,6 @@ def cases(vehicle: Vehicle, airborne: bool = False) -> list[Case]:
         Case("sticks lost", (), (centred, SetMode("POSCTL")), True),
         Case("set-points lost", (), (OffboardVelocity(0.0, 0.0, 0.0), SetMode("OFFBOARD")), True),
     ]
-
-
-def trip_speed(vehicle: Vehicle) -> float:
-    """The speed over the ground [m/s] from which a vehicle that touches level, and whose legs catch, tips over them.
-
-    About the line between two legs, ``d`` from under the centre of gravity and ``h`` below it, the moment of momentum
-    ``m v h`` stays, and the turning that it becomes has to lift the weight over the legs:
-
-        ``(m v h)^2 / (2 I) = m g (sqrt(h^2 + d^2) - h)``,  ``I = I_c + m (h^2 + d^2)``
-
-    It is what the evaluation of road vehicles calls critical sliding velocity; the least of all pairs of neighbours.
-    Legs that slide, with the friction that the ground has, tip over later or never.
-    """
-    legs = [contact.position_m for contact in vehicle.contacts if contact.kind == "leg"]
-    legs.sort(key=lambda place: atan2(place[1], place[0]))
-    jx, jy, _ = vehicle.inertia_kg_m2
-    slowest = inf
-    for (ax, ay, az), (bx, by, bz) in zip(legs, [*legs[1:], *legs[:1]], strict=True):
-        length, h = hypot(bx - ax, by - ay), 0.5 * (az + bz)
-        d = abs(ax * by - ay * bx) / length
-        inertia = (jx * (bx - ax) ** 2 + jy * (by - ay) ** 2) / length**2 + vehicle.mass_kg * (h * h + d * d)
-        lift = sqrt(h * h + d * d) - h
-        slowest = min(slowest, sqrt(2.0 * GRAVITY * lift * inertia / vehicle.mass_kg) / h)
-    return slowest
 
 
 def starts(case: Case, heights: Sequence[float], winds: Sequence[float], speed: float) -> list[Start]:
@@ -316,7 +292,7 @@ def failsafes(
             done += 1
             say(f"{aircraft_name(plan.aircraft)}: {flight.row.failsafe}, {flight.row.start}", done, of)
         vehicle, _ = load_vehicle(plan.aircraft)
-        limits = vehicle.limits.touchdown_m_s, trip_speed(vehicle)
+        limits = vehicle.limits.touchdown_m_s, tip_speed(plan.aircraft, plan.engine)
         name = aircraft_name(plan.aircraft)
         yield Failsafes(name, plan.engine, plan.controller, *limits, flights, conditions.airborne)
 
@@ -530,7 +506,7 @@ class _Flown:
         if self._ending is not None:
             return "crashed" if self._ending.outcome == "crashed" else "lost"
         if disarmed:
-            fast = self._sideways > trip_speed(simulation.vehicle)
+            fast = self._sideways > tip_speed(simulation.scenario.aircraft, simulation.scenario.engine)
             return "crashed" if not simulation.state.on_ground else "slid" if fast else "landed"
         if pilot.landed is LandedState.ON_GROUND or simulation.state.on_ground:
             return "stands armed"

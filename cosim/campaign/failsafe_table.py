@@ -100,46 +100,36 @@ def summary(result: Failsafes) -> list[FailsafeSummary]:
     return table
 
 
-def mark(aircraft: str, airborne: bool = False) -> str:
-    """The name of the mark in a page between which a vehicle's table goes."""
-    return f"failsafes, {aircraft}" if airborne else f"failsafes after a take-off, {aircraft}"
+def mark(aircraft: str) -> str:
+    """Return the name of the mark in a page between which a vehicle's table goes."""
+    return f"failsafes after a take-off, {aircraft}"
 
 
 def markdown(result: Failsafes) -> str:
-    """The part of a page: a line for each failsafe, a column for each start."""
+    """Return the part of a page for flights after a take-off: a line for each failsafe, a column for each start."""
+    low, high = HOVER_S
+    winds = ", ".join(f"{wind:g}" for wind in sorted({row.wind_m_s for row in result.rows}))
     limits = (
         f"Engine `{result.engine}`, controller `{result.controller}`; a leg that touches faster than "
         f"{result.limit_m_s:.2f} m/s counts as a crash, and what touches faster than {result.trip_m_s:.2f} m/s "
-        "sideways has slid."
+        f"sideways has slid. After a take-off and {low:g} to {high:g} s of hover, a moment drawn for each flight; "
+        f"winds of {winds} m/s in turn."
     )
-    if not result.airborne:
-        low, high = HOVER_S
-        winds = ", ".join(f"{wind:g}" for wind in sorted({row.wind_m_s for row in result.rows}))
-        limits += (
-            f" After a take-off and {low:g} to {high:g} s of hover, a moment drawn for each flight; winds of {winds} "
-            "m/s in turn."
-        )
     head, *lines = grid(result)
     return f"{limits}\n\n" + marks.table(head, lines)
 
 
 def grid(result: Failsafes) -> list[list[str]]:
-    """Return the head and the lines of the table: of flights begun in the air a cell each, else several in a cell."""
-
-    def start(row: Row) -> str:
-        return str(row.start) if result.airborne else _column(row)
-
-    rows = sorted(result.rows, key=lambda row: row.speed_m_s > 0.0)
-    if not result.airborne:
-        rows.sort(key=lambda row: (row.speed_m_s > 0.0, row.height_m))
-    columns = list(dict.fromkeys(map(start, rows)))
+    """Return the head and the lines of the table of flights after a take-off, several in a cell."""
+    rows = sorted(result.rows, key=lambda row: (row.speed_m_s > 0.0, row.height_m))
+    columns = list(dict.fromkeys(map(_column, rows)))
     cells: dict[tuple[str, str], list[Row]] = {}
     for row in result.rows:
-        cells.setdefault((row.failsafe, start(row)), []).append(row)
+        cells.setdefault((row.failsafe, _column(row)), []).append(row)
 
     def shown(name: str, column: str) -> str:
         those = cells.get((name, column))
-        return "-" if those is None else cell(those[0]) if result.airborne else cell_of_several(those)
+        return "-" if those is None else cell_of_several(those)
 
     names = dict.fromkeys(row.failsafe for row in result.rows)
     return [["failsafe", *columns], *([name, *(shown(name, column) for column in columns)] for name in names)]
@@ -173,19 +163,3 @@ def cell_of_several(rows: Sequence[Row]) -> str:
         (worst(lambda row: row.thrust_n), "{:.1f} N"),
     )
     return ", ".join([*ends, *(form.format(value) for value, form in numbers if not isnan(value))])
-
-
-def cell(row: Row) -> str:
-    """A flight as it stands in the page's table."""
-    parts: list[str] = [row.verdict]
-    if not isnan(row.off_m):
-        parts.append(f"{row.off_m:.2f} m off")
-    if not isnan(row.touchdown_m_s):
-        parts.append(f"{row.touchdown_m_s:.2f} m/s")
-        if row.failsafe.startswith("GNSS"):
-            # what it does without a position; elsewhere the position is held, and failsafes.csv has it
-            parts.append(f"sideways {row.sideways_m_s:.2f} m/s")
-            parts.append(f"{row.drift_m:.1f} m away")
-    if not isnan(row.thrust_n):
-        parts.append(f"{row.thrust_n:.1f} N")
-    return ", ".join(parts)

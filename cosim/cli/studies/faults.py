@@ -221,7 +221,9 @@ def failsafes(
     aircraft = tuple(dict.fromkeys(aircraft))
     several = len(aircraft) > 1
     if page is not None:
-        check_marks(page, [mark(aircraft_name(name), airborne) for name in aircraft])
+        if airborne:
+            raise InputError("--page: the page has flights after a take-off; leave out --airborne")
+        check_marks(page, [mark(aircraft_name(name)) for name in aircraft])
     results: list[Failsafes] = []
     folder = out
     with output_to_stderr(as_json), part_progress("failsafes", quiet=as_json) as say:
@@ -234,7 +236,7 @@ def failsafes(
                 print_failsafes(survey, table)
             results.append(survey)
     if page is not None:
-        write_marks(page, {mark(survey.aircraft, airborne): markdown(survey) for survey in results})
+        write_marks(page, {mark(survey.aircraft): markdown(survey) for survey in results})
     if as_json:
         tables = [survey.to_dict() for survey in results]
         click.echo(json.dumps({"tables": tables} if several else tables[0], allow_nan=False))
