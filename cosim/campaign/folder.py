@@ -29,6 +29,7 @@ from cosim.spec.vehicle import is_file, is_own
 
 STUDY, SCENARIO = "study.toml", "scenario.toml"
 FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS = "flights", "flights.jsonl", "report.html", "cases", "columns.json"
+TOLD = ("changed", "parameter_files")  # what a scenario says of where its values are from; older folders do not have it
 OWN_FILES = (STUDY, SCENARIO, FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS)
 
 
@@ -51,7 +52,11 @@ class Frozen:
         """What this study states otherwise than the one in ``folder``, a line each, the study itself first."""
         defaults = {name: field.default for name, field in Study.model_fields.items() if not field.is_required()}
         for name, ours, unstated in ((STUDY, self.study, defaults), (SCENARIO, self.scenario, {})):
-            for key, theirs, own in _differing("", unstated | read_toml(folder / name), unstated | ours):
+            there = read_toml(folder / name)
+            told = {key for key in TOLD if name == SCENARIO and (key == "changed" or key not in there)}
+            for key, theirs, own in _differing("", unstated | there, unstated | ours):
+                if key.partition(".")[0] in told:
+                    continue
                 yield f"{name}: {key} is {_shown(theirs)} there and {_shown(own)} here"
         for name, content in self.files.items():
             if not (folder / name).is_file() or (folder / name).read_bytes() != content:

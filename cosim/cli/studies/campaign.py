@@ -94,10 +94,11 @@ def sweep(
     if keys is not None:
         return _list_keys(name, options["settings"], keys, as_json)
     study, folder = opened(name, out, resume, **options)
-    for text in (*study.notes(), *model_notes(study)) if study is not None else ():
-        click.echo(f"hexjet: note: {text}", err=True)
+    notes = (*study.notes(), *model_notes(study)) if study is not None else ()
     with output_to_stderr(as_json), sweep_progress(folder, quiet=as_json) as tell:
         with workers_at(workers, cluster, time_limit) as flying:
+            for text in notes:
+                click.echo(f"hexjet: note: {text}", err=True)
             campaign = run_campaign(study, folder, flying, resume, tell)
         page = write_campaign_report(campaign)
     if as_json:

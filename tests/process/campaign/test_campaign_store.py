@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -198,6 +199,19 @@ def test_the_folder_of_another_study_is_refused(tmp_path: Path, options: dict[st
     with pytest.raises(InputError, match=r"c: already holds a campaign \(study.toml\); --resume goes on with it"):
         run_campaign(tools.study(**options), folder, 1)
     assert contents(folder) == before
+
+
+def test_a_folder_that_does_not_say_what_was_changed_goes_on(tmp_path: Path) -> None:
+    """What a scenario says of where its values are from is new: folders of before have the same values without it."""
+    folder = tmp_path / "c"
+    with Store.create(folder, tools.study()) as store:
+        fill(store, [0, 5])
+    text = (folder / "scenario.toml").read_text(encoding="utf-8")
+    before, told = re.subn(r"(?ms)^changed = \[.*?\]\n", "", text)
+    assert told == 1
+    (folder / "scenario.toml").write_text(before, encoding="utf-8")
+    with Store.resume(folder, tools.study()):
+        pass
 
 
 @pytest.mark.parametrize(
