@@ -334,7 +334,7 @@ def test_a_folder_that_is_refused_is_refused_before_it_says_that_it_is_ready(tmp
     run.mkdir()
     (run / "summary.json").write_text("{}")
     (tmp_path / "file").write_text("")
-    for out, said in ((run, "already holds a run"), (tmp_path / "file", "File exists")):
+    for out, said in ((run, "already holds a run"), (tmp_path / "file", "is a file; hexjet gcs writes a folder")):
         done = subprocess.run(
             [*HEXJET, "gcs", "--mavlink", "udpin:127.0.0.1:0", "--out", str(out)],
             capture_output=True,

@@ -465,7 +465,7 @@ def test_a_folder_that_cannot_be_written_to_is_told_before_the_work(
     assert ended.value.code == 2
     message = capsys.readouterr().err
     assert message.count("\n") == 1
-    assert f"--out {tmp_path / 'file'}: cannot be written to" in message
+    assert f"--out {tmp_path / 'file'}: is a file; hexjet paper writes a folder" in message
 
 
 # --- in flight --------------------------------------------------------------------------------------------------------
