@@ -14,10 +14,12 @@ from command_tools import Done, Hexjet
 from hypothesis import HealthCheck, settings
 from places import TESTS
 
+from cosim.base.runtime.kernels import set_for_command
 from cosim.base.runtime.threads import one_thread
 from cosim.base.storage.scratch import scratch
 
 one_thread()  # beside other tests
+set_for_command()  # in the processes that tests start too: some import numpy before cosim
 # a machine that is busy with other work is no failure
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any machine")
