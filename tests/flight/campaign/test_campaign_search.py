@@ -403,7 +403,9 @@ def test_what_is_left_behind_flies_again_and_what_was_stopped_goes_on(tmp_path: 
     assert searched.confirmed
     data = json.loads((tmp_path / "run" / "search.json").read_text())
     assert data["alone"][0]["breaks"] == edge.breaks
-    assert {case.breaks: case.outcome == "completed" for case in searched.cases} == {True: False, False: True}
+    assert {case.breaks for case in searched.cases} == {True, False}
+    # what breaks may be beyond a limit before it is lost
+    assert all(case.outcome == "completed" for case in searched.cases if not case.breaks)
     for case in searched.cases:
         run = fly(Scenario.load(tmp_path / "run" / "cases" / case.name / "scenario.toml"))
         assert run.outcome == case.outcome

@@ -478,7 +478,7 @@ def test_the_command_says_and_writes_it(hexjet: Hexjet, tmp_path: Path) -> None:
         (["--axis", "heave"], "heave"),
         (["--period", "0.003"], "--period"),
         (["--from-hz", "0.01"], "the lowest must be at least 0.05 Hz"),
-        (["--to-hz", "200"], "the highest below 125 Hz"),
+        (["--to-hz", "200"], "the highest at most 125 Hz"),
         (["--amplitude", "0"], "must be above 0"),
         (["--controller", "nobody"], "nobody"),
         (["climb-and-land"], "begins there"),

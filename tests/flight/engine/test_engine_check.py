@@ -159,6 +159,7 @@ def test_what_is_left_unsaid_is_noted(tmp_path: Path) -> None:
     assert report.state_restores is None
     assert sorted(report.notes) == [
         "cannot save its state",
+        "reports no fuel flow: the tank of a vehicle stays full with it",
         "throttle states no range; it is taken to run from 0 to 1",
         "thrust states no unit; it is taken to be in N",
     ]

@@ -379,9 +379,9 @@ def test_the_command_flies_a_pair_and_says_what_each_verdict_rests_on(hexjet: He
         (("--engine-out", "--docs", "."), "faults.md: "),
         (("--engine-out", "--limits"), "--limits: does not go with --engine-out"),
         (("--docs", ".", "--engine", "edf"), "--engine: the page holds every fault"),
-        (("--engine-out", "--out", __file__), "test_engine_out.py' is a file"),
+        (("--engine-out", "--out", __file__), "test_engine_out.py: is a file"),
         (("--engine-out", "--designs", __file__), "test_engine_out.py' is a file"),
-        (("--kind", "none", "--out", __file__), "test_engine_out.py' is a file"),
+        (("--kind", "none", "--out", __file__), "test_engine_out.py: is a file"),
     ],
 )
 def test_wrong_input_is_one_line(hexjet: Hexjet, arguments: tuple[str, ...], words: str) -> None:
