@@ -770,7 +770,7 @@ def test_the_reference_of_an_engine_is_its_own() -> None:
 def test_a_vehicle_without_a_monitor_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     vehicle, folder = load_vehicle("hexjet")
     bare = vehicle.model_copy(update={"control": vehicle.control.model_copy(update={"monitor": None})})
-    monkeypatch.setattr("cosim.spec.scenario.scenario.load_vehicle", lambda *_: (bare, folder))
+    monkeypatch.setattr("cosim.spec.scenario.scenario.load_with_profile", lambda *_: (bare, folder))
     with pytest.raises(InputError, match=r"hexjet has no \[control\.monitor\]"):
         build(HOVER.replace(monitor=True))
 
