@@ -59,10 +59,10 @@ class FlownRecord(Model):
     By the keys of :data:`cosim.design.as_flown.MEASURES`; what a flight does not tell is left out.
     """
 
-    flight: str
+    flight: str  # what was flown: hover, the doublet, the doublet to the full lean
     shipped_lost: str = ""  # when, where the gains that ship could not fly this
-    shipped: dict[str, float] = Field(default_factory=dict)
-    designed: dict[str, float] = Field(default_factory=dict)
+    shipped: dict[str, float] = Field(default_factory=dict)  # measures with the gains that ship, by name
+    designed: dict[str, float] = Field(default_factory=dict)  # the same with the designed gains
 
 
 class ProofRecord(Model):
@@ -72,7 +72,7 @@ class ProofRecord(Model):
     failed: str | None = None  # why it failed; only of a design whose file was written under an earlier proof
     lean_deg: float  # to which the doublets went
     worse: list[str] = Field(default_factory=list)  # what is worse as flown than with the gains that ship
-    flown: list[FlownRecord] = Field(default_factory=list)
+    flown: list[FlownRecord] = Field(default_factory=list)  # flights with the shipped and with the designed gains
 
 
 class Purpose(Model):

@@ -265,8 +265,10 @@ def test_the_readmes_own_figures() -> None:
     stated(page, "engines answer {} s late", delay("edf-as-flown") * STEP)
     doublet = Scenario.load("roll-doublet")
     (command,) = doublet.command
-    stated(page, "by `make demo`: {} deg of roll one way and the other, EDF engines with {} samples of added delay",
-           getattr(command, "amplitude", math.nan), delay("edf-as-flown") - delay("edf"))  # fmt: skip
+    sentence = (
+        "by `make demo`: {} deg of roll one way and the other, here with EDF engines and {} samples of added delay"
+    )
+    stated(page, sentence, getattr(command, "amplitude", math.nan), delay("edf-as-flown") - delay("edf"))
     stated(page, "fly full-scale-gust # {} kg on six JetCat P220", load_vehicle("hexjet-p220")[0].mass_kg)
     # the largest gain that settles is among the numbers that `hexjet paper` fits
     fitted = tomllib.loads((ROOT / "cosim" / "paper" / "calibration.toml").read_text(encoding="utf-8"))["parameters"]
