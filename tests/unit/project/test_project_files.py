@@ -103,6 +103,15 @@ def test_a_change_is_judged_as_it_is_here() -> None:
     assert any("docs" in step.get("run", "") for step in jobs["site"]["steps"])
 
 
+def test_a_commit_is_checked_as_make_check_does() -> None:
+    recipe = (ROOT / "Makefile").read_text(encoding="utf-8").split("\ncheck:")[1].split("\n\n")[0]
+    (local,) = read(ROOT / ".pre-commit-config.yaml")["repos"]
+    assert local["repo"] == "local"
+    commands = [hook["entry"] for hook in local["hooks"]]
+    assert commands == [line.strip().replace("$(BIN)", ".venv/bin") for line in recipe.splitlines()[1:]]
+    assert not any(hook["pass_filenames"] for hook in local["hooks"])  # each reads the whole project, as make check
+
+
 def test_a_wheel_is_built_for_each_python_and_system() -> None:
     wanted = SETUP["tool"]["cibuildwheel"]
     pythons = [int(each.removeprefix("cp3").removesuffix("-*")) for each in wanted["build"].split()]
