@@ -46,104 +46,11 @@ LONG = (
 )  # fmt: skip
 
 
-# What make test leaves to make long: searches of whole designs again, the wheel, long waits for other programs, and the
-# further cases of flights of which two are always flown.
-LENGTHY = {
-    "test_adapters": ("test_inside_betaflight",),
-    "test_octojet": ("test_it_stays_up", "test_on_seven"),
-    "test_quadjet": ("test_the_figures",),
-    "test_trijet": ("test_the_figures",),
-    "test_jetwing": ("test_the_figures", "test_it_settles"),
-    "test_scenarios": tuple(
-        f"test_scenario_comes_to_what_it_expects[octojet-{name}-"
-        for name in (
-            "flame-out-inner",
-            "flame-out-in-wind",
-            "roll-doublet",
-            "pitch-doublet",
-            "waypoints",
-            "climb-and-land",
-        )
-    )
-    + tuple(
-        f"test_scenario_comes_to_what_it_expects[quadjet-{name}-"
-        for name in ("pitch-doublet", "yaw-doublet", "hover-in-wind", "waypoints", "gust", "velocity")
-    )
-    + tuple(
-        f"test_scenario_comes_to_what_it_expects[trijet-{name}-"
-        for name in ("roll-doublet", "yaw-doublet", "climb-and-land", "hover-in-wind", "waypoints", "gust")
-    )
-    + ("test_scenario_comes_to_what_it_expects[jetwing-",),
-    "test_faults": tuple(
-        f"test_no_false_alarm_in_any_scenario_without_a_fault[{name}]"
-        for name in ("jetwing-transition", "jetwing-cruise", "jetwing-climb-and-land", "trijet-waypoints")
-    ),
-    "test_design": ("test_where_there_is_no_design_it_says_which_delay_would_allow_one", "test_a_later_engine"),
-    "test_design_proof": ("test_an_engine_that_trembles",),
-    "test_design_hinges": (
-        *(f"test_an_axis_by_hinges_is_designed[{name}" for name in ("quadjet", "jetwing")),
-        *(f"test_a_design_beside_its_vehicle_is_what_todays_command_makes[{name}" for name in ("quadjet", "jetwing")),
-        "test_a_doublet_with_the_design_is_what_it_promises",
-    ),
-    "test_design_stored": ("test_a_level_is_designed_where_a_straight_line_misses_a_requirement",),
-    "test_gcs_conformance": ("test_connect_fly_and_land_as_qgroundcontrol[0.2]", "test_a_stranger_without_the_key"),
-    "test_campaign_store": ("test_ten_kills_at_random_moments",),
-    "test_campaign_workers": ("test_a_flight_that_does_not_end_is_ended",),
-    "test_betaflight": ("test_its_margin_of_delay_is_the_designs",),
-    "test_open": ("test_by_keyboard[10000]",),
-    "test_axe": (
-        "test_a_flight[dark]",
-        "test_a_flight_while_it_flies[light]",
-        "test_the_runs",
-        "test_the_pages_of_all",
-    ),
-    "test_flight_page": (
-        "test_a_phone",
-        "test_a_page_is_looked_at",
-        "test_two_flights",
-        "test_all_strips_are_drawn",
-        "test_the_last_samples",
-    ),
-    "test_site": ("test_the_site_is_built_without_a_warning",),
-    "test_tutorial": ("test_the_tutorial_as_written",),
-    "test_identify_log": ("test_two_real", "test_wrong_stamps", "test_an_engines_log", "test_forty_logs"),
-    "test_damaged_files": ("test_two_thousand",),
-    "test_engine_windows": ("test_it_computes_the_same_bits_there",),  # Wine makes itself a home first
-    "test_measured_margins": ("test_what_is_off_of_hexjet_100s_roll",),
-    "test_mavlink_services": ("test_a_mission[a fifth lost]", "test_parameters[a fifth lost]"),
-}
-LENGTHY_FIXTURES = {"test_bench": {"measured", "result"}, "test_package": {"wheel", "installed"}}
-SOME_CASES = (
-    "test_failsafes",
-    "test_pilot_envelope",
-    "test_design_stored",
-    "test_measured_margins",
-    "test_vehicle_export",
-)
-CASES = 2  # of one test of these files
-
-
-def _lengthy(items: list[pytest.Item]) -> None:
-    """Mark what is long."""
-    seen: dict[tuple[str, str], int] = {}
-    for item in items:
-        file, name = item.path.stem, getattr(item, "originalname", item.name)
-        case = seen[file, name] = seen.get((file, name), 0) + 1
-        fixtures = set(getattr(item, "fixturenames", ()))
-        if (
-            item.name.startswith(LENGTHY.get(file, ()))
-            or fixtures & LENGTHY_FIXTURES.get(file, set())
-            or (file in SOME_CASES and case > CASES and "wrong" not in name)
-        ):
-            item.add_marker("long")
-
-
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """A test has the mark of the folder that it is in; long files come first, files of short tests last."""
     for item in items:
         item.add_marker(KINDS[_kind(item)])
-    _lengthy(items)
     kinds, places = list(KINDS), {name: place for place, name in enumerate(LONG)}
     items.sort(key=lambda item: (places.get(item.path.stem, len(LONG)), kinds.index(_kind(item))))
 

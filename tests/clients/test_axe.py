@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from flights import samples, scenario, setup
+from long_cases import long_case
 from patience import PATIENCE
 from places import script
 from shelves import shelf
@@ -82,7 +83,7 @@ def test_it_finds_what_is_wrong(browser: Any, axe: str) -> None:
     assert {"color-contrast", "image-alt", "button-name"} <= {wrong["id"] for wrong in found}
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", ["light", long_case("dark")])
 def test_a_flight(browser: Any, axe: str, scheme: str, tmp_path: Path) -> None:
     recording = begin_run(setup(), scenario(), None)
     for sample in samples(200):
@@ -98,7 +99,9 @@ ALL = ("flight", "strips", "engines", "events", "parameters")
 
 
 @pytest.mark.parametrize(
-    ("scheme", "names"), [("dark", ALL[:1]), ("light", ALL), ("dark", ALL[1:])], ids=("short", "light", "dark")
+    ("scheme", "names"),
+    [("dark", ALL[:1]), long_case(("light", ALL)), ("dark", ALL[1:])],
+    ids=("short", "light", "dark"),
 )
 def test_a_flight_while_it_flies(
     browser: Any, axe: str, pages: ModuleType, scheme: str, names: tuple[str, ...], tmp_path: Path
@@ -111,6 +114,7 @@ def test_a_flight_while_it_flies(
             assert complaints(page, axe) == [], name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_the_runs(browser: Any, axe: str, pages: ModuleType, scheme: str, tmp_path: Path) -> None:
     folder = shelf(tmp_path / "runs", 5)
@@ -119,6 +123,7 @@ def test_the_runs(browser: Any, axe: str, pages: ModuleType, scheme: str, tmp_pa
         assert complaints(page, axe) == []
 
 
+@pytest.mark.long
 def test_the_pages_of_all_commands(
     browser: Any, axe: str, pages: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -92,6 +92,7 @@ def test_the_picture_moves_as_the_log_says(browser: Any, flown: tuple[Run, Path]
         assert turns == [1] * 6
 
 
+@pytest.mark.long
 def test_two_flights_in_one_scene_and_what_one_is_less_the_other(
     browser: Any, flown: tuple[Run, Path], tmp_path: Path
 ) -> None:
@@ -146,6 +147,7 @@ def test_what_was_measured_of_pages_is_what_is_asked_for() -> None:
     assert found == dict.fromkeys([*wanted, "the page of a campaign of 1000 flights"], "yes")
 
 
+@pytest.mark.long
 def test_a_page_is_looked_at(browser: Any, flown: tuple[Run, Path]) -> None:
     """What the benchmark says of a page in a browser; how fast that is no test asks."""
     look = Look(browser)
@@ -216,6 +218,7 @@ def test_what_is_seen_goes_out_with_every_sample(browser: Any, flown: tuple[Run,
             page.wait_for_function("document.querySelector('[data-figure=attitude] .strip').panel.chart", timeout=SOON)
 
 
+@pytest.mark.long
 def test_all_strips_are_drawn_for_paper(browser: Any, flown: tuple[Run, Path]) -> None:
     with opened(browser, flown[1], color_scheme="dark") as page:
         page.wait_for_function("document.documentElement.dataset.drawn === 'all'", timeout=SOON)
@@ -237,6 +240,7 @@ def test_all_strips_are_drawn_for_paper(browser: Any, flown: tuple[Run, Path]) -
         assert page.evaluate(ink) == dark
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_phone_in_daylight_and_at_night(browser: Any, flown: tuple[Run, Path], scheme: str) -> None:
     with opened(browser, flown[1], viewport={"width": 390, "height": 800}, color_scheme=scheme) as page:
@@ -255,6 +259,7 @@ def test_without_webgl_it_says_so_and_the_strips_remain(browser: Any, flown: tup
         page.wait_for_selector('[data-figure="attitude"] .u-over', timeout=SOON)
 
 
+@pytest.mark.long
 def test_the_last_samples_of_an_hour(browser: Any, tmp_path: Path) -> None:
     names = ("roll_rad", "pitch_rad", "yaw_rad", "north_m", "east_m", "down_m")
     k = np.arange(HOUR)

@@ -305,7 +305,7 @@ def waypoint(home: Any, north: float, east: float, height: float) -> tuple[Any, 
     return (6, 16, 0, 1, 0.0, 1.5, 0.0, NAN, round(home.latitude + 1e7 * north / degree), round(longitude), height)
 
 
-@pytest.mark.parametrize("loss", [0.0, LOSS])
+@pytest.mark.parametrize("loss", [0.0, pytest.param(LOSS, marks=pytest.mark.long)])
 def test_connect_fly_and_land_as_qgroundcontrol(vehicle: VehicleProcess, loss: float) -> None:
     with station(vehicle, loss) as qgc:
         if loss:
@@ -450,6 +450,7 @@ def test_who_goes_silent_is_missed(vehicle: VehicleProcess) -> None:
         assert any("no ground station" in text for text in only.texts())
 
 
+@pytest.mark.long
 def test_a_stranger_without_the_key_is_not_obeyed(tmp_path: Path) -> None:
     """Signing on: who has the key flies; unsigned, wrongly signed and replayed frames change nothing."""
     key = tmp_path / "key"

@@ -20,7 +20,7 @@ from cosim.shelf.server import ShelfServer
 from cosim.spec.scenario import Scenario
 
 
-@pytest.mark.parametrize("runs", [300, 10_000])
+@pytest.mark.parametrize("runs", [300, pytest.param(10_000, marks=pytest.mark.long)])
 def test_by_keyboard(runs: int, tmp_path: Path, browser: Any) -> None:
     folder, compared = shelf(tmp_path / "runs", runs), []
 

@@ -113,6 +113,7 @@ def replayed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Block]]:
         replay.close()
 
 
+@pytest.mark.long
 def test_one_json_object_with_every_part(result: dict[str, Any]) -> None:
     assert set(result) == {"machine", "versions", "compilers", "plan", "wall_s", "failed", "asked", *PARTS}
     assert not result["failed"]
@@ -121,6 +122,7 @@ def test_one_json_object_with_every_part(result: dict[str, Any]) -> None:
     assert all(result[part] for part in PARTS)
 
 
+@pytest.mark.long
 def test_every_spread_says_how_often_it_was_measured(result: dict[str, Any]) -> None:
     """Median, quartiles and repeats, wherever a figure is."""
     found: list[dict[str, float]] = []
@@ -143,6 +145,7 @@ def test_every_spread_says_how_often_it_was_measured(result: dict[str, Any]) -> 
         assert each["repeats"] >= 1
 
 
+@pytest.mark.long
 def test_the_machine_is_stated(result: dict[str, Any]) -> None:
     machine = result["machine"]
     assert machine["cpu"]
@@ -160,6 +163,7 @@ def test_every_package_that_is_needed_is_stated() -> None:
     assert "pytest" not in found  # of an extra
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("substeps", speed.SUBSTEPS)
 def test_a_step_costs_something_in_every_way(result: dict[str, Any], substeps: int) -> None:
     costs = result["step"][str(substeps)]
@@ -173,6 +177,7 @@ def test_a_step_costs_something_in_every_way(result: dict[str, Any], substeps: i
             assert 0.0 < spread["least"] <= spread["low"] <= spread["median"] <= spread["high"], (name, clock)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("substeps", speed.SUBSTEPS)
 def test_what_is_not_jsbsim_is_the_whole_less_its_runs(result: dict[str, Any], substeps: int) -> None:
     """Exactly, round by round, and so in the median and the quartiles too."""
@@ -182,6 +187,7 @@ def test_what_is_not_jsbsim_is_the_whole_less_its_runs(result: dict[str, Any], s
             assert costs[outside]["units"][quantile] == pytest.approx(costs[whole]["units"][quantile] - substeps)
 
 
+@pytest.mark.long
 def test_the_breakdown_adds_up(result: dict[str, Any]) -> None:
     found = result["blocks"]
     flying = set(found["alone"]) - {blocks.DISK}  # which comes once in many steps and has no median
@@ -192,6 +198,7 @@ def test_the_breakdown_adds_up(result: dict[str, Any]) -> None:
     assert sum(parts.values()) + found["rest_units"] == pytest.approx(found["outside"]["units"]["median"])
 
 
+@pytest.mark.long
 def test_every_engine_that_is_there_is_timed(result: dict[str, Any]) -> None:
     """Ours and FMPy's wrappers always; the others if they are installed, else they are named with the reason."""
     found = result["peers"]
@@ -205,6 +212,7 @@ def test_every_engine_that_is_there_is_timed(result: dict[str, Any]) -> None:
         assert set(costs) == {peers.EXCHANGE, peers.ALONE}
 
 
+@pytest.mark.long
 def test_what_is_asked_for(measured: Result) -> None:
     """The figures that decide, by the medians that were measured."""
     rows = {row.name: row for row in judge(measured)}
@@ -366,6 +374,7 @@ def test_other_flights_are_less_jsbsims_own_runs(monkeypatch: pytest.MonkeyPatch
     assert units == {name: {1: pytest.approx(9.0), 4: pytest.approx(6.0)} for name in "ab"}
 
 
+@pytest.mark.long
 def test_other_flights(result: dict[str, Any]) -> None:
     found = result["others"]["outside"]
     assert list(found) == list(others.FLIGHTS)
@@ -384,6 +393,7 @@ def test_a_block_of_ones_own_costs_what_its_flight_costs_more() -> None:
     assert Cost.of(speed.differences(own, ours)).units.median == pytest.approx(2.5)
 
 
+@pytest.mark.long
 def test_blocks_of_ones_own(result: dict[str, Any]) -> None:
     """Every way in flew to its end; what a class costs more is judged."""
     found = result["own"]
@@ -402,6 +412,7 @@ def test_the_loops_that_are_timed_hover(tmp_path: Path, name: str) -> None:
         assert max(map(abs, simulation.state.euler)) < math.radians(30.0)
 
 
+@pytest.mark.long
 def test_growth_in_every_way(result: dict[str, Any]) -> None:
     time, engines, log = result["time"], result["engines"], result["log"]
     assert list(time["steps"]) == list(time["memory"]) == ["1", "2"]
@@ -440,6 +451,7 @@ def test_the_quadrotor_hovers_at_its_own_rate() -> None:
         assert simulation.state.altitude == pytest.approx(10.0, abs=0.1)
 
 
+@pytest.mark.long
 def test_a_second_worker_beside_a_second_process(result: dict[str, Any]) -> None:
     found = result["campaign"]
     for each in (found["bare"], found["flown"]):
@@ -495,6 +507,7 @@ def test_a_bare_process_that_ends_is_told(monkeypatch: pytest.MonkeyPatch) -> No
         campaign.Bare().__enter__()
 
 
+@pytest.mark.long
 def test_the_way_to_the_first_step(result: dict[str, Any]) -> None:
     startup = result["start"]
     parts = [startup[name]["median"] for name in ("python_s", "imports_s", "build_s")]
@@ -502,6 +515,7 @@ def test_the_way_to_the_first_step(result: dict[str, Any]) -> None:
     assert sum(parts) == pytest.approx(startup["first_step_s"]["median"])
 
 
+@pytest.mark.long
 def test_memory_is_seen_all_along_a_flight(result: dict[str, Any]) -> None:
     memory = result["memory"]
     assert memory["steps"] == 1500  # 0.1 min at 250 Hz
@@ -514,6 +528,7 @@ def test_memory_is_seen_all_along_a_flight(result: dict[str, Any]) -> None:
     assert memory["log_mb"] > 1500 * 8 / 1e6  # one column alone, were it not compressed
 
 
+@pytest.mark.long
 def test_tables_for_people(measured: Result, capsys: pytest.CaptureFixture[str]) -> None:
     print_result(measured)
     told = capsys.readouterr().out
@@ -535,6 +550,7 @@ def test_figures_have_three_digits() -> None:
     assert found == ["0.046 [0.043, 0.048]", "2.00 [1.90, 2.10]", "34.6 [32.8, 36.3]", "1234 [1173, 1296]"]
 
 
+@pytest.mark.long
 def test_a_page_takes_every_figure_from_one_run(measured: Result, tmp_path: Path) -> None:
     """What stands around the marks stays, what stands between them goes, also where nothing was measured now."""
     page = tmp_path / "page.md"
@@ -589,6 +605,7 @@ def test_a_page_without_whole_marks_is_left_alone(
         check_page(tmp_path / "absent" / "page.md")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("arguments", "plan"),
     [

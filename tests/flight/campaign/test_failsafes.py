@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from command_tools import Hexjet
 from failsafe_flights import Flight, again, again_of_the_table
+from long_cases import long_after
 from places import DOCS
 from stated_figures import stated
 
@@ -63,21 +64,24 @@ HOLDS = {"sticks lost", "set-points lost"}
 
 @pytest.mark.parametrize(
     ("aircraft", "height", "wind", "speed"),
-    [
-        ("hexjet", 3.0, 0.0, 5.0),
-        ("hexjet-p220", 3.0, 0.0, 0.0),
-        ("hexjet-p220", 3.0, 0.0, 5.0),
-        *(
-            ("hexjet", height, 0.0, speed)
-            for height in (3.0, 10.0, 30.0)
-            for speed in (0.0, 5.0)
-            if height + speed != 8.0
-        ),
-        ("hexjet", 15.0, 0.0, 5.0),
-        *(("hexjet-p220", height, 0.0, speed) for height in (10.0, 30.0) for speed in (0.0, 5.0)),
-        *((aircraft, 10.0, 5.0, 0.0) for aircraft in HEXJETS),
-        *((aircraft, 30.0, 10.0, 0.0) for aircraft in HEXJETS),
-    ],
+    long_after(
+        2,
+        [
+            ("hexjet", 3.0, 0.0, 5.0),
+            ("hexjet-p220", 3.0, 0.0, 0.0),
+            ("hexjet-p220", 3.0, 0.0, 5.0),
+            *(
+                ("hexjet", height, 0.0, speed)
+                for height in (3.0, 10.0, 30.0)
+                for speed in (0.0, 5.0)
+                if height + speed != 8.0
+            ),
+            ("hexjet", 15.0, 0.0, 5.0),
+            *(("hexjet-p220", height, 0.0, speed) for height in (10.0, 30.0) for speed in (0.0, 5.0)),
+            *((aircraft, 10.0, 5.0, 0.0) for aircraft in HEXJETS),
+            *((aircraft, 30.0, 10.0, 0.0) for aircraft in HEXJETS),
+        ],
+    ),
 )
 def test_losing_the_gnss_lands(aircraft: str, height: float, wind: float, speed: float, tmp_path: Path) -> None:
     """It crashed at 2.3 to 17 m/s, holding and at 5 m/s: the climb rate was the receiver's and stood still with it."""
@@ -94,7 +98,7 @@ def test_losing_the_gnss_lands(aircraft: str, height: float, wind: float, speed:
     again_of_the_table(one, tmp_path)
 
 
-@pytest.mark.parametrize("aircraft", table.TABLED)
+@pytest.mark.parametrize("aircraft", long_after(2, table.TABLED))
 def test_losing_the_gnss_at_speed_stops_and_lands(aircraft: str) -> None:
     """It touched at 1.9 to 3.7 m/s sideways: the drag learnt at speed was taken for a push that went on at rest."""
     vehicle = load_vehicle(aircraft)[0]
@@ -153,17 +157,20 @@ def test_what_touches_faster_sideways_has_not_landed(monkeypatch: pytest.MonkeyP
 
 @pytest.mark.parametrize(
     ("name", "aircraft", "height", "wind"),
-    [
-        ("GNSS lost", "hexjet", 15.0, 5.0),
-        ("barometer lost", "hexjet-p220", 3.0, 0.0),
-        ("attitude lost", "hexjet", 10.0, 10.0),
-        ("gyro biased", "quadrotor", 3.0, 5.0),
-        ("gyro lost", "hexjet-100", 3.0, 5.0),
-        ("GNSS and barometer lost", "hexjet-p220", 10.0, 5.0),
-        ("GNSS and attitude lost", "quadrotor", 10.0, 5.0),
-        ("GNSS and gyro biased", "hexjet-100", 3.0, 10.0),
-        ("GNSS and gyro lost", "hexjet", 3.0, 0.0),
-    ],
+    long_after(
+        2,
+        [
+            ("GNSS lost", "hexjet", 15.0, 5.0),
+            ("barometer lost", "hexjet-p220", 3.0, 0.0),
+            ("attitude lost", "hexjet", 10.0, 10.0),
+            ("gyro biased", "quadrotor", 3.0, 5.0),
+            ("gyro lost", "hexjet-100", 3.0, 5.0),
+            ("GNSS and barometer lost", "hexjet-p220", 10.0, 5.0),
+            ("GNSS and attitude lost", "quadrotor", 10.0, 5.0),
+            ("GNSS and gyro biased", "hexjet-100", 3.0, 10.0),
+            ("GNSS and gyro lost", "hexjet", 3.0, 0.0),
+        ],
+    ),
 )
 def test_every_sensor_lands_alone_and_with_the_gnss(
     name: str, aircraft: str, height: float, wind: float, tmp_path: Path
@@ -195,7 +202,7 @@ def test_nothing_disarms_in_the_air_whatever_the_sensors_say(tmp_path: Path) -> 
 # --- engines -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("jet", range(1, 7))
+@pytest.mark.parametrize("jet", long_after(2, range(1, 7)))
 def test_with_any_engine_lost_the_landing_is_recognised_and_everything_is_off(jet: int, tmp_path: Path) -> None:
     """Half of them stood armed for ever, the others gave 31 N disarmed: idle went through the plan."""
     one = flown(f"engine {jet} out", height=10.0)
@@ -207,8 +214,10 @@ def test_with_any_engine_lost_the_landing_is_recognised_and_everything_is_off(je
     again_of_the_table(one, tmp_path)
 
 
-@pytest.mark.parametrize("jet", range(1, 7))
-@pytest.mark.parametrize("aircraft", ["hexjet-p220", "hexjet-100"])
+@pytest.mark.parametrize(
+    ("aircraft", "jet"),
+    long_after(2, [(aircraft, jet) for aircraft in ("hexjet-p220", "hexjet-100") for jet in range(1, 7)]),
+)
 def test_a_full_scale_vehicle_lands_with_any_engine_lost_and_knows_it(aircraft: str, jet: int, tmp_path: Path) -> None:
     """It stood on running engines and slid 70 to 360 m, or was lost in the air; from 10 m it hit the ground at 4.4 m/s."""
     one = flown(f"engine {jet} out", aircraft, 10.0)
@@ -323,7 +332,8 @@ def test_what_is_left_of_a_jet_ten_seconds_later_is_its_rotor_running_down() -> 
 
 
 @pytest.mark.parametrize(
-    ("aircraft", "height", "lost"), [("hexjet", 3.0, False), ("hexjet", 3.0, True), ("hexjet-p220", 10.0, True)]
+    ("aircraft", "height", "lost"),
+    [("hexjet", 3.0, False), ("hexjet", 3.0, True), pytest.param("hexjet-p220", 10.0, True, marks=pytest.mark.long)],
 )
 def test_neither_hold_nor_disarm_takes_off_from_where_it_has_landed(
     aircraft: str, height: float, lost: bool, tmp_path: Path
@@ -456,29 +466,32 @@ def test_a_minute_of_full_reversals_keeps_the_full_scale_vehicle(yaw: float, tmp
 
 @pytest.mark.parametrize(
     ("aircraft", "name", "height", "wind"),
-    [
-        ("hexjet", "GNSS and gyro lost", 3.0, 5.0),
-        ("hexjet-p220", "engine 2 out", 3.0, 5.0),
-        ("hexjet-100", "engine 5 out", 3.0, 0.0),  # it hops
-        ("quadrotor", "engine 1 out", 3.0, 10.0),  # spins
-        ("hexjet", "sticks lost", 3.0, 0.0),
-        ("quadrotor", "GNSS lost", 10.0, 0.0),  # moving
-        # every failsafe that is not above, over the other vehicles
-        ("octojet", "GNSS and attitude lost", 3.0, 10.0),
-        ("octojet", "engine 8 out", 3.0, 5.0),
-        ("octojet", "barometer lost", 3.0, 0.0),
-        ("quadjet", "engine 2 out", 3.0, 5.0),  # crashes
-        ("quadjet", "engine 3 out", 10.0, 0.0),
-        ("jetwing", "engine 1 out", 3.0, 0.0),
-        ("quadjet", "GNSS and barometer lost", 3.0, 10.0),
-        ("quadjet", "gyro biased", 3.0, 5.0),
-        ("hexjet", "attitude lost", 3.0, 10.0),
-        ("hexjet", "fence passed", 3.0, 0.0),
-        ("hexjet", "ground station lost", 3.0, 0.0),
-        ("hexjet", "set-points lost", 3.0, 10.0),
-        ("quadrotor", "gyro lost", 3.0, 0.0),
-        ("quadrotor", "GNSS and gyro biased", 3.0, 5.0),
-    ],
+    long_after(
+        2,
+        [
+            ("hexjet", "GNSS and gyro lost", 3.0, 5.0),
+            ("hexjet-p220", "engine 2 out", 3.0, 5.0),
+            ("hexjet-100", "engine 5 out", 3.0, 0.0),  # it hops
+            ("quadrotor", "engine 1 out", 3.0, 10.0),  # spins
+            ("hexjet", "sticks lost", 3.0, 0.0),
+            ("quadrotor", "GNSS lost", 10.0, 0.0),  # moving
+            # every failsafe that is not above, over the other vehicles
+            ("octojet", "GNSS and attitude lost", 3.0, 10.0),
+            ("octojet", "engine 8 out", 3.0, 5.0),
+            ("octojet", "barometer lost", 3.0, 0.0),
+            ("quadjet", "engine 2 out", 3.0, 5.0),  # crashes
+            ("quadjet", "engine 3 out", 10.0, 0.0),
+            ("jetwing", "engine 1 out", 3.0, 0.0),
+            ("quadjet", "GNSS and barometer lost", 3.0, 10.0),
+            ("quadjet", "gyro biased", 3.0, 5.0),
+            ("hexjet", "attitude lost", 3.0, 10.0),
+            ("hexjet", "fence passed", 3.0, 0.0),
+            ("hexjet", "ground station lost", 3.0, 0.0),
+            ("hexjet", "set-points lost", 3.0, 10.0),
+            ("quadrotor", "gyro lost", 3.0, 0.0),
+            ("quadrotor", "GNSS and gyro biased", 3.0, 5.0),
+        ],
+    ),
 )
 def test_a_flight_of_the_table_flies_again_bit_for_bit(
     aircraft: str, name: str, height: float, wind: float, tmp_path: Path
@@ -681,7 +694,7 @@ def explained(aircraft: str, name: str, start: str) -> set[str]:
     return may
 
 
-@pytest.mark.parametrize("aircraft", table.TABLED)
+@pytest.mark.parametrize("aircraft", long_after(2, table.TABLED))
 def test_after_a_take_off_what_does_not_land_is_what_the_page_explains(aircraft: str) -> None:
     """Every failsafe of the command from all its heights; the worst speeds say whether a cell has slid or crashed."""
     vehicle, tip = load_vehicle(aircraft)[0], round(tip_of(aircraft), 2)
@@ -716,9 +729,9 @@ def test_after_a_take_off_what_does_not_land_is_what_the_page_explains(aircraft:
     [
         ("hexjet", "fuel runs down", 10.0),
         ("hexjet", "GNSS and gyro lost", 3.0),
-        ("quadrotor", "sticks lost", 3.0),
-        ("hexjet-p220", "barometer lost", 3.0),
-        ("hexjet-100", "engine 5 out", 3.0),  # it hops
+        pytest.param("quadrotor", "sticks lost", 3.0, marks=pytest.mark.long),
+        pytest.param("hexjet-p220", "barometer lost", 3.0, marks=pytest.mark.long),
+        pytest.param("hexjet-100", "engine 5 out", 3.0, marks=pytest.mark.long),  # it hops
         pytest.param("quadrotor", "engine 1 out", 3.0, marks=pytest.mark.long),
         pytest.param("octojet", "GNSS and attitude lost", 3.0, marks=pytest.mark.long),
         pytest.param("quadjet", "engine 2 out", 3.0, marks=pytest.mark.long),  # crashes

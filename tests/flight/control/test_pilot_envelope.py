@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from long_cases import long_after
 from pilot_flights import Flight
 from places import DOCS, ROOT
 
@@ -200,8 +201,9 @@ def test_the_height_moves_as_the_thrust_and_its_loop_allow() -> None:
     assert height_limits(0.5, 10.0, 1.5, up, down).acceleration == pytest.approx(0.25 * down)
 
 
-@pytest.mark.parametrize("weight", [0.7, 1.0])
-@pytest.mark.parametrize("answer", [0.13, 1.0, 3.0])
+@pytest.mark.parametrize(
+    ("answer", "weight"), long_after(2, [(answer, weight) for answer in (0.13, 1.0, 3.0) for weight in (0.7, 1.0)])
+)
 def test_a_fall_is_caught_before_the_ground(answer: float, weight: float) -> None:
     """A point mass behind an engine with a lag, its throttle let go: it comes down, and slowly.
 
@@ -256,8 +258,9 @@ def test_the_page_states_the_limits_of_every_vehicle() -> None:
 # --- flights -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("half", [0.25, 1.2])
-@pytest.mark.parametrize(("aircraft", "controller"), FLOWN)
+@pytest.mark.parametrize(
+    ("aircraft", "controller", "half"), long_after(2, [(*flown, half) for flown in FLOWN for half in (0.25, 1.2)])
+)
 def test_full_reversals_of_all_sticks_lose_no_vehicle(aircraft: str, controller: str, half: float) -> None:
     """In altitude mode: the lean stays at the stick's, the height is held, no torque command reaches its stop."""
     with in_the_air(aircraft, controller, 30.0) as flight:
@@ -278,7 +281,7 @@ def test_full_reversals_of_all_sticks_lose_no_vehicle(aircraft: str, controller:
 
 
 @pytest.mark.parametrize(
-    ("aircraft", "controller"), [each for each in FLOWN if each[0] in OTHERS and each[1] != "smith"]
+    ("aircraft", "controller"), long_after(2, [each for each in FLOWN if each[0] in OTHERS and each[1] != "smith"])
 )
 def test_a_full_reversal_turns_the_other_layouts_round(aircraft: str, controller: str) -> None:
     """What the long ones go on with: there and back once, in STABILIZED, the throttle from stop to stop."""
@@ -322,8 +325,10 @@ def sticks_of(pattern: list[tuple[float, float, float, float, float]], level: bo
     return sticks
 
 
-@pytest.mark.parametrize("mode", ["ALTCTL", "POSCTL", "STABILIZED"])
-@pytest.mark.parametrize(("aircraft", "controller"), FLOWN)
+@pytest.mark.parametrize(
+    ("aircraft", "controller", "mode"),
+    long_after(2, [(*flown, mode) for flown in FLOWN for mode in ("ALTCTL", "POSCTL", "STABILIZED")]),
+)
 @settings(deadline=None, max_examples=4, derandomize=True, phases=(Phase.explicit, Phase.generate))
 @given(pattern=PATTERN)
 def test_no_pattern_of_the_sticks_loses_a_vehicle(
@@ -339,8 +344,10 @@ def test_no_pattern_of_the_sticks_loses_a_vehicle(
         assert max(map(lean, samples)) < OVER * most
 
 
-@pytest.mark.parametrize("mode", ["ALTCTL", "STABILIZED"])
-@pytest.mark.parametrize(("aircraft", "controller"), FLOWN)
+@pytest.mark.parametrize(
+    ("aircraft", "controller", "mode"),
+    long_after(2, [(*flown, mode) for flown in FLOWN for mode in ("ALTCTL", "STABILIZED")]),
+)
 @settings(deadline=None, max_examples=2, derandomize=True, phases=(Phase.explicit, Phase.generate))
 @given(pattern=PATTERN)
 def test_no_throttle_hits_the_ground(
@@ -361,7 +368,7 @@ def test_no_throttle_hits_the_ground(
         assert flight.descent(0) < (1.5 * land if mode == "ALTCTL" else legs)
 
 
-@pytest.mark.parametrize(("aircraft", "controller"), FLOWN)
+@pytest.mark.parametrize(("aircraft", "controller"), long_after(2, FLOWN))
 def test_the_throttle_let_go_at_a_height_is_caught(aircraft: str, controller: str) -> None:
     """In STABILIZED, from 40 m with the throttle at its stop; it lands, and is found to have landed."""
     with in_the_air(aircraft, controller, 40.0) as flight:
@@ -383,7 +390,7 @@ def test_reversals_of_the_throttle_do_not_hit_the_ground() -> None:
             assert flight.descent(0) < 1.0
 
 
-@pytest.mark.parametrize(("aircraft", "controller"), FLOWN)
+@pytest.mark.parametrize(("aircraft", "controller"), long_after(2, FLOWN))
 def test_set_points_from_outside_are_bounded_too(aircraft: str, controller: str) -> None:
     """Attitudes, velocities, places and rates that jump from one end to the other."""
     with in_the_air(aircraft, controller, 60.0) as flight:

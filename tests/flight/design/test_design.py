@@ -397,6 +397,7 @@ def short(*settings: str, engine: str = "edf-as-flown", controller: str = "smith
     return design(engine, controller=controller, settings=settings, need=Requirements(min_bandwidth_hz=least))
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("quick")
 def test_a_later_engine_gets_a_model_as_much_later_and_a_slower_loop() -> None:
     """15 samples more; a loop whose bandwidth is bound by the delay loses about as much as the delay gains."""
@@ -431,6 +432,7 @@ def test_a_design_keeps_what_it_states_and_is_the_same_again() -> None:
         assert all(each.checks.values()), axis
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("quick")
 def test_where_there_is_no_design_it_says_which_delay_would_allow_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """2 Hz with 0.1 s of delay is beyond every candidate; with what it names it is not."""

@@ -8,6 +8,7 @@ from math import exp
 import control
 import numpy as np
 import pytest
+from long_cases import long_after, long_case
 from places import ROOT
 
 from cosim.base.constants import GRAVITY
@@ -112,9 +113,11 @@ def test_what_is_given_beside_is_carried() -> None:
     assert carried == pytest.approx(np.abs(whole / servo - 1.0), rel=0.05, abs=0.005)
 
 
-@pytest.mark.parametrize(("aircraft", "axis"), [("quadjet", "roll"), ("trijet", "pitch"), ("jetwing", "yaw")])
+@pytest.mark.parametrize(
+    ("aircraft", "axis"), [long_case(("quadjet", "roll")), ("trijet", "pitch"), long_case(("jetwing", "yaw"))]
+)
 def test_an_axis_by_hinges_is_designed(aircraft: str, axis: str) -> None:
-    """Also where thrusts give a part of it: every requirement is kept with what they add.  Two of three are long."""
+    """Also where thrusts give a part of it: every requirement is kept with what they add."""
     vehicle, spec, of = plants(aircraft)
     need = Requirements()
     found = _axis(of[axis], _Asked(vehicle, spec, ("baseline",), need, "", True, None, lambda text: None), None)
@@ -132,9 +135,9 @@ DESIGNED = ("trijet", "quadjet", "jetwing")
 
 
 @pytest.mark.parametrize("axis", ["pitch", "roll", "yaw", "altitude"])
-@pytest.mark.parametrize("aircraft", DESIGNED)
+@pytest.mark.parametrize("aircraft", long_after(1, DESIGNED))
 def test_a_design_beside_its_vehicle_is_what_todays_command_makes(aircraft: str, axis: str) -> None:
-    """Engine, airframe and requirements of today: the search's last stage begun at the file stops there.  Most is long."""
+    """Engine, airframe and requirements of today: the search's last stage begun at the file stops there."""
     _, spec, of = plants(aircraft)
     path = ROOT / "aircraft" / aircraft / "design.toml"
     file = read_controller(path, aircraft)
@@ -156,6 +159,7 @@ def test_a_design_beside_its_vehicle_is_what_todays_command_makes(aircraft: str,
     assert told.settling_s == pytest.approx(record.settling_s, rel=1e-4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("aircraft", DESIGNED)
 def test_a_doublet_with_the_design_is_what_it_promises(aircraft: str) -> None:
     """Flown with noise and the engines themselves: overshoot and settling of roll.  Long."""

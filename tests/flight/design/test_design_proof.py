@@ -101,6 +101,7 @@ def test_a_zero_in_the_right_half_plane_is_found_as_one() -> None:
     assert all(z.real < 0.0 for z in other.zeros)
 
 
+@pytest.mark.long
 def test_an_engine_that_trembles_is_swept_by_more_than_it_moves_itself(place: Path) -> None:
     """Noise of 0.25 % of full thrust, 0.1 s of lag: half a per cent of throttle would drown in it."""
     path = mapped(foreign(place, "noisy", "lag=0.1,delay=0.04,noise=0.0025"), "[rest]", "thrust = 0.5")

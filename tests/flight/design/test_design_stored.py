@@ -10,6 +10,7 @@ from typing import Any
 import control
 import numpy as np
 import pytest
+from long_cases import long_after
 from places import DESIGNS, script
 from state_space import Body, Loop, first_order
 from stored_designs import LINEAR, small_step, stored
@@ -85,7 +86,7 @@ def from_nothing(name: str, channel: Channel, fixed: Tuning, model: RateModel, a
     return settle(channel, found.tuning, asked)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", long_after(2, NAMES))
 def test_a_stored_design_is_what_todays_command_makes(name: str) -> None:
     """Engine, airframe and requirements of today; roll's search from nothing ends at the file's gains, other axes stop there.
 
@@ -137,7 +138,7 @@ def test_a_stored_design_is_what_todays_command_makes(name: str) -> None:
         assert model["gain"] == pytest.approx(fresh.gain, rel=1e-5)
 
 
-@pytest.mark.parametrize("name", BURNING)
+@pytest.mark.parametrize("name", long_after(2, BURNING))
 def test_a_stored_schedule_is_what_todays_command_makes(name: str) -> None:
     """With less fuel, too: each level stays where it is, and every level keeps what the file says of it."""
     made, scenario, vehicle, spec, actuator, _, begin, _ = today(name)
@@ -164,6 +165,7 @@ def test_a_stored_schedule_is_what_todays_command_makes(name: str) -> None:
             assert keeps(level.channels[axis], at_share(plan, full, level.share, scenario.step_s)[axis], asked)
 
 
+@pytest.mark.long
 def test_a_level_is_designed_where_a_straight_line_misses_a_requirement() -> None:
     """The shipped P220's schedule, begun at its own gains, stands at 75 % and 25 % of the fuel with levels of their own."""
     found = design("p220", "hexjet-p220", start=DESIGNS / "p220.toml")
@@ -228,8 +230,9 @@ def loop(name: str, axis: str) -> Loop:
                 gains["predictor"], lead)  # fmt: skip
 
 
-@pytest.mark.parametrize("axis", ["roll", "pitch", "yaw", "altitude"])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    ("name", "axis"), long_after(2, [(name, axis) for name in NAMES for axis in ("roll", "pitch", "yaw", "altitude")])
+)
 def test_an_independent_simulation_gives_what_is_stated(name: str, axis: str) -> None:
     """Gain up and down and the phase by eigenvalues a per cent inside and outside; delay, overshoot, settling to 1 %.
 

@@ -177,6 +177,7 @@ def test_a_slow_pole_at_its_end_leaves_the_gain_its_bounds() -> None:
     assert chosen.deviation(0) > 0.0
 
 
+@pytest.mark.long
 def test_wrong_stamps_are_told_from_jitter() -> None:
     for stamps, jitter, clock in ((0.15, 0.0, "even clock"), (0.0, 0.15, "stamps")):
         flaws = Flaws(gyro=0.001, turbulence=0.02, jitter=jitter, stamps=stamps, lost=0.0)
@@ -244,6 +245,7 @@ def test_what_is_wrong_with_a_log_is_said(logs: list[Log]) -> None:
     assert "its clock goes back 1 times" in notes
 
 
+@pytest.mark.long
 def test_an_engines_log_becomes_an_engine(hexjet: Hexjet, tmp_path: Path) -> None:
     """The thrust of the engine that is written rests at the gain, and its pole is that of the truth."""
     truth = Truth(gain=46.03, rate=1.0 / 0.3286, lags=())
@@ -289,6 +291,7 @@ def test_a_model_is_laid_beside_another_flight(hexjet: Hexjet, tmp_path: Path, l
     assert "no identification.json" in refused.err
 
 
+@pytest.mark.long
 def test_two_real_flights_of_one_vehicle_predict_each_other() -> None:
     """Motors squared to specific force: all agrees within its bounds, either model predicts the other's flight, as
     the page says.
@@ -321,6 +324,7 @@ def test_two_real_flights_of_one_vehicle_predict_each_other() -> None:
         assert validate(stated, other).fit > 0.75
 
 
+@pytest.mark.long
 def test_forty_logs_hold_the_truth_as_often_as_they_say() -> None:
     """Of 40 intervals of 95 % fewer than 34 hold the truth once in 300 (binomial); the page has more logs."""
     rows = []

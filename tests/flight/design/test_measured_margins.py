@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_tools import Hexjet
+from long_cases import long_after
 from places import ROOT
 from stated_figures import stated
 
@@ -97,7 +98,7 @@ def test_a_point_on_the_limit_is_crossed() -> None:
 AIRCRAFT = ("hexjet", "hexjet-100", "hexjet-p220", "octojet", "quadjet", "trijet", "jetwing", "quadrotor")
 
 
-@pytest.mark.parametrize("aircraft", AIRCRAFT)
+@pytest.mark.parametrize("aircraft", long_after(2, AIRCRAFT))
 def test_the_computed_margins_are_those_of_a_count_of_the_encirclements(aircraft: str) -> None:
     """Of every axis: half a per cent either side of a gain margin the turns of ``1 + k L`` about 0 are other ones and
     between are not; lag, lead and delay put a point on -1, and less of them does not.  On a grid of its own."""
@@ -213,8 +214,8 @@ def test_a_drift_over_the_periods_is_taken_off() -> None:
     [
         ("hexjet", "edf", 0.004),
         ("hexjet-p220", "p220", 0.004),
-        ("quadrotor", "motor", 0.0025),
-        ("quadjet", "turbine-100", 0.004),
+        pytest.param("quadrotor", "motor", 0.0025, marks=pytest.mark.long),
+        pytest.param("quadjet", "turbine-100", 0.004, marks=pytest.mark.long),
     ],
 )
 def test_what_is_added_is_read_as_itself_and_other_axes_are_left_alone(aircraft: str, engine: str, step: float) -> None:
@@ -236,7 +237,7 @@ def test_what_is_added_is_read_as_itself_and_other_axes_are_left_alone(aircraft:
 # ---- as computed
 
 
-@pytest.mark.parametrize("design", ["shipped", "turbojet", "edf"])
+@pytest.mark.parametrize("design", ["shipped", "turbojet", pytest.param("edf", marks=pytest.mark.long)])
 def test_three_designs_are_measured_as_they_are_computed(design: str) -> None:
     scenario = QUIET
     if design != "shipped":
@@ -324,6 +325,7 @@ def test_what_is_off_of_hexjet_p220s_roll_is_the_air_it_takes_along_and_its_roto
     )
 
 
+@pytest.mark.long
 def test_what_is_off_of_hexjet_100s_roll_is_the_air_it_takes_along_and_what_its_engines_feel() -> None:
     """docs/margins.md: computed with both dampings it is as measured, to 2 %."""
     changes = ['engine="turbine-100"', 'controller="state-disturbance"', "sensor_noise=false"]

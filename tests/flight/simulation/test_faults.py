@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from long_cases import long_case
 from places import DESIGNS
 from stated_figures import stated
 
@@ -64,6 +65,7 @@ PLANNED_AROUND = ["fault-flame-out", "fault-relight", "fault-stuck-throttle", "f
 OTHERS = ("full-scale-", "octojet-", "quadjet-")
 QUIET = [name for name in scenario_names() if name not in FAULTY and not name.startswith(OTHERS)]
 QUIET += ["full-scale-gust", "full-scale-climb-and-land", "octojet-climb-and-land", "quadjet-gust"]
+LONG = ("jetwing-transition", "jetwing-cruise", "jetwing-climb-and-land", "trijet-waypoints")  # minutes of flight each
 HEALTH = [f"health_{jet}" for jet in range(1, 7)]
 
 
@@ -727,7 +729,7 @@ def test_a_flame_out_in_flight_is_found_within_28_ms(jet: int) -> None:
     assert [row[-1] for row in health] == [0.0 if number == jet else 1.0 for number in range(1, 7)]
 
 
-@pytest.mark.parametrize("name", QUIET)
+@pytest.mark.parametrize("name", [long_case(name) if name in LONG else name for name in QUIET])
 def test_no_false_alarm_in_any_scenario_without_a_fault(name: str) -> None:
     """Doublets, sticks, gusts in turbulence, take-off and landing, with sensor noise."""
     scenario = Scenario.load(name)

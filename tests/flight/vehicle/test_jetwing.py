@@ -182,6 +182,7 @@ def test_jsbsim_trims_itself_where_its_forces_balance(speed: float, tmp_path: Pa
     assert elevator == pytest.approx(expected[2], abs=1e-5)
 
 
+@pytest.mark.long
 def test_it_settles_where_jsbsim_trims_it(tmp_path: Path) -> None:
     """Long.  On the wing: with its jets ahead, rear and front alike."""
     scenario = Scenario.load("jetwing-cruise").replace(
@@ -236,6 +237,7 @@ def test_it_gains_speed_on_its_jets_at_one_height() -> None:
     assert np.abs(log["roll_rad"]).max() < 0.02
 
 
+@pytest.mark.long
 def test_the_figures_of_its_verdict() -> None:
     """Long."""
     log = fly(Scenario.load("jetwing-transition")).log
@@ -268,6 +270,7 @@ def test_without_an_engine_its_hinges_catch_it() -> None:
 STILL = {"turbulence_wind_m_s": 0.0, "turbulence_severity": 0}
 
 
+@pytest.mark.long
 def test_the_figures_without_an_engine_on_its_wing() -> None:
     """Long.  It stays there on the other three and its rudder, and comes back to its jets."""
     cruise = Scenario.load("jetwing-cruise").replace(environment=STILL, expect=[], duration_s=30.0)
@@ -290,6 +293,7 @@ def test_the_figures_without_an_engine_on_its_wing() -> None:
     assert f"braking without the front left one it falls {60.0 - back.log['altitude_m'].min():.0f} m" in PAGE
 
 
+@pytest.mark.long
 def test_the_figures_of_wind_along_its_way() -> None:
     """Long.  It knows its speed over the ground alone."""
     ahead = [{"kind": "step", "signal": "ahead_m_s", "start_s": 0.0, "amplitude": 25.0}]

@@ -70,6 +70,7 @@ def lost(jet: int, shut_opposite: bool) -> tuple[str, float, float, float]:
     return run.outcome, float(lean.max()), float(np.abs(log["altitude_m"] - 30.0).max()), float(found)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("jet", range(1, 9))
 def test_it_stays_up_without_any_one(jet: int) -> None:
     """As the README's verdict says: found within 40 ms, leaned by less than 5°, 1.5 m of height."""
@@ -80,6 +81,7 @@ def test_it_stays_up_without_any_one(jet: int) -> None:
     assert found <= 0.04
 
 
+@pytest.mark.long
 def test_on_seven_engines_alone_it_is_lost_at_six_stations() -> None:
     assert [lost(jet, False)[0] for jet in range(1, 9)].count("completed") == 2
     assert "it is lost at six of the eight stations" in PAGE

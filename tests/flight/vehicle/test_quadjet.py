@@ -68,6 +68,7 @@ def test_engines_answer_as_before_until_one_is_lost() -> None:
     assert log_digest(fly(hover).log) == log_digest(fly(off).log)
 
 
+@pytest.mark.long
 def test_the_figures_of_its_verdict() -> None:
     """Long."""
     turned = {}

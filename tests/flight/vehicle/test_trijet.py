@@ -163,6 +163,7 @@ def test_an_axis_on_hinges_is_identified_in_angular_acceleration() -> None:
     assert np.degrees(np.angle(ratio)) == pytest.approx(0.0, abs=10.0)
 
 
+@pytest.mark.long
 def test_the_figures_of_its_verdict() -> None:
     """Long."""
     flown = {

@@ -238,6 +238,7 @@ def test_its_loop_is_the_models(tmp_path: Path) -> None:
     stated("docs/autopilots.md", "its roll output differs from the model's by {} % of its RMS", off)
 
 
+@pytest.mark.long
 def test_its_margin_of_delay_is_the_designs(tmp_path: Path) -> None:
     """Of engine delay and margin together, a 20th less is held and a 20th more is not; at its own it is as designed."""
     doublet = Scenario.load("roll-doublet").replace(vehicle=IN_ITS_LOOP)

@@ -369,6 +369,7 @@ def killed_one(random: Random, workers: list[psutil.Process]) -> bool:
     return False
 
 
+@pytest.mark.long
 def test_ten_kills_at_random_moments_lose_nothing_and_double_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

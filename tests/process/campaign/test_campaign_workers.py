@@ -247,6 +247,7 @@ def test_a_flight_that_takes_its_process_along_is_given_up(study: Study, rows: l
     assert [found[number] for number in others] == [without_chance(rows[number]) for number in others]
 
 
+@pytest.mark.long
 def test_a_flight_that_does_not_end_is_ended(study: Study, rows: list[Row], notes: Path) -> None:
     # twenty times what a flight here takes on a machine with nothing else to do, and twice that at least
     limit = round(stretched(2.0))

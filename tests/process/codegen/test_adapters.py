@@ -293,6 +293,7 @@ def flown_inside(binary: Path, folder: Path) -> Run:
     ).run  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.skipif(BINARY is None or shutil.which("patch") is None, reason="no Betaflight or no patch here")
 def test_inside_betaflight_a_predictor_holds_what_is_lost_without(hexjet: Hexjet, tmp_path: Path) -> None:
     """The real thing, patched and built: the same gains at the same delay, lost without a predictor, held with it."""

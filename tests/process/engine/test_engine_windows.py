@@ -53,6 +53,7 @@ def test_both_libraries_are_in_one_archive(
     )
 
 
+@pytest.mark.long
 @needs_mingw
 @pytest.mark.skipif(WINE is None, reason="no Wine")
 def test_it_computes_the_same_bits_there(tmp_path: Path) -> None:

@@ -115,6 +115,10 @@ def flight(request: pytest.FixtureRequest) -> Iterator[Flight]:
     flight.close()
 
 
+MOSTLY_WHOLE = [pytest.param(0.0, id="all frames"), pytest.param(0.2, id="a fifth lost", marks=pytest.mark.long)]
+
+
+@pytest.mark.parametrize("flight", MOSTLY_WHOLE, indirect=True)
 def test_parameters(flight: Flight) -> None:
     """The list with its gaps filled, and a gain changed in the autopilot's own loop."""
     flight.insist(("PARAM_REQUEST_LIST", *TO), "PARAM_VALUE")
@@ -137,6 +141,7 @@ def test_parameters(flight: Flight) -> None:
     assert flight.pilot.parameters["HJ_ROLL_P"] == 0.023
 
 
+@pytest.mark.parametrize("flight", MOSTLY_WHOLE, indirect=True)
 def test_a_mission(flight: Flight) -> None:
     """Take-off, four corners and home, up into the autopilot and down again."""
     home = flight.pilot.home

@@ -112,6 +112,7 @@ def test_the_source_distribution_is_the_whole_project(sdist: Path) -> None:
     assert not [name for name in names if name.endswith((".so", ".fmu", ".pyc", STAMP))]
 
 
+@pytest.mark.long
 def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
@@ -149,6 +150,7 @@ def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
     assert outside == set()
 
 
+@pytest.mark.long
 def test_the_wheel_states_licence_and_version(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         folder = f"hexjet_cosim-{METADATA['version']}.dist-info"
@@ -160,6 +162,7 @@ def test_the_wheel_states_licence_and_version(wheel: Path) -> None:
     assert notice == (ROOT / "NOTICE").read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 def test_the_archives_in_the_wheel_hold_their_sources_and_a_binary(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         archives = [name for name in archive.namelist() if name.endswith(".fmu")]
@@ -172,6 +175,7 @@ def test_the_archives_in_the_wheel_hold_their_sources_and_a_binary(wheel: Path) 
             assert any(file.startswith("sources/") and file.endswith(".c") for file in files)
 
 
+@pytest.mark.long
 def test_the_installed_command_lists_what_is_shipped(installed: Path, tmp_path: Path) -> None:
     words = run(installed / "hexjet", "list", cwd=tmp_path).split()
     assert set(SCENARIOS) <= set(words)
@@ -179,12 +183,14 @@ def test_the_installed_command_lists_what_is_shipped(installed: Path, tmp_path: 
     assert set(ENGINES) <= set(words)
 
 
+@pytest.mark.long
 def test_the_installed_package_is_not_the_clone(installed: Path, tmp_path: Path) -> None:
     script = "import cosim, cosim.base.storage.paths as p; print(cosim.__file__); print(p.data_folder('fmus'))"
     for line in run(installed / "python", "-c", script, cwd=tmp_path).splitlines():
         assert Path(line).resolve().is_relative_to(installed.parent.resolve())
 
 
+@pytest.mark.long
 @pytest.mark.skipif(UNCOMPILED, reason=f"{PURE} is set")
 def test_the_installed_package_flies_what_was_compiled(installed: Path, tmp_path: Path) -> None:
     script = "import cosim.base.compiled, cosim.base.frames as f; print(cosim.base.compiled.edited(), f.__file__)"
@@ -193,6 +199,7 @@ def test_the_installed_package_flies_what_was_compiled(installed: Path, tmp_path
     assert file.rstrip().endswith((".so", ".pyd"))
 
 
+@pytest.mark.long
 def test_the_installed_command_flies_and_reports(installed: Path, tmp_path: Path) -> None:
     """A short flight needs all of it: scenario, aircraft, FMUs, extension and the report's template."""
     printed = run(
@@ -204,6 +211,7 @@ def test_the_installed_command_flies_and_reports(installed: Path, tmp_path: Path
     assert {"summary.json", "scenario.toml", "flight.parquet", "report.html"} <= left
 
 
+@pytest.mark.long
 def test_an_aircraft_from_an_empty_folder_as_its_page_has_it(installed: Path, tmp_path: Path) -> None:
     """The commands of docs/own-aircraft.md, each as it is written, one after the other."""
     page = (ROOT / "docs" / "own-aircraft.md").read_text(encoding="utf-8")

@@ -18,6 +18,7 @@ PAGE = (DOCS / "tutorial.md").read_text(encoding="utf-8")
 FILE = re.compile(r"<!-- file: (\S+) -->\n```\w*\n(.*?)^```$|^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
+@pytest.mark.long
 def test_the_tutorial_as_written(tmp_path: Path) -> None:
     pytest.importorskip("pythonfmu3", reason="no pythonfmu3, with which the tutorial makes its engine")
     here = Path(sys.executable).parent

@@ -172,6 +172,7 @@ def test_the_commands_of_the_tutorial_exist(monkeypatch: pytest.MonkeyPatch) -> 
         command.make_context(name, arguments)
 
 
+@pytest.mark.long
 def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     """Long: every page, link and anchor; nothing on it asks another machine for anything."""
     pytest.importorskip("sphinx", reason="no sphinx: pip install '.[docs]'")

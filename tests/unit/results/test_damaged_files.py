@@ -28,6 +28,7 @@ def test_a_damaged_file_is_read_or_refused(name: str) -> None:
     assert outcome.faults == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", KINDS)
 def test_two_thousand_damaged_files(name: str) -> None:
     outcome = try_files(name, MANY, seed=2)
