@@ -44,6 +44,7 @@ from cosim.results.run import (
 from cosim.simulation.brought import Brought, metrics_of
 from cosim.simulation.build import build
 from cosim.simulation.code import need_trust_of
+from cosim.simulation.controllers.controller_file import with_controller
 from cosim.simulation.controllers.source import OBJECT, Source, of_object
 from cosim.simulation.controllers.source import names as own_controllers
 from cosim.simulation.ending import Ending
@@ -52,7 +53,7 @@ from cosim.simulation.notes import idle_notes
 from cosim.simulation.pacing import Pace
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_autopilot import with_autopilot
-from cosim.spec.controller_name import FileName, file_name, label, seen_from
+from cosim.spec.controller_name import FileName, file_name, is_design, label, seen_from
 from cosim.spec.scenario import (
     CommandEntry,
     Expectation,
@@ -98,9 +99,9 @@ def fly(
         Who flies, what is asked of it and what disturbs it; or its name, or the path of its file.
     out : Path or str or None
         The run's folder, made if need be; without it the log stays in memory.
-    controller : str or object or None
-        In place of the scenario's: a name as ``hexjet fly --controller`` takes it, or a class or an object of one's
-        own, see docs/own-controller.md.
+    controller : str or Path or object or None
+        In place of the scenario's: a name or a file as ``hexjet fly --controller`` takes it, one of ``hexjet design``
+        among them; or a class or an object of one's own, see docs/own-controller.md.
     observers : sequence of Observer
         They see every step.
     realtime_factor : float or None
@@ -170,12 +171,14 @@ def opened(scenario: Scenario | str | Path, controller: Any = None) -> tuple[Sce
 
     The parameters are those of :func:`fly`.  Raises InputError.
     """
+    if isinstance(controller, (str, Path)) and is_design(str(controller)):
+        return with_controller(scenario, Path(controller)), None
     if not isinstance(scenario, Scenario):
         scenario = Scenario.load(scenario)
     if controller is None:
         return scenario, None
-    if isinstance(controller, str):
-        return scenario.replace(controller=seen_from(controller, Path())), None
+    if isinstance(controller, (str, Path)):
+        return scenario.replace(controller=seen_from(str(controller), Path())), None
     own = of_object(controller)
     return scenario.replace(controller=own.name), own
 

@@ -92,7 +92,7 @@ class Stepper:
     ----------
     scenario : Scenario or str or Path
         As for :func:`cosim.fly`; its commands are what is asked for where :meth:`step` is given none.
-    controller : str or object or None
+    controller : str or Path or object or None
         As for :func:`cosim.fly`.
     actuators : bool
         Nobody controls: throttles and tilts are given by hand.

@@ -30,7 +30,6 @@ from cosim.base.storage.files import write_files
 from cosim.base.storage.toml import toml_text
 from cosim.design import design as make
 from cosim.design.as_flown import WORSE
-from cosim.design.controller_file import ProofRecord, read_controller, with_controller
 from cosim.design.controller_table import controller_table, proof_record
 from cosim.design.design import Design
 from cosim.design.levels import AXES, DESIGNED, at_share
@@ -40,6 +39,7 @@ from cosim.design.prove import NOT_KEPT, prove
 from cosim.design.tune import FINE
 from cosim.engine import load_engine
 from cosim.results.report.marks import table, write_marks
+from cosim.simulation.controllers.controller_file import ProofRecord, read_controller, with_controller
 from cosim.spec.vehicle import load_vehicle
 
 ROOT = Path(__file__).parent.parent

@@ -24,11 +24,10 @@ from cosim import Scenario, fly
 from cosim.base.runtime.threads import one_thread
 from cosim.base.storage.files import write_files
 from cosim.base.storage.toml import read_toml, toml_text
-from cosim.design.controller_file import read_controller
 from cosim.design.controller_table import controller_table
 from cosim.design.design import design
-from cosim.design.tune import NOISE_SHARE, Requirements
 from cosim.results.report.marks import check_marks, table, write_marks
+from cosim.simulation.controllers.controller_file import NOISE_SHARE, Requirements, read_controller
 
 AIRCRAFT = "hexjet-p220"
 PAGE = Path(__file__).parent / "full-scale.md"

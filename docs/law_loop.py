@@ -26,7 +26,8 @@ from cosim.base.signals import AXES, Vector3
 from cosim.control.predictors.linear import cascade
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.closed_loop import WINDOW
-from cosim.design.tune import SEED, STEP_RAD, UNSTABLE
+from cosim.design.tune import SEED, UNSTABLE
+from cosim.simulation.controllers.controller_file import STEP_RAD
 
 SMALL = 1e-3  # rad, rad/s, and of the command: what the impulses are
 LOST = 1e3  # times the impulse: the loop runs away

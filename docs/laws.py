@@ -28,10 +28,10 @@ from cosim.campaign.analysis.summary import places, shares
 from cosim.campaign.analysis.table import FlightTable, read
 from cosim.design import design as make
 from cosim.design.loop.channel import Actuator, Channel, channels
-from cosim.design.tune import NOISE_SHARE
 from cosim.engine import load_engine
 from cosim.results.report.marks import check_marks, table, write_marks
 from cosim.simulation.build import belief_of
+from cosim.simulation.controllers.controller_file import NOISE_SHARE
 from cosim.simulation.controllers.source import find
 from studies import DELAY, LATE, lost, run
 

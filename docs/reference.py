@@ -28,10 +28,10 @@ from cosim.campaign.study.keys import unit_of
 from cosim.campaign.study.study import Study
 from cosim.cli.main import INTERRUPTED, TERMINATED, cli
 from cosim.cli.options import DONE, FLIGHT_FAILED, WRONG_INPUT
-from cosim.design.controller_file import ControllerFile
 from cosim.engine.fmu.mapping import MappingFile
 from cosim.results.columns import log_columns
 from cosim.results.metrics import Metrics
+from cosim.simulation.controllers.controller_file import ControllerFile
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 

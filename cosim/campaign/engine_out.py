@@ -26,15 +26,14 @@ from cosim.campaign.fault_survey import (
     verdict_of,
 )
 from cosim.campaign.workers.tasks import in_order
-from cosim.design.controller_file import ControllerFile, purpose_of, read_controller
 from cosim.design.controller_table import controller_table
 from cosim.design.design import design
-from cosim.design.tune import Requirements
 from cosim.engine import engine_names, load_engine, make_bank
 from cosim.engine.wrappers import EngineChain
 from cosim.flight import fly
 from cosim.results.report.marks import check_marks, table, write_marks
 from cosim.simulation.build import build, opposites
+from cosim.simulation.controllers.controller_file import ControllerFile, Requirements, purpose_of, read_controller
 from cosim.simulation.engine_reference import engine_reference
 from cosim.spec.scenario import FlameOut, Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_name, load_vehicle

@@ -23,7 +23,6 @@ from cosim.base.storage.toml import merge
 from cosim.campaign.workers.tasks import in_order
 from cosim.control.allocation.reallocation import Attainable, attainable_sets
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
-from cosim.design.controller_file import differences, read_controller
 from cosim.engine import load_engine
 from cosim.flight import copied_controller, fly
 from cosim.results.columns import jets_in
@@ -31,6 +30,7 @@ from cosim.results.metrics import wrap
 from cosim.results.report.marks import table, write_marks
 from cosim.results.report.page import render
 from cosim.simulation.build import build
+from cosim.simulation.controllers.controller_file import differences, read_controller
 from cosim.spec.controller_name import is_design, label
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, load_vehicle

@@ -135,7 +135,7 @@ def load_scenario(
 
     designed = Path(controller) if controller is not None and is_design(controller) else None
     if designed is not None:
-        from cosim.design.controller_file import with_controller
+        from cosim.simulation.controllers.controller_file import with_controller
 
         scenario, controller = with_controller(name, designed, settings, aircraft), None
     else:

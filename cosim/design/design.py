@@ -17,7 +17,6 @@ from cosim.base.storage.toml import (
     set_path,
 )
 from cosim.control.predictors.registry import BASELINE, PREDICTORS, SMITH
-from cosim.design.controller_file import read_controller
 from cosim.design.identify import Identification, identify_engine
 from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import (
@@ -43,16 +42,9 @@ from cosim.design.loop.dynamics import Dynamics, fit_dynamics, lags, with_misfit
 from cosim.design.loop.firmware import Firmware
 from cosim.design.loop.tuning import Tuning, candidates, designable
 from cosim.design.proof import Proof
-from cosim.design.tune import (
-    FINE,
-    Requirements,
-    TuningResult,
-    near,
-    objective,
-    settle,
-    tune,
-)
+from cosim.design.tune import FINE, TuningResult, near, objective, settle, tune
 from cosim.engine import EngineSpec, load_engine
+from cosim.simulation.controllers.controller_file import Requirements, read_controller
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import (
     EngineLead,
@@ -515,7 +507,7 @@ def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
         margins(closed),
         closed.peak_sensitivity,
         closed.bandwidth,
-        closed.tolerated(need.delay_samples(channel), need.gain_tolerance),
+        closed.tolerated(need.delay_samples(channel.transport_samples), need.gain_tolerance),
         closed.noise,
         closed.step_error,
         closed.load_error if settled else None,
@@ -552,7 +544,7 @@ def _limits(channel: Channel, after: Assessment, need: Requirements, lead: Engin
 
 def tolerance_checks(channel: Channel, tuning: Tuning, need: Requirements) -> dict[str, bool]:
     """Stable at every whole sample of the delay's tolerance times a grid of gains; and with lags 30 % off."""
-    wide = need.delay_samples(channel)
+    wide = need.delay_samples(channel.transport_samples)
     own = channel.actuator_delay
     delays = sorted({max(0.0, own - wide), own, own + wide, *_whole(own - wide, own + wide)})
     gains = np.linspace(1.0 - need.gain_tolerance, 1.0 + need.gain_tolerance, GAINS)

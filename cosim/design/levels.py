@@ -19,13 +19,9 @@ from cosim.design.loop.channel import (
 )
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.tuning import Tuning
-from cosim.design.tune import (
-    FINE,
-    Requirements,
-    acceptable,
-    near,
-)
+from cosim.design.tune import FINE, acceptable, near
 from cosim.engine import EngineSpec
+from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import (
     EngineLead,

@@ -48,7 +48,7 @@ def fly_all(design: Design, say: Say) -> list[ProofFlight]:
     Raises InputError if a flight cannot be set up at all.
     """
     need, roll = design.need, design.axes["roll"]
-    later = floor(need.delay_samples(roll.channel))
+    later = floor(need.delay_samples(roll.channel.transport_samples))
     low, high = 1.0 - need.gain_tolerance, 1.0 + need.gain_tolerance
     corners = dict.fromkeys([(1.0, 0), (low, 0), (high, 0), (low, later), (high, later)])
     tables = flight_tables(design)

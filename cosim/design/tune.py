@@ -10,17 +10,14 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.base.storage.toml import Model, NotNegative
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.tuning import Tuning
+from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.vehicle import EngineLead, RateModel
 
-NOISE_SHARE = 0.0833  # of the room of the command: three standard deviations of noise take a quarter of it
-STEP_RAD = 0.1745  # 10 deg, the size of the roll doublet
 STEP_M = 1.0
-MAX_OVERSHOOT = 0.2  # of a step: what a peak sensitivity alone does not keep where an engine swings by itself
 UNSTABLE = 1e3
 PENALTY = 100.0  # what missing a requirement by 100 % costs in the objective, which is a logarithm
 SEED = 1  # the same design every time
@@ -38,22 +35,6 @@ PREDICTOR = "predictor."  # before the names of a predictor's own parameters
 
 
 Digits = tuple[int, int]  # 100 to 999, and a power of ten
-
-
-class Requirements(Model):
-    """What a design must keep."""
-
-    max_sensitivity: float = 1.7
-    delay_tolerance: NotNegative = 0.3  # of the transport delay, at least one sample
-    gain_tolerance: NotNegative = 0.3
-    min_bandwidth_hz: NotNegative = 0.16  # of roll and pitch: 1 rad/s, within 5 % in 3 s, a side of the roll doublet
-    max_overshoot: float = MAX_OVERSHOOT
-    noise_share: float = NOISE_SHARE
-    step_rad: float = STEP_RAD  # an attitude step of this size must not saturate
-
-    def delay_samples(self, channel: Channel) -> float:
-        """The tolerance of the delay in samples."""
-        return max(1.0, self.delay_tolerance * channel.transport_samples) if self.delay_tolerance else 0.0
 
 
 @dataclass(frozen=True)
@@ -78,7 +59,7 @@ def excess(closed: ClosedLoop, need: Requirements, spare: float = 0.0) -> float:
     """By how much the requirements are missed, as a sum of relative parts; 0 where all are kept."""
     channel = closed.points.channel
     step = STEP_M if channel.name == "altitude" else need.step_rad
-    tolerated = closed.tolerated(need.delay_samples(channel), need.gain_tolerance)
+    tolerated = closed.tolerated(need.delay_samples(channel.transport_samples), need.gain_tolerance)
     largest = need.max_sensitivity * (1.0 - spare)
     parts = (
         # far from robust against a misfit there is no sensitivity, and a search still needs a slope

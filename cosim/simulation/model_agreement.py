@@ -12,7 +12,7 @@ the frequency at which the vehicle's, less the integral from moment to rate, is 
 
 Compared is what the controller knows, without any mismatch, disturbance or delay that it adds itself.
 
-The limits.  A design bears 30 % of gain and of delay either way (:class:`cosim.design.tune.Requirements`); half of that
+The limits.  A design bears 30 % of gain and of delay either way (``Requirements`` of a controller file); half of that
 is left for what is not known of the vehicle, and more than the other half, 15 %, is noted.  Below 2 samples of delay
 nothing is: so far may a fit and the engine be apart.  Unfit is a model with which a loop does not do its work: the
 Hex-Jet's roll doublet settles with inertia up to 1.5 times what its model has, and not at 1.75; with an engine 10

@@ -306,7 +306,7 @@ def _study(path: Path) -> None:
 
 
 def _controller(path: Path) -> None:
-    from cosim.design.controller_file import read_controller
+    from cosim.simulation.controllers.controller_file import read_controller
 
     read_controller(path)
 

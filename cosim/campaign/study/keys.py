@@ -260,7 +260,7 @@ def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[d
     path = str(values.get("controller", ""))
     if not is_design(path):
         return {}, values
-    from cosim.design.controller_file import read_controller
+    from cosim.simulation.controllers.controller_file import read_controller
 
     aircraft = str(values.get("aircraft", scenario.aircraft))
     file = read_controller(Path(path), aircraft, scenario.folder)

@@ -129,7 +129,7 @@ def design(
     from cosim.design.design import design as make
     from cosim.design.prove import proved
     from cosim.design.result import to_dict, write
-    from cosim.design.tune import Requirements
+    from cosim.simulation.controllers.controller_file import Requirements
 
     if out is not None:  # before minutes of searching
         if out.suffix.lower() != ".toml":

@@ -147,7 +147,7 @@ def fly(
     if unchecked_engine:
         loaded = loaded.replace(engine_unchecked=True)
     if controller is not None and is_design(controller):
-        from cosim.design.controller_file import differences
+        from cosim.simulation.controllers.controller_file import differences
 
         for text in differences(loaded, Path(controller)):
             click.echo(f"hexjet: warning: {controller}: {text}", err=True)

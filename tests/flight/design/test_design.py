@@ -25,7 +25,6 @@ from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.predictors.state import ModalPredictor, Modes, modal_observer
 from cosim.design import design as make
 from cosim.design import tune as search
-from cosim.design.controller_file import differences, read_controller, with_controller
 from cosim.design.controller_table import controller_table
 from cosim.design.design import (
     Design,
@@ -40,9 +39,9 @@ from cosim.design.loop.frequency import (
     impulse_response,
 )
 from cosim.design.loop.tuning import Tuning, candidates
-from cosim.design.tune import Requirements
 from cosim.engine import load_engine
 from cosim.simulation.build import build
+from cosim.simulation.controllers.controller_file import Requirements, differences, read_controller, with_controller
 from cosim.simulation.delay_ledger import total_samples
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import PredictorTuning, RateModel, load_vehicle

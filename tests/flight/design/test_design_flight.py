@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from places import DESIGNS
 
-from cosim.design.controller_file import read_controller, with_controller
 from cosim.engine import engine_names
 from cosim.flight import fly
+from cosim.simulation.controllers.controller_file import read_controller, with_controller
 from cosim.spec.vehicle import load_vehicle
 
 ENGINES = sorted(path.stem for path in DESIGNS.glob("*.toml"))

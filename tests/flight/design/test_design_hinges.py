@@ -12,7 +12,6 @@ from long_cases import long_after, long_case
 from places import ROOT
 
 from cosim.base.constants import GRAVITY
-from cosim.design.controller_file import read_controller, with_controller
 from cosim.design.design import (
     _Asked,
     _axis,
@@ -25,11 +24,12 @@ from cosim.design.design import (
 )
 from cosim.design.loop.channel import SERVO, Actuator, Channel, channels, engine_lead
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from cosim.design.tune import Requirements, settle
+from cosim.design.tune import settle
 from cosim.engine import EngineSpec, load_engine
 from cosim.flight import fly
 from cosim.simulation.axis_chain import hinge_kicks
 from cosim.simulation.build import effectiveness_of
+from cosim.simulation.controllers.controller_file import Requirements, read_controller, with_controller
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, engine_of, load_vehicle
 

@@ -20,7 +20,6 @@ from cosim.design import proof_flights as flying
 from cosim.design import prove as proving
 from cosim.design import tune as search
 from cosim.design.as_flown import FlownMeasures, FlownPair, comparison_lines, comparison_rows, worse_lines
-from cosim.design.controller_file import ControllerFile
 from cosim.design.controller_table import controller_table
 from cosim.design.design import Design, design
 from cosim.design.identify.response import FrequencyResponse
@@ -31,8 +30,8 @@ from cosim.design.proof import Proof
 from cosim.design.proof_flights import CORNER, fault_of
 from cosim.design.prove import prove, proved
 from cosim.design.result import summary_lines, to_dict
-from cosim.design.tune import Requirements
 from cosim.engine import load_engine
+from cosim.simulation.controllers.controller_file import ControllerFile, Requirements
 from cosim.spec.new_aircraft import new_aircraft
 from cosim.spec.scenario import Scenario, find_scenario
 

@@ -17,7 +17,6 @@ from stored_designs import LINEAR, small_step, stored
 
 from cosim.base.storage.toml import read_toml
 from cosim.control.predictors.registry import BASELINE
-from cosim.design.controller_file import read_controller
 from cosim.design.design import (
     AXES,
     WITH_LEAD,
@@ -38,9 +37,10 @@ from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import at_share, keeps
 from cosim.design.loop.channel import Actuator, Channel, channels, engine_lead
 from cosim.design.loop.tuning import Tuning
-from cosim.design.tune import Requirements, settle, tune
+from cosim.design.tune import settle, tune
 from cosim.engine import load_engine
 from cosim.results.report.marks import parts_of
+from cosim.simulation.controllers.controller_file import Requirements, read_controller
 from cosim.spec.vehicle import RateModel, load_vehicle
 
 NAMES = sorted(path.stem for path in DESIGNS.glob("*.toml"))

@@ -20,7 +20,6 @@ from cosim import InputError, Scenario
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError
 from cosim.base.signals import Actuation, Ambient, Unallocated
-from cosim.design.controller_file import with_controller
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.frequency import LoopMargins, loop_margins
 from cosim.design.measured import margins, measure_margins
@@ -32,6 +31,7 @@ from cosim.design.tune import FINE
 from cosim.engine import EngineSpec, load_engine
 from cosim.engine.bank import EngineBank
 from cosim.simulation.build import build
+from cosim.simulation.controllers.controller_file import with_controller
 from cosim.spec.vehicle import Vehicle, engine_of, load_vehicle
 
 DESIGNS = ROOT / "tests" / "designs"

@@ -42,11 +42,11 @@ from cosim.campaign.engine_out import (
     write_pages,
 )
 from cosim.control.autopilot import requests as rq
-from cosim.design.controller_file import read_controller
 from cosim.engine import EngineBank, engine_names, load_engine
 from cosim.flight import fly
 from cosim.results.report.marks import parts_of
 from cosim.simulation.build import build
+from cosim.simulation.controllers.controller_file import read_controller
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
 from cosim.vehicle.parts.servo import TiltServo

@@ -112,7 +112,7 @@ def test_the_gains_of_a_design_are_flown_and_named(hexjet: Hexjet) -> None:
     told = books()
     assert told["gains"] == str(DESIGN)
     assert f"gains of {DESIGN}" in done.out.replace("\n", "")
-    from cosim.design.controller_file import with_controller
+    from cosim.simulation.controllers.controller_file import with_controller
 
     vehicle, _ = with_controller("hover", DESIGN, (), None).resolved_vehicle()
     own, _ = Scenario.load("hover").resolved_vehicle()

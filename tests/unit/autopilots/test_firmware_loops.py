@@ -22,8 +22,9 @@ from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import lags
 from cosim.design.loop.firmware import Firmware
 from cosim.design.loop.tuning import Tuning
-from cosim.design.tune import Requirements, settle
+from cosim.design.tune import settle
 from cosim.engine import load_engine
+from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import RateGains, Vehicle, load_vehicle
 

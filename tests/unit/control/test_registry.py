@@ -28,7 +28,8 @@ from cosim.control.predictors.smith import FilteredSmithPredictor, NoPredictor, 
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid, steps_by_response
 from cosim.design.loop.tuning import Tuning, candidates
-from cosim.design.tune import Requirements, TuningBounds, excess, objective
+from cosim.design.tune import TuningBounds, excess, objective
+from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.vehicle import load_vehicle
 
 FIXED = {"baseline": 0, "smith": 1, "filtered-smith": 2, "state": 3, "state-model": 4, "state-disturbance": 5}

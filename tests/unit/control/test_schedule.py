@@ -21,8 +21,8 @@ from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.lead import Lead
 from cosim.control.schedule import GainSchedule
-from cosim.design.controller_file import read_controller
 from cosim.simulation.build import build
+from cosim.simulation.controllers.controller_file import read_controller
 from cosim.spec.vehicle import (
     EngineLead,
     Leads,

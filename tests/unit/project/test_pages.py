@@ -37,12 +37,12 @@ from cosim.control.allocation import reallocation as replan
 from cosim.design.identify import Identification, identify_axis
 from cosim.design.identify.fit import fit
 from cosim.design.identify.result import low_frequency_delay, rate_response
-from cosim.design.tune import Requirements
 from cosim.engine import build, build_engines, load_engine, response
 from cosim.engine.fmu import container
 from cosim.engine.qualify import check, trial
 from cosim.results.report.marks import parts_of
 from cosim.simulation.build import build as build_flight
+from cosim.simulation.controllers.controller_file import Requirements
 from cosim.simulation.delay_ledger import rows_of, total_samples
 from cosim.spec.scenario import DoubletCommand, Scenario
 from cosim.spec.vehicle import load_vehicle

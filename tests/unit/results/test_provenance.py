@@ -9,12 +9,13 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from cosim import InputError, Scenario, fly, open_run
+from cosim import InputError, Scenario, Stepper, fly, open_run
 from cosim.campaign.study.keys import with_values
 from cosim.cli.main import cli
-from cosim.design.controller_file import with_controller
+from cosim.flight import opened
 from cosim.results.report.comparison import compare_report, run_labels
 from cosim.shelf.index import read_entry
+from cosim.simulation.controllers.controller_file import with_controller
 from cosim.spec.scenario import changes_of, flown_parameters
 from cosim.spec.vehicle import load_vehicle
 
@@ -50,6 +51,47 @@ def test_a_run_names_its_design_everywhere_and_flies_again_alone(design: Path, t
     again = fly(out / "scenario.toml", tmp_path / "again")
     assert again.summary.parameter_files == run.summary.parameter_files
     assert (tmp_path / "again" / "flight.parquet").read_bytes() == (out / "flight.parquet").read_bytes()
+
+
+@pytest.mark.unit
+@pytest.mark.parametrize("kind", [str, Path])
+@pytest.mark.parametrize("given", ["roll-doublet", Scenario.load("roll-doublet")])
+def test_a_program_names_a_design_as_the_command_does(
+    design: Path, kind: type, given: str | Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The whole scenario: law, gains, models, no expectations, the file with its hash; and a flight by steps too."""
+    monkeypatch.chdir(tmp_path)
+    commanded = with_controller("roll-doublet", design)
+    programmed, own = opened(given, kind("my-design.toml"))
+    assert own is None
+    assert programmed.stated() == commanded.stated()
+    with Stepper(programmed.replace(duration_s=0.2), controller=kind("my-design.toml")) as flight:
+        while flight.ending is None:
+            flight.step()
+        stepped = flight.run()
+    flown = fly(programmed.replace(duration_s=0.2), controller=kind("my-design.toml"), report=False)
+    assert flown.summary.controller_shown == stepped.summary.controller_shown
+    reference = fly(with_controller("roll-doublet", design, SHORT), report=False)
+    assert flown.summary.parameter_files == reference.summary.parameter_files
+    for name in ("time_s", "roll_rad", "throttle_1", "down_m"):
+        assert reference.log[name].tobytes() == flown.log[name].tobytes() == stepped.log[name].tobytes(), name
+
+
+@pytest.mark.unit
+@pytest.mark.parametrize(
+    ("changes", "given", "message"),
+    [
+        ({}, "nowhere.toml", "nowhere.toml: No such file or directory"),
+        ({"aircraft": "quadrotor"}, "my-design.toml", "designed for aircraft 'hexjet', not for 'quadrotor'"),
+        ({"step_s": 0.002}, "my-design.toml", "designed for steps of 0.004 s, not of 0.002 s"),
+    ],
+)
+def test_a_design_that_is_for_something_else_is_refused_to_a_program(
+    design: Path, changes: dict[str, object], given: str, message: str
+) -> None:
+    scenario = Scenario.load("hover").replace(controller="baseline", expect=[], **changes)
+    with pytest.raises(InputError, match=message):
+        fly(scenario, controller=design.with_name(given))
 
 
 @pytest.mark.unit

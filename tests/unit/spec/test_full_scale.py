@@ -23,11 +23,11 @@ from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import read_toml
 from cosim.cli.main import cli
 from cosim.cli.options import load_scenario
-from cosim.design.controller_file import read_controller
 from cosim.engine import load_engine
 from cosim.flight import check_expected, expectation, fly
 from cosim.results.report.marks import parts_of
 from cosim.simulation.build import build
+from cosim.simulation.controllers.controller_file import read_controller
 from cosim.spec.scaling import _LAW, length_scale, scaled
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle

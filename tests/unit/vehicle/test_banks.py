@@ -16,12 +16,12 @@ from cosim.base.signals import (
     State,
     Vector3,
 )
-from cosim.design.controller_file import differences, with_controller
 from cosim.design.identify import identify_axis
 from cosim.design.loop.channel import Actuator, Channel, channels
 from cosim.design.loop.dynamics import lags
 from cosim.engine import load_engine
 from cosim.flight import fly
+from cosim.simulation.controllers.controller_file import differences, with_controller
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
 from cosim.vehicle.airframe import Airframe

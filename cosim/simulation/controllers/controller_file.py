@@ -11,6 +11,7 @@ from pydantic import Field
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import (
     Model,
+    NotNegative,
     merge,
     parse_setting,
     read_toml,
@@ -18,12 +19,30 @@ from cosim.base.storage.toml import (
     validate,
 )
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.design.tune import Requirements
 from cosim.engine import load_engine
 from cosim.spec.scenario import Scenario, find_scenario, parameter_files
 from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_names, aircraft_seen_from, load_vehicle
 
 SAME_STEP_S = 1e-9  # control steps nearer to each other than this are one
+NOISE_SHARE = 0.0833  # of the room of the command: three standard deviations of noise take a quarter of it
+STEP_RAD = 0.1745  # 10 deg, the size of the roll doublet
+MAX_OVERSHOOT = 0.2  # of a step: what a peak sensitivity alone does not keep where an engine swings by itself
+
+
+class Requirements(Model):
+    """What a design must keep."""
+
+    max_sensitivity: float = 1.7
+    delay_tolerance: NotNegative = 0.3  # of the transport delay, at least one sample
+    gain_tolerance: NotNegative = 0.3
+    min_bandwidth_hz: NotNegative = 0.16  # of roll and pitch: 1 rad/s, within 5 % in 3 s, a side of the roll doublet
+    max_overshoot: float = MAX_OVERSHOOT
+    noise_share: float = NOISE_SHARE
+    step_rad: float = STEP_RAD  # an attitude step of this size must not saturate
+
+    def delay_samples(self, transport: float) -> float:
+        """The tolerance, in samples, of a transport delay of so many."""
+        return max(1.0, self.delay_tolerance * transport) if self.delay_tolerance else 0.0
 
 
 class AxisRecord(Model):
@@ -152,30 +171,48 @@ def _older_than_banks(file: ControllerFile, original: Vehicle) -> bool:
 
 
 def with_controller(
-    name: str | Path, path: Path, settings: Sequence[str] = (), aircraft: str | None = None
+    scenario: Scenario | str | Path, path: Path, settings: Sequence[str] = (), aircraft: str | None = None
 ) -> Scenario:
-    """A scenario, flown by ``aircraft`` if given, with a controller file over it, and settings over both.
+    """Return a scenario with a controller file over it, and settings over both.
 
-    Raises InputError for a file that was made for another aircraft or another control step.
+    Parameters
+    ----------
+    scenario : Scenario or str or Path
+        What is flown; or its name, or the path of its file.  What it expects was stated with other gains and is left
+        out.
+    path : Path
+        The controller file.
+    settings : sequence of str
+        ``KEY=VALUE``, the value as TOML has it.
+    aircraft : str or None
+        Who flies it; None: the scenario's aircraft.
+
+    Raises
+    ------
+    InputError
+        For a file that was made for another aircraft or another control step, and as :meth:`Scenario.load`.
     """
-    source = find_scenario(name)
-    table = read_toml(source)
+    if isinstance(scenario, Scenario):
+        original: Scenario | None = scenario.origin or scenario
+        where = f"scenario {scenario.name}"
+        table, folder, known = scenario.stated(), scenario.folder, scenario.parameter_files
+    else:
+        source = find_scenario(scenario)
+        original, where, table, folder = Scenario.as_filed(source), str(source), read_toml(source), source.parent
+        known = original.parameter_files if original is not None else []
     stated = table.get("aircraft", Scenario.model_fields["aircraft"].default)
-    flown = aircraft_seen_from(stated, source.parent) if aircraft is None else aircraft_seen_from(aircraft, Path())
+    flown = aircraft_seen_from(stated, folder) if aircraft is None else aircraft_seen_from(aircraft, Path())
     file = read_controller(path, flown)
-    original = Scenario.as_filed(source)
-    given = parameter_files(original.parameter_files if original is not None else [], "design", path)
+    for key in ("controller_parameters", "controller_sha256"):  # what was said of the scenario's own controller
+        table.pop(key, None)
     written = {"aircraft": flown, "controller": file.controller, "vehicle": file.vehicle, "expect": []}
-    table = merge(table, written | {"parameter_files": given})
+    table = merge(table, written | {"parameter_files": parameter_files(known, "design", path)})
     for text in settings:
-        key, value = parse_setting(text)
-        set_path(table, key, value, f"{source}: --set")
-    scenario = Scenario.from_table(table, source.parent, str(source), original)
-    if abs(scenario.step_s - file.design.step_s) > SAME_STEP_S:
-        raise InputError(
-            f"{path}: designed for steps of {file.design.step_s:g} s; {source.name} has step_s = {scenario.step_s:g}"
-        )
-    return scenario
+        keys, value = parse_setting(text)
+        set_path(table, keys, value, f"{where}: --set")
+    changed = Scenario.from_table(table, folder, where, original)
+    file.check_step(path, changed.step_s)
+    return changed
 
 
 def differences(scenario: Scenario, path: Path) -> list[str]:
