@@ -103,6 +103,9 @@ def test_a_ground_station_may_read_where_the_engines_are() -> None:
         shown.set("CA_ROTOR1_PX", 0.3)
 
 
+LAST = max(spec.value for spec in PREDICTORS.values())  # of the predictors
+
+
 @pytest.mark.parametrize(
     ("name", "value", "complaint"),
     [
@@ -112,7 +115,7 @@ def test_a_ground_station_may_read_where_the_engines_are() -> None:
         ("HJ_ROLL_P", -0.1, "HJ_ROLL_P = -0.1: must be from 0 to 0.2 s/rad"),
         ("HJ_ROLL_P", 1.0, "HJ_ROLL_P = 1: must be from 0 to 0.2 s/rad"),
         ("HJ_PRED_TYPE", 1.5, "HJ_PRED_TYPE = 1.5: must be a whole number"),
-        ("HJ_PRED_TYPE", 6.0, "HJ_PRED_TYPE = 6: must be from 0 to 5"),
+        ("HJ_PRED_TYPE", LAST + 1.0, f"HJ_PRED_TYPE = {LAST + 1}: must be from 0 to {LAST}"),
         ("MPC_LAND_SPEED", 9.0, "MPC_LAND_SPEED = 9: must be from 0.1 to 2 m/s"),
         ("SYS_AUTOSTART", 0.0, "SYS_AUTOSTART = 0: cannot be changed, it is 22000"),
     ],

@@ -16,10 +16,12 @@ from flights import STEP, samples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim.base.constants import SENSORS
 from cosim.base.errors import InputError
 from cosim.base.frames import to_euler
 from cosim.base.protocols import Column
 from cosim.base.signals import (
+    AXES,
     JETS,
     Actuation,
     Command,
@@ -79,68 +81,25 @@ def euler_angles(quaternions: np.ndarray) -> np.ndarray:
     return np.stack((roll, pitch, yaw))
 
 
-def expected(sample: Sample) -> dict[str, Any]:
-    """The row of a sample, read through the records' names."""
-    command, state, measured, disturbance = sample.command, sample.state, sample.measured, sample.disturbance
-    nothing = (nan, nan, nan)
-    jets = len(sample.actuation.throttle)
+def expected(sample: Sample, source: str) -> float:
+    """Return what a column of this source has in the row of a sample, read through the records' names."""
+    source, _, instead = source.partition(" unless ")
+    if not source or (instead and place_of(sample, instead) is not None):
+        return nan
+    angle, _, quaternion = source.partition(" of ")
+    if quaternion:
+        attitude = np.array(place_of(sample, quaternion), dtype=float)
+        return float(euler_angles(attitude[:, None])[AXES.index(angle), 0])
+    values = [place_of(sample, place) for place in source.split(" + ")]
+    return nan if None in values else float(sum(values[1:], values[0]))
 
-    def named(pattern: str, keys: str, values: Any) -> dict[str, Any]:
-        return {pattern.format(key): value for key, value in zip(keys.split(), values, strict=True)}
 
-    def of_jets(pattern: str, values: Any) -> dict[str, Any]:
-        padded = [*values[:jets], *[nan] * (JETS - jets)]
-        return {pattern.format(jet): value for jet, value in enumerate(padded, 1)}
-
-    axes, rates, xyz, ned, sides = "roll pitch yaw", "p q r", "x y z", "north east down", "left right"
-    measured_angles = euler_angles(np.array(measured.attitude, dtype=float)[:, None])[:, 0]
-    added = [a + b for a, b in zip(disturbance.torque_command, disturbance.torque_output, strict=True)]
-    return {
-        "time_s": sample.time,
-        **named("{}_rad", axes, state.euler),
-        **named("{}_setpoint_rad", axes, command.attitude if command.rate is None else nothing),
-        **named("{}_measured_rad", axes, measured_angles),
-        **named("{}_setpoint_m", "north east", command.place or nothing[:2]),
-        **named("rate_{}_rad_s", rates, state.rate),
-        **named("rate_{}_measured_rad_s", rates, measured.rate),
-        **named("rate_{}_predicted_rad_s", rates, sample.control.rate_predicted),
-        **named("rate_{}_setpoint_rad_s", rates, sample.control.rate_setpoint),
-        **named("torque_{}", axes, sample.control.torque),
-        **named("refused_{}", axes + " collective", sample.actuation.unallocated),
-        "collective": sample.control.collective,
-        **of_jets("throttle_{}", sample.actuation.throttle),
-        **of_jets("thrust_{}_N", sample.engines.thrust),
-        **named("tilt_{}_rad", sides, sample.tilt),
-        **named("tilt_{}_command_rad", sides, sample.actuation.tilt),
-        **named("{}_m", ned, state.position),
-        "altitude_m": state.altitude,
-        "altitude_setpoint_m": command.altitude if command.collective is None else nan,
-        "altitude_measured_m": measured.altitude,
-        **named("velocity_{}_m_s", ned, state.velocity),
-        **named("{}_measured_m", ned, measured.position),
-        **named("velocity_{}_measured_m_s", ned, measured.velocity),
-        **named("specific_force_{}_m_s2", xyz, state.specific_force),
-        **named("specific_force_{}_measured_m_s2", xyz, measured.specific_force),
-        **named("wind_{}_m_s", ned, state.wind),
-        **named("air_rate_{}_rad_s", rates, state.air_rate),
-        "mass_kg": state.mass,
-        "on_ground": state.on_ground,
-        "hull_contact": state.hull_contact,
-        **named("disturbance_force_{}_N", xyz, disturbance.force),
-        **named("disturbance_moment_{}_N_m", xyz, disturbance.moment),
-        **named("disturbance_torque_{}", axes, added),
-        "payload_kg": disturbance.payload[0],
-        **named("payload_{}_m", xyz, disturbance.payload[1:]),
-        **of_jets("spool_speed_{}_rad_s", sample.engines.spool_speed),
-        **of_jets("exhaust_temperature_{}_K", sample.engines.exhaust_temperature),
-        **of_jets("fuel_flow_{}_kg_s", sample.engines.fuel_flow),
-        "fuel_kg": sample.fuel,
-        **named("spool_moment_{}_N_m", xyz, sample.spool_moment),
-        **of_jets("health_{}", sample.health),
-        **named("fault_jet_{}", "1 2 3 4 5 6", sample.faults[:6]),
-        **named("fault_servo_{}", sides, sample.faults[6:8]),
-        **named("fault_{}", "gyro attitude gnss barometer", sample.faults[8:]),
-    }
+def place_of(sample: Sample, place: str) -> Any:
+    """Return what stands at a place like ``state.euler.0``, or None if a field on the way to it is None."""
+    value: Any = sample
+    for name in place.split("."):
+        value = value if value is None else value[int(name)] if name.isdigit() else getattr(value, name)
+    return value
 
 
 def table_of(flight: list[Sample], columns: tuple[Column, ...] = COLUMNS) -> np.ndarray:
@@ -166,11 +125,37 @@ def rows_of(capacity: int, patience: float, hand_on: Any) -> Rows:
 @given(st.integers(1, JETS).flatmap(lambda jets: st.lists(any_sample(jets), min_size=1, max_size=3)))
 def test_every_bit_ends_in_the_column_that_bears_its_name(flight: list[Sample]) -> None:
     with np.errstate(over="ignore", invalid="ignore"):
-        rows = [expected(sample) for sample in flight]
-        table = table_of(flight, log_columns(LoggedVehicle(len(flight[0].actuation.throttle))))
-    for index, name in enumerate(NAMES):
-        values = np.array([float(row[name]) for row in rows])
-        np.testing.assert_array_equal(table[index].view(np.uint64), values.view(np.uint64), err_msg=name)
+        columns = log_columns(LoggedVehicle(len(flight[0].actuation.throttle)))
+        table = table_of(flight, columns)
+        for row, column in zip(table, columns, strict=True):
+            values = np.array([expected(sample, column.source) for sample in flight])
+            np.testing.assert_array_equal(row.view(np.uint64), values.view(np.uint64), err_msg=column.name)
+
+
+WORDS = (AXES, ["p", "q", "r"], ["x", "y", "z"], ["north", "east", "down"], ["left", "right"], SENSORS, "123456")
+ELEMENT = {word: element for words in WORDS for element, word in enumerate(words)}
+# elements of another kind that come first: the payload's mass, engines, engines and servos
+BEFORE = {"payload_": 1, "fault_servo_": 6, **{f"fault_{sensor}": 8 for sensor in SENSORS}}
+NAMED = {
+    column.name: column.source.partition(" unless ")[0].split(" + ")
+    for column in COLUMNS
+    if column.source.split(" ")[0][-1].isdigit() and not ELEMENT.keys().isdisjoint(column.name.split("_"))
+}
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_a_columns_name_says_which_element_it_has(name: str) -> None:
+    (element,) = {ELEMENT[word] for word in name.split("_") if word in ELEMENT}
+    first = next((count for start, count in BEFORE.items() if name.startswith(start)), 0)
+    assert {int(place.rpartition(".")[2]) for place in NAMED[name]} == {first + element}
+
+
+def test_a_columns_name_says_whether_it_is_measured_or_asked_for() -> None:
+    for column in COLUMNS:
+        where = column.source.rpartition(" of ")[2]
+        assert ("measured" in column.name) == where.startswith("measured."), column.name
+        assert ("setpoint" in column.name) == where.startswith(("command.", "control.rate_setpoint")), column.name
+        assert ("predicted" in column.name) == ("predicted" in where), column.name
 
 
 @pytest.mark.parametrize("rows", [1, 2, 7, 8, 9, 250])
@@ -196,12 +181,23 @@ def test_angles_of_the_measured_quaternion(rows: int) -> None:
 
 # ---- what is no sample
 
-# not in the log, or not while something else takes its place
-UNSEEN = {
-    ("k",), ("command", "rate"), ("command", "collective"), ("command", "ahead"), ("state", "attitude"), ("disturbance", "wind"),
-    ("disturbance", "gust"), ("disturbance", "torque_seen"), ("actuation", "off"), ("control", "allocated"), ("own",),
-    ("engines", "force_forward"), ("engines", "force_right"), ("engines", "torque"),
-}  # fmt: skip
+IN_THE_LOG = [
+    place.split(".")
+    for column in COLUMNS
+    for place in column.source.partition(" unless ")[0].rpartition(" of ")[2].split(" + ")
+]
+
+
+def unseen() -> Iterator[tuple[str, ...]]:
+    """The fields of a sample and of its records that are in no column, or only where they put another one out."""
+    sample = good()
+    for field in sample._fields:
+        for path in [(field, name) for name in getattr(getattr(sample, field), "_fields", ())] or [(field,)]:
+            if not any(tuple(place[: len(path)]) == path for place in IN_THE_LOG):
+                yield path
+
+
+UNSEEN = set(unseen())
 
 
 class Unwilling(float):
@@ -279,11 +275,7 @@ def test_what_is_not_in_the_log_does_not_matter(path: tuple[str, ...]) -> None:
     strange = replaced(good(), path, object())
     table = table_of([good()])
     different = {NAMES[i] for i in np.flatnonzero(table[:, 0].view("u8") != table_of([strange])[:, 0].view("u8"))}
-    instead = {
-        ("command", "rate"): {"roll_setpoint_rad", "pitch_setpoint_rad", "yaw_setpoint_rad"},
-        ("command", "collective"): {"altitude_setpoint_m"},
-    }
-    assert different == instead.get(path, set())
+    assert different == {column.name for column in COLUMNS if column.source.endswith(f" unless {'.'.join(path)}")}
 
 
 def test_what_a_sample_lacks_is_named() -> None:
