@@ -9,11 +9,11 @@ import matplotlib as mpl
 import numpy as np
 
 from cosim import Scenario, fly
-from cosim.paper.experiments import COMPARED
-from cosim.paper.extensions import ROBUST
-from cosim.paper.report.figures import COLOURS, NAMES, SHORT
-from cosim.paper.report.result import Reproduction
-from cosim.paper.reproduce import reproduce
+from hexjet_paper.experiments import COMPARED
+from hexjet_paper.extensions import ROBUST
+from hexjet_paper.report.figures import COLOURS, NAMES, SHORT
+from hexjet_paper.report.result import Reproduction
+from hexjet_paper.reproduce import reproduce
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

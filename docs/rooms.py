@@ -35,7 +35,6 @@ DUTY = {
     "codegen": "a controller as C and as FMUs",
     "campaign": "many flights",
     "shelf": "the folder of runs as a page",
-    "paper": "the paper reproduced",
     "bench": "what it costs",
     "cli": "one file a command",
 }

@@ -8,6 +8,7 @@ import tempfile
 import warnings
 from collections.abc import Callable
 from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
 from io import TextIOWrapper
 from typing import Any
 
@@ -34,7 +35,6 @@ COMMANDS = {  # where each is, so that none is read for another
     "list": "results.runs:list_",
     "margins": "controllers.margins:margins",
     "open": "results.open:open_",
-    "paper": "studies.paper:paper",
     "report": "results.runs:report",
     "search": "studies.campaign:search",
     "show": "results.show:show",
@@ -42,22 +42,45 @@ COMMANDS = {  # where each is, so that none is read for another
     "sweep": "studies.campaign:sweep",
     "validate": "controllers.validate:validate",
 }
+ADDED = "hexjet.commands"  # entry points: commands that live outside this package
 
 
 class Commands(click.Group):
     """Commands that are imported when they are asked for."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """All names."""
-        return sorted(COMMANDS)
+        """Return all names, those of installed packages among them."""
+        return sorted({*COMMANDS, *(entry.name for entry in entry_points(group=ADDED))})
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The command, or None."""
-        if cmd_name not in COMMANDS:
-            return None
-        module, _, name = COMMANDS[cmd_name].partition(":")
-        command: click.Command = getattr(import_module(f"cosim.cli.{module}"), name)
-        return with_trust(command, cmd_name)
+        """Return the command, or None; nothing but its own module is imported for it."""
+        if cmd_name in COMMANDS:
+            module, _, name = COMMANDS[cmd_name].partition(":")
+            command: click.Command = getattr(import_module(f"cosim.cli.{module}"), name)
+            return with_trust(command, cmd_name)
+        for entry in entry_points(group=ADDED, name=cmd_name):
+            return with_trust(_load_added(entry), cmd_name)
+        return None
+
+
+def _load_added(entry: EntryPoint) -> click.Command:
+    """Return the command that an installed package adds; one that cannot be loaded says so when it is called."""
+    package = entry.dist.name if entry.dist else "an installed package"
+    try:
+        command = entry.load()
+        if isinstance(command, click.Command):
+            return command
+        reason = f"{entry.value} of {package} is no command of click"
+    except Exception as error:  # whatever the module of somebody else does
+        reason = f"{entry.value} of {package} cannot be loaded: {type(error).__name__}: {error}".partition("\n")[0]
+        if isinstance(error, ModuleNotFoundError) and error.name == entry.module.partition(".")[0]:
+            reason = f"needs {error.name!r}, which is not installed; the sources of {package} have it"
+
+    def complain() -> None:
+        raise InputError(f"{entry.name}: {reason}")
+
+    anything = {"ignore_unknown_options": True, "allow_extra_args": True}
+    return click.Command(entry.name, context_settings=anything, callback=complain, help=f"Not here: {reason}.")
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

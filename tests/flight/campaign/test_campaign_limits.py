@@ -8,9 +8,9 @@ from places import DOCS
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.flight_row import fly_one
-from cosim.paper.linear import Axis, Plant
-from cosim.paper.loops import LoopMap
 from cosim.spec.vehicle import load_vehicle
+from hexjet_paper.linear import Axis, Plant
+from hexjet_paper.loops import LoopMap
 
 
 def first_unstable_delay(controller: str) -> int:

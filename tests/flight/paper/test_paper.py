@@ -13,27 +13,28 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.design.loop.frequency import margins
-from cosim.paper import (
+from cosim.spec.vehicle import RateGains
+from hexjet_paper import (
     calibration,
     extensions,
     frozen,
     numbers,
 )
-from cosim.paper.calibration import STAGES
-from cosim.paper.claims import (
+from hexjet_paper.calibration import STAGES
+from hexjet_paper.claims import (
     CLAIMS,
     ClaimRow,
     Evidence,
     claim_rows,
 )
-from cosim.paper.comparison import (
+from hexjet_paper.comparison import (
     Row,
     comparison_rows,
     figures,
     write_csv,
 )
-from cosim.paper.conditions import conditions
-from cosim.paper.experiments import (
+from hexjet_paper.conditions import conditions
+from hexjet_paper.experiments import (
     COMPARED,
     Experiment,
     Result,
@@ -47,8 +48,8 @@ from cosim.paper.experiments import (
     result,
     swings,
 )
-from cosim.paper.frozen import Frozen, load
-from cosim.paper.linear import (
+from hexjet_paper.frozen import Frozen, load
+from hexjet_paper.linear import (
     STATE_AS_PRINTED,
     Axis,
     Plant,
@@ -56,7 +57,7 @@ from cosim.paper.linear import (
     predictor,
     simulate,
 )
-from cosim.paper.loops import (
+from hexjet_paper.loops import (
     LOW_END_HZ,
     LoopMap,
     gain_at,
@@ -64,7 +65,6 @@ from cosim.paper.loops import (
     sweep,
     unstable_poles,
 )
-from cosim.spec.vehicle import RateGains
 
 FROZEN = load()
 FOUND = FROZEN.parameters

@@ -10,21 +10,21 @@ from stated_figures import stated
 from cosim.base.constants import GRAVITY
 from cosim.control.predictors.linear import model_response
 from cosim.flight import fly
-from cosim.paper import numbers, readings
-from cosim.paper.claims import CLAIMS, CONSISTENCY, Evidence, claim_rows
-from cosim.paper.experiments import Experiment
-from cosim.paper.flight import scenario
-from cosim.paper.frozen import load
-from cosim.paper.readings import READINGS, Gains, ReadingResult, gain_pairs, reading_scenario
-from cosim.paper.report.readings import (
+from cosim.results.report.marks import parts_of
+from cosim.spec.vehicle import load_vehicle
+from hexjet_paper import numbers, readings
+from hexjet_paper.claims import CLAIMS, CONSISTENCY, Evidence, claim_rows
+from hexjet_paper.experiments import Experiment
+from hexjet_paper.flight import scenario
+from hexjet_paper.frozen import load
+from hexjet_paper.readings import READINGS, Gains, ReadingResult, gain_pairs, reading_scenario
+from hexjet_paper.report.readings import (
     HANGS,
     judge_reading,
     model_error_table,
     model_errors_in_words,
     readings_table,
 )
-from cosim.results.report.marks import parts_of
-from cosim.spec.vehicle import load_vehicle
 
 FOUND = load().parameters
 PAGE = "docs/paper.md"

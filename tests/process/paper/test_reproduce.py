@@ -27,31 +27,35 @@ from cosim.base.errors import InputError
 from cosim.cli.main import main
 from cosim.design.loop.frequency import margins
 from cosim.flight import fly
-from cosim.paper import frozen as calibration
-from cosim.paper import reproduce
-from cosim.paper.claims import CONSISTENCY, Evidence, claim_rows
-from cosim.paper.comparison import LinearPart, comparison_rows
-from cosim.paper.conditions import Condition
-from cosim.paper.experiments import (
+from cosim.results.report.marks import parts_of
+from cosim.results.report.page import figure_json
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import load_vehicle
+from hexjet_paper import frozen as calibration
+from hexjet_paper import reproduce
+from hexjet_paper.claims import CONSISTENCY, Evidence, claim_rows
+from hexjet_paper.comparison import LinearPart, comparison_rows
+from hexjet_paper.conditions import Condition
+from hexjet_paper.experiments import (
     COMPARED,
     Result,
     experiments,
     linear,
     quadrotor_axis,
 )
-from cosim.paper.extensions import (
+from hexjet_paper.extensions import (
     DelayPoint,
     Offset,
     Reach,
     RobustnessMap,
 )
-from cosim.paper.loops import (
+from hexjet_paper.loops import (
     gain_at,
     measured_sweep,
     open_loop,
     sweep,
 )
-from cosim.paper.readings import (
+from hexjet_paper.readings import (
     DELAY_ERRORS,
     GAIN_FACTORS,
     READINGS,
@@ -61,16 +65,12 @@ from cosim.paper.readings import (
     Trial,
     gain_pairs,
 )
-from cosim.paper.report.figures import panels, paper_figures
-from cosim.paper.report.page import counts_in_words, page_values, tally
-from cosim.paper.report.page import write_page as paper_report
-from cosim.paper.report.pages import CONSTRUCTED as CONSTRUCTED_PART
-from cosim.paper.report.pages import COUNTS, NAMED, write_page
-from cosim.paper.report.result import Identified, Manual, Reproduction
-from cosim.results.report.marks import parts_of
-from cosim.results.report.page import figure_json
-from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import load_vehicle
+from hexjet_paper.report.figures import panels, paper_figures
+from hexjet_paper.report.page import counts_in_words, page_values, tally
+from hexjet_paper.report.page import write_page as paper_report
+from hexjet_paper.report.pages import CONSTRUCTED as CONSTRUCTED_PART
+from hexjet_paper.report.pages import COUNTS, NAMED, write_page
+from hexjet_paper.report.result import Identified, Manual, Reproduction
 
 FROZEN = calibration.load()
 

@@ -128,7 +128,11 @@ def test_no_interpreter_is_started_that_looks_into_the_current_folder() -> None:
     """Every start has -P or -I first, or a script, whose own folder it then sees and no other."""
     files = [
         ROOT / "setup.py",
-        *(path for name in ("cosim", "docs", "examples", "benchmarks") for path in (ROOT / name).rglob("*.py")),
+        *(
+            path
+            for name in ("cosim", "hexjet_paper", "docs", "examples", "benchmarks")
+            for path in (ROOT / name).rglob("*.py")
+        ),
     ]
     found = {f"{path.relative_to(ROOT)}:{line}": flag for path in files for line, flag in starts(path)}
     assert len(found) >= 5
@@ -139,7 +143,11 @@ def test_no_interpreter_is_started_that_looks_into_the_current_folder() -> None:
 
 def test_processes_of_multiprocessing_do_not_either() -> None:
     """Its children are told nothing but by the environment."""
-    files = [path for name in ("cosim", "docs", "examples", "benchmarks") for path in (ROOT / name).rglob("*.py")]
+    files = [
+        path
+        for name in ("cosim", "hexjet_paper", "docs", "examples", "benchmarks")
+        for path in (ROOT / name).rglob("*.py")
+    ]
     uses = [path for path in files if "ProcessPoolExecutor(" in path.read_text(encoding="utf-8")]
     assert uses
     for path in uses:

@@ -34,6 +34,7 @@ COMPILED = (
     () if UNCOMPILED else ("base/frames.py", "vehicle/parts/tank.py")
 )  # a few stand for all: `make setup` compiles those
 METADATA = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+PACKAGES = ("cosim", "hexjet_paper")
 DATA = ("aircraft", "engines", "scenarios", "studies")
 ENGINES = sorted(path.parent.name for path in (ROOT / "engines").glob("*/engine.toml"))
 SCENARIOS = sorted(path.stem for path in (ROOT / "scenarios").glob("*.toml"))
@@ -120,15 +121,18 @@ def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
     assert SCENARIOS
     fmus = {f"cosim/data/fmus/{name}{version}.fmu" for name in ENGINES for version in ("", "-fmi2")}
     data = {f"cosim/data/{name}" for folder in DATA for name in source_files(folder)}
-    code = {path.relative_to(ROOT).as_posix() for path in (ROOT / "cosim").rglob("*.py")}
+    code = {path.relative_to(ROOT).as_posix() for name in PACKAGES for path in (ROOT / name).rglob("*.py")}
     templates = {
         path.relative_to(ROOT).as_posix()
         for pattern in ("**/templates/*", "groundstation/web/static/**/*")
-        for path in (ROOT / "cosim").glob(pattern)
+        for package in PACKAGES
+        for path in (ROOT / package).glob(pattern)
         if path.is_file()
     }
     assert templates
-    assert (fmus | data | code | templates | {"cosim/py.typed"}) - names == set()
+    assert (
+        fmus | data | code | templates | {"cosim/py.typed", "hexjet_paper/py.typed", "hexjet_paper/calibration.toml"}
+    ) - names == set()
     assert (f"cosim/{STAMP}" in names) == (not UNCOMPILED)
     # and nothing else of the data than what is in the clone
     assert {name for name in names if name.startswith("cosim/data/")} == fmus | data
@@ -146,7 +150,7 @@ def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
         assert len([name for name in binaries if name.startswith(f"cosim/{extension}.")]) == 1
     # what is not of the limited API must not be offered to every Python
     assert all(".abi3." in name for name in binaries) == ("-abi3-" in wheel.name)
-    outside = {name.split("/")[0] for name in names} - {"cosim", f"hexjet_cosim-{METADATA['version']}.dist-info"}
+    outside = {name.split("/")[0] for name in names} - {*PACKAGES, f"hexjet_cosim-{METADATA['version']}.dist-info"}
     assert outside == set()
 
 
@@ -181,6 +185,11 @@ def test_the_installed_command_lists_what_is_shipped(installed: Path, tmp_path: 
     assert set(SCENARIOS) <= set(words)
     assert set(STUDIES) <= set(words)
     assert set(ENGINES) <= set(words)
+
+
+@pytest.mark.long
+def test_the_installed_command_has_those_of_other_packages(installed: Path, tmp_path: Path) -> None:
+    assert "Reproduce the paper" in run(installed / "hexjet", "paper", "--help", cwd=tmp_path)
 
 
 @pytest.mark.long
@@ -242,7 +251,7 @@ def packages() -> Any:
 def test_the_package_imports_what_it_asks_for(packages: Any) -> None:
     """And asks for nothing that it never imports."""
     found = set()
-    for path in (ROOT / "cosim").rglob("*.py"):
+    for path in (path for name in PACKAGES for path in (ROOT / name).rglob("*.py")):
         if path.name == "_messages.py":
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -250,7 +259,7 @@ def test_the_package_imports_what_it_asks_for(packages: Any) -> None:
                 found |= {each.name.split(".")[0] for each in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module:
                 found.add(node.module.split(".")[0])
-    foreign = {name for name in found if name not in sys.stdlib_module_names and name != "cosim"}
+    foreign = {name for name in found if name not in sys.stdlib_module_names and name not in PACKAGES}
     asked = packages.named(METADATA["dependencies"])
     assert foreign - OPTIONAL <= {name.replace("-", "_") for name in packages.needed(asked)}
     # the messages that the build makes import one
@@ -306,7 +315,7 @@ def test_a_flight_needs_nothing_but_the_core(tmp_path: Path) -> None:
     code = f"""
 import sys
 sys.modules.update(dict.fromkeys({hidden!r}))
-import cosim.groundstation.session, cosim.design.design, cosim.paper.reproduce, cosim.campaign.run
+import cosim.groundstation.session, cosim.design.design, hexjet_paper.reproduce, cosim.campaign.run
 from cosim.cli.main import main
 main(["fly", "hover", "--set", "duration_s=0.1", "--out", "flight"])
 """

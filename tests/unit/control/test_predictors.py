@@ -24,8 +24,8 @@ from cosim.control.predictors.state import (
     StateModel,
     StatePredictor,
 )
-from cosim.paper.numbers import quadrotor_model, roll_model
 from cosim.spec.vehicle import RateModel
+from hexjet_paper.numbers import quadrotor_model, roll_model
 
 STEP = 0.004
 

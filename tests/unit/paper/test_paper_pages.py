@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from cosim.base.errors import InputError
 from cosim.cli.main import cli
-from cosim.paper.report.pages import NAMED, check_page
+from hexjet_paper.report.pages import NAMED, check_page
 
 
 def test_a_page_without_a_mark_of_ours_is_refused_before_the_flights(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import pytest
 from places import ROOT, TESTS
 
 PACKAGE = ROOT / "cosim"
+PAPER = ROOT / "hexjet_paper"
 
 # A foreign library has one home: a module, or a folder with one duty.
 HOMES = {
@@ -73,12 +74,13 @@ HEAVY = [
 
 
 def modules() -> list[Path]:
-    """Every module of the package, as it is in the clone."""
-    return sorted(path for path in PACKAGE.rglob("*.py") if "data" not in path.relative_to(PACKAGE).parts)
+    """Every module of what is installed, as it is in the clone."""
+    ours = (path for path in PACKAGE.rglob("*.py") if "data" not in path.relative_to(PACKAGE).parts)
+    return sorted([*ours, *PAPER.rglob("*.py")])
 
 
 def place(path: Path) -> str:
-    return path.relative_to(PACKAGE).as_posix()
+    return path.relative_to(ROOT).as_posix().removeprefix("cosim/")
 
 
 def is_in(path: Path, places: list[str]) -> bool:
@@ -92,7 +94,7 @@ def imported(path: Path) -> list[tuple[str, int]]:
 
 
 def _imports(path: Path) -> Iterator[tuple[str, int]]:
-    package = ("cosim", *path.relative_to(PACKAGE).parent.parts)
+    package = path.relative_to(ROOT).parent.parts
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from ((alias.name, node.lineno) for alias in node.names)

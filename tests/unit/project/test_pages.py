@@ -271,7 +271,7 @@ def test_the_readmes_own_figures() -> None:
     stated(page, sentence, getattr(command, "amplitude", math.nan), delay("edf-as-flown") - delay("edf"))
     stated(page, "fly full-scale-gust # {} kg on six JetCat P220", load_vehicle("hexjet-p220")[0].mass_kg)
     # the largest gain that settles is among the numbers that `hexjet paper` fits
-    fitted = tomllib.loads((ROOT / "cosim" / "paper" / "calibration.toml").read_text(encoding="utf-8"))["parameters"]
+    fitted = tomllib.loads((ROOT / "hexjet_paper" / "calibration.toml").read_text(encoding="utf-8"))["parameters"]
     ours = load_vehicle("hexjet")[0].control.rate.roll.p
     (percent,) = figures(page, "some {} % above the largest with which the vehicle settles")
     assert 100.0 * (ours / fitted["hexjet_p"] - 1.0) == pytest.approx(value(percent), abs=2.0)

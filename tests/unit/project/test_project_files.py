@@ -20,9 +20,9 @@ from cosim.campaign.run import fly_again
 from cosim.campaign.study.plan import flights
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import fly_one
-from cosim.paper import numbers
 from cosim.results.report.flight import write_report
 from cosim.simulation.controllers.controller_file import read_controller, with_controller
+from hexjet_paper import numbers
 
 yaml = pytest.importorskip("yaml", reason="no PyYAML, with which these files are read")
 SETUP = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))

@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.control.predictors.linear import model_response
-from cosim.paper import numbers
-from cosim.paper.comparison import TITLES
-from cosim.paper.experiments import COMPARED, Result
-from cosim.paper.extensions import ROBUST, RobustnessMap
-from cosim.paper.linear import STATE_AS_PRINTED
-from cosim.paper.loops import Sweep
 from cosim.results.report.plot import BLUE, GREEN, GREY, MAGENTA, ORANGE, RED, axis_name, layout, share
+from hexjet_paper import numbers
+from hexjet_paper.comparison import TITLES
+from hexjet_paper.experiments import COMPARED, Result
+from hexjet_paper.extensions import ROBUST, RobustnessMap
+from hexjet_paper.linear import STATE_AS_PRINTED
+from hexjet_paper.loops import Sweep
 
 if TYPE_CHECKING:
-    from cosim.paper.report.result import Reproduction
+    from hexjet_paper.report.result import Reproduction
 
 Figure = dict[str, Any]
 

@@ -9,9 +9,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from cosim.design.loop.frequency import Margins, margins
-from cosim.paper import numbers
-from cosim.paper.claims import growth_percent
-from cosim.paper.experiments import (
+from hexjet_paper import numbers
+from hexjet_paper.claims import growth_percent
+from hexjet_paper.experiments import (
     Experiment,
     Fidelity,
     flight_payload_gain,
@@ -19,14 +19,14 @@ from cosim.paper.experiments import (
     linear,
     quadrotor_axis,
 )
-from cosim.paper.frozen import Calibration
-from cosim.paper.linear import (
+from hexjet_paper.frozen import Calibration
+from hexjet_paper.linear import (
     STATE_AS_PRINTED,
     Plant,
     doublet,
     simulate,
 )
-from cosim.paper.loops import (
+from hexjet_paper.loops import (
     LoopMap,
     open_loop,
     predictor_response,

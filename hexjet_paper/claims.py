@@ -2,11 +2,11 @@
 
 A claim is judged from evidence alone: the metrics of experiments and the margins of loops, of one fidelity at a time.
 The paper's state predictor is judged twice: with G_n(z) realised, and run with the matrices as printed; a claim that
-follows only in the second case holds *under a condition*.  Where neither does, :mod:`cosim.paper.conditions`
+follows only in the second case holds *under a condition*.  Where neither does, :mod:`hexjet_paper.conditions`
 says what would.
 
 A claim that we fitted or chose our way to is no evidence for the paper: where it holds, it holds *by construction* and
-is counted apart.  What every claim rests on is its *basis* (:data:`cosim.paper.numbers.Basis`).
+is counted apart.  What every claim rests on is its *basis* (:data:`hexjet_paper.numbers.Basis`).
 
 Two questions are ours: whether numbers that the paper prints can belong to one experiment.  They are judged in the same
 way as :data:`CONSISTENCY`, and no count of the paper's claims has them.
@@ -22,18 +22,18 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from cosim.design.loop.frequency import Margins
-from cosim.paper import numbers
-from cosim.paper.experiments import (
+from hexjet_paper import numbers
+from hexjet_paper.experiments import (
     Metrics,
     hexjet_ratios,
 )
-from cosim.paper.linear import (
+from hexjet_paper.linear import (
     STATE_AS_PRINTED,
 )
-from cosim.paper.loops import (
+from hexjet_paper.loops import (
     LOW_END_HZ,
 )
-from cosim.paper.numbers import Basis
+from hexjet_paper.numbers import Basis
 
 Verdict = Literal["holds", "under a condition", "by construction", "does not hold", "not flown"]
 NO_EVIDENCE: tuple[Basis, ...] = ("calibrated", "chosen by us")

@@ -15,10 +15,11 @@ from pydantic import BaseModel, ConfigDict
 from cosim.base.arrays import Complex
 from cosim.control.predictors.linear import model_response
 from cosim.design.loop.frequency import grid
-from cosim.paper import numbers
-from cosim.paper.experiments import hexjet_axis, quadrotor_axis
-from cosim.paper.frozen import Calibration
-from cosim.paper.linear import (
+from cosim.spec.vehicle import PredictorTuning, RateModel
+from hexjet_paper import numbers
+from hexjet_paper.experiments import hexjet_axis, quadrotor_axis
+from hexjet_paper.frozen import Calibration
+from hexjet_paper.linear import (
     STATE_AS_PRINTED,
     Axis,
     Plant,
@@ -26,8 +27,7 @@ from cosim.paper.linear import (
     predictor,
     simulate,
 )
-from cosim.paper.loops import LoopMap, controllers_response, predictor_response
-from cosim.spec.vehicle import PredictorTuning, RateModel
+from hexjet_paper.loops import LoopMap, controllers_response, predictor_response
 
 QUADROTOR = ("baseline", "smith", "filtered-smith", "state", STATE_AS_PRINTED, "state-model", "state-disturbance")
 HEXJET = ("baseline", "smith", "filtered-smith", "state", "state-model", "state-disturbance")

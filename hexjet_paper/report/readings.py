@@ -5,11 +5,11 @@ from __future__ import annotations
 from math import log
 from typing import Literal, NamedTuple
 
-from cosim.paper import numbers
-from cosim.paper.claims import CLAIMS, ClaimRow, Evidence, claim_rows
-from cosim.paper.experiments import Metrics, hexjet_ratios
-from cosim.paper.readings import DELAY_ERRORS, GAIN_FACTORS, ModelError, ReadingResult, Trial
 from cosim.results.report.marks import table
+from hexjet_paper import numbers
+from hexjet_paper.claims import CLAIMS, ClaimRow, Evidence, claim_rows
+from hexjet_paper.experiments import Metrics, hexjet_ratios
+from hexjet_paper.readings import DELAY_ERRORS, GAIN_FACTORS, ModelError, ReadingResult, Trial
 
 HANGS = ("hexjet-baseline", "hexjet-smith", "hexjet-overshoot", "hexjet-settling")  # claims that hang on the reading
 

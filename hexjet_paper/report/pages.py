@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cosim.base.errors import InputError
-from cosim.paper import numbers
-from cosim.paper.claims import ClaimRow, Evidence, Judgement
-from cosim.paper.experiments import Metrics, Result
-from cosim.paper.report.figures import FIDELITIES, NAMES
-from cosim.paper.report.page import counts_in_words, verified_in_words
-from cosim.paper.report.readings import model_error_table, model_errors_in_words, readings_table
 from cosim.results.report.marks import check_marks, parts_of, table, write_marks
+from hexjet_paper import numbers
+from hexjet_paper.claims import ClaimRow, Evidence, Judgement
+from hexjet_paper.experiments import Metrics, Result
+from hexjet_paper.report.figures import FIDELITIES, NAMES
+from hexjet_paper.report.page import counts_in_words, verified_in_words
+from hexjet_paper.report.readings import model_error_table, model_errors_in_words, readings_table
 
 if TYPE_CHECKING:
-    from cosim.paper.report.result import Reproduction
+    from hexjet_paper.report.result import Reproduction
 
 COUNTS, DOUBLET, HELD, DIFFERS, CONSTRUCTED, TURBOJET = (
     "paper: " + part for part in ("counts", "doublet", "held", "differs", "by construction", "turbojet")

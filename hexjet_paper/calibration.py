@@ -14,28 +14,28 @@ import numpy as np
 
 from cosim.base.storage.toml import toml_text
 from cosim.design.loop.frequency import margins
-from cosim.paper import numbers
-from cosim.paper.experiments import (
+from hexjet_paper import numbers
+from hexjet_paper.experiments import (
     Experiment,
     hexjet_ratios,
     linear,
     linear_run,
     quadrotor_axis,
 )
-from cosim.paper.frozen import (
+from hexjet_paper.frozen import (
     FILE,
     Calibration,
     FittedNumber,
     Frozen,
 )
-from cosim.paper.linear import STATE_AS_PRINTED
-from cosim.paper.loops import (
+from hexjet_paper.linear import STATE_AS_PRINTED
+from hexjet_paper.loops import (
     LOW_END_HZ,
     gain_at,
     open_loop,
     unstable_poles,
 )
-from cosim.paper.readings import DELAY_ONLY, READINGS, Reading, doublet_of, gain_pairs, reading_axis
+from hexjet_paper.readings import DELAY_ONLY, READINGS, Reading, doublet_of, gain_pairs, reading_axis
 
 START = Calibration(
     p=0.05,
@@ -236,5 +236,5 @@ def _digits(value: float, digits: int) -> float:
 
 def write(frozen: Frozen, path: Path = FILE) -> None:
     """Freeze a calibration."""
-    head = "# Made by cosim.paper.calibration.calibrate(); do not edit.  Units are in the class Calibration.\n\n"
+    head = "# Made by hexjet_paper.calibration.calibrate(); do not edit.  Units are in the class Calibration.\n\n"
     path.write_text(head + toml_text(frozen.model_dump()), encoding="utf-8")

@@ -1,7 +1,7 @@
 """The paper beside ours: rows, claims and the series of its figures, from one or two fidelities.
 
 :func:`linear_part` is everything that the linear plant has to say; the six-degree-of-freedom runs join as a second
-:class:`cosim.paper.claims.Evidence`.
+:class:`hexjet_paper.claims.Evidence`.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict
 
 from cosim.base.signals import AXES
 from cosim.design.loop.frequency import margins
-from cosim.paper import extensions, numbers
-from cosim.paper.claims import ClaimRow, Evidence
-from cosim.paper.conditions import Condition, conditions
-from cosim.paper.experiments import (
+from hexjet_paper import extensions, numbers
+from hexjet_paper.claims import ClaimRow, Evidence
+from hexjet_paper.conditions import Condition, conditions
+from hexjet_paper.experiments import (
     COMPARED,
     Experiment,
     Metrics,
@@ -30,17 +30,17 @@ from cosim.paper.experiments import (
     hexjet_ratios,
     quadrotor_axis,
 )
-from cosim.paper.experiments import linear as on_linear_plant
-from cosim.paper.frozen import Frozen, load
-from cosim.paper.linear import STATE_AS_PRINTED
-from cosim.paper.loops import (
+from hexjet_paper.experiments import linear as on_linear_plant
+from hexjet_paper.frozen import Frozen, load
+from hexjet_paper.linear import STATE_AS_PRINTED
+from hexjet_paper.loops import (
     LOW_END_HZ,
     Sweep,
     gain_at,
     open_loop,
     sweep,
 )
-from cosim.paper.numbers import Basis
+from hexjet_paper.numbers import Basis
 
 Origin = Basis | Literal["given", "derived"]
 TITLES = {
@@ -55,7 +55,7 @@ FREQUENCY_DELAY = 5
 class Row(BaseModel):
     """One quantity: the paper's number and ours.
 
-    ``origin``: what ours rests on (:data:`cosim.paper.numbers.Basis`); or the number is an input of the experiments
+    ``origin``: what ours rests on (:data:`hexjet_paper.numbers.Basis`); or the number is an input of the experiments
     (given), or derived from other printed numbers alone.  A deviation is ours over the paper's, less one, in percent.
     """
 

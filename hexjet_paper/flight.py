@@ -10,18 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from cosim.flight import fly
-from cosim.paper import numbers
-from cosim.paper.experiments import (
+from cosim.results.run import Run
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import load_vehicle
+from hexjet_paper import numbers
+from hexjet_paper.experiments import (
     PAYLOAD_PLACE,
     Experiment,
     Fidelity,
     Result,
     result,
 )
-from cosim.paper.frozen import Calibration
-from cosim.results.run import Run
-from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import load_vehicle
+from hexjet_paper.frozen import Calibration
 
 
 def flight(calibration: Calibration, noisy: bool = True) -> Fidelity:

@@ -1,4 +1,4 @@
-"""The loop of :mod:`cosim.paper.linear` as transfer functions: margins, unstable poles, sensitivity, and a sweep.
+"""The loop of :mod:`hexjet_paper.linear` as transfer functions: margins, unstable poles, sensitivity, and a sweep.
 
 ``y`` measured rate, ``u`` command, ``y^`` predicted rate, ``P_y`` and ``P_u`` the predictor's two ways to it, ``G`` the
 plant, ``d`` the added delay, ``T`` the control step:
@@ -28,13 +28,13 @@ from cosim.design.loop.frequency import (
     wrapped,
     zeros_outside,
 )
-from cosim.paper.linear import (
+from cosim.spec.vehicle import PredictorTuning, RateModel
+from hexjet_paper.linear import (
     Axis,
     Plant,
     predictor,
     simulate,
 )
-from cosim.spec.vehicle import PredictorTuning, RateModel
 
 BY_IMPULSE = ("state-model", "state-disturbance")  # found as the paper's own, not by their closed form
 LOW_END_HZ = 1.0  # taken for the low end of the paper's Bode diagrams: with an integral there is no gain at 0 Hz

@@ -16,9 +16,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from cosim.base.arrays import Array
-from cosim.paper import numbers
-from cosim.paper.frozen import Calibration
-from cosim.paper.linear import (
+from cosim.results.metrics import overshoot, settling_time
+from cosim.spec.vehicle import PredictorTuning, RateGains, load_vehicle
+from hexjet_paper import numbers
+from hexjet_paper.frozen import Calibration
+from hexjet_paper.linear import (
     STATE_AS_PRINTED,
     Axis,
     Plant,
@@ -27,8 +29,6 @@ from cosim.paper.linear import (
     nothing,
     simulate,
 )
-from cosim.results.metrics import overshoot, settling_time
-from cosim.spec.vehicle import PredictorTuning, RateGains, load_vehicle
 
 Kind = Literal["step", "disturbance", "hexjet-doublet"]
 Gains = Literal["calibrated", "vehicle"]
@@ -47,7 +47,7 @@ _FLOOR = 0.05  # rad/s: less is noise
 
 @dataclass(frozen=True)
 class Experiment:
-    """One run: ``name`` is the key of its numbers in :data:`cosim.paper.numbers.PRINTED`."""
+    """One run: ``name`` is the key of its numbers in :data:`hexjet_paper.numbers.PRINTED`."""
 
     kind: Kind
     controller: str

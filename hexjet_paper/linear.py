@@ -22,8 +22,8 @@ from cosim.control.predictors.registry import PREDICTORS, STATE, Own, PredictorS
 from cosim.control.predictors.smith import DelayedModel, DelayLine, rate_model
 from cosim.control.predictors.state import DoubleIntegratorObserver, StateModel, StatePredictor
 from cosim.control.rate import RateAxis
-from cosim.paper import numbers
 from cosim.spec.vehicle import PredictorTuning, RateGains, RateModel
+from hexjet_paper import numbers
 
 Signal = Callable[[int], float]
 LARGEST = 1e6  # rad/s: a loop that grows beyond this is unstable

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cosim.paper.claims import ClaimRow, Evidence
-from cosim.paper.comparison import LinearPart, Row
-from cosim.paper.experiments import Result
-from cosim.paper.loops import Sweep
-from cosim.paper.readings import ModelError, ReadingResult
+from hexjet_paper.claims import ClaimRow, Evidence
+from hexjet_paper.comparison import LinearPart, Row
+from hexjet_paper.experiments import Result
+from hexjet_paper.loops import Sweep
+from hexjet_paper.readings import ModelError, ReadingResult
 
 COMPARISON, REPORT, DATA = "comparison.csv", "report.html", "comparison.json"
 

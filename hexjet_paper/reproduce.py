@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 import numpy as np
 from pydantic import TypeAdapter
 
+import cosim
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import write_whole
@@ -25,35 +26,39 @@ from cosim.campaign.workers.tasks import as_finished
 from cosim.design.identify import identify_axis, identify_engine
 from cosim.design.identify.fit import fit
 from cosim.flight import fly
-from cosim.paper import numbers
-from cosim.paper.claims import CONSISTENCY, Evidence, claim_rows
-from cosim.paper.comparison import (
+from cosim.results.recorder import Log
+from cosim.results.run import versions
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import load_vehicle
+from hexjet_paper import numbers
+from hexjet_paper.claims import CONSISTENCY, Evidence, claim_rows
+from hexjet_paper.comparison import (
     LinearPart,
     as_data,
     comparison_rows,
     linear_part,
     write_csv,
 )
-from cosim.paper.experiments import (
+from hexjet_paper.experiments import (
     CONTROLLERS,
     Experiment,
     Result,
     experiments,
     quadrotor_axis,
 )
-from cosim.paper.extensions import Reach, turbojet_plant
-from cosim.paper.flight import flight, scenario
-from cosim.paper.frozen import load
-from cosim.paper.linear import STATE_AS_PRINTED
-from cosim.paper.loops import (
+from hexjet_paper.extensions import Reach, turbojet_plant
+from hexjet_paper.flight import flight, scenario
+from hexjet_paper.frozen import load
+from hexjet_paper.linear import STATE_AS_PRINTED
+from hexjet_paper.loops import (
     LOW_END_HZ,
     Sweep,
     controllers_response,
     measured_sweep,
 )
-from cosim.paper.readings import READINGS, fly_model_errors, fly_reading
-from cosim.paper.report.page import write_page
-from cosim.paper.report.result import (
+from hexjet_paper.readings import READINGS, fly_model_errors, fly_reading
+from hexjet_paper.report.page import write_page
+from hexjet_paper.report.result import (
     COMPARISON,
     DATA,
     REPORT,
@@ -64,10 +69,6 @@ from cosim.paper.report.result import (
     Response,
     TurbojetFlight,
 )
-from cosim.results.recorder import Log
-from cosim.results.run import versions
-from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import load_vehicle
 
 if TYPE_CHECKING:
     from cosim.design.identify import FrequencyResponse
@@ -334,10 +335,10 @@ def _taken_up(file: Path, kind: TypeAdapter[Any]) -> Any:
 
 
 def _fingerprint() -> str:
-    """Of all that the parts are made from: this package, the vehicles, engines and scenarios, the libraries."""
+    """Of all that the parts are made from: both packages, the vehicles, engines and scenarios, the libraries."""
     digest = hashlib.sha256(json.dumps(versions(), sort_keys=True).encode())
-    package = Path(__file__).resolve().parents[1]
-    sources = [*package.rglob("*.py"), *package.rglob("*.toml")]
+    packages = [Path(__file__).parent, Path(cosim.__file__).parent]
+    sources = [file for package in packages for file in package.resolve().rglob("*") if file.suffix in (".py", ".toml")]
     for folder, pattern in (("aircraft", "*/*.*ml"), ("engines", "**/*.[ct]*"), ("scenarios", "*.*")):
         sources += data_folder(folder).glob(pattern)
     for file in sorted(set(sources)):

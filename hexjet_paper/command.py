@@ -13,7 +13,7 @@ from cosim.cli.options import DONE, example
 from cosim.cli.outputs import Out
 
 if TYPE_CHECKING:
-    from cosim.paper.report.result import Reproduction
+    from hexjet_paper.report.result import Reproduction
 
 
 @click.command(epilog=example("hexjet paper --out runs/paper"))
@@ -40,9 +40,9 @@ def paper(out: Path, workers: int, pages: tuple[Path, ...], as_json: bool) -> in
 
     Leaves comparison.csv, comparison.json and report.html in DIR.  An interrupted call goes on where it ended.
     """
-    from cosim.paper.report.pages import check_page, write_page
-    from cosim.paper.report.result import DATA, REPORT
-    from cosim.paper.reproduce import reproduce
+    from hexjet_paper.report.pages import check_page, write_page
+    from hexjet_paper.report.result import DATA, REPORT
+    from hexjet_paper.reproduce import reproduce
 
     for page in pages:
         check_page(page)
@@ -62,7 +62,7 @@ def print_paper(reproduction: Reproduction, report: Path) -> None:
     from rich import box
     from rich.table import Table
 
-    from cosim.paper.report.page import compared, counts_in_words
+    from hexjet_paper.report.page import compared, counts_in_words
 
     console = terminal()
     table = Table(box=box.SIMPLE_HEAD)

@@ -9,15 +9,15 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from cosim.paper import numbers
-from cosim.paper.claims import ClaimRow, Judgement
-from cosim.paper.comparison import Row
-from cosim.paper.extensions import ROBUST
-from cosim.paper.report.figures import FIDELITIES, NAMES, paper_figures
-from cosim.paper.report.readings import model_error_table, model_errors_in_words, readings_table
-from cosim.paper.report.result import COMPARISON, DATA, Reproduction
 from cosim.results.report.page import render
 from cosim.results.run import versions
+from hexjet_paper import numbers
+from hexjet_paper.claims import ClaimRow, Judgement
+from hexjet_paper.comparison import Row
+from hexjet_paper.extensions import ROBUST
+from hexjet_paper.report.figures import FIDELITIES, NAMES, paper_figures
+from hexjet_paper.report.readings import model_error_table, model_errors_in_words, readings_table
+from hexjet_paper.report.result import COMPARISON, DATA, Reproduction
 
 TEMPLATE = Path(__file__).parent / "templates" / "paper.html"
 VERDICTS = ("holds", "under a condition", "by construction", "does not hold", "not flown")

@@ -1,0 +1,78 @@
+"""Commands of other packages, by the entry points ``hexjet.commands``."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from cosim.base.errors import InputError
+from cosim.cli.main import ADDED, cli
+
+POINTS = f"""[{ADDED}]
+added = added_commands:greet
+absent = module_that_nobody_has.command:run
+broken = added_commands:nothing
+number = added_commands:NUMBER
+fly = added_commands:greet
+"""
+SOURCE = """import click
+NUMBER = 1
+@click.command()
+def greet():
+    "Greet whoever calls."
+    click.echo("hello")
+"""
+
+
+@pytest.fixture(autouse=True)
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Install a package with commands of its own."""
+    (tmp_path / "added_commands.py").write_text(SOURCE)
+    folder = tmp_path / "added_commands-1.0.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: added-commands\nVersion: 1.0\n")
+    (folder / "entry_points.txt").write_text(POINTS)
+    monkeypatch.syspath_prepend(tmp_path)
+
+
+def test_it_is_listed_and_runs() -> None:
+    listed = CliRunner().invoke(cli, ["--help"])
+    assert listed.exit_code == 0
+    assert "Greet whoever calls." in listed.output
+    done = CliRunner().invoke(cli, ["added"])
+    assert (done.exit_code, done.output) == (0, "hello\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("absent", "needs 'module_that_nobody_has', which is not installed; the sources of added-commands have it"),
+        ("broken", "added_commands:nothing of added-commands cannot be loaded: AttributeError: "),
+        ("number", "added_commands:NUMBER of added-commands is no command of click"),
+    ],
+)
+def test_one_that_cannot_be_loaded_says_so(name: str, reason: str) -> None:
+    with pytest.raises(InputError) as error:
+        cli.main([name, "--full", "more"], standalone_mode=False)
+    assert str(error.value).startswith(f"{name}: {reason}")
+    assert "\n" not in str(error.value)
+
+
+def test_none_takes_the_place_of_ours() -> None:
+    assert "SCENARIO" in CliRunner().invoke(cli, ["fly", "--help"]).output
+
+
+def test_the_paper_is_imported_for_its_own_command_alone() -> None:
+    script = """import sys
+from cosim.cli.main import cli
+def call(*words):
+    cli.main(words, standalone_mode=False)
+    return sorted(name for name in sys.modules if name.partition(".")[0] == "hexjet_paper")
+assert call("list", "engines") == []
+assert call("--help") == ["hexjet_paper", "hexjet_paper.command"], call("--help")
+"""
+    subprocess.run([sys.executable, "-P", "-c", script], check=True, stdout=subprocess.DEVNULL)
