@@ -24,13 +24,13 @@ import numpy as np  # noqa: E402
 from cosim.base.errors import InputError  # noqa: E402
 from cosim.base.signals import AXES  # noqa: E402
 from cosim.control.predictors.registry import BASELINE  # noqa: E402
-from cosim.design.identify import identify_axis  # noqa: E402
-from cosim.design.identify.fit import fit  # noqa: E402
-from cosim.design.identify.response import FrequencyResponse  # noqa: E402
-from cosim.design.identify.result import fit_rows, low_frequency_delay  # noqa: E402
-from cosim.design.identify.verdict import MISFIT, all_delay_is_determined, why_refused  # noqa: E402
 from cosim.design.measured import measure_margins  # noqa: E402
 from cosim.design.measured.computed import plants_of  # noqa: E402
+from cosim.identify.sweep import identify_axis  # noqa: E402
+from cosim.identify.sweep.fit import fit  # noqa: E402
+from cosim.identify.sweep.response import FrequencyResponse  # noqa: E402
+from cosim.identify.sweep.result import fit_rows, low_frequency_delay  # noqa: E402
+from cosim.identify.sweep.verdict import MISFIT, all_delay_is_determined, why_refused  # noqa: E402
 from cosim.results.report.marks import table, write_marks  # noqa: E402
 from cosim.simulation.build import build  # noqa: E402
 from cosim.simulation.delay_ledger import rows_of  # noqa: E402

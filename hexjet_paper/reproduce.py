@@ -23,9 +23,9 @@ from cosim.base.storage.files import write_whole
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import toml_text
 from cosim.campaign.workers.tasks import as_finished
-from cosim.design.identify import identify_axis, identify_engine
-from cosim.design.identify.fit import fit
 from cosim.flight import fly
+from cosim.identify.sweep import identify_axis, identify_engine
+from cosim.identify.sweep.fit import fit
 from cosim.results.recorder import Log
 from cosim.results.run import versions
 from cosim.spec.scenario import Scenario
@@ -71,7 +71,7 @@ from hexjet_paper.report.result import (
 )
 
 if TYPE_CHECKING:
-    from cosim.design.identify import FrequencyResponse
+    from cosim.identify.sweep import FrequencyResponse
 
 FLIGHT_LOOPS = ("baseline", "smith", "state")
 OFFSET_CONTROLLERS = tuple(c for c in CONTROLLERS if c not in ("baseline", STATE_AS_PRINTED))

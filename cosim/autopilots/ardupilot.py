@@ -40,7 +40,7 @@ from cosim.autopilots.lockstep import (
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.limits import clamp, clip
-from cosim.results.logs.dataflash import parameter_names
+from cosim.identify.logs.dataflash import parameter_names
 from cosim.spec.vehicle import Vehicle
 
 PORT, RC_PORT, APART = 9002, 5501, 10

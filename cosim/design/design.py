@@ -17,7 +17,6 @@ from cosim.base.storage.toml import (
     set_path,
 )
 from cosim.control.predictors.registry import BASELINE, PREDICTORS, SMITH
-from cosim.design.identify import Identification, identify_engine
 from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import (
     DESIGNED,
@@ -44,6 +43,7 @@ from cosim.design.loop.tuning import Tuning, candidates, designable
 from cosim.design.proof import Proof
 from cosim.design.tune import FINE, TuningResult, near, objective, settle, tune
 from cosim.engine import EngineSpec, load_engine
+from cosim.identify.sweep import Identification, identify_engine
 from cosim.simulation.controllers.controller_file import Requirements, read_controller
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import (

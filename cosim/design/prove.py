@@ -30,12 +30,12 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import EngineError, InputError
 from cosim.design.design import Design, throttle_for
-from cosim.design.identify.engine import fly_sweep
-from cosim.design.identify.result import Sweep, suitable_duration
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import Dynamics, bounds
 from cosim.design.proof import Proof
 from cosim.design.proof_flights import compare_with_shipped, fly_all, lean_of
+from cosim.identify.sweep.engine import fly_sweep
+from cosim.identify.sweep.result import Sweep, suitable_duration
 
 MOST_MISFIT = 0.50  # of the response, half of it or 29 deg; chosen by us: a predictor is told nothing by such a model
 PAST = 3.0  # times the crossover, up to where the engine is measured

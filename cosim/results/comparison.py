@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.results.columns import COLUMNS
-from cosim.results.logs.table import columns_with_time
 from cosim.results.metrics import wrap
 from cosim.results.recorder import Log, MemoryLog
 from cosim.results.run import Run
@@ -70,33 +68,6 @@ class Base(NamedTuple):
     first: NDArray[np.intp]
     second: NDArray[np.intp]
     held: int  # 0: none; 1 or 2: which of both
-
-
-def read_log(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
-    """A CSV or Parquet log of another tool, and what is to be said of it.
-
-    Its columns are ours where they are called as ours; its time [s] is called and grows as
-    :mod:`cosim.results.logs.table` has it.  Columns without numbers are left out.  Raises InputError.
-    """
-    table = columns_with_time(path)
-    columns, times, time = table.columns, table.times, table.name
-    if times.size < 2:
-        raise InputError(f"{path}: {times.size} rows; at least two are needed")
-    wrong = np.flatnonzero(~(np.diff(times) > 0.0))
-    if wrong.size or not np.isfinite(times[0]):
-        row = int(wrong[0]) + 2 if wrong.size else 1
-        raise InputError(f"{path}: row {row}: {time} must be a number and grow from row to row")
-    remarks = [f"{time} is taken for the time in seconds"] if time != TIME and not table.remarks else []
-    remarks += table.remarks
-    if table.left_out:
-        remarks.append(f"left out, being no numbers: {', '.join(table.left_out)}")
-    named = {column.name: column for column in COLUMNS}
-    strange = [name for name in columns if name not in named]
-    if len(strange) == len(columns):
-        raise InputError(f"{path}: no column is called as one of a flight's log, such as roll_rad, altitude_m")
-    names = (TIME, *columns)
-    described = tuple(named[name] for name in names if name in named)
-    return MemoryLog([np.stack([times, *columns.values()])], names, described), tuple(remarks)
 
 
 def shifted(flight: ComparedFlight, by: float) -> ComparedFlight:

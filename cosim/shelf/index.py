@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from cosim.base.errors import InputError
 from cosim.base.storage.files import replacing, write_whole
 from cosim.campaign.folder import FLIGHTS, STUDY
-from cosim.results.logs import is_flight_log
+from cosim.identify.logs import is_flight_log
 from cosim.results.run import SUMMARY, ParametersRecord
 from cosim.results.verdict import read_verdict
 from cosim.spec.controller_name import controller_words

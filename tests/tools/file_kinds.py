@@ -32,8 +32,8 @@ class Kind:
 
 
 def _log(path: Path) -> None:
-    from cosim.results.logs import read_flight_log, ulog
-    from cosim.results.logs.as_columns import as_columns
+    from cosim.identify.logs import read_flight_log, ulog
+    from cosim.identify.logs.as_columns import as_columns
 
     ulog.MOST_S = 3.0
     log = read_flight_log(path)
@@ -189,7 +189,7 @@ def _vehicle(folder: Path) -> Path:
 
 def _model_file(folder: Path) -> Path:
     from cosim.base.storage.toml import toml_text
-    from cosim.design.identify.fit import Model
+    from cosim.identify.sweep.fit import Model
 
     model = Model(300.0, 0.3, (0.05,), 20.5, 0.004).discrete("made up").model_dump(mode="json", exclude_none=True)
     (folder / "model.toml").write_text(toml_text({"identified": {"edf": {"roll": model}}}))
@@ -312,7 +312,7 @@ def _controller(path: Path) -> None:
 
 
 def _model(path: Path) -> None:
-    from cosim.design.logged.validate import read_model
+    from cosim.identify.prediction_error.validate import read_model
 
     read_model(path)
 

@@ -18,9 +18,9 @@ from cosim.cli.outputs import Out
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from cosim.design.identify import Identification
-    from cosim.design.logged.identify_log import LogIdentification
-    from cosim.results.logs import FlightLog
+    from cosim.identify.logs import FlightLog
+    from cosim.identify.prediction_error.identify_log import LogIdentification
+    from cosim.identify.sweep import Identification
 
 
 @click.group()
@@ -59,7 +59,7 @@ def identify_engine(
     Band, amplitude and duration are chosen to suit the engine where they are not given.
     """
     from cosim.base.storage.toml import parse_numbers
-    from cosim.design.identify import identify_engine as identify
+    from cosim.identify.sweep import identify_engine as identify
 
     with output_to_stderr(as_json):
         numbers, hold = parse_numbers(settings, "--set"), parse_numbers(holds, "--hold")
@@ -71,7 +71,7 @@ def _identify_axis(
     axis: str, settings: tuple[str, ...], holds: tuple[str, ...], out: Path | None, as_json: bool, **choices: Any
 ) -> int:
     from cosim.base.storage.toml import parse_numbers
-    from cosim.design.identify import identify_axis
+    from cosim.identify.sweep import identify_axis
 
     with output_to_stderr(as_json):
         identification = identify_axis(axis, settings=settings, hold=parse_numbers(holds, "--hold"), **choices)
@@ -79,8 +79,8 @@ def _identify_axis(
 
 
 def _finish_identification(identification: Any, out: Path | None, name: str, as_json: bool) -> int:
-    from cosim.design.identify import write
     from cosim.flight import new_folder
+    from cosim.identify.sweep import write
 
     paths = write(identification, out if out is not None else new_folder(Path("runs"), name))
     if as_json:
@@ -154,7 +154,7 @@ def identify_from_log(log: Path, channels: bool, out: Path | None, as_json: bool
     from cosim.base.runtime.threads import one_thread
 
     one_thread()
-    from cosim.results.logs import read_flight_log
+    from cosim.identify.logs import read_flight_log
 
     read = read_flight_log(log, choices.pop("time_column"), choices.pop("time_unit"))
     if channels:
@@ -186,10 +186,10 @@ def _identify_log(
     family: str | None,
 ) -> int:
     from cosim.base.storage.toml import parse_numbers
-    from cosim.design.logged.identify_log import identify_log
-    from cosim.design.logged.result import write
     from cosim.flight import new_folder
-    from cosim.results.logs import LogSignals, signals_of
+    from cosim.identify.logs import LogSignals, signals_of
+    from cosim.identify.prediction_error.identify_log import identify_log
+    from cosim.identify.prediction_error.result import write
 
     if (axis is None) == (number is None):
         raise InputError("identify log: say --axis roll, pitch or yaw, or --engine N")
@@ -236,7 +236,7 @@ def print_channels(log: FlightLog) -> None:
 
 def print_from_log(identified: LogIdentification, paths: dict[str, Path]) -> None:
     """The forms side by side, what is to be said of them, and where the files are."""
-    from cosim.design.logged.result import rows, summary
+    from cosim.identify.prediction_error.result import rows, summary
 
     console = terminal()
     console.print(summary(identified), highlight=False, markup=False)
@@ -264,7 +264,7 @@ def _side_by_side(labels: Sequence[str], rows: Sequence[Sequence[str]]) -> Table
 
 def print_identification(identification: Identification, paths: dict[str, Path]) -> None:
     """The models side by side, the chosen one's discrete form, how the stated one compares, and where the files are."""
-    from cosim.design.identify.result import equations, fit_rows
+    from cosim.identify.sweep.result import equations, fit_rows
 
     console = terminal()
     sweep, response = identification.sweep, identification.response

@@ -40,10 +40,10 @@ def validate(
     from cosim.base.runtime.threads import one_thread
 
     one_thread()
-    from cosim.design.logged.validate import read_model, rows, write
-    from cosim.design.logged.validate import validate as compare
     from cosim.flight import new_folder
-    from cosim.results.logs import read_flight_log
+    from cosim.identify.logs import read_flight_log
+    from cosim.identify.prediction_error.validate import read_model, rows, write
+    from cosim.identify.prediction_error.validate import validate as compare
 
     comparison = compare(read_model(model, axis), read_flight_log(log, time_column, time_unit), begin, end)
     paths = write(comparison, out if out is not None else new_folder(Path("runs"), "validation"))

@@ -15,8 +15,8 @@ from math import exp, inf, log
 import numpy as np
 
 from cosim.base.arrays import Array, Complex
-from cosim.design.identify.fit import apart, counts
-from cosim.design.identify.response import FrequencyResponse
+from cosim.identify.sweep.fit import apart, counts
+from cosim.identify.sweep.response import FrequencyResponse
 from cosim.spec.vehicle import RateModel
 
 # Beside the two poles.  The quick zero is what a whole delay leaves of one that is not: (1 + s t) leads by t.

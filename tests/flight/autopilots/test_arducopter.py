@@ -20,7 +20,7 @@ from cosim.autopilots.lockstep import Frame, Sticks
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.flight import fly
-from cosim.results.logs.dataflash import parameter_names
+from cosim.identify.logs.dataflash import parameter_names
 from cosim.results.run import Run, open_run
 from cosim.spec.scenario import Scenario
 

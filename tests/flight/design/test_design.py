@@ -178,7 +178,7 @@ def test_the_channel_is_what_a_sweep_in_flight_finds(axis: str, least: float) ->
 
     The rest is the sweep's own: its points stand for groups of frequencies, and pitch and yaw move the vehicle.
     """
-    from cosim.design.identify import identify_axis
+    from cosim.identify.sweep import identify_axis
 
     settings = ["sensor_noise=false"]
     found = identify_axis(axis, "hexjet", "edf-as-flown", settings=settings, from_hz=least, to_hz=4.0)

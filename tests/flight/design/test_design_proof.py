@@ -22,7 +22,6 @@ from cosim.design import tune as search
 from cosim.design.as_flown import FlownMeasures, FlownPair, comparison_lines, comparison_rows, worse_lines
 from cosim.design.controller_table import controller_table
 from cosim.design.design import Design, design
-from cosim.design.identify.response import FrequencyResponse
 from cosim.design.loop.channel import Actuator, channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import bounds, fit_dynamics, with_misfit
@@ -31,6 +30,7 @@ from cosim.design.proof_flights import CORNER, fault_of
 from cosim.design.prove import prove, proved
 from cosim.design.result import summary_lines, to_dict
 from cosim.engine import load_engine
+from cosim.identify.sweep.response import FrequencyResponse
 from cosim.simulation.controllers.controller_file import ControllerFile, Requirements
 from cosim.spec.new_aircraft import new_aircraft
 from cosim.spec.scenario import Scenario, find_scenario

@@ -9,10 +9,10 @@ import pytest
 from places import ROOT
 
 from cosim.base.storage.toml import read_toml, toml_text
-from cosim.design.identify import Identification, identify_axis
-from cosim.design.identify.result import low_frequency_delay
 from cosim.design.measured.computed import plants_of
 from cosim.engine import load_engine
+from cosim.identify.sweep import Identification, identify_axis
+from cosim.identify.sweep.result import low_frequency_delay
 from cosim.simulation.build import build
 from cosim.simulation.delay_ledger import rows_of, total_samples, why_none
 from cosim.spec.scenario import Scenario

@@ -11,8 +11,8 @@ from places import ROOT
 from cosim.base.constants import GRAVITY
 from cosim.base.signals import ZERO3, State
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
-from cosim.design.identify import identify_axis
 from cosim.flight import fly
+from cosim.identify.sweep import identify_axis
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle

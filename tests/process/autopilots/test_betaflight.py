@@ -30,7 +30,7 @@ from cosim.design.loop.firmware import Firmware, matrices
 from cosim.design.loop.tuning import Tuning
 from cosim.engine import load_engine
 from cosim.flight import fly
-from cosim.results.logs import read_flight_log
+from cosim.identify.logs import read_flight_log
 from cosim.spec.scenario import Scenario
 
 try:

@@ -24,10 +24,10 @@ from cosim.base.errors import EngineError, InputError
 from cosim.base.signals import Ambient
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.flight_row import fly_one
-from cosim.design.identify import identify_engine
 from cosim.engine import EngineBank, IsolatedBank, bank, isolated, load_engine, measure
 from cosim.engine.qualify import check
 from cosim.engine.qualify.supervisor import Apart
+from cosim.identify.sweep import identify_engine
 from cosim.results.digest import log_digest
 
 

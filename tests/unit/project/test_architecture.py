@@ -30,7 +30,7 @@ HOMES = {
     "distributed": ["campaign/workers/cluster.py"],
     "gymnasium": ["gym.py"],
     "pandas": ["results/tables.py"],
-    "pyulog": ["results/logs/ulog_child.py"],
+    "pyulog": ["identify/logs/ulog_child.py"],
     "mcap": ["results/export/mcap_file.py"],
     "mcap_protobuf": ["results/export/mcap_file.py", "results/export/scene.py"],
     "foxglove_schemas_protobuf": ["results/export/mcap_file.py", "results/export/scene.py"],

@@ -34,12 +34,12 @@ from cosim.campaign.study.plan import flights
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.control.allocation import reallocation as replan
-from cosim.design.identify import Identification, identify_axis
-from cosim.design.identify.fit import fit
-from cosim.design.identify.result import low_frequency_delay, rate_response
 from cosim.engine import build, build_engines, load_engine, response
 from cosim.engine.fmu import container
 from cosim.engine.qualify import check, trial
+from cosim.identify.sweep import Identification, identify_axis
+from cosim.identify.sweep.fit import fit
+from cosim.identify.sweep.result import low_frequency_delay, rate_response
 from cosim.results.report.marks import parts_of
 from cosim.simulation.build import build as build_flight
 from cosim.simulation.controllers.controller_file import Requirements

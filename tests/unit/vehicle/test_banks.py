@@ -16,11 +16,11 @@ from cosim.base.signals import (
     State,
     Vector3,
 )
-from cosim.design.identify import identify_axis
 from cosim.design.loop.channel import Actuator, Channel, channels
 from cosim.design.loop.dynamics import lags
 from cosim.engine import load_engine
 from cosim.flight import fly
+from cosim.identify.sweep import identify_axis
 from cosim.simulation.controllers.controller_file import differences, with_controller
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle

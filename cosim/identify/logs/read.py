@@ -1,0 +1,189 @@
+"""Which reader a file is for, and what of each kind of log an axis or an engine is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from cosim.base.errors import InputError
+from cosim.base.signals import AXES
+from cosim.identify.logs import blackbox, crazyflie, dataflash, table, tlog, ulog
+from cosim.identify.logs.flight_log import SEARCHED, FlightLog, LogSignals
+from cosim.identify.logs.text_table import decoded
+from cosim.results.columns import RATES
+
+KINDS = (
+    "a run's folder, .ulg (ULog), .bin (ArduPilot DataFlash), .bbl or .bfl (Betaflight blackbox), "
+    ".cfusdlog (Crazyflie), .tlog (MAVLink), tables as text (.csv, .tsv, .txt) and .parquet"
+)
+HEAD = 512  # bytes by which a file is recognised
+
+_READERS = (
+    (ulog.recognises, ulog.read),
+    (dataflash.recognises, dataflash.read),
+    (crazyflie.recognises, crazyflie.read),
+    (blackbox.recognises, blackbox.read),
+    (tlog.recognises, tlog.read),
+)
+_MARKS = ((ulog.MAGIC, ulog.read), (dataflash.MARK, dataflash.read), (blackbox.MARKER, blackbox.read))
+_OTHERS = (  # what else a file may begin with, and what it is then
+    (b"\x1f\x8b", "a file compressed by gzip: unpack it"),
+    (b"PK\x03\x04", "a zip archive: unpack it"),
+    (b"7z\xbc\xaf", "a 7z archive: unpack it"),
+    (b"\xfd7zXZ", "a file compressed by xz: unpack it"),
+    (b"\x28\xb5\x2f\xfd", "a file compressed by zstd: unpack it"),
+    (b"BZh", "a file compressed by bzip2: unpack it"),
+    (b"version https://git-lfs", "a pointer of Git LFS, and not the log: fetch it with git lfs pull"),
+    (b"<", "a page (HTML or XML), such as a server sends instead of a file"),
+    (b"{", "JSON"),
+    (b"%PDF", "a PDF"),
+    (b"\x89PNG", "a picture"),
+    (b"\x7fELF", "a program"),
+    (b"ARROW1", "an Arrow file; Parquet can be read"),
+    (b"\xff\xff\xff\xff", "an Arrow stream: hexjet report FOLDER makes its run whole"),
+    (b"\x89MCAP", "MCAP; export the flight as ULog or CSV"),
+    (b"\x89HDF", "HDF5, as MATLAB writes it; export it as CSV"),
+    (b"MATLAB", "a file of MATLAB; export it as CSV"),
+    (b"SQLite format 3", "a database (a bag of ROS 2?); export its topics as CSV"),
+    (b"#ROSBAG", "a bag of ROS; export its topics as CSV"),
+    (b"FMT, ", "ArduPilot's log as text; the .bin that it was made of can be read"),
+)
+
+
+def is_flight_log(path: Path) -> bool:
+    """Whether a file is the log of a flight controller that can be read; ``FILE:N`` as its file is."""
+    try:
+        with _file_and_number(path)[0].open("rb") as file:
+            return _reader(file.read(SEARCHED)) is not None
+    except OSError:
+        return False
+
+
+def _reader(head: bytes) -> tuple[Callable[[Path], FlightLog], int] | None:
+    """What reads the log of a flight controller that begins so, and how many bytes do not belong to it."""
+    for recognises, read in _READERS:
+        if recognises(head[:HEAD]):
+            return read, 0
+    for mark, read in _MARKS:
+        if (before := head.find(mark)) > 0:
+            return read, before
+    return None
+
+
+def _file_and_number(path: Path) -> tuple[Path, int | None]:
+    """The file, and the number of the log in it where the name says one."""
+    name, _, digits = str(path).rpartition(":")
+    if name and digits.isdecimal() and not path.exists() and Path(name).is_file():
+        return Path(name), int(digits[:9])
+    return path, None
+
+
+def read_flight_log(path: Path, time: str | None = None, time_unit: str | None = None) -> FlightLog:
+    """Read a log of any kind that is known, whatever it is called: by its first bytes, by a head that is found behind
+    others, or as a table.
+
+    ``time`` and ``time_unit`` are a table's.  ``FILE:N`` is log number N of a file that holds several, as Betaflight's
+    do.  Raises InputError for what is no log or cannot be read.
+    """
+    path, number = _file_and_number(path)
+    if path.is_dir():
+        return table.read_run(path)
+    try:
+        with path.open("rb") as file:
+            head = file.read(SEARCHED)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    if not head:
+        raise InputError(f"{path}: the file is empty")
+    if number is not None:
+        if blackbox.MARKER in head:
+            return blackbox.read(path, number)
+        raise InputError(f"{path}: holds one log; {path}:{number} is for a blackbox file of several")
+    if (found := _reader(head)) is not None:
+        read, before = found
+        log = read(path)
+        said = (f"{before} bytes before the head of the log are passed over",) if before else ()
+        return replace(log, remarks=(*said, *log.remarks))
+    return _table_or_refusal(path, head, time, time_unit)
+
+
+def _table_or_refusal(path: Path, head: bytes, time: str | None, time_unit: str | None) -> FlightLog:
+    """A table, or the reason why the file is no log: what it is instead."""
+    if not table.is_parquet(head):
+        begins = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")[:HEAD]
+        other = next((words for mark, words in _OTHERS if begins.startswith(mark)), "")
+        if not other and b"\nFMT, " in head:
+            other = dict(_OTHERS)[b"FMT, "]
+        if other:
+            raise InputError(f"{path}: is {other}; allowed: {KINDS}")
+        if decoded(head) is None:
+            start = head[:8].hex(" ")
+            raise InputError(f"{path}: no log that is known, and no text: it begins with {start}; allowed: {KINDS}")
+    return table.read_table(path, time, time_unit)
+
+
+def signals_of(log: FlightLog, what: str) -> LogSignals:
+    """What of this log is ``roll``, ``pitch``, ``yaw`` or ``engine:N``, as far as its kind tells.
+
+    Raises InputError where it does not.
+    """
+    axis = AXES.index(what) if what in AXES else None
+    number = what.removeprefix("engine:") if what.startswith("engine:") else ""
+    if axis is None and not number.isdigit():
+        raise InputError(f"{what!r}: allowed: {', '.join(AXES)}, engine:N")
+    choices = _axis(axis) if axis is not None else _engine(int(number))
+    for choice in choices:
+        if log.has(choice.command) and log.has(choice.output):
+            return choice if log.has(choice.setpoint) else choice._replace(setpoint="")
+    needed = " or ".join(f"{choice.command} with {choice.output}" for choice in choices)
+    raise InputError(f"{log.path}: it has no {what}; say --command and --output, or log one of: {needed}")
+
+
+def _axis(n: int) -> list[LogSignals]:
+    axis, rate = AXES[n], RATES[n]
+    letter = "RPY"[n]
+    gyro = "XYZ"[n]
+    motors = ("- motor.m1 - motor.m2 + motor.m3 + motor.m4", "motor.m1 - motor.m2 - motor.m3 + motor.m4")
+    yaw = "motor.m1 - motor.m2 + motor.m3 - motor.m4"
+    pids = " + ".join(f"axis{part}[{n}]" for part in "PIDF")
+    return [
+        LogSignals(
+            f"torque_{axis} + disturbance_torque_{axis} - refused_{axis}",
+            f"rate_{rate}_measured_rad_s",
+            f"rate_{rate}_setpoint_rad_s",
+            "throttle" if axis == "roll" else "rad",
+        ),
+        LogSignals(
+            f"hexjet_control.torque[{n}] + hexjet_disturbance.torque[{n}] - hexjet_control.refused[{n}]",
+            f"vehicle_angular_velocity.xyz[{n}]",
+            f"vehicle_rates_setpoint.{axis}",
+            "throttle" if axis == "roll" else "rad",
+        ),
+        LogSignals(
+            f"vehicle_torque_setpoint.xyz[{n}]", f"vehicle_angular_velocity.xyz[{n}]", f"vehicle_rates_setpoint.{axis}"
+        ),
+        LogSignals(
+            f"vehicle_torque_setpoint.xyz[{n}]", f"sensor_combined.gyro_rad[{n}]", f"vehicle_rates_setpoint.{axis}"
+        ),
+        LogSignals(f"RATE.{letter}Out", f"deg(RATE.{letter})", f"deg(RATE.{letter}Des)"),
+        LogSignals(f"RATE.{letter}Out", f"IMU[0].Gyr{gyro}", f"deg(RATE.{letter}Des)"),
+        LogSignals(f"axisSum[{n}]", f"deg(gyroADC[{n}])", f"deg(setpoint[{n}])"),
+        LogSignals(pids, f"deg(gyroADC[{n}])", f"deg(setpoint[{n}])"),
+        LogSignals(pids.rsplit(" + ", 1)[0], f"deg(gyroADC[{n}])", f"deg(setpoint[{n}])"),
+        LogSignals((*motors, yaw)[n], f"deg(gyro.{'xyz'[n]})", "", "PWM counts"),
+    ]
+
+
+def _engine(n: int) -> list[LogSignals]:
+    motors = " + ".join(f"square(motor.m{n})" for n in (1, 2, 3, 4))  # thrust goes with the square of the speed
+    return [
+        LogSignals(f"throttle_{n}", f"thrust_{n}_N", "", "throttle", "N"),
+        LogSignals(f"actuator_motors.control[{n - 1}]", f"hexjet_thrust.newton[{n - 1}]", "", "throttle", "N"),
+        LogSignals(f"actuator_motors.control[{n - 1}]", f"esc_status.esc[{n - 1}].esc_rpm", "", "throttle", "rpm"),
+        LogSignals(f"RCOU.C{n}", f"ESC[{n - 1}].RPM", "", "us", "rpm"),
+        LogSignals(f"SERVO_OUTPUT_RAW.servo{n}_raw", f"ESC_STATUS.rpm[{n - 1}]", "", "us", "rpm"),
+        LogSignals(f"SERVO_OUTPUT_RAW.servo{n}_raw", f"ESC_TELEMETRY_1_TO_4.rpm[{n - 1}]", "", "us", "rpm"),
+        LogSignals(f"motor[{n - 1}]", f"eRPM[{n - 1}]", "", "motor counts", "eRPM/100"),
+        LogSignals(motors, "acc.z", "", "PWM counts squared, of all four", "g"),
+    ]

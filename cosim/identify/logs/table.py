@@ -1,0 +1,253 @@
+"""Tables as logs: text and Parquet of other tools, and a run's own rows."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError, nearest
+from cosim.identify.logs.flight_log import Channel, FlightLog
+from cosim.identify.logs.text_table import is_number, read_text, seconds
+from cosim.results.arrow import read_csv_numbers, read_numbers
+from cosim.results.columns import COLUMNS
+from cosim.results.run import open_run
+from cosim.results.tables import TIME
+
+PARQUET = b"PAR1"  # a file begins and ends with it
+TIMES = (TIME, "time", "t")  # what the time [s] may be called in a log of another tool
+OTHER_TIMES = (  # and what else, in any case, its unit behind it; the likeliest first
+    "time", "t", "timestamp", "timestamp_sample", "timeus", "timems", "elapsed", "elapsed time", "datetime",
+    "date_time", "date", "date/time", "utc", "clock", "zeit", "temps", "tiempo", "seconds", "sec", "s",
+)  # fmt: skip
+AT_THE_END = re.compile(r"thrust_\d+_N")  # logged with the step at whose end the engine has it
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_SAME_UNITS = {
+    "sec": "s",
+    "secs": "s",
+    "second": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "usec": "us",
+    "µs": "us",
+    "μs": "us",
+}
+_UNIT = re.compile(r"(.*?)[\s_]*(?:[\[(]\s*([^\[\]()]*?)\s*[\])]|_([mun]?s|[mu]?sec))")
+LEAST_RUNNING = 0.9  # share of the steps from row to row in which a time has to grow
+LEAST_NUMBERS = (
+    0.5  # share of a column's texts that have to be numbers: the others are damaged, or say that there is none
+)
+DAY_S = 86400.0
+
+
+@dataclass
+class Table:
+    """The columns that are numbers, but for the time [s], which is called ``name``; and what is to be said of them."""
+
+    columns: dict[str, Array]
+    times: Array
+    name: str
+    unit: str  # of the time in the file
+    units: dict[str, str] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()  # being no numbers
+    remarks: list[str] = field(default_factory=list)
+
+
+@dataclass
+class _Columns:
+    numbers: dict[str, Array]
+    dates: set[str] = field(default_factory=set)  # of the numbers, those that are in seconds
+    units: dict[str, str] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+    remarks: list[str] = field(default_factory=list)
+
+
+def is_parquet(head: bytes) -> bool:
+    """Whether a file begins so."""
+    return head.startswith(PARQUET)
+
+
+def columns_with_time(path: Path, name: str | None = None, unit: str | None = None) -> Table:
+    """The columns of a table; ``name`` is its time, in ``unit``, which its name or its line of units says otherwise.
+
+    Without a name the time is the first of those that are called so and run.  Raises InputError where there is none.
+    """
+    if unit is not None and unit not in SECONDS:
+        raise InputError(f"time in {unit!r}: allowed: {', '.join(SECONDS)}")
+    with path.open("rb") as file:
+        held = _of_parquet(path) if is_parquet(file.read(len(PARQUET))) else _of_text(path)
+    time = _time(path, held, name)
+    taken = unit or ("s" if time in held.dates else _unit(time, held.units.get(time, "")))
+    times = SECONDS[taken] * held.numbers.pop(time)
+    remarks = list(held.remarks)
+    if time in held.dates and len(times):
+        times, remark = _since_first(times)
+        remarks.append(f"{time}: {remark}")
+    elif taken != "s" and unit is None:
+        remarks.append(f"{time} is taken for the time, in {taken}")
+    return Table(held.numbers, times, time, taken, held.units, held.left_out, remarks)
+
+
+def _of_parquet(path: Path) -> _Columns:
+    read = read_numbers(path)
+    numbers = {name.strip(): values for name, values in read.numbers.items()}
+    held = _Columns(numbers, {name.strip() for name in read.times})
+    _add_texts(held, read.texts)
+    return held
+
+
+def _of_text(path: Path) -> _Columns:
+    text = read_text(path)
+    labels = [name or f"column_{n}" for n, name in enumerate(text.names, 1)]
+    read, odd = read_csv_numbers(path, text.rows, labels, text.separator, text.decimal)
+    remarks = list(text.remarks)
+    if odd:
+        remarks.append(f"{odd} rows have not a cell for each column, the last one perhaps cut short; left out")
+    named = {name: values for name, values in read.numbers.items() if name in text.names}
+    held = _Columns(named, read.times, text.units, (), remarks)
+    _add_texts(held, {name: values for name, values in read.texts.items() if name in text.names})
+    return held
+
+
+def _add_texts(held: _Columns, texts: dict[str, list[str | None]]) -> None:
+    """Add the columns of texts that are numbers but for some cells, or dates."""
+    left_out = []
+    for name, values in texts.items():
+        if (made := _numbers(values)) is not None:
+            held.numbers[name], lost = made
+            held.remarks += [f"{name}: {lost} of {len(values)} cells are no numbers; left out"] if lost else []
+        elif (dates := seconds(values)) is not None:
+            held.numbers[name] = np.array(dates)
+            held.dates.add(name)
+        else:
+            left_out.append(name)
+    held.left_out = tuple(left_out)
+
+
+def _numbers(values: list[str | None]) -> tuple[Array, int] | None:
+    """A column of texts as numbers, NaN for what is none, and how many are none; None where most are none."""
+    texts = [(text or "").strip() for text in values]
+    good = [text for text in texts if text and is_number(text)]
+    if len(good) < max(LEAST_NUMBERS * sum(map(bool, texts)), 1):
+        return None
+    made = np.array([_number(text) for text in texts])
+    return made, sum(bool(text) and not is_number(text) for text in texts)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        return float("nan")
+
+
+# ---- the time
+
+
+def _time(path: Path, held: _Columns, name: str | None) -> str:
+    columns = held.numbers
+    if name is not None:
+        found = next((column for column in (name, name.strip()) if column in columns), None)
+        if found is None:
+            raise InputError(f"{path}: no column {name!r} of numbers; {nearest(name, columns)}"[:600])
+        return found
+    plain = {column: _plain(column) for column in columns}
+    called = [column for column in TIMES if column in columns]
+    called += [column for other in OTHER_TIMES for column in columns if plain[column] == other]
+    called += [column for column in columns if column in held.dates]
+    running = [column for column in dict.fromkeys(called) if _runs(columns[column])]
+    if running or called:
+        return (running or called)[0]
+    growing = [repr(column) for column in columns if _runs(columns[column])][:5]
+    grow = f"; {', '.join(growing)} grow from row to row: --time NAME says which" if growing else ""
+    raise InputError(f"{path}: no column of time; allowed: {', '.join(TIMES)}, in seconds{grow}")
+
+
+def _plain(name: str) -> str:
+    """A name without its unit, in small letters."""
+    match = _UNIT.fullmatch(name)
+    return (match.group(1) if match else name).strip().lower()
+
+
+def _unit(name: str, stated: str) -> str:
+    """The unit of a time, by the line of units or by its name; seconds where neither says one."""
+    match = _UNIT.fullmatch(name)
+    texts = [
+        stated,
+        *((match.group(2), match.group(3)) if match else ()),
+        name[4:] if name in ("TimeUS", "TimeMS") else "",
+    ]
+    for text in texts:
+        unit = (text or "").strip().lower()
+        unit = _SAME_UNITS.get(unit, unit)
+        if unit in SECONDS:
+            return unit
+    return "s"
+
+
+def _runs(values: Array) -> bool:
+    """Whether it grows nearly always from row to row."""
+    values = values[np.isfinite(values)]
+    return len(values) > 1 and float(np.mean(np.diff(values) > 0.0)) >= LEAST_RUNNING
+
+
+def _since_first(times: Array) -> tuple[Array, str]:
+    """Dates, or times of a day, which may pass midnight, from the first one on."""
+    good = np.flatnonzero(np.isfinite(times))
+    if not good.size:
+        return times, "no cell of it is a date"
+    first = float(times[good[0]])
+    if first > DAY_S:
+        return times - first, f"counts from its first row, {datetime.fromtimestamp(first, UTC):%Y-%m-%d %H:%M:%S}"
+    filled = np.interp(np.arange(len(times)), good, times[good])
+    days = np.concatenate([[0.0], np.cumsum(np.diff(filled) < -0.5 * DAY_S)])
+    return times + DAY_S * days - first, f"counts from its first row, {first:g} s of the day"
+
+
+# ---- logs
+
+
+def read_table(path: Path, time: str | None = None, unit: str | None = None) -> FlightLog:
+    """A table of text or Parquet; ``time`` names its time, in ``unit``.  Raises InputError.
+
+    A table that has our ``time_s``, and is not told otherwise by ``time``, has our stamps: a thrust stands in the row
+    of the step at whose end the engine has it, and is a step of the table later than that row's time.
+    """
+    table = columns_with_time(path, time, unit)
+    times, name = table.times, table.name
+    remarks = [f"left out, being no numbers: {', '.join(table.left_out)}"] if table.left_out else []
+    remarks += table.remarks
+    step = float(np.median(np.diff(times))) if time is None and name == TIME and times.size > 1 else 0.0
+    named = {key: match.group(2) or "" for key in table.columns if (match := _UNIT.fullmatch(key))}
+    units = named | {column.name: column.unit for column in COLUMNS} | table.units
+    late = [key for key in table.columns if step and AT_THE_END.fullmatch(key)]
+    if late:
+        remarks.append(
+            f"{late[0]}{' and the like' if late[1:] else ''}: taken for the end of its step, {1e3 * step:g} ms after "
+            f"{TIME}, as our logs have it; --time {TIME} takes the stamps as they are"
+        )
+    channels = {
+        key: Channel(times + step if key in late else times, values, units.get(key, ""))
+        for key, values in table.columns.items()
+    }
+    if not channels:
+        raise InputError(f"{path}: the table has no column of numbers but its time")
+    return FlightLog(path, "table", channels, tuple(remarks))
+
+
+def read_run(folder: Path) -> FlightLog:
+    """The rows of a run.  Raises InputError if there is none."""
+    run = open_run(folder)
+    times = np.asarray(run.log[TIME])
+    units = {column.name: column.unit for column in run.log.described}
+    names = [name for name in run.log.columns if name != TIME]
+    after = times + run.summary.step_s
+    channels = {
+        name: Channel(after if AT_THE_END.fullmatch(name) else times, np.asarray(run.log[name]), units.get(name, ""))
+        for name in names
+    }
+    return FlightLog(folder, "run", channels, engine=Path(run.summary.engine).name.removesuffix("-fmi2"))

@@ -1,0 +1,91 @@
+"""ULog, as PX4 writes it, read by pyulog in a process of its own."""
+
+from __future__ import annotations
+
+import json
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from cosim.identify.logs import apart
+from cosim.identify.logs.flight_log import SEARCHED, Channel, FlightLog, numbers
+
+MAGIC = b"ULog\x01\x12\x35"
+HEAD_BYTES = 16
+MOST_S, MOST_S_A_MB = 20.0, 3.0  # of CPU, to begin with and for every MB: some ten times what pyulog takes
+MOST_MB, MOST_MB_A_MB = 2048.0, 40.0  # of address space; what is resident is ten times the file
+_PROGRAM = Path(__file__).with_name("ulog_child.py")
+
+
+def recognises(head: bytes) -> bool:
+    """Whether a file begins so."""
+    return head.startswith(MAGIC)
+
+
+def read(path: Path) -> FlightLog:
+    """Every topic's fields as ``topic.field``, those of further instances as ``topic#1.field``.
+
+    Times are those of ``timestamp_sample`` where a topic has it: when it was measured, not when it was published.
+    Raises InputError.
+    """
+    if find_spec("pyulog") is None:
+        raise InputError("a ULog needs pyulog, which is not installed: pip install 'hexjet-cosim[logs]'")
+    data = path.read_bytes()
+    begin, size = max(data[:SEARCHED].find(MAGIC), 0), len(data) / 2**20
+    limits = MOST_S + MOST_S_A_MB * size, MOST_MB + MOST_MB_A_MB * size
+    try:
+        answer = apart.run_apart(_PROGRAM, [str(path), str(begin)], *limits)
+    except apart.EndedError as error:
+        raise InputError(f"{path}: cannot be read as ULog: it is damaged; the reader {error}") from None
+    head, _, doubles = answer.partition(b"\n")
+    said = json.loads(head)
+    if "error" in said:
+        raise InputError(f"{path}: cannot be read as ULog: {said['error']}")
+    channels = _channels(said, numbers(np.frombuffer(doubles, "<f8")))
+    if not channels:
+        raise InputError(f"{path}: the ULog holds no data: it was cut short before the first message, or damaged")
+    remarks = [f"left out, having no time: {', '.join(said['untimed'])}"] if said["untimed"] else []
+    if said["damaged"]:
+        remarks.append("parts of the file are damaged and were passed over")
+    elif not _ends(data, begin):
+        remarks.append("the log was cut short, or the power went: it ends within a message")
+    if lost := said["lost"]:
+        remarks.append(f"{len(lost)} times the logger lost data, {1e-3 * sum(lost):.1f} s together")
+    events = [(1e-6 * at, text) for at, text in said["events"]]
+    return FlightLog(path, "ULog", channels, tuple(remarks), events)
+
+
+def _channels(said: dict[str, Any], columns: Array) -> dict[str, Channel]:
+    channels = {}
+    at = 0
+    for topic in said["topics"]:
+        fields, rows = topic["fields"], topic["rows"]
+        count = (1 + len(fields)) * rows
+        table = columns[at : at + count].reshape(1 + len(fields), rows)
+        at += count
+        times = 1e-6 * table[0]
+        if topic["name"] == "hexjet_thrust":  # ours: what the engine has at the end of the step that the message is of
+            times = times + _step(said["step"], times)
+        name = topic["name"] + (f"#{topic['instance']}" if topic["instance"] else "")
+        for field, values in zip(fields, table[1:], strict=True):
+            channels[f"{name}.{field}"] = Channel(times, values)
+    return channels
+
+
+def _step(stated: float | None, times: Array) -> float:
+    """The control step of a log of ours: stated where it is not the default, which is as often as rows are written."""
+    if stated is not None or times.size < 2:
+        return stated or 0.0
+    return float(np.median(np.diff(times)))
+
+
+def _ends(data: bytes, begin: int) -> bool:
+    """Whether the last message of a log that begins there ends where the file does: each says its size first."""
+    at, end = begin + HEAD_BYTES, len(data)
+    while at + 3 <= end:
+        at += 3 + (data[at] | data[at + 1] << 8)
+    return at == end

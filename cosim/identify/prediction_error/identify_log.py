@@ -1,0 +1,497 @@
+"""From a flight's log to a model with a delay: what was found, how sure it is, and what the flight lacked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.arrays import Array
+from cosim.base.errors import NotIdentifiedError
+from cosim.identify.logs import Channel, FlightLog, LogSignals
+from cosim.identify.prediction_error.confidence import identify, robust, with_delay_bounds
+from cosim.identify.prediction_error.estimate import EACH, Estimate, Form
+from cosim.identify.prediction_error.problem import Problem
+from cosim.identify.prediction_error.search import fit, solve
+from cosim.identify.prediction_error.stretches import Prepared, halves, prepare
+from cosim.identify.sweep.fit import Model
+from cosim.spec.vehicle import RateModel
+
+LONGEST_DELAY_S = 0.4  # looked for; four times that of the Hex-Jet's engines
+LEAST_DEVIANCE_FALL = 30.0  # that the command is worth: chance alone gives 10 once in 25 (four parameters)
+MISFIT = 0.02  # share of the residuals' power that may follow the command; chosen by us
+SMALL_MISFIT = 1e-3  # of what the command explains: less left over is little, however little noise there is
+FED_BACK = 0.25  # of what the command explains: if more than that follows it, it is no misfit; chosen by us
+ENOUGH = 0.2  # of what is left over, that the command explains in flights whose delay comes out (docs/logs.py)
+NOISELESS = 1e-6  # of the output's standard deviation: residuals below it are rounding, and no test says anything
+DEVIATIONS_95 = 1.96  # standard deviations of a 95 % bound
+SIGNIFICANCE = 1e-3  # p-value below which a test is said to have failed
+TEST_LAGS = 12  # of the set-point and of the command, that the residuals are tested against
+TEST_S = 0.6  # over which they are spread
+HALVES_APART = 3.29  # standard deviations by which two halves may differ: p = 0.001
+UNBOUNDED = 0.6  # of the longest delay: a wider interval says nothing
+TARGET_WIDTH = 0.5  # of a sample: half the width of the delay's interval that is asked of a flight
+BAND_DROP = 0.5  # of the greatest information per command: the band that is recommended
+
+
+NO_NOISE = "the log has no noise: what is left over is rounding, and its tests and the bounds say nothing"
+
+
+class Check(NamedTuple):
+    """A test of the residuals: its p-value, and the share of their power that contradicts."""
+
+    name: str
+    p: float
+    share: float
+
+    @property
+    def failed(self) -> bool:
+        """Whether the residuals contradict, by more than chance."""
+        return self.p < SIGNIFICANCE
+
+
+@dataclass(frozen=True)
+class LogIdentification:
+    """What a log gave; ``estimates`` has the chosen form first."""
+
+    path: Path
+    kind: str
+    what: str
+    signals: LogSignals
+    prepared: Prepared
+    problem: Problem
+    estimates: tuple[Estimate, ...]
+    clock: str  # which times were taken: stamps, or an even clock
+    checks: tuple[Check, ...]
+    coherence: tuple[Array, Array]  # Hz, and of command with output
+    band_hz: tuple[float, float]  # in which a command tells most of the delay, in this noise
+    notes: tuple[str, ...]
+
+    @property
+    def chosen(self) -> Estimate:
+        """The estimate that goes into the model file."""
+        return self.estimates[0]
+
+    @property
+    def delay_bounds(self) -> tuple[float, float]:
+        """95 % bounds of the delay [s], by the richest form that was tried: of a short lag more no log is sure."""
+        return bounds(self.estimates)
+
+    @property
+    def engine(self) -> bool:
+        """Whether it is an engine, and not an axis."""
+        return self.chosen.form.engine
+
+    def model(self, step: float) -> Model:
+        """As a model behind a hold of this step."""
+        x = self.chosen.x
+        gain = self.chosen.gain * (float(x[0]) if self.engine else 1.0)
+        return Model(gain, float(x[0]), tuple(float(lag) for lag in x[1:-1]), float(x[-1]) / step, step)
+
+    def rate_model(self, step: float) -> RateModel:
+        """As a predictor reads it."""
+        low, high = self.delay_bounds
+        return self.model(step).discrete(
+            f"identified from {self.path.name} ({self.kind}): {self.signals.command} to {self.signals.output}, "
+            f"{self.prepared.seconds:.1f} s, {self.chosen.form.label}, delay {1e3 * low:.1f} to {1e3 * high:.1f} ms"
+        )
+
+    def to_dict(self, step: float) -> dict[str, Any]:
+        """All of it but the signals, for JSON."""
+        return {
+            "log": str(self.path),
+            "kind": self.kind,
+            "what": self.what,
+            "engine": self.engine,
+            **self.signals._asdict(),
+            "seconds": self.prepared.seconds,
+            "stretches_s": [[s.start, s.start + s.seconds] for s in self.prepared.by_stamps],
+            "working_step_s": self.prepared.working_step,
+            "longest_delay_s": self.prepared.longest_delay,
+            "clock": self.clock,
+            "clocks": {"command": _clock(self.prepared.command), "output": _clock(self.prepared.output)},
+            "delay_s": self.chosen.delay,
+            "delay_bounds_95_s": list(self.delay_bounds),
+            "estimates": [estimate_dict(estimate, self.prepared.working_step) for estimate in self.estimates],
+            "checks": [check._asdict() | {"failed": check.failed} for check in self.checks],
+            "tells_most_hz": list(self.band_hz),
+            "discrete": self.rate_model(step).model_dump(),
+            "notes": list(self.notes),
+        }
+
+
+def estimate_dict(estimate: Estimate, sample: float) -> dict[str, Any]:
+    """One form: parameters, standard deviations, bounds and criteria."""
+    value, deviation = estimate.all_delay
+    low, high = estimate.delay_bounds
+    bounded = bool(np.isfinite(low))
+    return {
+        "form": estimate.form.label,
+        "gain": estimate.gain,
+        **{name: float(value) for name, value in zip(estimate.form.names, estimate.x, strict=True)},
+        "delay_bounds_95_s": [low, high] if bounded else None,
+        "delay_samples": estimate.delay / sample,
+        "standard_deviations": {
+            "gain": estimate.gain_deviation,
+            **{name: estimate.deviation(i) for i, name in enumerate(estimate.form.names)},
+        },
+        "all_delay_s": value,
+        "all_delay_deviation_s": deviation,
+        "noise_order": estimate.order,
+        "held": list(estimate.held),
+        "equations": estimate.count,
+        "residual_rms": float(np.sqrt(estimate.loss / estimate.count)),
+        "aic": estimate.aic,
+        "bic": estimate.bic,
+    }
+
+
+def identify_log(
+    log: FlightLog,
+    what: str,
+    signals: LogSignals,
+    *,
+    longest_delay: float = LONGEST_DELAY_S,
+    step: float | None = None,
+    begin: float | None = None,
+    end: float | None = None,
+    hold: Mapping[str, float] | None = None,
+    lags: int | None = None,
+) -> LogIdentification:
+    """Identify command to output of a log; ``what`` is an axis or begins with ``engine``.
+
+    ``lags`` is the number of lags beside the pole (an axis: 1 or more); the better of two forms by Akaike's criterion
+    where it is None.  Raises NotIdentifiedError where the log does not tell, which says
+    why, and InputError for channels or stretches that cannot be used.
+    """
+    of_sums: list[str] = []
+    command, output = log.signal(signals.command, of_sums), log.signal(signals.output, of_sums)
+    prepared = prepare(command, output, longest_delay, step, begin, end)
+    engine = what.startswith("engine")
+    problem, estimates, clock = _estimated(prepared, engine, dict(hold or {}), lags)
+    chosen = estimates[0]
+    where = f"{log.path}: {signals.command} to {signals.output}"
+    _refuse(problem, estimates, prepared, where)
+    notes = [*log.remarks, *of_sums, *prepared.notes, *_doubts(chosen, problem)]
+    checks = _checks(problem, chosen, log.signal(signals.setpoint) if signals.setpoint else None)
+    reason = _why_refused(problem, chosen, checks)
+    if reason:
+        raise NotIdentifiedError(f"{where}: {reason}")
+    notes += _failed(checks) if _noisy(problem, chosen) else [NO_NOISE]
+    band = _band(chosen, problem.working_step)
+    notes += _advice(chosen, bounds(estimates), prepared, band)
+    return LogIdentification(
+        log.path,
+        log.kind,
+        what,
+        signals,
+        prepared,
+        problem,
+        tuple(estimates),
+        clock,
+        tuple(checks),
+        _coherence(problem),
+        band,
+        tuple(notes),
+    )
+
+
+# ---- estimating
+
+
+def _estimated(
+    prepared: Prepared, engine: bool, hold: dict[str, float], lags: int | None
+) -> tuple[Problem, list[Estimate], str]:
+    """By the stamps, and by an even clock where there is one: whichever leaves less."""
+    problem = Problem(prepared.by_stamps, prepared.working_step, prepared.longest_delay)
+    clock = "stamps"
+    if prepared.by_clock:
+        other = Problem(prepared.by_clock, prepared.working_step, prepared.longest_delay)
+        form = Form(engine, (0 if engine else 1) if lags is None else lags)
+        first = fit(problem, form, hold)
+        second = solve(other, form, first.x.copy(), first.ar.copy(), _fixed(first), first.order)
+        if second.loss / second.count < first.loss / first.count:
+            problem, clock = other, "even clock"
+    if lags is not None:
+        estimates = [with_delay_bounds(problem, fit(problem, Form(engine, lags), hold))]
+    else:
+        estimates = identify(problem, engine, hold)
+    return problem, [robust(problem, estimate) for estimate in estimates], clock
+
+
+def bounds(estimates: Sequence[Estimate]) -> tuple[float, float]:
+    """Bounds of the delay by the richest form: it holds the others, so that no data refute it."""
+    return max(estimates, key=lambda estimate: estimate.form.lags).delay_bounds
+
+
+def _refuse(problem: Problem, estimates: Sequence[Estimate], prepared: Prepared, where: str) -> None:
+    chosen = estimates[0]
+    fall = problem.without_command(chosen) - chosen.deviance
+    if not fall >= LEAST_DEVIANCE_FALL:
+        raise NotIdentifiedError(
+            f"{where}: the output does not show the command (it lowers the deviance by {fall:.1f}, "
+            f"{LEAST_DEVIANCE_FALL:g} are needed); fly doublets or a sweep on it, or look at other channels"
+        )
+    unknown = _not_determined(chosen)
+    if unknown:
+        raise NotIdentifiedError(
+            f"{where}: this log does not tell {unknown}: the 95 % bounds exceed the value; fly doublets or a sweep, "
+            "larger or longer, or state what is known by --hold"
+        )
+    if "delay_s" in chosen.held:
+        return
+    if chosen.delay > prepared.longest_delay - prepared.working_step:
+        raise NotIdentifiedError(
+            f"{where}: the delay is at the end of the search, {prepared.longest_delay:g} s; "
+            "try a longer --longest-delay, or the channels belong to different clocks"
+        )
+    low, high = bounds(estimates)
+    if not high - low < UNBOUNDED * prepared.longest_delay:
+        raise NotIdentifiedError(
+            f"{where}: this log does not tell the delay: anything from {1e3 * low:.0f} to {1e3 * high:.0f} ms fits; "
+            "fly doublets or a sweep, or state what is known: --hold lag_s=..., --lags 1"
+        )
+
+
+def _not_determined(chosen: Estimate) -> str:
+    """Which of gain and the sum of delay and lags, if any, has bounds that exceed it: the split may be unknown."""
+    total, wide = chosen.all_delay
+    known = {"the gain": (chosen.gain, chosen.gain_deviation), "delay and lags together": (total, wide)}
+    return " and ".join(name for name, (value, one) in known.items() if not DEVIATIONS_95 * one <= abs(value))
+
+
+def _doubts(chosen: Estimate, problem: Problem) -> list[str]:
+    doubts = []
+    if chosen.gain < 0.0:
+        doubts.append("the gain is negative: the output moves against the command")
+    parts = halves(problem.stretches)
+    if parts is not None and "delay_s" not in chosen.held:
+        try:
+            ends = [
+                solve(half, chosen.form, chosen.x.copy(), chosen.ar.copy(), _fixed(chosen), chosen.order)
+                for half in (Problem(part, problem.working_step, problem.longest_delay) for part in parts)
+            ]
+        except (np.linalg.LinAlgError, ValueError):
+            return doubts
+        for name, values in (
+            ("the gain", [(half.gain, half.gain_deviation) for half in ends]),
+            ("the sum of delay and lags", [half.all_delay for half in ends]),
+        ):
+            (a, sa), (b, sb) = values
+            if abs(a - b) > HALVES_APART * np.hypot(sa, sb) > 0.0:
+                doubts.append(
+                    f"{name} is not the same in the first half ({a:.4g}) and the second ({b:.4g}): "
+                    "what flew changed, and the bounds are too narrow"
+                )
+    return doubts
+
+
+def _fixed(estimate: Estimate) -> list[int]:
+    return [estimate.form.names.index(name) for name in estimate.held]
+
+
+# ---- tests of what is left
+
+
+def _checks(problem: Problem, estimate: Estimate, setpoint: Channel | None) -> list[Check]:
+    from scipy.stats import chi2
+
+    white, use = problem.residuals(estimate)
+    rows = np.flatnonzero(use)
+    lags = 20
+    value = np.where(use, white, 0.0)
+    power = float(value @ value)
+    count, total = len(rows), 0.0
+    first = min(estimate.order, EACH) + 1  # up to there each term of the noise's model made it white
+    for lag in range(first, first + lags):
+        together = use[lag:] & use[:-lag]
+        if together.any():
+            r = float(value[lag:] @ value[:-lag]) / power
+            total += r * r * count * count / max(int(together.sum()), 1)
+    checks = [Check("residuals: white", float(chi2.sf(total, lags)), total / count)]
+    spread = max(1, round(TEST_S / TEST_LAGS / problem.working_step))
+    command = _on_blocks(problem, None)
+    checks.append(_against("residuals: free of the command", white, use, command, spread))
+    if setpoint is not None:
+        checks.append(_against("residuals: free of the set-point", white, use, _on_blocks(problem, setpoint), spread))
+    return checks
+
+
+def _on_blocks(problem: Problem, channel: Channel | None) -> Array:
+    """The command, or a channel, at the working samples, 0 between stretches."""
+    parts = []
+    for stretch in problem.stretches:
+        first = stretch.averaged(stretch.times)
+        at = np.where(stretch.present, first, np.arange(stretch.blocks) * problem.working_step + first[0])
+        if channel is None:
+            values = stretch.commanded(at)
+        else:
+            good = np.isfinite(channel.values) & np.isfinite(channel.times)
+            times, held = channel.times[good], channel.values[good]
+            row = np.clip(np.searchsorted(times, stretch.start + at, side="right") - 1, 0, None)
+            values = held[row] if held.size else np.zeros(len(at))
+        parts += [values - values.mean(), np.zeros(problem.gap)]
+    return np.concatenate(parts)
+
+
+def _noisy(problem: Problem, chosen: Estimate) -> bool:
+    return float(np.sqrt(chosen.loss / chosen.count)) > NOISELESS * float(np.std(problem.output[problem.present]))
+
+
+def _explained(problem: Problem, chosen: Estimate) -> float:
+    """The sum of squares by which the command lowers that of what is left over, made white."""
+    return float(np.exp(problem.without_command(chosen) / chosen.count) * chosen.count - chosen.loss)
+
+
+def _follows(problem: Problem, chosen: Estimate, command: Check) -> bool:
+    """Whether more of what the command does is left over than a small misfit of the form leaves."""
+    if not command.failed or command.share <= MISFIT or not _noisy(problem, chosen):
+        return False
+    return command.share * chosen.loss > SMALL_MISFIT * _explained(problem, chosen)
+
+
+def _why_refused(problem: Problem, chosen: Estimate, checks: Sequence[Check]) -> str:
+    """Why what is left over and the command hang together: the form, or a disturbance that is fed back; or nothing.
+
+    A form that does not fit leaves a part of what the command did before, and it leaves the set-point too.  Where the
+    command explains little, and about as much of what is left over goes with the command of that time as it explains
+    at all, the loop feeds the disturbance back: the model of the noise is of finite order, and what it lacks is in
+    command and residual alike.
+    """
+    white, use = problem.residuals(chosen)
+    spread = max(1, round(TEST_S / TEST_LAGS / problem.working_step))
+    together = _against("fed back", white, use, _on_blocks(problem, None), spread, first=0)
+    explained = max(_explained(problem, chosen), 0.0)
+    by_setpoint = any(check.failed for check in checks[2:])
+    weak = explained <= ENOUGH * chosen.loss and together.share * chosen.loss > FED_BACK * explained
+    if weak and not by_setpoint and _follows(problem, chosen, together):
+        share = max(explained / chosen.loss, 1e-4)
+        larger = max(2.0, (ENOUGH / share) ** 0.5)
+        return (
+            f"the disturbance is too large beside what the command does, which explains {100.0 * share:.1g} % as much "
+            f"as is left over; the loop feeds it back into the command ({100.0 * together.share:.0f} % of what is left "
+            f"over is in the command of that time); a stronger manoeuvre is needed: doublets or a sweep about "
+            f"{larger:.0f} times as large, or calmer air"
+        )
+    if not _follows(problem, chosen, checks[1]):
+        return ""
+    return (
+        f"no model of this form fits: {100.0 * checks[1].share:.0f} % of what is left over still follows the command; "
+        "try --lags, a known --hold, a shorter --longest-delay, or hexjet identify engine"
+    )
+
+
+def _against(name: str, white: Array, use: NDArray[np.bool_], signal: Array, spread: int, first: int = 1) -> Check:
+    """Regress the residuals on what a signal was before each of them: the F test of nothing.
+
+    ``first``: working samples before; 1 at least for a test of the form, because what the command is at the time of a
+    residual or after contains that very noise where a controller is at work, and would be found there whatever the form
+    (Ljung, System Identification, 2nd ed., section 16.6).
+    """
+    from scipy.special import fdtrc
+
+    by = [first + n * spread for n in range(TEST_LAGS)]
+    late = [np.concatenate([np.zeros(n), signal[: len(signal) - n]]) for n in by]
+    use = use.copy()
+    use[: by[-1] + 1] = False
+    matrix = np.stack([*late, np.ones(len(signal))], axis=1)[use]
+    residual = white[use]
+    size = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
+    size[size == 0.0] = 1.0
+    solution, _, rank, _ = np.linalg.lstsq(matrix / size, residual, rcond=1e-8)
+    power = float(residual @ residual)
+    left = residual - matrix @ (solution / size)
+    explained = max(power - float(left @ left), 0.0)
+    freedom = len(residual) - int(rank)
+    if not power > 0.0 or freedom < 10 or rank < 1:
+        return Check(name, 1.0, 0.0)
+    ratio = (explained / int(rank)) / ((power - explained) / freedom)
+    return Check(name, float(fdtrc(int(rank), freedom, ratio)), explained / power)
+
+
+def _failed(checks: Sequence[Check]) -> list[str]:
+    words = {
+        "residuals: white": "what the model leaves over is not white: the bounds are too narrow",
+        "residuals: free of the command": (
+            "what the model leaves over still follows the command: the form does not fit the vehicle, and the "
+            "bounds do not cover that"
+        ),
+        "residuals: free of the set-point": (
+            "what the model leaves over still follows the set-point, which contains no noise: in the closed loop the "
+            "estimate is biased"
+        ),
+    }
+    return [
+        f"{words[check.name]} (p {check.p:.1g}, {100.0 * check.share:.2g} % of the residuals' power)"
+        for check in checks
+        if check.failed
+    ]
+
+
+# ---- what the flight lacked
+
+
+def _response(estimate: Estimate, hertz: Array) -> NDArray[np.complex128]:
+    s = 2j * np.pi * hertz
+    x = estimate.x
+    value = estimate.gain * (float(x[0]) if estimate.form.engine else 1.0) / (s + float(x[0]))
+    for lag in x[1:-1]:
+        value = value / (float(lag) * s + 1.0)
+    return np.asarray(value * np.exp(-s * float(x[-1])))
+
+
+def information(estimate: Estimate, hertz: Array, step: float) -> Array:
+    """What a command of unit power at each frequency tells of the delay: |w G A|^2 over the power of e."""
+    z = np.exp(-2j * np.pi * hertz * step)
+    whitening = np.polyval(np.concatenate([[1.0], estimate.ar])[::-1], z)
+    slope = 2.0 * np.pi * hertz * np.abs(_response(estimate, hertz) * whitening)
+    return np.asarray(slope**2 * estimate.count / estimate.loss)
+
+
+def _band(estimate: Estimate, step: float) -> tuple[float, float]:
+    hertz = np.geomspace(0.02, 0.45 / step, 400)
+    density = information(estimate, hertz, step)
+    peak = int(np.argmax(density))
+    low = high = peak
+    while low > 0 and density[low - 1] >= BAND_DROP * density[peak]:
+        low -= 1
+    while high < len(density) - 1 and density[high + 1] >= BAND_DROP * density[peak]:
+        high += 1
+    return float(hertz[low]), float(hertz[high])
+
+
+def _advice(estimate: Estimate, ends: tuple[float, float], prepared: Prepared, band: tuple[float, float]) -> list[str]:
+    low, high = ends
+    target = TARGET_WIDTH * prepared.working_step
+    if "delay_s" in estimate.held or high - low <= 2.0 * target:
+        return []
+    more = 0.5 * (high - low) / target
+    return [
+        f"to know the delay within {1e3 * target:.2g} ms fly {more:.2g} times the command, or {more * more:.2g} times "
+        f"as long: doublets or a sweep; a command of {band[0]:.2g} to {band[1]:.2g} Hz tells most of it in this noise"
+    ]
+
+
+def _coherence(problem: Problem) -> tuple[Array, Array]:
+    """Of command with output, by Welch's method, the stretches one after the other, lost samples bridged."""
+    from scipy.signal import coherence
+
+    command = _on_blocks(problem, None)
+    rows = np.flatnonzero(problem.present)
+    output = np.interp(np.arange(len(problem.output)), rows, problem.output[rows])
+    whole = np.concatenate([command, output])
+    if not np.all(np.isfinite(whole)):
+        return np.empty(0), np.empty(0)
+    per = min(len(output) - 1, max(64, round(4.0 / problem.working_step)))
+    hertz, value = coherence(
+        np.diff(command), np.diff(output), 1.0 / problem.working_step, nperseg=per, detrend="constant"
+    )
+    return np.asarray(hertz[1:]), np.asarray(value[1:])
+
+
+def _clock(clock: Any) -> dict[str, float | None]:
+    return {name: (value if np.isfinite(value) else None) for name, value in clock._asdict().items()}

@@ -1,0 +1,223 @@
+"""What an identification from a log leaves in a folder, and what is said of it in a terminal."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.errors import FlightError
+from cosim.base.storage.paths import data_folder
+from cosim.base.storage.toml import toml_text
+from cosim.identify.prediction_error.estimate import Estimate
+from cosim.identify.prediction_error.identify_log import DEVIATIONS_95, LogIdentification, information
+from cosim.results.report.page import render
+from cosim.results.report.plot import BLUE, GREEN, GREY, HOVER, MAGENTA, ORANGE, beneath, panels, trace
+
+ENGINE, ENGINE_STEP_S = "turbojet", 0.004  # the library's first-order engine, and its internal step
+TEMPLATE = Path(__file__).parent / "templates" / "logged.html"
+_MOST = 4000  # points a curve
+
+
+def write(result: LogIdentification, folder: Path, step: float, family: str) -> dict[str, Path]:
+    """Write ``identification.json``, ``report.html`` and, of an axis, ``model.toml`` for a control step of ``step``.
+
+    ``family`` is the engine under which an axis' model is filed.  Raises FlightError if a file cannot be written.
+    """
+    paths = {"json": folder / "identification.json"}
+    texts = {"json": json.dumps(result.to_dict(step), indent=2, allow_nan=False) + "\n"}
+    if not result.engine:
+        paths["model"] = folder / "model.toml"
+        table = {"identified": {family: {result.what: result.rate_model(step).model_dump()}}}
+        texts["model"] = toml_text(table)
+    if result.engine and result.signals.output_unit == "N":
+        paths["engine"] = folder / "engine.toml"
+        texts["engine"] = toml_text(engine_table(result))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, path in paths.items():
+            path.write_text(texts[name], encoding="utf-8")
+        if "engine" in paths:
+            shutil.copyfile(data_folder("fmus") / f"{ENGINE}.fmu", folder / "engine.fmu")
+    except OSError as error:
+        raise FlightError(f"{folder}: {error.strerror or error}") from error
+    paths["report"] = folder / "report.html"
+    render(
+        TEMPLATE,
+        paths["report"],
+        {"signals": _signals(result), "tells": _tells(result)},
+        result=result,
+        columns=[estimate.form.label for estimate in result.estimates],
+        rows=rows(result),
+        summary=summary(result),
+    )
+    return paths
+
+
+def engine_table(result: LogIdentification) -> dict[str, object]:
+    """A mapping file: the library's first-order engine (a lag behind a whole delay) with what was identified.
+
+    Its internal step is 4 ms, which the delay is rounded to; the shorter lag of two is added to the delay, which is
+    what low frequencies see of it.
+    """
+    step = ENGINE_STEP_S
+    x = result.chosen.x
+    *shorter, slowest = sorted([1.0 / float(x[0]), *map(float, x[1:-1])])
+    delay, pole = float(x[-1]) + sum(shorter), float(np.exp(-step / slowest))
+    return {
+        "fmu": "engine.fmu",
+        "title": f"Engine identified from {result.path.name}",
+        "parameters": {
+            "gain": result.chosen.gain * (1.0 - pole),
+            "pole": pole,
+            "delay_samples": round(delay / step),
+            "newton_per_unit": 1.0,
+        },
+    }
+
+
+def summary(result: LogIdentification) -> str:
+    """The log and what of it was used, in a line."""
+    output, prepared = result.prepared.output, result.prepared
+    clock = f"{1.0 / output.step:.4g} Hz"
+    if np.isfinite(output.jitter) and output.jitter > 0.005:
+        clock += f", jitter {100.0 * output.jitter:.0f} % of a sample"
+    if output.lost > 0.0:
+        clock += f", {100.0 * output.lost:.2g} % lost"
+    return (
+        f"{result.path.name} ({result.kind}): {result.signals.command} to {result.signals.output}; "
+        f"{prepared.seconds:.1f} s used, output at {clock}; working step {1e3 * prepared.working_step:.3g} ms, "
+        f"times by {result.clock}"
+    )
+
+
+def rows(result: LogIdentification) -> list[list[str]]:
+    """The forms side by side, one row a quantity, each with its 95 % bounds."""
+    made: list[list[str]] = []
+    unit = f"{result.signals.output_unit} per {result.signals.command_unit}"
+    gain = (
+        f"gain at rest, {unit}"
+        if result.engine
+        else f"gain, {result.signals.output_unit}/s per {result.signals.command_unit}"
+    )
+    made.append([gain, *(_about(estimate.gain, estimate.gain_deviation) for estimate in result.estimates)])
+    names = sorted(
+        {name for estimate in result.estimates for name in estimate.form.names if name != "delay_s"}, key=_place
+    )
+    for name in names:
+        cells = []
+        for estimate in result.estimates:
+            if name not in estimate.form.names:
+                cells.append("")
+                continue
+            i = estimate.form.names.index(name)
+            value, deviation = float(estimate.x[i]), estimate.deviation(i)
+            if name == "rate_1_s" and result.engine:
+                cells.append(_held(estimate, name, 1e3 / value, _about(1e3 / value, 1e3 * deviation / value**2)))
+            elif name == "rate_1_s":
+                cells.append(_held(estimate, name, value, _slow_pole(value, deviation)))
+            else:
+                cells.append(_held(estimate, name, 1e3 * value, _about(1e3 * value, 1e3 * deviation)))
+        titles = {"rate_1_s": "time constant, ms" if result.engine else "slow pole, 1/s", "lag_s": "lag, ms"}
+        if result.engine:
+            titles["lag_s"] = "second lag, ms"
+        made.append([titles.get(name, "further lag, ms"), *cells])
+    made.append(["delay, ms", *(_delay(estimate) for estimate in result.estimates)])
+    low, high = result.delay_bounds
+    if len(result.estimates) > 1:
+        allowing = f"{1e3 * low:.4g} to {1e3 * high:.4g}"
+        made.append(["its bounds, by the richest form, ms", allowing, *[""] * (len(result.estimates) - 1)])
+    made.append(
+        [
+            "delay and lags together, ms",
+            *(_about(1e3 * v, 1e3 * s) for v, s in (e.all_delay for e in result.estimates)),
+        ]
+    )
+    best = min(estimate.aic for estimate in result.estimates)
+    made.append(
+        ["Akaike's criterion, above the best", *(f"{estimate.aic - best:.1f}" for estimate in result.estimates)]
+    )
+    made.append(["order of the noise", *(f"{estimate.order}" for estimate in result.estimates)])
+    return made
+
+
+def _place(name: str) -> int:
+    return ["rate_1_s", "lag_s", "lag_2_s", "lag_3_s"].index(name)
+
+
+def _held(estimate: Estimate, name: str, value: float, text: str) -> str:
+    return f"{value:.4g} held" if name in estimate.held else text
+
+
+def _slow_pole(value: float, deviation: float) -> str:
+    """A slow pole may be anything near 0: then it is known from above alone."""
+    high = value + DEVIATIONS_95 * deviation
+    return _about(value, deviation) if high < 2.0 * value else f"below {high:.2g}"
+
+
+def _about(value: float, deviation: float) -> str:
+    """Value and bound; none of a lag that ended at its limit, and no number where the bound exceeds it."""
+    half = DEVIATIONS_95 * deviation
+    if not half > 0.0:
+        return "none"
+    if not half <= abs(value):
+        return "not determined"
+    return f"{value:.4g} ±{float(f'{half:.2g}'):g}"
+
+
+def _delay(estimate: Estimate) -> str:
+    if "delay_s" in estimate.held:
+        return f"{1e3 * estimate.delay:.4g} held"
+    low, high = estimate.delay_bounds
+    if not np.isfinite(low):
+        return f"{1e3 * estimate.delay:.4g}"
+    return f"{1e3 * estimate.delay:.4g} ({1e3 * low:.4g} to {1e3 * high:.4g})"
+
+
+# ---- figures
+
+
+def _signals(result: LogIdentification) -> dict[str, Any]:
+    """Command, measured output and what the model makes of the command, over time; and the residuals."""
+    problem, estimate = result.problem, result.chosen
+    whole = problem.simulated(estimate)
+    white, use = problem.residuals(estimate)
+    data: list[dict[str, Any]] = []
+    row = 0
+    for n, stretch in enumerate(problem.stretches):
+        rows_ = slice(row, row + stretch.blocks)
+        keep = np.flatnonzero(stretch.present)[:: max(1, stretch.blocks // _MOST)]
+        times = stretch.start + stretch.averaged(stretch.times)[keep]
+        cells = np.arange(len(stretch.command))[:: max(1, len(stretch.command) // _MOST)]
+        measured, model = problem.output[rows_][keep], whole[rows_][keep]
+        left = np.where(use[rows_], white[rows_], np.nan)[keep]
+        named = {"showlegend": n == 0}
+        dots = {"mode": "markers", "marker": {"size": 3, "color": MAGENTA}}
+        data += [
+            trace("command", GREY, stretch.start + cells * stretch.step, stretch.command[cells], 0, **named),
+            trace("measured", ORANGE, times, measured, 1, **named, **beneath(ORANGE)),
+            trace("model, of the command alone", BLUE, times, model, 1, **named),
+            trace("residuals, made white", MAGENTA, times, left, 2, **named, **dots),
+        ]
+        row += stretch.blocks + problem.gap
+    titles = (result.signals.command_unit, result.signals.output_unit, result.signals.output_unit)
+    layout = panels(660, "time [s]", titles, log=False, domains=((0.72, 1.0), (0.3, 0.68), (0.0, 0.24)))
+    return {"data": data, "layout": layout | HOVER}
+
+
+def _tells(result: LogIdentification) -> dict[str, Any]:
+    """Coherence, and what a command of each frequency would tell of the delay."""
+    hertz, value = result.coherence
+    grid = np.geomspace(0.05, 0.45 / result.problem.working_step, 300)
+    density = information(result.chosen, grid, result.problem.working_step)
+    data = [
+        trace("coherence of command and output", GREEN, hertz, value),
+        trace(
+            "what a command tells of the delay, over its most", BLUE, grid, density / density.max(), 1, showlegend=True
+        ),
+    ]
+    layout = panels(440, "frequency [Hz]", ("1", "1"), log=True, domains=((0.55, 1.0), (0.0, 0.45)))
+    return {"data": data, "layout": layout | HOVER}

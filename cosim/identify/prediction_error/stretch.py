@@ -1,0 +1,98 @@
+"""One stretch of a log on its own clock, and the exact answer of a pole to its command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import exp
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.arrays import Array
+
+_CACHE_SIZE = 8  # answers that are remembered
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """One stretch of a log without a break; times in s from its beginning.
+
+    ``command[k]`` acts over ``[k step, (k + 1) step)``.  Sample ``i`` of the output was taken at ``times[i]`` and
+    counts to number ``block[i]`` of ``blocks`` working samples, each the mean of its samples.
+    """
+
+    start: float  # in the time of the log
+    step: float
+    command: Array
+    times: Array
+    output: Array
+    block: Ints
+    blocks: int
+
+    @property
+    def seconds(self) -> float:
+        """Its duration."""
+        return len(self.command) * self.step
+
+    @cached_property
+    def _counts(self) -> Array:
+        return np.bincount(self.block, minlength=self.blocks).astype(np.float64)
+
+    @cached_property
+    def present(self) -> NDArray[np.bool_]:
+        """The working samples that there are."""
+        return self._counts > 0.0
+
+    def commanded(self, times: Array) -> Array:
+        """The command that acts at these times."""
+        return self.command[self._cell(times)]
+
+    def _cell(self, times: Array) -> Ints:
+        return np.clip((times / self.step).astype(np.int64), 0, len(self.command) - 1)
+
+    def averaged(self, values: Array) -> Array:
+        """The mean over each working sample, 0 for one that there is not."""
+        return np.bincount(self.block, values, minlength=self.blocks) / np.maximum(self._counts, 1.0)
+
+    def answer(self, pole: float, delay: float) -> Array:
+        """Of ``1 / (s + pole)`` to the delayed command at ``times``, from rest at the first value."""
+        states = self._states(pole)
+        cell, within, begun = self._late(delay)
+        fade = np.exp(-pole * within)
+        held = (1.0 - fade) / pole if pole > 1e-6 else within
+        return np.asarray((states[cell] * fade + held * self.command[cell]) * begun)
+
+    @cached_property
+    def _kept(self) -> tuple[dict[float, Array], dict[float, tuple[Ints, Array, Array]]]:
+        """What was computed lately: a derivative changes one parameter at a time."""
+        return {}, {}
+
+    def _states(self, pole: float) -> Array:
+        from scipy.signal import lfilter
+
+        kept = self._kept[0]
+        if pole not in kept:
+            if len(kept) >= _CACHE_SIZE:
+                kept.pop(next(iter(kept)))
+            states = lfilter([float(hold_response(pole, self.step))], [1.0, -exp(-pole * self.step)], self.command)
+            kept[pole] = np.concatenate([[0.0], states])
+        return kept[pole]
+
+    def _late(self, delay: float) -> tuple[Ints, Array, Array]:
+        """The cell of each sample, less the delay, the time within it, and 0 where that is before the stretch."""
+        kept = self._kept[1]
+        if delay not in kept:
+            if len(kept) >= _CACHE_SIZE:
+                kept.pop(next(iter(kept)))
+            late = self.times - delay
+            cell = self._cell(late)
+            kept[delay] = cell, late - cell * self.step, (late > 0.0).astype(np.float64)
+        return kept[delay]
+
+
+def hold_response(pole: float, seconds: float | Array) -> Array:
+    """The answer of ``1 / (s + pole)`` to a command of 1 over so long."""
+    return np.asarray(-np.expm1(-pole * seconds) / pole if pole > 1e-6 else seconds)

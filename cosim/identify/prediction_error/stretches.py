@@ -1,0 +1,336 @@
+"""From two channels of a log to stretches on one clock: what is usable, when samples were taken, what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from cosim.identify.logs import Channel
+from cosim.identify.prediction_error.stretch import Stretch
+
+WORKING_STEP_S = 0.004  # of the house's control steps; samples that come faster are averaged to about this
+MOST_MISSING = 12  # samples that may be missing in a row; after more a new stretch begins
+SETTLE_S = 0.3  # beside the longest delay, before the first output that counts: what was commanded before is not known
+SHORTEST_S = 3.0  # that a stretch must have beyond that, and all of them together
+IDLE_S = 0.5  # windows in which a command moves or does not
+PAUSE_S = 2.0  # for which it may stand still in flight
+IDLE_SHARE = 1e-3  # of the command's standard deviation: less is no movement
+EDGE_S = 1.0  # cut off where the command begins or ceases to move: on the ground a vehicle answers otherwise
+LOSSY_SHARE = 0.005  # share of lost samples from which two are averaged: an equation needs all its predecessors
+LEAST_JITTER = 0.02  # of a sample: less jitter is none
+_LOST_STEPS = 1.75  # steps between two samples from which some are lost between them
+_JITTER_RUN = 4  # samples in a row that jitter may bring nearer to another tick
+MOST_JITTER = 0.35  # of a sample: scatter around an even clock, at most
+
+
+class Clock(NamedTuple):
+    """What a channel's times look like."""
+
+    step: float  # s
+    jitter: float  # standard deviation around an even clock, in samples; NaN where there is no such clock
+    lost: float  # share of the samples
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """The stretches by their stamps and, where both channels have one, by an even clock instead; and what was found."""
+
+    by_stamps: tuple[Stretch, ...]
+    by_clock: tuple[Stretch, ...]  # empty where there is none, or it makes no difference
+    working_step: float
+    longest_delay: float
+    command: Clock
+    output: Clock
+    notes: tuple[str, ...]
+
+    @property
+    def seconds(self) -> float:
+        """Of output that counts."""
+        return self.working_step * sum(stretch.blocks for stretch in self.by_stamps)
+
+
+def prepare(
+    command: Channel,
+    output: Channel,
+    longest_delay: float,
+    step: float | None = None,
+    begin: float | None = None,
+    end: float | None = None,
+) -> Prepared:
+    """The stretches of ``output`` in which ``command`` moved; times from ``begin`` to ``end`` [s] of the log alone.
+
+    ``step`` is that of the working samples.  Raises InputError where nothing is usable, which says why.
+    """
+    notes: list[str] = []
+    command = _sound(command, "the command", notes)
+    output = _sound(output, "the output", notes)
+    low = max(command.times[0], output.times[0], -np.inf if begin is None else begin)
+    high = min(command.times[-1], output.times[-1], np.inf if end is None else end)
+    if not high - low > 0.0:
+        raise InputError(
+            f"command ({_span(command.times)}) and output ({_span(output.times)}) have no time in common"
+            + ("" if begin is None and end is None else " with --from and --to")
+        )
+    output = _within(output, low, high)
+    clocks = clock_of(command.times), clock_of(output.times)
+    sample = clocks[1].step
+    for channel, clock in zip(("command", "output"), clocks, strict=True):
+        if clock.step > longest_delay:
+            raise InputError(
+                f"the {channel} has a sample every {clock.step:.3g} s, and a delay of at most {longest_delay:g} s is "
+                "looked for (--longest-delay): no log of so fast a thing, or of another unit of time"
+            )
+    factor = max(1, round((WORKING_STEP_S if step is None else step) / sample))
+    if step is None and clocks[1].lost > LOSSY_SHARE:
+        factor = max(factor, 2)
+    working = factor * sample
+    lead = longest_delay + SETTLE_S
+    spans = [
+        span
+        for span in _moving(command, _unbroken(output.times, command.times, clocks))
+        if span[1] - span[0] > lead + SHORTEST_S
+    ]
+    usable = sum(last - first - lead for first, last in spans)
+    if usable < SHORTEST_S:
+        raise InputError(
+            "no stretch that can be used: the command must move, without gaps, for "
+            f"{lead + SHORTEST_S:.3g} s or longer in flight; {_why(command, output, longest_delay)}"
+        )
+    if len(spans) > 1:
+        notes.append(f"{len(spans)} stretches, {usable:.1f} s of {high - low:.1f} s")
+    even = [_even(channel.times) for channel in (command, output)]
+    uneven = max(np.nan_to_num(clock.jitter) for clock in clocks) > LEAST_JITTER
+    filled = _filled(command)
+    shared = 1 if clocks[0].step >= 0.99 * sample and not uneven else 2
+    cells = sample / shared
+    by_stamps = tuple(_stretch(filled, output, span, lead, cells, sample, factor) for span in spans)
+    by_clock: tuple[Stretch, ...] = ()
+    if uneven and even[0] is not None and even[1] is not None:
+        steady = _filled(Channel(even[0], command.values))
+        by_clock = tuple(_stretch(steady, output, span, lead, cells, sample, factor, even[1]) for span in spans)
+    return Prepared(by_stamps, by_clock, working, longest_delay, *clocks, tuple(notes))
+
+
+def clock_of(times: Array) -> Clock:
+    """Step, jitter and loss of a channel's times."""
+    step = float(np.median(np.diff(times)))
+    index, even = _index(times)
+    if even is None:
+        return Clock(step, float("nan"), max(0.0, 1.0 - len(times) * step / (float(np.ptp(times)) + step)))
+    fitted = float((even[-1] - even[0]) / max(index[-1] - index[0], 1))
+    gaps = np.diff(index)
+    short = gaps[(gaps > 1) & (gaps <= MOST_MISSING)] - 1  # longer ones are breaks, and not lost samples
+    return Clock(fitted, float(np.std((times - even) / fitted)), float(short.sum() / (short.sum() + len(times))))
+
+
+# ---- pieces
+
+
+def _sound(channel: Channel, what: str, notes: list[str]) -> Channel:
+    """Without what is no number, in the order of time; of a clock that went back, the longest part."""
+    times, values = channel.times, channel.values
+    good = np.isfinite(times) & np.isfinite(values)
+    if good.sum() < 2:
+        raise InputError(f"{what} has {int(good.sum())} values that are numbers; at least two are needed")
+    if not good.all():
+        notes.append(f"{what}: {int((~good).sum())} of {len(good)} values are no numbers; left out")
+        times, values = times[good], values[good]
+    back = np.flatnonzero(np.diff(times) < 0.0) + 1
+    if back.size:
+        parts = list(zip([0, *back], [*back, len(times)], strict=True))
+        first, last = max(parts, key=lambda part: times[part[1] - 1] - times[part[0]])
+        notes.append(
+            f"{what}: its clock goes back {back.size} times (first after {times[back[0] - 1]:.3f} s, by "
+            f"{times[back[0] - 1] - times[back[0]]:.3g} s); the longest part alone is used, {_span(times[first:last])}"
+        )
+        times, values = times[first:last], values[first:last]
+    new = np.concatenate([[True], np.diff(times) > 0.0])
+    if not new.all():
+        notes.append(f"{what}: {int((~new).sum())} values have the time of the one before; left out")
+    if new.sum() < 2:
+        raise InputError(f"{what}: its time does not run")
+    return Channel(times[new], values[new], channel.unit)
+
+
+def _index(times: Array) -> tuple[NDArray[np.int64], Array | None]:
+    """Which tick of an even clock each time is nearest to, and the ticks' times; None where there is no such clock."""
+    from scipy.ndimage import median_filter
+
+    step, ticks = float(np.median(np.diff(times))), np.arange(len(times))
+    apart = np.diff(times) / step
+    lost = np.concatenate([[0.0], np.cumsum(np.where(apart > _LOST_STEPS, np.rint(apart) - 1.0, 0.0))])
+    index = ticks + lost.astype(np.int64)
+    even = times
+    for _ in range(5):
+        slope, offset = np.polyfit(index, times - times[0], 1)
+        even = times[0] + offset + slope * index
+        # a sample that jitter brings nearer to another tick stands alone; after a lost one all stand a tick further
+        further = median_filter(np.rint((times - even) / slope), 2 * _JITTER_RUN + 1, mode="nearest")
+        if not further.any():
+            break
+        index = ticks + np.maximum.accumulate(index + further.astype(np.int64) - ticks)
+    return (index, even) if slope > 0.0 and np.std(times - even) < MOST_JITTER * slope else (index, None)
+
+
+def _even(times: Array) -> Array | None:
+    return _index(times)[1]
+
+
+def _within(channel: Channel, low: float, high: float) -> Channel:
+    use = (channel.times >= low) & (channel.times <= high)
+    if use.sum() < 2:
+        raise InputError(f"the output has no two samples from {low:.3f} to {high:.3f} s")
+    return Channel(channel.times[use], channel.values[use], channel.unit)
+
+
+def _unbroken(output: Array, command: Array, clocks: tuple[Clock, Clock]) -> list[tuple[float, float]]:
+    """From where to where neither has a gap."""
+    edges = []
+    for times, clock in ((output, clocks[1]), (command, clocks[0])):
+        wide = np.flatnonzero(np.diff(times) > MOST_MISSING * clock.step * 1.05)
+        if clock is clocks[0] and not np.isfinite(clock.jitter):
+            continue  # a command without a clock is written down when it changes
+        edges += [(times[i], times[i + 1]) for i in wide]
+    spans, at = [], float(max(output[0], command[0]))
+    for begin, end in sorted(edges):
+        if begin > at:
+            spans.append((at, float(begin)))
+        at = max(at, float(end))
+    last = float(min(output[-1], command[-1]))
+    if last > at:
+        spans.append((at, last))
+    return spans
+
+
+def _moving(command: Channel, spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """The parts of the spans in which the command moves, less the edges towards rest."""
+    size = float(np.std(command.values))
+    stretches = []
+    if not size > 0.0:
+        return []
+    for begin, end in spans:
+        edges = np.arange(begin, end, IDLE_S)
+        moving = []
+        for at in edges:
+            part = command.values[(command.times >= at) & (command.times < at + IDLE_S)]
+            moving.append(bool(part.size) and float(np.ptp(part)) > IDLE_SHARE * size)
+        first = None
+        moving = _bridged(moving, round(PAUSE_S / IDLE_S))
+        for n, yes in enumerate([*moving, False]):
+            if yes and first is None:
+                first = n
+            elif not yes and first is not None:
+                low = edges[first] + (EDGE_S if first > 0 else 0.0)
+                high = min(edges[n - 1] + IDLE_S - EDGE_S, end) if n < len(edges) else end
+                stretches.append((float(low), float(high)))
+                first = None
+    return stretches
+
+
+def _bridged(moving: list[bool], most: int) -> list[bool]:
+    """Pauses of at most so many windows between movement are no rest."""
+    made, last = list(moving), -1
+    for n, yes in enumerate(moving):
+        if yes:
+            if last >= 0 and n - last - 1 <= most:
+                made[last:n] = [True] * (n - last)
+            last = n
+    return made
+
+
+def _filled(command: Channel) -> Channel:
+    """Where values of an even clock are lost, those between their neighbours: to hold the last one would be late."""
+    index, even = _index(command.times)
+    if even is None:
+        return command
+    gaps = np.diff(index)
+    lost = [np.arange(1, gap) + index[n] for n, gap in enumerate(gaps) if 1 < gap <= MOST_MISSING]
+    if not lost:
+        return command
+    missing = np.concatenate(lost)
+    times = np.interp(missing, index, command.times)
+    values = np.interp(missing, index, command.values)
+    order = np.argsort(np.concatenate([command.times, times]), kind="stable")
+    return Channel(
+        np.concatenate([command.times, times])[order], np.concatenate([command.values, values])[order], command.unit
+    )
+
+
+def _stretch(
+    command: Channel,
+    output: Channel,
+    span: tuple[float, float],
+    lead: float,
+    cell: float,
+    sample: float,
+    factor: int,
+    steady: Array | None = None,
+) -> Stretch:
+    """``steady``: the times of the output by an even clock, instead of its stamps."""
+    begin, end = span
+    count = int((end - begin) / cell + 1e-6) + 1
+    edges = begin + np.arange(count + 1) * cell
+    held = np.diff(_integral(command, np.asarray(edges, np.float64))) / cell
+    use = (output.times >= begin + lead) & (output.times <= end)
+    times, values = (output.times if steady is None else steady)[use], output.values[use]
+    index, even = _index(times)
+    if even is None:
+        index = np.rint((times - times[0]) / sample).astype(np.int64)
+    block = (index - index[0]) // factor
+    return Stretch(begin, cell, held, times - begin, values, block.astype(np.int64), int(block[-1]) + 1)
+
+
+def _integral(command: Channel, at: Array) -> Array:
+    """Of a command that holds from each of its times to the next."""
+    whole = np.concatenate([[0.0], np.cumsum(command.values[:-1] * np.diff(command.times))])
+    row = np.clip(np.searchsorted(command.times, at, side="right") - 1, 0, None)
+    return np.asarray(whole[row] + command.values[row] * (at - command.times[row]))
+
+
+def _span(times: Array) -> str:
+    return f"{times[0]:.3f} to {times[-1]:.3f} s"
+
+
+def _why(command: Channel, output: Channel, longest_delay: float) -> str:
+    if not np.ptp(command.values) > 0.0:
+        return "the command never changes"
+    seconds = min(command.times[-1], output.times[-1]) - max(command.times[0], output.times[0])
+    if seconds < longest_delay + SETTLE_S + SHORTEST_S:
+        return f"the log has {seconds:.3g} s; a smaller --longest-delay ({longest_delay:g} s) asks for less"
+    return "there are gaps, or it stands still between"
+
+
+def halves(stretches: Sequence[Stretch]) -> tuple[list[Stretch], list[Stretch]] | None:
+    """The first and the second half of the output; None where that would leave too little."""
+    total = sum(stretch.blocks for stretch in stretches)
+    first: list[Stretch] = []
+    second: list[Stretch] = []
+    done = 0
+    for stretch in stretches:
+        cut = total // 2 - done
+        done += stretch.blocks
+        if cut >= stretch.blocks:
+            first.append(stretch)
+        elif cut <= 0:
+            second.append(stretch)
+        else:
+            early = stretch.block < cut
+            first.append(_part(stretch, early, 0, cut))
+            second.append(_part(stretch, ~early, cut, stretch.blocks - cut))
+    return (first, second) if first and second else None
+
+
+def _part(stretch: Stretch, use: NDArray[np.bool_], first: int, blocks: int) -> Stretch:
+    return replace(
+        stretch,
+        times=stretch.times[use],
+        output=stretch.output[use],
+        block=stretch.block[use] - first,
+        blocks=blocks,
+    )

@@ -1,0 +1,243 @@
+"""A model flown with the command of a log, beside what happened."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from cosim.base.storage.files import one_line, write_files
+from cosim.identify.logs import FlightLog, LogSignals, signals_of
+from cosim.identify.prediction_error.estimate import Form
+from cosim.identify.prediction_error.problem import Problem
+from cosim.identify.prediction_error.stretches import prepare
+from cosim.identify.sweep.fit import Model as Continuous
+from cosim.results.report.page import render
+from cosim.results.report.plot import BLUE, GREY, HOVER, ORANGE, beneath, panels, trace
+from cosim.spec.vehicle import RateModel, read_models
+
+TEMPLATE = Path(__file__).parent / "templates" / "validated.html"
+AHEAD_S = 1.0  # of the prediction that is judged: the loops that a predictor serves are faster
+_MOST = 4000  # points a curve
+OTHER_FORM = "no held model of a slow pole and lags, which hexjet identify writes; nothing else can be flown here"
+
+
+@dataclass(frozen=True)
+class StatedModel:
+    """A model as a file states it; without channels where that does not."""
+
+    path: Path
+    what: str
+    signals: LogSignals
+    form: Form
+    x: Array
+    gain: float
+
+
+@dataclass(frozen=True)
+class Validation:
+    """How a model answers the commands of a log."""
+
+    model: StatedModel
+    log: Path
+    seconds: float
+    step: float
+    fit: float  # 1 less the error's standard deviation over the output's; 1 is perfect, 0 the mean
+    nrmse: float  # of the simulation, over the output's standard deviation
+    theil: float  # U of the simulation: 0 perfect, 1 useless
+    ahead: float  # the same as fit, of the change of the output over AHEAD_S
+    autocorrelation: float  # of the simulation's error from one sample to the next but AHEAD_S
+    delay_off: float  # s by which another delay would fit better, the rest of the model kept
+    signals: tuple[tuple[Array, Array, Array, Array], ...]  # of each stretch: times, command, output, model
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "model": str(self.model.path),
+            "log": str(self.log),
+            "what": self.model.what,
+            **self.model.signals._asdict(),
+            "seconds": self.seconds,
+            "fit": self.fit,
+            "nrmse": self.nrmse,
+            "theil_u": self.theil,
+            "fit_of_changes": self.ahead,
+            "changes_over_s": AHEAD_S,
+            "error_autocorrelation": self.autocorrelation,
+            "better_delay_by_s": self.delay_off,
+            "notes": list(self.notes),
+        }
+
+
+def read_model(path: Path, axis: str | None = None) -> StatedModel:
+    """``identification.json`` of ``hexjet identify log``, its folder, or a model file of any ``hexjet identify``.
+
+    ``axis`` chooses from a model file of more than one.  Raises InputError.
+    """
+    file = path / "identification.json" if path.is_dir() else path
+    if file.suffix.lower() == ".toml":
+        return _of_model_file(file, axis)
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+        best = data["estimates"][0]
+        form = Form(bool(data["engine"]), sum(name.startswith("lag") and name.endswith("_s") for name in best))
+        wants = LogSignals(*(str(data[name]) for name in LogSignals._fields))
+        x = np.array([float(best[name]) for name in form.names])
+        return StatedModel(file, str(data["what"]), wants, form, x, float(best["gain"]))
+    except OSError as error:
+        raise InputError(f"{file}: {error.strerror or error}") from error
+    except (ValueError, KeyError, IndexError, TypeError) as error:
+        raise InputError(
+            f"{file}: is no identification.json of hexjet identify log ({one_line(error)}); "
+            "allowed: that file, its folder, a model file (.toml)"
+        ) from error
+
+
+def _of_model_file(file: Path, axis: str | None) -> StatedModel:
+    """From z back to the continuous form; the file does not say which channels of a log it is of."""
+    stated = [
+        (name, RateModel.model_validate(model))
+        for models in read_models(file).values()
+        for name, model in models.items()
+        if axis in (None, name)
+    ]
+    if len(stated) != 1:
+        of = f" of {axis}" if axis else ""
+        raise InputError(f"{file}: {len(stated)} models{of}; say --axis of one that is there")
+    what, model = stated[0]
+    step = model.sample_time_s
+    if model.pole_pairs or model.zero_pairs or not all(0.0 < pole <= 1.0 for pole in model.poles):
+        raise InputError(f"{file}: {what}: {OTHER_FORM}")
+    rate, *fast = sorted(-np.log(pole) / step for pole in model.poles)
+    if not all(pole > 0.0 for pole in fast) or not fast:
+        raise InputError(f"{file}: {what}: {OTHER_FORM}")
+    lags = tuple(float(1.0 / pole) for pole in fast)
+    unit = Continuous(1.0, float(rate), lags, model.delay_samples, step).discrete("")
+    gain = model.gain / unit.gain
+    if len(unit.zeros) != len(model.zeros) or not np.allclose(unit.zeros, sorted(model.zeros), rtol=1e-3, atol=1e-3):
+        raise InputError(f"{file}: {what}: {OTHER_FORM}")
+    x = np.array([rate, *lags, model.delay_samples * step])
+    return StatedModel(file, what, LogSignals("", ""), Form(False, len(lags)), x, float(gain))
+
+
+def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end: float | None = None) -> Validation:
+    """Fly the model with the log's command; each stretch may choose its offset and what was under way at its start.
+
+    Raises InputError where the log has not the model's channels, or no stretch that can be used.
+    """
+    chosen = model.signals
+    if not (log.has(chosen.command) and log.has(chosen.output)):
+        chosen = signals_of(log, model.what)
+        model = replace(model, signals=chosen)
+    longest = max(2.0 * float(model.x[-1]), 0.1)
+    of_sums: list[str] = []
+    command, output = log.signal(chosen.command, of_sums), log.signal(chosen.output, of_sums)
+    prepared = prepare(command, output, longest, None, begin, end)
+    problems = [Problem([stretch], prepared.working_step, longest, gap=0) for stretch in prepared.by_stamps]
+    signals = []
+    for stretch, problem in zip(prepared.by_stamps, problems, strict=True):
+        use = problem.present
+        times, answer = stretch.averaged(stretch.times)[use], _simulated(problem, model, model.x)
+        signals.append((stretch.start + times, stretch.commanded(times), problem.output[use], answer[use]))
+    fits = [(output, answer) for _, _, output, answer in signals]
+    measured = np.concatenate([output - output.mean() for output, _ in fits])
+    error = np.concatenate([output - answer for output, answer in fits])
+    size = float(np.std(measured))
+    if not size > 0.0:
+        raise InputError(f"{log.path}: {chosen.output} does not move")
+    lag = max(1, round(AHEAD_S / prepared.working_step))
+    changes = [(o[lag:] - o[:-lag], m[lag:] - m[:-lag]) for o, m in fits if len(o) > 2 * lag]
+    moved = np.concatenate([o for o, _ in changes]) if changes else measured
+    missed = np.concatenate([o - m for o, m in changes]) if changes else error
+    rms = float(np.sqrt(np.mean(error**2)))
+    model_rms = np.sqrt(np.mean(np.concatenate([m - m.mean() for _, m in fits]) ** 2))
+    return Validation(
+        model,
+        log.path,
+        prepared.seconds,
+        prepared.working_step,
+        1.0 - float(np.std(error)) / size,
+        rms / size,
+        rms / (float(np.sqrt(np.mean(measured**2))) + float(model_rms)),
+        1.0 - float(np.sqrt(np.mean(missed**2))) / float(np.sqrt(np.mean(moved**2))),
+        _correlation([o - m for o, m in fits], lag),
+        _better_delay(problems, model, longest),
+        tuple(signals),
+        (*log.remarks, *of_sums, *prepared.notes),
+    )
+
+
+def _simulated(problem: Problem, model: StatedModel, x: Array) -> Array:
+    """With the stated gain; offset and what was under way as suit the output best."""
+    columns = problem.columns(model.form, x)
+    answer, others = model.gain * columns[:, 0], columns[:, 1:]
+    use = problem.present
+    rest = np.linalg.lstsq(others[use], (problem.output - answer)[use], rcond=1e-12)[0]
+    return np.asarray(answer + others @ rest)
+
+
+def _better_delay(problems: Sequence[Problem], model: StatedModel, longest: float) -> float:
+    """By how much another delay would lower the error of the output's changes from sample to sample."""
+    best = (np.inf, 0.0)
+    step = problems[0].stretches[0].step
+    for delay in np.arange(0.0, longest, step):
+        x = model.x.copy()
+        x[-1] = delay
+        loss = 0.0
+        for problem in problems:
+            error = (problem.output - _simulated(problem, model, x))[problem.present]
+            loss += float(np.sum(np.diff(error) ** 2))
+        best = min(best, (loss, float(delay) - float(model.x[-1])))
+    return best[1]
+
+
+def _correlation(errors: Sequence[Array], lag: int) -> float:
+    long = [error - error.mean() for error in errors if len(error) > 2 * lag]
+    if not long:
+        return float("nan")
+    power = sum(float(e @ e) for e in long)
+    return sum(float(e[lag:] @ e[:-lag]) for e in long) / power if power > 0.0 else 0.0
+
+
+def rows(validation: Validation) -> list[tuple[str, str]]:
+    """What the table says."""
+    made = [
+        ("fit of the simulation (1: perfect, 0: no better than its mean)", f"{validation.fit:.3f}"),
+        ("NRMSE, over the output's standard deviation", f"{validation.nrmse:.3f}"),
+        ("Theil's U (0: perfect, 1: useless)", f"{validation.theil:.3f}"),
+        (f"fit of the change over {AHEAD_S:g} s", f"{validation.ahead:.3f}"),
+    ]
+    if np.isfinite(validation.autocorrelation):
+        made.append((f"autocorrelation of the error after {AHEAD_S:g} s", f"{validation.autocorrelation:.2f}"))
+    made.append(("a delay that fits better by, ms", f"{1e3 * validation.delay_off:+.1f}"))
+    return made
+
+
+def write(validation: Validation, folder: Path) -> dict[str, Path]:
+    """Write ``validation.json`` and ``report.html``.  Raises FlightError if a file cannot be written."""
+    paths = {"json": folder / "validation.json", "report": folder / "report.html"}
+    write_files({paths["json"]: json.dumps(validation.to_dict(), indent=2) + "\n"})
+    render(TEMPLATE, paths["report"], {"signals": _figure(validation)}, validation=validation, rows=rows(validation))
+    return paths
+
+
+def _figure(validation: Validation) -> dict[str, Any]:
+    data = []
+    for n, (times, command, output, model) in enumerate(validation.signals):
+        every, named = slice(None, None, max(1, len(times) // _MOST)), {"showlegend": n == 0}
+        for name, colour, values, panel, how in (
+            ("command", GREY, command, 0, {}),
+            ("flown", ORANGE, output, 1, beneath(ORANGE)),
+            ("model", BLUE, model, 1, {}),
+        ):
+            data.append(trace(name, colour, times[every], values[every], panel, **named, **how))
+    titles = (validation.model.signals.command_unit, validation.model.signals.output_unit)
+    layout = panels(520, "time [s]", titles, log=False, domains=((0.7, 1.0), (0.0, 0.65)))
+    return {"data": data, "layout": layout | HOVER}

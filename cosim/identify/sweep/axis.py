@@ -1,0 +1,350 @@
+"""Sweeping one axis of the flying vehicle: torque command in, measured rate out, with the loop closed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError, NotIdentifiedError
+from cosim.base.signals import AXES, Sample
+from cosim.base.storage.toml import parse_setting, set_path
+from cosim.control.predictors.registry import BASELINE
+from cosim.engine import EngineSpec, load_engine
+from cosim.identify.sweep.engine import settling_lag
+from cosim.identify.sweep.fit import Fit, fit
+from cosim.identify.sweep.response import FrequencyResponse, Record, estimate
+from cosim.identify.sweep.result import (
+    Identification,
+    Sweep,
+    check_band,
+    need_coherence,
+    suitable_duration,
+)
+from cosim.identify.sweep.verdict import why_refused
+from cosim.simulation.axis_chain import by_throttle, hinged_parts
+from cosim.simulation.build import build, effectiveness_of
+from cosim.simulation.delay_ledger import total_samples, why_none
+from cosim.simulation.ending import Ending
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen_from, load_vehicle
+
+LEAD_S = 1.0
+REST_S = 6.0  # after the sweep, for the loop to come to rest
+TO_HZ = 6.0  # at most, where nothing is said: quicker than any loop that is flown here
+LEAST_HZ = 0.1  # to begin with, where nothing is said: lower ones take longer than fuel and place stay the same
+SPAN = 20.0  # the highest frequency over the lowest, where nothing is said
+CORNERS = 4.0  # the highest frequency over an engine's corner: beyond, it hardly answers
+PARTAKES = 0.05  # share of an axis from which the engines' lag counts in it
+AMPLITUDE = 0.02  # to start with, in the unit of the axis; made smaller while it saturates
+MOST = {"throttle": 1.0, "rad": 1.5707963267948966, "rad/s^2": 200.0}  # amplitudes that no vehicle follows are above
+TRIES = 6
+MORE = 3.0  # times the amplitude, where the answer is lost in noise
+LOUDER = 3  # times that this is tried
+LESS = 0.3  # of the amplitude, to try again with after the vehicle was lost
+MARGIN = 0.8  # of the amplitude that would just have fitted
+UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}
+# of an angular acceleration: half of what AMPLITUDE of throttle gives the Hex-Jet, 433 rad/s^2 for all of it
+ACCELERATION, ACCELERATION_UNIT = 4.0, "rad/s^2"
+
+
+def identify_axis(
+    axis: str,
+    aircraft: str = "hexjet",
+    engine: str | None = None,
+    controller: str | None = None,
+    *,
+    substeps: int | None = None,
+    seed: int | None = None,
+    settings: Sequence[str] = (),
+    amplitude: float | None = None,
+    from_hz: float | None = None,
+    to_hz: float | None = None,
+    duration: float | None = None,
+    lags: int = 1,
+    hold: Mapping[str, float] | None = None,
+) -> Identification:
+    """Identify the rate response of an axis as a slow pole, ``lags`` lags and a delay.
+
+    A chirp is added to the rate controller's output while the vehicle holds still; the command is what was applied in
+    the end.  ``settings`` are ``KEY=VALUE`` over the scenario.  Beside the chosen form come the one with the engine's
+    own delay held, and one with a lag more.  Raises InputError for a band, an amplitude or a loop that does not serve.
+    """
+    if axis not in AXES:
+        raise InputError(f"unknown axis {axis!r}; allowed: {', '.join(AXES)}")
+    if amplitude is not None and not amplitude > 0.0:
+        raise InputError(f"--amplitude {amplitude:g}: must be above 0")
+    base = _scenario(axis, aircraft, engine, controller, substeps, seed, settings)
+    vehicle = base.resolved_vehicle()[0]
+    accelerates = vehicle.allocation == "effectiveness"
+    usual, unit = (ACCELERATION, ACCELERATION_UNIT) if accelerates else (AMPLITUDE, UNITS[axis])
+    if unit == "rad" and by_throttle(vehicle, AXES.index(axis)):
+        unit = UNITS["roll"]
+    size = usual if amplitude is None else amplitude
+    if size > MOST[unit]:
+        raise InputError(f"--amplitude {size:g}: at most {MOST[unit]:.4g} {unit}, which is more than any vehicle has")
+    low, high = _band(base, vehicle, axis, from_hz, to_hz)
+    check_band(low, high, duration, base.step_s)
+    seconds = suitable_duration(low) if duration is None else duration
+    asked, what = Sweep(low, high, size, seconds), f"{base.aircraft_name} {axis}"
+    flight, response, notes = _answered(base, axis, asked, amplitude is None, what, lags)
+    sweep, family = flight.sweep, flight.engine.family
+    # pitch and yaw turn the jets, they do not throttle them; what hinges and engines share has no one engine's delay
+    own = flight.engine.delay if axis == "roll" and not accelerates else None
+    fits = _fits(response, lags, hold, None if own is None else own / base.step_s)
+    return Identification(
+        kind="axis",
+        subject=base.aircraft_name,
+        engine=family,
+        channel=axis,
+        command_unit=unit,
+        output_unit="rad/s",
+        sweep=sweep,
+        response=response,
+        fits=fits,
+        source=f"swept {low:g} to {high:g} Hz in flight, amplitude {sweep.amplitude:.3g}, "
+        f"{base.aircraft_name} with {family}; {fits[0].label}",
+        ledger_samples=flight.ledger_samples,
+        no_ledger=flight.no_ledger,
+        engine_sha256=flight.engine.fingerprint,
+        reference=flight.vehicle.identified.get(family, {}).get(axis),  # type: ignore[call-overload]
+        notes=tuple(notes),
+    )
+
+
+# ---- flying
+
+
+def _band(
+    base: Scenario, vehicle: Vehicle, axis: str, from_hz: float | None, to_hz: float | None
+) -> tuple[float, float]:
+    """Return the band [Hz], what is not given by the lag of the engines where they turn the axis.
+
+    From the engine's answer to a step about hover: above CORNERS times its corner it hardly answers.
+    """
+    high = TO_HZ
+    if from_hz is None or to_hz is None:
+        parameters, unchecked = base.engine_parameters, base.engine_unchecked
+        engine = load_engine(base.engine, parameters, base.step_s, unchecked=unchecked, apart=base.engine_isolated)
+        if _turned_by_engines(base, vehicle, engine, AXES.index(axis)):
+            high = min(TO_HZ, CORNERS / (2.0 * np.pi * settling_lag(engine, base.step_s)))
+    high = high if to_hz is None else to_hz
+    low = min(max(high / SPAN, LEAST_HZ), 0.5 * high) if from_hz is None else from_hz
+    return _two_digits(low) if from_hz is None else low, _two_digits(high) if to_hz is None else high
+
+
+def _turned_by_engines(base: Scenario, vehicle: Vehicle, engine: EngineSpec, index: int) -> bool:
+    if vehicle.allocation != "effectiveness":
+        return by_throttle(vehicle, index)
+    parts = hinged_parts(vehicle, effectiveness_of(base, vehicle, engine), index, base.step_s)
+    return abs(parts[0].share) > PARTAKES
+
+
+def _answered(
+    base: Scenario, axis: str, sweep: Sweep, automatic: bool, what: str, lags: int
+) -> tuple[_Flight, FrequencyResponse, list[str]]:
+    """Fly the sweep and estimate the response; an automatic amplitude grows while points or the fit are lost in noise.
+
+    Raises NotIdentifiedError where it stays lost.
+    """
+    flight = _sweep(base, axis, sweep, automatic)
+    made: tuple[_Flight, FrequencyResponse, list[str]] | None = None
+    lost: NotIdentifiedError | None = None
+    for _ in range(LOUDER if automatic else 1):
+        try:
+            made = (flight, *_response(flight.record(), flight.sweep, what, lags))
+        except NotIdentifiedError as error:
+            lost = error
+        if not automatic or (made and not made[2] and not why_refused(fit(made[1], lags, "first"), engine=False)):
+            break
+        flight = _fly(base, axis, replace(sweep, amplitude=_two_digits(MORE * flight.sweep.amplitude)))
+        if not flight.fine:
+            break
+    if made is None:
+        assert lost is not None
+        raise lost
+    return made
+
+
+@dataclass(frozen=True)
+class _Flight:
+    """What a sweep left behind."""
+
+    sweep: Sweep
+    ending: Ending
+    vehicle: Vehicle
+    engine: EngineSpec
+    step: float
+    injected: Array
+    command: Array  # applied: asked for, late where a delay is added, disturbed, and less what was refused
+    rate: Array  # as the gyro gives it
+    ledger_samples: float | None  # what the delay ledger adds up to from command to rate; None: no_ledger says why
+    no_ledger: str
+    fits_in: float  # the share of the amplitude at which nothing would have been refused; 1 if nothing was
+
+    @property
+    def fine(self) -> bool:
+        return self.ending.outcome == "completed" and self.fits_in == 1.0
+
+    def record(self) -> Record:
+        return Record(self.injected, self.command, self.rate, self.step)
+
+
+class _Watch:
+    """Keeps what the identification needs of every step."""
+
+    def __init__(self, axis: int) -> None:
+        self._axis = axis
+        self.rows: list[tuple[float, float, float, float, float]] = []
+
+    def observe(self, sample: Sample) -> None:
+        axis, unallocated = self._axis, sample.actuation.unallocated
+        self.rows.append(
+            (
+                sample.control.torque[axis],
+                sample.disturbance.torque_command[axis],
+                unallocated[axis],
+                unallocated.collective if axis == 0 else 0.0,
+                sample.measured.rate[axis],
+            )
+        )
+
+
+def _scenario(
+    axis: str,
+    aircraft: str,
+    engine: str | None,
+    controller: str | None,
+    substeps: int | None,
+    seed: int | None,
+    settings: Sequence[str],
+) -> Scenario:
+    """Hover at the sample time of the aircraft's models; with the Smith predictor where there is one for the engine."""
+    data: dict[str, Any] = {"name": f"identify-{axis}", "duration_s": 1.0}
+    data["aircraft"] = aircraft_seen_from(aircraft, Path())
+    given = {"controller": controller, "substeps": substeps, "seed": seed}
+    given["engine"] = engine_of(data["aircraft"]) if engine is None else file_seen_from(engine, Path())
+    data |= {key: value for key, value in given.items() if value is not None}
+    for text in settings:
+        key, value = parse_setting(text)
+        set_path(data, key, value, f"identify {axis}: --set")
+    scenario = Scenario.from_table(data, Path(), f"identify {axis}")
+    vehicle, _ = load_vehicle(scenario.aircraft, scenario.vehicle, f"identify {axis}: vehicle")
+    changes: dict[str, Any] = {}
+    if "controller" not in data and Path(scenario.engine).name.removesuffix("-fmi2") not in vehicle.identified:
+        changes["controller"] = BASELINE.name
+    return scenario.replace(**changes) if changes else scenario
+
+
+def _sweep(base: Scenario, axis: str, sweep: Sweep, automatic: bool) -> _Flight:
+    """Fly the sweep, and smaller ones where it saturates, until one fits.
+
+    An automatic amplitude then is that one; of a given one the error says what would fit.  If none fits, the loop
+    itself is not stable.  Raises InputError.
+    """
+    flight = _fly(base, axis, sweep)
+    if flight.fine:
+        return flight
+    where = f"{base.aircraft_name} {axis} with {flight.engine.name}, controller {base.controller}"
+    smaller = flight
+    for _ in range(TRIES):
+        lost = smaller.ending.outcome != "completed"
+        share = LESS if lost else max(LESS, MARGIN * smaller.fits_in)
+        smaller = _fly(base, axis, replace(sweep, amplitude=_two_digits(share * smaller.sweep.amplitude)))
+        if smaller.fine or smaller.ending.outcome == "failed":
+            break
+    if smaller.ending.outcome == "failed":
+        raise InputError(f"{where}: {smaller.ending.reason}")
+    if not smaller.fine:
+        lost = smaller.ending.outcome != "completed"
+        how = smaller.ending.reason if lost else "it swings between its limits"
+        raise InputError(
+            f"{where}: the loop is not stable ({how}, swept with {smaller.sweep.amplitude:g}); choose another "
+            f"--controller or less gain: --set vehicle.control.rate.{axis}.p=..., vehicle.control.attitude.gain_1_s=..."
+        )
+    if automatic:
+        return smaller
+    lost = flight.ending.outcome != "completed"
+    what = f"loses the vehicle ({flight.ending.reason})" if lost else "saturates"
+    raise InputError(f"{where}: --amplitude {sweep.amplitude:g} {what}; {smaller.sweep.amplitude:g} fits")
+
+
+def _two_digits(value: float) -> float:
+    return float(f"{value:.2g}")
+
+
+def _fly(base: Scenario, axis: str, sweep: Sweep) -> _Flight:
+    step = base.step_s
+    low, high = sweep.chirp_hz(step)
+    length = round(sweep.duration_s / step)
+    lead, rest = round(LEAD_S / step), round(REST_S / step)
+    table = {
+        "kind": "torque_command",
+        "axis": axis,
+        "shape": "sweep",
+        "start_s": lead * step,
+        "duration_s": length * step,
+        "amplitude": sweep.amplitude,
+        "from_hz": low,
+        "to_hz": high,
+    }
+    before = [entry.model_dump(mode="json", exclude_none=True) for entry in base.disturbance]
+    scenario = base.replace(duration_s=(lead + length + rest) * step, disturbance=[*before, table])
+    index = AXES.index(axis)
+    watch = _Watch(index)
+    with build(scenario) as simulation:
+        ending = simulation.run([watch])
+        vehicle, engine = simulation.vehicle, simulation.engine
+        ledger, no_ledger = total_samples(simulation.ledger, axis), why_none(simulation.ledger, axis)
+    asked, injected, refused, cut, rate = (np.array(column) for column in zip(*watch.rows, strict=True))
+    late = scenario.added_delay_samples if index == 0 else 0
+    if late:
+        asked = np.concatenate([np.zeros(late), asked[:-late]])[: len(asked)]
+    command = asked + injected
+    if ledger is not None:
+        ledger -= late
+    share = _granted(command, refused, cut)
+    return _Flight(sweep, ending, vehicle, engine, step, injected, command - refused, rate, ledger, no_ledger, share)
+
+
+def _granted(command: Array, refused: Array, cut: Array) -> float:
+    """The least share of the command that was granted; a collective that gave way to roll counts as refused roll."""
+    short = np.maximum(np.abs(refused), np.abs(cut))
+    hit = short > 0.0
+    if not hit.any():
+        return 1.0
+    return float(np.clip(1.0 - short[hit] / np.maximum(np.abs(command[hit]), short[hit]), 0.0, 0.999).min())
+
+
+# ---- response and fits
+
+
+def _response(record: Record, sweep: Sweep, what: str, lags: int) -> tuple[FrequencyResponse, list[str]]:
+    """Estimated twice, the second time around a first model; with what is to be said about it."""
+    response = estimate(record, sweep.from_hz, sweep.to_hz)
+    need_coherence(response, what, sweep.amplitude)
+    first = fit(response, lags, "first").model
+    response = estimate(record, sweep.from_hz, sweep.to_hz, first.response)
+    return response, need_coherence(response, what, sweep.amplitude)
+
+
+def _fits(
+    response: FrequencyResponse, lags: int, hold: Mapping[str, float] | None, delay: float | None
+) -> tuple[Fit, ...]:
+    """The chosen form, then those it is worth comparing with."""
+    kept = dict(hold or {})
+    name = "1 lag" if lags == 1 else f"{lags} lags"
+    fits = [fit(response, lags, name + _said(kept), kept)]
+    if not kept and delay is not None:
+        fits.append(fit(response, lags, f"{name}, engine's delay", {"delay_samples": delay}))
+    if not kept:
+        fits.append(fit(response, lags + 1, f"{lags + 1} lags"))
+    return tuple(fits)
+
+
+def _said(kept: Mapping[str, float]) -> str:
+    return "".join(f", {name} held" for name in kept)

@@ -1,0 +1,170 @@
+"""Sweeping one engine: throttle around an operating point, thrust out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import exp, log, pi, sqrt
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import EngineError, InputError
+from cosim.engine import EngineSpec, load_engine, make_bank
+from cosim.identify.sweep.fit import WHOLE, Fit, fit
+from cosim.identify.sweep.response import FrequencyResponse, Record, estimate, shortest_record
+from cosim.identify.sweep.result import (
+    LONGEST_SWEEP_S,
+    Identification,
+    Sweep,
+    check_band,
+    need_coherence,
+    suitable_duration,
+)
+from cosim.simulation.script.commander import sweep as chirp
+
+LEAD_STEPS = 10
+STILL = 1e-9  # of the thrust's swing: what is left of the sweep when the record ends
+LONGEST_S = 60.0  # that the thrust gets to come to rest
+SWING = exp(-pi / sqrt(3.0))  # the overshoot of a pair of poles that is damped by half: 16 %
+LEAST = 1.01  # times the lowest frequency that the longest sweep tells, where an engine's own is lower
+DECADES = (0.1, 10.0)  # the automatic band, around the corner frequency
+
+
+def identify_engine(
+    name: str | EngineSpec,
+    parameters: Mapping[str, float] | None = None,
+    *,
+    step: float = 0.004,
+    throttle: float = 0.5,
+    amplitude: float | None = None,
+    from_hz: float | None = None,
+    to_hz: float | None = None,
+    duration: float | None = None,
+    lags: int = 0,
+    hold: Mapping[str, float] | None = None,
+) -> Identification:
+    """Identify an engine (name, FMU file, or loaded) around ``throttle`` as one pole (and ``lags`` more) with a delay.
+
+    The delay counts as whole where it is within 0.05 samples of it.  An engine that breathes does so in the standard
+    atmosphere at sea level.  Raises InputError for an engine, a band or an
+    amplitude that does not serve, or an FMU that fails on the way.
+    """
+    engine = name if isinstance(name, EngineSpec) else load_engine(name, parameters or {}, step)
+    room = min(throttle, 1.0 - throttle)
+    if room <= 0.0:
+        raise InputError(f"--throttle {throttle:g}: must be between 0 and 1, so that it can be swept both ways")
+    size = 0.4 * room if amplitude is None else amplitude
+    if not 0.0 < size <= room:
+        raise InputError(f"--amplitude {size:g}: at throttle {throttle:g} it saturates; above 0 and at most {room:g}")
+    try:
+        low, high = _band(engine, throttle, size, step, from_hz, to_hz)
+        check_band(low, high, duration, step)
+        sweep = Sweep(low, high, size, suitable_duration(low) if duration is None else duration)
+        record = fly_sweep(engine, throttle, sweep, step)
+    except EngineError as error:
+        raise InputError(f"sweep of {engine.name}: {error}") from error
+    response = estimate(record, low, high)
+    need_coherence(response, f"engine {engine.name}: its thrust", size)
+    first = fit(response, lags, "free", hold)
+    response = estimate(record, low, high, first.model.response)
+    notes = need_coherence(response, f"engine {engine.name}: its thrust", size)
+    fits = _fits(response, lags, hold)
+    return Identification(
+        kind="engine",
+        subject=engine.name,
+        engine=engine.family,
+        channel="throttle to thrust",
+        command_unit="throttle",
+        output_unit="N",
+        sweep=sweep,
+        response=response,
+        fits=fits,
+        source=f"swept {low:.3g} to {high:.3g} Hz around throttle {throttle:g}, amplitude {size:.3g}",
+        ledger_samples=None,
+        reference=None,
+        notes=tuple(notes),
+    )
+
+
+def _fits(response: FrequencyResponse, lags: int, hold: Mapping[str, float] | None) -> tuple[Fit, ...]:
+    """The chosen form: with a whole delay, where that is what comes out free."""
+    free = fit(response, lags, "all free" if not hold else ", ".join(hold) + " held", hold)
+    whole = round(free.model.delay_samples)
+    if "delay_samples" in free.held or abs(free.model.delay_samples - whole) > WHOLE:
+        return (free,)
+    return (fit(response, lags, "whole delay", {**(hold or {}), "delay_samples": float(whole)}), free)
+
+
+def _band(
+    engine: EngineSpec, throttle: float, size: float, step: float, low: float | None, high: float | None
+) -> tuple[float, float]:
+    """What is not given: a decade either side of the corners that a step of the throttle shows, as low as may be."""
+    if low is not None and high is not None:
+        return low, high
+    quick, slow = (1.0 / (2.0 * np.pi * lag) for lag in _lags(engine, throttle, size, step))
+    least = shortest_record(1.0) / LONGEST_SWEEP_S
+    start = max(DECADES[0] * slow, LEAST * least) if low is None else low
+    end = min(DECADES[1] * quick, 0.4 / step) if high is None else high
+    return float(start), float(end)
+
+
+def settling_lag(engine: EngineSpec, step: float) -> float:
+    """Return the lag [s] with which an engine's thrust comes to its end after a small step about half throttle.
+
+    Raises InputError for an engine that does not answer.
+    """
+    throttle = 0.5
+    return _lags(engine, throttle, 0.02, step)[1]
+
+
+def _lags(engine: EngineSpec, throttle: float, size: float, step: float) -> tuple[float, float]:
+    """Return two lags in the answer to a step, s: of how it sets out, and of how it comes to its end.
+
+    Seconds from 10 to 90 % over ln 9: the time constant if it were one lag.  The second is until it stays within
+    :data:`SWING` of its end, where that is later: thrust that goes far beyond its end and comes back has it longer, and
+    a pair of poles that is damped by half has not.
+    """
+    with make_bank([engine], step) as bank:
+        before = bank.reset(throttle).thrust[0]
+        course: list[float] = []
+        window = engine.window
+        while len(course) * step < LONGEST_S:
+            course += [bank.step(len(course) + i, (throttle + size,)).thrust[0] for i in range(window)]
+            swing = np.abs(np.array(course) - before).max()
+            if swing > 0.0 and np.ptp(course[-window:]) <= 1e-6 * swing:
+                break
+    moved = np.abs(np.array(course) - before)
+    if moved[-1] <= 1e-9 * max(1.0, abs(before)):
+        more = f"; raise --amplitude (now {size:g})" if size < min(throttle, 1.0 - throttle) else ""
+        raise InputError(f"engine {engine.name}: its thrust does not answer the throttle around {throttle:g}{more}")
+    first = int(np.argmax(moved >= 0.1 * moved[-1]))
+    rise = int(np.argmax(moved >= 0.9 * moved[-1])) - first
+    outside = np.flatnonzero(np.abs(np.array(course) - course[-1]) > SWING * moved[-1])
+    settled = int(outside[-1]) + 1 - first if len(outside) else rise
+    return max(rise, 1) * step / log(9.0), max(rise, settled, 1) * step / log(9.0)
+
+
+def fly_sweep(engine: EngineSpec, throttle: float, sweep: Sweep, step: float) -> Record:
+    """From rest through the sweep to rest: the deviations of throttle and thrust."""
+    low, high = sweep.chirp_hz(step)
+    length = round(sweep.duration_s / step)
+    wave = chirp(step, LEAD_STEPS, length, sweep.amplitude, low, high)
+    with make_bank([engine], step) as bank:
+        start = bank.reset(throttle).thrust[0]
+        thrust = [start]
+        command: list[float] = []
+        end = LEAD_STEPS + length
+        window = engine.window
+        swing = 0.0
+        while True:
+            k = len(command)
+            command.append(wave(k))
+            thrust.append(bank.step(k, (throttle + command[-1],)).thrust[0])
+            if k == end:
+                swing = float(np.ptp(thrust))
+            if k > end and (k - end) % window == 0:
+                tail = np.abs(np.array(thrust[-window:]) - start).max()
+                if tail <= STILL * swing or (k - end) * step > LONGEST_S:
+                    break
+    injected: Array = np.array(command)
+    return Record(injected, injected, np.array(thrust[:-1]) - start, step)

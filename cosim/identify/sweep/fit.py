@@ -1,0 +1,299 @@
+"""Fitting a model to a frequency response: ``k / ((s + a) (T1 s + 1) ...) e^(-delay s)`` behind a zero-order hold.
+
+One pole and no further lag is an engine; a slow pole, nearly an integrator, and one lag is the rate response of an
+axis.  The model is compared with the response as a computer sees it, held and sampled, a delay of a fraction of a
+sample included (modified z-transform), so that pole, gain and delay of a difference equation come out exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from math import exp, log, prod
+
+import numpy as np
+
+from cosim.base.arrays import Array, Complex
+from cosim.base.errors import InputError
+from cosim.identify.sweep.response import FrequencyResponse
+from cosim.spec.vehicle import RateModel
+
+LONGEST_DELAY_S = 10.0
+UNAMBIGUOUS = 0.75  # of the delay after which the phases of the two closest points repeat
+_EXP = 300.0  # whose exponential still is a number
+WHOLE = 0.05  # samples: nearer than this to a whole number, a delay may be taken as whole
+LEAST_COHERENCE = 0.6  # below it a point does not count (Tischler and Remple's bound)
+
+
+@dataclass(frozen=True)
+class Model:
+    """``gain / ((s + rate) prod(lag s + 1)) e^(-delay s)``, sampled every ``step`` seconds behind a hold."""
+
+    gain: float  # unit of the output per unit of the command and second
+    rate: float  # 1/s, the slow pole; 0 integrates
+    lags: tuple[float, ...]  # s
+    delay_samples: float
+    step: float  # s
+
+    @property
+    def poles_1_s(self) -> tuple[float, ...]:
+        """The poles, each as a decay in 1/s."""
+        return (self.rate, *(1.0 / lag for lag in self.lags))
+
+    @property
+    def poles(self) -> tuple[float, ...]:
+        """The poles in z."""
+        return tuple(exp(-pole * self.step) for pole in self.poles_1_s)
+
+    def modes(self) -> list[tuple[float, float]]:
+        """``(c, pole in 1/s)`` of ``sum c / (z - p)``: the held and sampled model without its delay."""
+        poles = apart(self.poles_1_s)
+        modes = []
+        for i, pole in enumerate(poles):
+            between = prod(other - pole for j, other in enumerate(poles) if j != i)
+            residue = self.gain / prod(self.lags) / between
+            held = -np.expm1(-pole * self.step) / pole if pole * self.step > 1e-12 else self.step
+            modes.append((float(residue * held), pole))
+        return modes
+
+    def response(self, hertz: Array) -> Complex:
+        """Of the held and sampled model with its delay."""
+        z = np.exp(2j * np.pi * hertz * self.step)
+        whole = int(self.delay_samples)
+        fraction = self.delay_samples - whole
+        total = np.zeros(len(hertz), complex)
+        for c, pole in self.modes():
+            share = _share(pole * self.step, fraction)
+            total += c * (share + (1.0 - share) / z) / (z - exp(-pole * self.step))
+        return np.asarray(total * z**-whole)
+
+    def discrete(self, source: str) -> RateModel:
+        """The form that a predictor reads: gain, zeros and poles in z, and the delay in samples."""
+        poles = self.poles
+        numerator = np.zeros(len(poles))
+        for i, (c, _) in enumerate(self.modes()):
+            numerator += c * np.poly([pole for j, pole in enumerate(poles) if j != i])
+        zeros = sorted(np.real(np.roots(numerator)).tolist()) if len(poles) > 1 else []
+        return RateModel(
+            gain=float(numerator[0]),
+            zeros=zeros,
+            poles=sorted(poles, reverse=True),
+            delay_samples=self.delay_samples,
+            sample_time_s=self.step,
+            source=source,
+        )
+
+
+def apart(poles: Iterable[float]) -> list[float]:
+    """The poles, those that are equal moved a little: partial fractions need different ones."""
+    made = list(poles)
+    for i in range(1, len(made)):
+        while any(abs(made[i] - other) <= 1e-6 * made[i] for other in made[:i]):
+            made[i] *= 1.0 + 1e-5
+    return made
+
+
+def _share(decay: float, fraction: float) -> float:
+    """How much of the held input of this step is in the next sample's state, for a delay of a fraction of a sample."""
+    if decay < 1e-9:
+        return 1.0 - fraction
+    return float(np.expm1(-decay * (1.0 - fraction)) / np.expm1(-decay))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model, its 95 % bounds, and how well it follows the response."""
+
+    label: str
+    model: Model
+    bounds: Mapping[str, tuple[float, float]]  # by the names of ``values``; held ones are left out
+    held: tuple[str, ...]
+    misfit: float  # root mean square of |ln(model / response)| over the points that count: 0.01 is 1 % or 0.6 deg
+    worst_db: float
+    worst_deg: float
+    all_delay_half: float = 0.0  # samples: 95 % bound of delay and lags together, which are known better than either
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The continuous parameters by name."""
+        return dict(zip(names(len(self.model.lags)), _natural(self.model), strict=True))
+
+
+def names(lags: int) -> list[str]:
+    """What is fitted, in order: ``gain``, ``rate_1_s``, ``lag_s`` (``lag_2_s``, ...), ``delay_samples``."""
+    return ["gain", "rate_1_s", *(f"lag_{i + 1}_s" if i else "lag_s" for i in range(lags)), "delay_samples"]
+
+
+def counts(response: FrequencyResponse) -> Array:
+    """The weight of each point: ``(1.58 (1 - exp(-coherence)))^2`` (Tischler and Remple), 0 below LEAST_COHERENCE."""
+    weight = (1.58 * (1.0 - np.exp(-response.coherence))) ** 2
+    return np.asarray(np.where(response.coherence >= LEAST_COHERENCE, weight, 0.0))
+
+
+def fit(response: FrequencyResponse, lags: int, label: str, hold: Mapping[str, float] | None = None) -> Fit:
+    """Least squares on log magnitude and phase, weighted by coherence, with the values in ``hold`` kept.
+
+    1 dB weighs as 6.6 deg, which is what the complex logarithm gives.  The bounds are those of the linearised problem
+    with the misfit taken for independent errors: where the form itself does not fit, they say how well the numbers are
+    pinned down, not that the form is right.  Raises InputError for an unknown name in ``hold`` or too few points.
+    """
+    hold = dict(hold or {})
+    known = names(lags)
+    for name in hold:
+        if name not in known:
+            raise InputError(f"--hold {name}: not a parameter of this form; allowed: {', '.join(known)}")
+    weight = counts(response)
+    use = weight > 0.0
+    if int(use.sum()) < len(known):
+        raise InputError(
+            f"only {int(use.sum())} points of the response count, too few for {len(known)} parameters; "
+            "widen the band or sweep longer"
+        )
+    problem = _Problem(response.hertz[use], response.value[use], np.sqrt(weight[use]), response.step, lags, hold)
+    return problem.solve(label)
+
+
+def _logarithmic(name: str) -> bool:
+    return name == "gain" or name.startswith("lag")
+
+
+class _Problem:
+    """The vector that is fitted is ``ln |gain|, rate, ln lag ..., delay`` without what is held."""
+
+    def __init__(
+        self, hertz: Array, value: Complex, weight: Array, step: float, lags: int, hold: Mapping[str, float]
+    ) -> None:
+        self.hertz, self.value, self.weight, self.step, self.lags = hertz, value, weight, step, lags
+        self.names = names(lags)
+        self.free = [i for i, name in enumerate(self.names) if name not in hold]
+        self.sign = 1.0
+        fastest = 0.5 / step
+        # the phases of points a frequency apart repeat after a delay of one over it: longer ones look like shorter ones
+        longest = min(LONGEST_DELAY_S, UNAMBIGUOUS / float(np.diff(hertz).min())) / step
+        self.low = np.array([-60.0, 0.0, *[log(1e-3 * step)] * lags, 0.0])
+        self.high = np.array([60.0, 20.0 * fastest, *[log(1e3)] * lags, longest])
+        self.full = np.zeros(len(self.names))
+        for name, held in hold.items():
+            i = self.names.index(name)
+            if _logarithmic(name) and not held > 0.0:
+                raise InputError(f"--hold {name}={held:g}: must be above 0")
+            self.full[i] = log(held) if _logarithmic(name) else held
+            if not self.low[i] <= self.full[i] <= self.high[i]:
+                raise InputError(f"--hold {name}={held:g}: out of range")
+
+    def model(self, x: Array) -> Model:
+        full = self.full.copy()
+        full[self.free] = x
+        return Model(
+            self.sign * exp(full[0]),
+            float(full[1]),
+            tuple(exp(value) for value in full[2:-1]),
+            float(full[-1]),
+            self.step,
+        )
+
+    def error(self, model: Model) -> Complex:
+        """ln(model / response), its phase between -pi and pi."""
+        return np.asarray(np.log(model.response(self.hertz) / self.value))
+
+    def residuals(self, x: Array) -> Array:
+        error = self.error(self.model(x))
+        return np.concatenate([self.weight * error.real, self.weight * error.imag])
+
+    def start(self) -> Array:
+        """Magnitude first, which knows no delay and no sign; then the delay and the sign that fit the phase best."""
+        from scipy.optimize import least_squares
+
+        low_hz, high_hz = float(self.hertz[0]), float(self.hertz[-1])
+        middle = 2.0 * np.pi * np.sqrt(low_hz * high_hz)
+        x = self.full.copy()
+        guess = [middle if self.lags == 0 else 0.1 * middle, *(-log(middle * 2.0**i) for i in range(self.lags))]
+        for i, value in enumerate(guess, start=1):
+            x[i] = value if i in self.free else x[i]
+        flat = np.log(np.abs(self.value)) - np.log(np.abs(self.model(x[self.free]).response(self.hertz)))
+        if 0 in self.free:
+            x[0] += float(np.average(flat, weights=self.weight))
+        shape = [i for i in self.free if i != len(x) - 1]
+
+        def magnitude(part: Array) -> Array:
+            x[shape] = part
+            return np.asarray(self.weight * self.error(self.model(x[self.free])).real)
+
+        if shape:
+            x[shape] = least_squares(
+                magnitude, x[shape], bounds=(self.low[shape], self.high[shape]), x_scale="jac"
+            ).x  # fmt: skip
+        self._phase(x)
+        return np.asarray(np.clip(x[self.free], self.low[self.free], self.high[self.free]))
+
+    def _phase(self, x: Array) -> None:
+        last = len(x) - 1
+        delays = np.arange(0.0, self.high[last] + 1.0) if last in self.free else x[last:]
+        undelayed = x.copy()
+        undelayed[last] = 0.0
+        keep = self.full[last]
+        self.full[last] = 0.0
+        base = self.error(self.model(undelayed[self.free]))
+        self.full[last] = keep
+        turn = -2j * np.pi * self.hertz[None, :] * self.step * delays[:, None]
+        best = None
+        for sign in (1.0, -1.0):
+            off = np.angle(sign * np.exp(1j * base.imag[None, :] + turn))
+            cost = (self.weight * off) ** 2 @ np.ones(len(self.hertz))
+            i = int(np.argmin(cost))
+            if best is None or cost[i] < best[0]:
+                best = (float(cost[i]), sign, float(delays[i]))
+        assert best is not None
+        self.sign, x[last] = best[1], best[2]
+
+    def _ends(self, name: str, value: float, wide: float) -> tuple[float, float]:
+        """The bounds in the parameter's own unit; those of a pole's rate and of a delay do not go below 0."""
+        low, high = value - wide, value + wide
+        if not _logarithmic(name):
+            return max(low, 0.0), high
+        scale = self.sign if name == "gain" else 1.0
+        first, last = sorted((scale * exp(max(low, -_EXP)), scale * exp(min(high, _EXP))))
+        return first, last
+
+    def solve(self, label: str) -> Fit:
+        from scipy.optimize import least_squares
+        from scipy.special import stdtrit
+
+        x = self.start()
+        if self.free:
+            bounds = (self.low[self.free], self.high[self.free])
+            solution = least_squares(
+                self.residuals, x, bounds=bounds, x_scale="jac", xtol=1e-13, ftol=1e-13, gtol=1e-13, max_nfev=400
+            )
+            x = solution.x
+            jacobian = solution.jac
+        error = self.error(self.model(x))
+        model = self.model(x)
+        spread: dict[str, tuple[float, float]] = {}
+        together = 0.0
+        if self.free:
+            freedom = 2 * len(self.hertz) - len(self.free)
+            variance = float(np.sum(self.residuals(x) ** 2)) / freedom
+            covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
+            wide_by = float(stdtrit(freedom, 0.975))
+            half = wide_by * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+            lags = dict(zip(self.names[2:-1], model.lags, strict=True))
+            slope = [lags[name] / self.step if name in lags else float(name == "delay_samples") for name in self.names]
+            turn = np.array(slope)[self.free]
+            together = wide_by * float(np.sqrt(max(float(turn @ covariance @ turn), 0.0)))
+            for i, value, wide in zip(self.free, x, half, strict=True):
+                spread[self.names[i]] = self._ends(self.names[i], float(value), float(wide))
+        return Fit(
+            label,
+            model,
+            spread,
+            tuple(name for i, name in enumerate(self.names) if i not in self.free),
+            float(np.sqrt(np.mean(np.abs(error) ** 2))),
+            float(np.abs(error.real).max() * 20.0 / log(10.0)),
+            float(np.degrees(np.abs(error.imag).max())),
+            together,
+        )
+
+
+def _natural(model: Model) -> list[float]:
+    return [model.gain, model.rate, *model.lags, model.delay_samples]

@@ -1,0 +1,153 @@
+"""What an identification leaves in a folder, and the figure of its page.
+
+In it: measured, fitted and stated, how far off, and the coherence.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array, Complex
+from cosim.base.storage.files import write_files
+from cosim.base.storage.toml import toml_text
+from cosim.identify.sweep.result import (
+    Identification,
+    equations,
+    fit_rows,
+    rate_response,
+)
+from cosim.results.report.page import render
+from cosim.results.report.plot import BLUE, GREEN, GREY, MAGENTA, ORANGE
+
+Figure = dict[str, Any]
+
+TEMPLATE = Path(__file__).parent / "templates" / "identify.html"
+
+_POINTS = 300
+_COLOURS = (BLUE, GREEN, MAGENTA)
+_DOMAINS = ((0.76, 1.0), (0.5, 0.73), (0.32, 0.47), (0.14, 0.29), (0.0, 0.11))
+_TITLES = ("Magnitude [dB]", "Phase [deg]", "Off by [dB]", "Off by [deg]", "Coherence")
+_COHERENCE = 4
+
+
+def write(identification: Identification, folder: Path) -> dict[str, Path]:
+    """Write ``identification.json``, ``response.csv``, ``report.html`` and, for an axis, ``model.toml``.
+
+    Where the fit is refused there is no ``model.toml``, and one that an earlier call left in the folder is removed.
+    Raises FlightError if a file cannot be written.
+    """
+    paths = {"json": folder / "identification.json", "response": folder / "response.csv"}
+    texts = {
+        "json": json.dumps(identification.to_dict(), indent=2, allow_nan=False) + "\n",
+        "response": _csv(identification),
+    }
+    if identification.kind == "axis" and identification.refused:
+        (folder / "model.toml").unlink(missing_ok=True)
+    elif identification.kind == "axis":
+        paths["model"] = folder / "model.toml"
+        texts["model"] = toml_text(identification.model_table())
+    write_files({path: texts[name] for name, path in paths.items()})
+    paths["report"] = folder / "report.html"
+    write_page(identification, paths["report"])
+    return paths
+
+
+def _csv(identification: Identification) -> str:
+    response = identification.response
+    columns: Mapping[str, Array] = {
+        "frequency_hz": response.hertz,
+        "magnitude_db": response.magnitude_db,
+        "phase_deg": response.phase_deg,
+        "coherence": response.coherence,
+        "relative_spread": response.spread,
+    }
+    lines = [",".join(columns)]
+    lines += [",".join(f"{value:.9g}" for value in row) for row in zip(*columns.values(), strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+def write_page(identification: Identification, path: Path) -> None:
+    """Write the page of an identification.  Raises FlightError if the file cannot be written."""
+    render(
+        TEMPLATE,
+        path,
+        {"response": response_figure(identification)},
+        found=identification,
+        columns=[fit.label for fit in identification.fits],
+        rows=fit_rows(identification),
+        equation="" if identification.refused else "\n       ".join(equations(identification)),
+        source=identification.source,
+    )
+
+
+def response_figure(identification: Identification) -> Figure:
+    """Plotly's figure schema; the curves are drawn at the frequencies of the sweep, on one logarithmic axis."""
+    response = identification.response
+    hertz = np.geomspace(response.hertz[0], response.hertz[-1], _POINTS)
+    data = _curve("measured", ORANGE, "markers", response.hertz, response.magnitude_db, response.phase_deg)
+    data.append(_trace("coherence", GREY, "lines+markers", response.hertz, response.coherence, _COHERENCE))
+    for number, fit in enumerate(identification.fits):
+        data += _model_curves(
+            fit.label, _COLOURS[number % len(_COLOURS)], fit.model.response, hertz, identification, "solid"
+        )
+    if identification.reference is not None:
+        data += _model_curves(
+            "stated model", GREY, partial(rate_response, identification.reference), hertz, identification, "dash"
+        )
+    layout: Figure = {
+        "height": 860,
+        "margin": {"l": 64, "r": 12, "t": 40, "b": 44},
+        "hovermode": "x unified",
+        "hoversubplots": "axis",
+        "legend": {"orientation": "h", "x": 0, "y": 1.0, "xanchor": "left", "yanchor": "bottom"},
+        "xaxis": {"type": "log", "title": {"text": "frequency [Hz]"}, "anchor": "y5", "hoverformat": ".3~g"},
+    }
+    for number, (domain, title) in enumerate(zip(_DOMAINS, _TITLES, strict=True)):
+        axis: Figure = {"domain": list(domain), "anchor": "x", "title": {"text": title}}
+        if number == _COHERENCE:
+            axis["range"] = [0.0, 1.05]
+        layout["yaxis" if number == 0 else f"yaxis{number + 1}"] = axis
+    return {"data": data, "layout": layout}
+
+
+def _model_curves(
+    label: str, colour: str, model: Callable[[Array], Complex], hertz: Array, identification: Identification, dash: str
+) -> list[Figure]:
+    """A model's curve, its phase on the same turn of the circle as the measured one, and model over measured."""
+    value = model(hertz)
+    phase = np.degrees(np.unwrap(np.angle(value)))
+    turns = np.round((identification.response.phase_deg[0] - phase[0]) / 360.0)
+    curves = _curve(label, colour, "lines", hertz, 20.0 * np.log10(np.abs(value)), phase + 360.0 * turns)
+    at = identification.response.hertz
+    ratio = model(at) / identification.response.value
+    curves.append(_trace(label, colour, "lines", at, 20.0 * np.log10(np.abs(ratio)), 2))
+    curves.append(_trace(label, colour, "lines", at, np.degrees(np.angle(ratio)), 3))
+    for trace in curves:
+        trace["line"]["dash"] = dash
+    return curves
+
+
+def _curve(label: str, colour: str, mode: str, hertz: Array, magnitude: Array, phase: Array) -> list[Figure]:
+    return [_trace(label, colour, mode, hertz, magnitude, 0), _trace(label, colour, mode, hertz, phase, 1)]
+
+
+def _trace(label: str, colour: str, mode: str, hertz: Array, values: Array, panel: int) -> Figure:
+    return {
+        "type": "scatter",
+        "mode": mode,
+        "name": label,
+        "legendgroup": label,
+        "showlegend": panel == 0,
+        "hovertemplate": f"{label}: %{{y:.4~g}}<extra></extra>",
+        "marker": {"size": 6, "color": colour},
+        "line": {"color": colour, "width": 1.8},
+        "x": np.asarray(hertz, np.float64),
+        "y": np.asarray(values, np.float64),
+        "yaxis": "y" if panel == 0 else f"y{panel + 1}",
+    }

@@ -1,0 +1,279 @@
+"""What an identification came to: as JSON, as the model file of a predictor, as a page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array, Complex
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError, NotIdentifiedError
+from cosim.identify.sweep.fit import LEAST_COHERENCE, Fit
+from cosim.identify.sweep.response import FrequencyResponse, shortest_record
+from cosim.identify.sweep.verdict import (
+    all_delay_is_determined,
+    half_width,
+    is_determined,
+    is_none,
+    why_refused,
+)
+from cosim.spec.vehicle import RateModel
+
+CHIRP_MARGIN = (0.7, 1.2)  # the chirp runs from this times the lowest to this times the highest frequency of the band
+LONGEST_SWEEP_S = 3600.0
+CYCLES = 20.0  # of the lowest frequency, in a sweep of automatic duration
+USABLE = 0.5  # share of the points that must have coherence
+SLOW_POLE = 20.0  # 1/s: a slow pole that may be faster is not known at all
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """An exponential chirp, somewhat wider than the band in which the response is wanted."""
+
+    from_hz: float
+    to_hz: float
+    amplitude: float
+    duration_s: float
+
+    def chirp_hz(self, step: float) -> tuple[float, float]:
+        """First and last frequency, below the Nyquist frequency."""
+        return CHIRP_MARGIN[0] * self.from_hz, min(CHIRP_MARGIN[1] * self.to_hz, 0.49 / step)
+
+
+@dataclass(frozen=True)
+class Identification:
+    """One input, one output: the response and the models fitted to it, the first being the chosen one."""
+
+    kind: str  # "engine" or "axis"
+    subject: str  # the engine, or the aircraft
+    engine: str  # what the model is filed under
+    channel: str  # "throttle to thrust", or the axis
+    command_unit: str
+    output_unit: str
+    sweep: Sweep
+    response: FrequencyResponse
+    fits: tuple[Fit, ...]
+    source: str
+    ledger_samples: float | None  # low-frequency delay that the delay ledger states
+    reference: RateModel | None  # the model that the aircraft states
+    notes: tuple[str, ...]
+    engine_sha256: str = ""  # EngineSpec.fingerprint
+    no_ledger: str = ""  # why the delay ledger of the axis has no sum
+
+    @property
+    def chosen(self) -> Fit:
+        """The fit that goes into the model file."""
+        return self.fits[0]
+
+    @property
+    def refused(self) -> list[str]:
+        """Why the chosen fit is no model that may be used, a line a reason; empty where it is one."""
+        return why_refused(self.chosen, self.kind == "engine")
+
+    @property
+    def model(self) -> RateModel:
+        """The chosen model as a predictor reads it."""
+        model = self.chosen.model.discrete(self.source)
+        return model.model_copy(update={"engine_sha256": self.engine_sha256}) if self.kind == "axis" else model
+
+    def reference_deviation(self) -> tuple[float, float] | None:
+        """How far the stated model is from the measured response where that has coherence: most dB, most deg."""
+        if self.reference is None:
+            return None
+        use = self.response.coherence >= LEAST_COHERENCE
+        error = np.log(rate_response(self.reference, self.response.hertz[use]) / self.response.value[use])
+        return float(np.abs(error.real).max() * 20.0 / np.log(10.0)), float(np.degrees(np.abs(error.imag).max()))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything but the points of the response, for JSON."""
+        deviation = self.reference_deviation()
+        return {
+            "kind": self.kind,
+            "subject": self.subject,
+            "engine": self.engine,
+            "channel": self.channel,
+            "found": not self.refused,
+            "refused": self.refused,
+            "command_unit": self.command_unit,
+            "output_unit": self.output_unit,
+            "sample_time_s": self.response.step,
+            "sweep": vars(self.sweep),
+            "points": len(self.response.hertz),
+            "coherence_min": float(self.response.coherence.min()),
+            "coherence_median": float(np.median(self.response.coherence)),
+            "fits": [fit_dict(fit, self.source, self.kind == "engine") for fit in self.fits],
+            "ledger_samples": self.ledger_samples,
+            "no_ledger": self.no_ledger or None,
+            "reference": None
+            if self.reference is None or deviation is None
+            else self.reference.model_dump() | {"worst_db": deviation[0], "worst_deg": deviation[1]},
+            "notes": list(self.notes),
+        }
+
+    def model_table(self) -> dict[str, Any]:
+        """The table of the model file: ``identified.<engine>.<axis>``."""
+        return {"identified": {self.engine: {self.channel: self.model.model_dump()}}}
+
+
+def fit_dict(fit: Fit, source: str, engine: bool) -> dict[str, Any]:
+    """A fit for JSON: continuous parameters with their bounds, the discrete form, and the misfit."""
+    model = fit.model
+    values: dict[str, Any] = dict(fit.values)
+    axis = {} if engine else {"low_frequency_delay_samples": low_frequency_delay(fit)}
+    axis |= {} if engine else {"low_frequency_delay_bound_95_samples": fit.all_delay_half}
+    if engine and model.rate > 0.0:
+        slow = 1.0 / model.rate
+        values |= {"time_constant_s": slow, "gain_at_rest": model.gain * slow}
+    return {
+        "label": fit.label,
+        "continuous": values | {"delay_s": model.delay_samples * model.step},
+        "bounds_95": {name: list(ends) for name, ends in fit.bounds.items()},
+        "held": list(fit.held),
+        "discrete": model.discrete(source).model_dump(),
+        **axis,
+        "misfit": fit.misfit,
+        "worst_db": fit.worst_db,
+        "worst_deg": fit.worst_deg,
+    }
+
+
+def rate_response(model: RateModel, hertz: Array) -> Complex:
+    """Of a stated discrete model, the fraction of a sample in its delay taken as pure phase."""
+    z = np.exp(2j * np.pi * hertz * model.sample_time_s)
+    over = np.prod([z - zero for zero in model.all_zeros], axis=0) if model.all_zeros else np.ones(len(hertz))
+    under = np.prod([z - pole for pole in model.all_poles], axis=0)
+    return np.asarray(model.gain * over / under * z**-model.delay_samples)
+
+
+def check_band(low: float, high: float, duration: float | None, step: float) -> None:
+    """Refuse a band or a duration that cannot give a response.  Raises InputError."""
+    nyquist = 0.5 / step
+    if high >= nyquist:
+        raise InputError(f"--to-hz {high:g}: must be below {nyquist:g} Hz, half the sample rate")
+    if not 0.0 < low < high:
+        raise InputError(f"--from-hz {low:g}, --to-hz {high:g}: the band must go from a lower to a higher frequency")
+    if shortest_record(low) > LONGEST_SWEEP_S:
+        raise InputError(f"--from-hz {low:g}: must be at least {shortest_record(1.0) / LONGEST_SWEEP_S:.2g}")
+    if duration is not None and not duration <= LONGEST_SWEEP_S:
+        raise InputError(f"--duration {duration:g}: must be at most {LONGEST_SWEEP_S:g} s")
+    if duration is not None and duration < shortest_record(low):
+        raise InputError(
+            f"--duration {duration:g}: too short for {low:g} Hz; it takes {shortest_record(low):.3g} s, "
+            f"or --from-hz {1.01 * shortest_record(low) * low / duration:.2g}"
+            if duration > 0.0
+            else f"--duration {duration:g}: must be above 0"
+        )
+
+
+def suitable_duration(low: float) -> float:
+    """Whole seconds for a sweep from ``low`` Hz."""
+    return min(float(ceil(CYCLES / low)), LONGEST_SWEEP_S)
+
+
+def need_coherence(response: FrequencyResponse, what: str, amplitude: float) -> list[str]:
+    """Say how many points are left out as noise.  Raises NotIdentifiedError where most are."""
+    good = response.coherence >= LEAST_COHERENCE
+    if np.mean(good) < USABLE:
+        raise NotIdentifiedError(
+            f"{what} does not answer the sweep: coherence is at least {LEAST_COHERENCE:g} at {int(good.sum())} of "
+            f"{len(good)} points (median {np.median(response.coherence):.2f}); "
+            f"raise --amplitude (now {amplitude:g}), sweep longer, or narrow the band"
+        )
+    if not good.all():
+        first = response.hertz[~good]
+        return [
+            f"{int((~good).sum())} of {len(good)} points left out, coherence below {LEAST_COHERENCE:g} "
+            f"({first.min():.2g} to {first.max():.2g} Hz)"
+        ]
+    return []
+
+
+# ---- words
+
+
+_TITLES = {
+    "gain": "gain",
+    "rate_1_s": "slow pole, 1/s",
+    "lag_s": "lag, ms",
+    "lag_2_s": "second lag, ms",
+    "lag_3_s": "third lag, ms",
+    "delay_samples": "delay, samples",
+}
+
+
+def fit_rows(identification: Identification) -> list[list[str]]:
+    """The fits side by side: one row a parameter, its name first."""
+    rows = []
+    for name in sorted({name for fit in identification.fits for name in fit.values}, key=list(_TITLES).index):
+        title, scale, invert = _TITLES[name], 1e3 if name.startswith("lag") else 1.0, False
+        if name == "gain":
+            unit = "rad/s^2" if identification.output_unit == "rad/s" else f"{identification.output_unit}/s"
+            title = f"gain, {unit} per {identification.command_unit}"
+        if name == "rate_1_s" and identification.kind == "engine":
+            title, scale, invert = "time constant, ms", 1e3, True
+        rows.append([title, *(_with_bounds(fit, name, scale, invert) for fit in identification.fits)])
+    if identification.kind == "engine":
+        at_rest = [fit.model.gain / fit.model.rate if fit.model.rate else float("inf") for fit in identification.fits]
+        rows.append(["gain at rest, N", *(f"{value:.4g} ({value / GRAVITY:.4g} kgf)" for value in at_rest)])
+    if identification.kind == "axis":
+        rows.append(["all delay, samples", *(_all_delay(fit) for fit in identification.fits)])
+    rows.append(["misfit, %", *(f"{100 * fit.misfit:.2g}" for fit in identification.fits)])
+    rows.append(["worst, dB and deg", *(f"{fit.worst_db:.2g}, {fit.worst_deg:.2g}" for fit in identification.fits)])
+    return rows
+
+
+def _with_bounds(fit: Fit, name: str, scale: float, invert: bool) -> str:
+    if name not in fit.values:
+        return ""
+
+    def shown(value: float) -> str:
+        inverted = (1.0 / value if value else float("inf")) if invert else value
+        return f"{scale * inverted:.4g}" if abs(inverted) > 1e-9 else "0"
+
+    value = fit.values[name]
+    if name in fit.held:
+        return f"{shown(value)} held"
+    if is_none(fit, name):
+        return "none"
+    low, high = fit.bounds[name]
+    if not is_determined(fit, name):
+        # a slow pole near 0 is known from above alone
+        return f"below {high:.1g}" if name == "rate_1_s" and not invert and high < SLOW_POLE else "not determined"
+    if name == "delay_samples" and half_width(fit, name) > value:
+        return f"below {high:.2g}"
+    ends = (scale * (1.0 / end if invert and end else end) for end in (low, high))
+    half = max(abs(end - scale * (1.0 / value if invert and value else value)) for end in ends)
+    return f"{shown(value)} ±{float(f'{half:.1g}'):g}"
+
+
+def _all_delay(fit: Fit) -> str:
+    return f"{low_frequency_delay(fit):.2f}" if all_delay_is_determined(fit) else "not determined"
+
+
+def low_frequency_delay(fit: Fit) -> float:
+    """Samples of delay towards zero frequency, the slow pole taken as ideal integration: delay, lags, half a hold."""
+    return fit.model.delay_samples + sum(fit.model.lags) / fit.model.step + 0.5
+
+
+def equation(model: RateModel, unit: float = 1.0) -> str:
+    """The discrete form in the way it is printed: ``gain (z - zero) / ((z - pole) (z - pole)) z^-delay``."""
+    over = " ".join([f"{model.gain / unit:.4g}", *(_factor(zero) for zero in model.zeros)])
+    factors = [_factor(pole) for pole in model.poles]
+    under = factors[0] if len(factors) == 1 else f"({' '.join(factors)})"
+    delay = f" z^-{model.delay_samples:.4g}" if model.delay_samples else ""
+    return f"{over} / {under}{delay}"
+
+
+def _factor(root: float) -> str:
+    return f"(z {'-' if root >= 0.0 else '+'} {abs(root):.4f})"
+
+
+def equations(identification: Identification) -> list[str]:
+    """The chosen discrete form, for an engine also in kgf, the unit in which the paper states its engines."""
+    lines = [f"{equation(identification.model)}  [{identification.output_unit} per {identification.command_unit}]"]
+    if identification.output_unit == "N":
+        lines.append(f"{equation(identification.model, GRAVITY)}  [kgf per {identification.command_unit}]")
+    return lines
