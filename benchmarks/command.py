@@ -49,10 +49,10 @@ def bench(
     Beside bare JSBSim, and beside ecos, libcosim, FMPy and RotorPy as far as they are installed.  Times belong to the
     machine: however long anything takes, the exit status is 0.
     """
-    from cosim.bench import make_plan, measure
-    from cosim.bench.page import check_page, write_page
-    from cosim.bench.show import print_result, progress
-    from cosim.bench.targets import to_dict
+    from benchmarks.page import check_page, write_page
+    from benchmarks.show import print_result, progress
+    from benchmarks.suite import make_plan, measure
+    from benchmarks.targets import to_dict
 
     plan = make_plan(full, campaign, parts, amounts)
     if page is not None:
