@@ -47,6 +47,7 @@ MORE = 3.0  # times the amplitude, where the answer is lost in noise
 LOUDER = 3  # times that this is tried
 LESS = 0.3  # of the amplitude, to try again with after the vehicle was lost
 MARGIN = 0.8  # of the amplitude that would just have fitted
+GENTLY = 4  # tries by that; then by its cube, as what noise alone brings to a limit fits by a hair each time
 UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}
 # of an angular acceleration: half of what AMPLITUDE of throttle gives the Hex-Jet, 433 rad/s^2 for all of it
 ACCELERATION, ACCELERATION_UNIT = 4.0, "rad/s^2"
@@ -140,7 +141,7 @@ def _band(
 def _turned_by_engines(base: Scenario, vehicle: Vehicle, engine: EngineSpec, index: int) -> bool:
     if vehicle.allocation != "effectiveness":
         return by_throttle(vehicle, index)
-    parts = hinged_parts(vehicle, effectiveness_of(base, vehicle, engine), index, base.step_s)
+    parts = hinged_parts(vehicle, effectiveness_of(base, vehicle, engine), index, engine, base.step_s)
     return abs(parts[0].share) > PARTAKES
 
 
@@ -251,9 +252,9 @@ def _sweep(base: Scenario, axis: str, sweep: Sweep, automatic: bool) -> _Flight:
         return flight
     where = f"{base.aircraft_name} {axis} with {flight.engine.name}, controller {base.controller}"
     smaller = flight
-    for _ in range(TRIES):
+    for tries in range(TRIES):
         lost = smaller.ending.outcome != "completed"
-        share = LESS if lost else max(LESS, MARGIN * smaller.fits_in)
+        share = LESS if lost else max(LESS, (MARGIN if tries < GENTLY else MARGIN**3) * smaller.fits_in)
         smaller = _fly(base, axis, replace(sweep, amplitude=_two_digits(share * smaller.sweep.amplitude)))
         if smaller.fine or smaller.ending.outcome == "failed":
             break
