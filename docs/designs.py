@@ -33,7 +33,8 @@ from cosim.design.as_flown import WORSE
 from cosim.design.controller_table import controller_table, proof_record
 from cosim.design.design import Design
 from cosim.design.levels import AXES, DESIGNED, at_share
-from cosim.design.loop.channel import Actuator, channels
+from cosim.design.loop.actuator import Actuator
+from cosim.design.loop.channel import channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.prove import NOT_KEPT, prove
 from cosim.design.tune import FINE

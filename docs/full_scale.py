@@ -84,7 +84,8 @@ def searched(case: Case, out: Path) -> dict[str, Any]:
         dynamics_of,
         identify_there,
     )
-    from cosim.design.loop.channel import Actuator, channels, engine_lead
+    from cosim.design.loop.actuator import Actuator
+    from cosim.design.loop.channel import channels, engine_lead
     from cosim.engine import load_engine
 
     need = Requirements(noise_share=case.noise_share)
@@ -218,7 +219,8 @@ def predicted(engine: str, out: Path) -> dict[str, Any]:
         identify_there,
         shipped,
     )
-    from cosim.design.loop.channel import Actuator, channels
+    from cosim.design.loop.actuator import Actuator
+    from cosim.design.loop.channel import channels
     from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
     from cosim.engine import load_engine
 

@@ -27,7 +27,8 @@ from cosim.campaign import open_campaign
 from cosim.campaign.analysis.summary import places, shares
 from cosim.campaign.analysis.table import FlightTable, read
 from cosim.design import design as make
-from cosim.design.loop.channel import Actuator, Channel, channels
+from cosim.design.loop.actuator import Actuator
+from cosim.design.loop.channel import Channel, channels
 from cosim.engine import load_engine
 from cosim.results.report.marks import check_marks, table, write_marks
 from cosim.simulation.build import belief_of

@@ -28,14 +28,8 @@ from cosim.design.levels import (
     levels,
     schedule,
 )
-from cosim.design.loop.channel import (
-    SERVO,
-    Actuator,
-    Channel,
-    channels,
-    engine_lead,
-    hover_share,
-)
+from cosim.design.loop.actuator import SERVO, Actuator
+from cosim.design.loop.channel import Channel, channels, engine_lead, hover_share
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import Dynamics, fit_dynamics, lags, with_misfit
 from cosim.design.loop.firmware import Firmware

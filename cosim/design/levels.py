@@ -11,12 +11,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from cosim.control.schedule import Factors, GainSchedule
-from cosim.design.loop.channel import (
-    Actuator,
-    Channel,
-    channels,
-    hover_share,
-)
+from cosim.design.loop.actuator import Actuator
+from cosim.design.loop.channel import Channel, channels, hover_share
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.tuning import Tuning
 from cosim.design.tune import FINE, acceptable, near

@@ -219,7 +219,10 @@ def _delay_words(channel: Channel) -> str:
     delay = f"all delay {1e3 * channel.slowness_s:.4g} ms at low frequency"
     if channel.pace_s == channel.slowness_s:
         return delay
-    return f"{delay} and {1e3 * channel.pace_s:.4g} ms where a loop is closed: a slow pole has a zero beside it"
+    why = f"rotors that hinges turn lead by {1e3 * channel.lead_s:.3g} ms"
+    if channel.lead_s <= 0.0:
+        why = "a slow pole has a zero beside it"
+    return f"{delay} and {1e3 * channel.pace_s:.4g} ms where a loop is closed: {why}"
 
 
 def _model_lines(design: Design) -> list[str]:

@@ -1,11 +1,13 @@
 """How a command turns the vehicle about an axis: by which actuators, by how much, and how the rate is measured.
 
-From the places of the jets, the moments of inertia and the allocation; the engines come in by their thrust alone.
+From the places of the jets, the moments of inertia and the allocation; the engines come in by their thrust, and by the
+momentum of their rotors.
 The designs' channels (:mod:`cosim.design.loop.channel`) are made of this.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import copysign, exp, expm1
 from typing import NamedTuple
@@ -15,24 +17,36 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.constants import GRAVITY, SERVOS
 from cosim.base.protocols import Allocator
-from cosim.base.signals import ZERO3
+from cosim.base.signals import ZERO3, Vector3
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
+from cosim.engine import EngineSpec
+from cosim.simulation.engine_reference import around_trim
 from cosim.spec.vehicle import Hinge, Servo, Surface, Vehicle
 from cosim.vehicle.parts.hinges import HingeReactions
+from cosim.vehicle.parts.rotors import RotorDynamics
+
+SMALL = 1e-6  # rad/s^2, by which the rotors' momentum is seen to change
 
 
 @dataclass(frozen=True)
 class AxisPart:
     """Actuators of one lag that give a share of an axis: the engines, or tilt servos and hinges.
 
-    The share acts as ``share + kick_s2 ((1 - 1/z) / T)^2`` times the actuators' response: ``kick_s2`` [s^2] is the
-    reaction of what the servos turn, which follows its angular acceleration.
+    The share acts as ``share + lead_s (1 - 1/z) / T + kick_s2 ((1 - 1/z) / T)^2`` times the actuators' response:
+    ``lead_s`` [s] is the momentum of rotors that they turn or speed up, which acts by the rate at which it changes, and
+    ``kick_s2`` [s^2] the reaction of what the servos turn, which follows its angular acceleration.
     """
 
     servos: tuple[Servo | Hinge, ...]  # () for the engines
     moves: tuple[float, ...]  # by which each goes per command; () for the engines
     share: float
     kick_s2: float = 0.0
+    lead_s: float = 0.0
+
+    def shape(self, step: float) -> tuple[float, float, float]:
+        """Return by how much the part acts by its actuators' answer of this step and of the two before."""
+        lead, kick = self.lead_s / step, self.kick_s2 / (step * step)
+        return (self.share + lead + kick, -lead - 2.0 * kick, kick)
 
 
 class AxisShares(NamedTuple):
@@ -128,27 +142,74 @@ def bank_reaction(vehicle: Vehicle, index: int, moment: float, step: float) -> f
     return float(copysign(2.0 * vehicle.servo.bank_inertia_kg_m2 / (moment * step * step), height))
 
 
-def hinged_parts(vehicle: Vehicle, allocator: EffectivenessAllocator, index: int, step: float) -> list[AxisPart]:
+def hinged_parts(
+    vehicle: Vehicle, allocator: EffectivenessAllocator, index: int, engine: EngineSpec, step: float
+) -> list[AxisPart]:
     """Return what gives an axis of the allocation ``effectiveness`` in hover: the engines, then hinges by their lag.
 
-    Surfaces do nothing in hover.  ``step``: control step, s.
+    Surfaces do nothing in hover.  ``engine``: at every station; ``step``: control step, s.
     """
     moves, effects = allocator.split(index)
     jets = len(vehicle.jets)
-    turns = list(zip(vehicle.hinges, moves[jets:], effects[jets:], strict=False))
     kicks = hinge_kicks(vehicle, step)[:, index]
-    parts = [AxisPart((), (), sum([m * effect for m, effect in zip(moves[:jets], effects[:jets], strict=True)]))]
-    for lag in dict.fromkeys(hinge.lag_s for hinge in vehicle.hinges):
-        alike = [k for k, (hinge, _, _) in enumerate(turns) if hinge.lag_s == lag]
-        parts.append(
-            AxisPart(
-                tuple([turns[k][0] for k in alike]),
-                tuple([turns[k][1] for k in alike]),
-                sum([turns[k][1] * turns[k][2] for k in alike]),
-                sum([turns[k][1] * kicks[k] for k in alike]),
-            )
+    engines, thrusts = [engine] * jets, allocator.hovering(ZERO3)[0][:jets]
+
+    def part(movers: Sequence[int], servos: tuple[Hinge, ...]) -> AxisPart:
+        own = [move if k in movers else 0.0 for k, move in enumerate(moves)]
+        return AxisPart(
+            servos,
+            tuple([moves[k] for k in movers]) if servos else (),
+            sum([moves[k] * effects[k] for k in movers]),
+            sum([moves[k] * kicks[k - jets] for k in movers]) if servos else 0.0,
+            step * rotor_lead(vehicle, engines, thrusts, own, step)[index],
         )
+
+    parts = [part(range(jets), ())]
+    for lag in dict.fromkeys(hinge.lag_s for hinge in vehicle.hinges):
+        alike = [k for k, hinge in enumerate(vehicle.hinges) if hinge.lag_s == lag]
+        parts.append(part([jets + k for k in alike], tuple([vehicle.hinges[k] for k in alike])))
     return parts
+
+
+def rotor_lead(
+    vehicle: Vehicle, engines: Sequence[EngineSpec], thrusts: Sequence[float], moves: Sequence[float], step: float
+) -> Vector3:
+    """Return how a command turns the vehicle by its rotors' momentum: by so much of its change in a control step.
+
+    Parameters
+    ----------
+    vehicle
+        Jets with the sense in which their rotors turn, hinges that turn them, the tensor of inertia.
+    engines, thrusts
+        At each station, and in hover [N].
+    moves
+        By how much each thrust [N], then each hinge [rad], moves per rad/s^2 of command; others are left out.
+    step
+        Control step, s.
+
+    Returns
+    -------
+    About x, y and z of the body, rad/s^2 per rad/s^2 of change, so in control steps; 0 where no rotor's inertia is
+    stated.
+    """
+    rotors = RotorDynamics(vehicle.jets, engines, step, vehicle.hinges)
+    if not rotors.any or not any(moves):
+        return ZERO3
+    around = [
+        around_trim(engine, float(np.interp(thrust, engine.rising.thrust, engine.rising.throttle)), step)
+        if engine.rotor_inertia
+        else None
+        for engine, thrust in zip(engines, thrusts, strict=True)
+    ]
+    speeds = [0.0 if each is None else each.speed for each in around]
+    grown = [0.0 if each is None else each.speed_per_n for each in around]
+    small = [SMALL * move for move in moves]
+    rotors.reset(tuple(speeds))
+    faster = tuple([speed + slope * move for speed, slope, move in zip(speeds, grown, small, strict=False)])
+    rest = [hinge.rest_rad for hinge in vehicle.hinges]
+    tilt = tuple([angle + move for angle, move in zip(rest, small[len(engines) :], strict=False)]) or (0.0, 0.0)
+    x, y, z = np.linalg.solve(np.array(vehicle.tensor), np.array(rotors.update(faster, tilt)))
+    return (float(x) / SMALL, float(y) / SMALL, float(z) / SMALL)
 
 
 def hinge_kicks(vehicle: Vehicle, step: float) -> Array:
@@ -165,24 +226,32 @@ def hinge_kicks(vehicle: Vehicle, step: float) -> Array:
 
 
 def turning(
-    damping_1_s: float, step: float, substeps: int, reaction: float = 0.0
-) -> tuple[tuple[float, float, float], float]:
-    """Return what JSBSim's runs make of a moment: shares of this step's and of the two before, and the rate's pole.
+    damping_1_s: float, step: float, substeps: int, shape: Sequence[float] = (1.0, 0.0, 0.0)
+) -> tuple[tuple[float, ...], float]:
+    """Return what JSBSim's runs make of a moment: shares of this step's and of those before, and the rate's pole.
 
-    ``rate_k+1 = p rate_k + step f (share_0 moment_k + share_1 moment_k-1 + share_2 moment_k-2)``.  A run moves the
+    ``rate_k+1 = p rate_k + step f (share_0 moment_k + share_1 moment_k-1 + share_2 moment_k-2 ...)``.  A run moves the
     rate by ``h (3 a_n - a_n-1) / 2`` with the accelerations at its beginning and one run before (Adams and
     Bashforth); those of a step's moment begin with the second run, the first of them with half its change on top
     (:mod:`cosim.vehicle.airframe`).  Summed over three and more runs this is the moment's impulse over the step
     and nothing else; two runs leave a quarter of a change to the step after, and one has no run to correct.
-    ``reaction``: see :func:`bank_reaction`.
+    ``shape``: shares of the actuators' answers, of this step and of those before, that make the moment.
     """
     fall = damping_1_s * step
     pole = exp(-fall)
     mean = -expm1(-fall) / fall if fall else 1.0
-    shares = {1: (0.0, 1.5, -0.5), 2: (1.125, -0.25, 0.125)}.get(substeps, (1.0, 0.0, 0.0))
-    if reaction and substeps > 2:  # with fewer runs a step the method's own shares hide it
-        shares = (1.0 + reaction, -2.0 * reaction, reaction)
-    return (mean * shares[0], mean * shares[1], mean * shares[2]), pole
+    runs = {1: (0.0, 1.5, -0.5), 2: (1.125, -0.25, 0.125)}.get(substeps)
+    shares = shape if runs is None else np.convolve(runs, np.trim_zeros(shape, "b")).tolist()
+    return tuple([mean * share for share in shares]), pole
+
+
+def rate_response(z: Complex, shares: Sequence[float], pole: float) -> Complex:
+    """Return the response of the rate to a moment, per step and unit of inertia, as :func:`turning` has it."""
+    now, before, *earlier = shares
+    moment = now * z + before
+    for k, share in enumerate(earlier, 1):
+        moment = moment + share / z**k
+    return np.asarray(moment / (z - pole))
 
 
 def filter_pole(filter_s: float, step: float) -> float:

@@ -34,15 +34,13 @@ from cosim.base.protocols import Allocator
 from cosim.base.signals import AXES, ZERO3
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.engine import EngineSpec
-from cosim.simulation.axis_chain import AxisShares, axis_shares, filter_pole, servos_of
+from cosim.simulation.axis_chain import AxisShares, axis_shares, filter_pole, rotor_lead, servos_of
 from cosim.simulation.engine_reference import AroundTrim, around_trim
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Hinge, Surface, Vehicle
-from cosim.vehicle.parts.rotors import RotorDynamics
 
 BESIDE = 0.05  # of an axis: chosen by us, see above
 LISTED = 0.01  # of an axis: a hinge that gives less is not named
-SMALL = 1e-6  # rad/s^2, by which the rotors' momentum is seen to change
 MEASURED = ", measured with a small step around half throttle"
 AT_HOVER = ", measured with small steps around the throttle of hover"
 
@@ -175,23 +173,7 @@ class _Hover:
 
     def _rotors(self, axis: str, turned: AxisShares) -> list[tuple[str, str, str, float | None]]:
         """What the change of the rotors' angular momentum takes away, where it acts about the axis."""
-        vehicle, engines = self._vehicle, self._engines
-        if not turned.moves or not any(jet.spin for jet in vehicle.jets):
-            return []
-        rotors = RotorDynamics(vehicle.jets, engines, self._step, vehicle.hinges)
-        if not rotors.any:
-            return []
-        jets = len(engines)
-        around = [self._measured(jet) if engines[jet].rotor_inertia else None for jet in range(jets)]
-        speeds = [0.0 if each is None else each.speed for each in around]
-        grown = [0.0 if each is None else each.speed_per_n for each in around]
-        moves = [SMALL * move for move in turned.moves]
-        rotors.reset(tuple(speeds))
-        faster = tuple([speed + slope * move for speed, slope, move in zip(speeds, grown, moves, strict=False)])
-        rest = [hinge.rest_rad for hinge in vehicle.hinges]
-        tilt = tuple([angle + move for angle, move in zip(rest, moves[jets:], strict=False)]) or (0.0, 0.0)
-        kick = np.linalg.solve(np.array(vehicle.tensor), np.array(rotors.update(faster, tilt)))
-        early = float(kick[AXES.index(axis)]) / SMALL
+        early = rotor_lead(self._vehicle, self._engines, self._thrusts, turned.moves, self._step)[AXES.index(axis)]
         if abs(early) < 1e-6:
             return []
         return [("rotors, turned or sped up, act by the rate of the command", "rotors", "lead", -early)]
@@ -199,10 +181,8 @@ class _Hover:
     def _around(self, jet: int) -> AroundTrim | None:
         """What is measured of an engine of the library that states no pole."""
         engine = self._engines[jet]
-        return self._measured(jet) if engine.pole is None and engine.library else None
-
-    def _measured(self, jet: int) -> AroundTrim | None:
-        engine = self._engines[jet]
+        if engine.pole is not None or not engine.library:
+            return None
         curve = engine.rising
         throttle = float(np.interp(self._thrusts[jet], curve.thrust, curve.throttle))
         return around_trim(engine, throttle, self._step)

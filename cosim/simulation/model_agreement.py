@@ -44,6 +44,7 @@ from cosim.simulation.axis_chain import (
     filter_pole,
     hinged_parts,
     measuring,
+    rate_response,
     turning,
 )
 from cosim.simulation.build import effectiveness_of
@@ -253,7 +254,7 @@ def _parts(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, index: int,
     """What gives the axis."""
     step = scenario.step_s
     if vehicle.allocation == "effectiveness":
-        return hinged_parts(vehicle, effectiveness_of(scenario, vehicle, engine), index, step)
+        return hinged_parts(vehicle, effectiveness_of(scenario, vehicle, engine), index, engine, step)
     if by_throttle(vehicle, index) or vehicle.servo is None:
         return [AxisPart((), (), 1.0)]
     kick = bank_reaction(vehicle, index, axis_moment(vehicle, index, span), step) * step * step
@@ -268,15 +269,16 @@ def _actuators(parts: Sequence[AxisPart], engine: _EngineResponse, z: Complex, s
         if part.servos:
             pole = filter_pole(part.servos[0].lag_s, step)
             answer = (1.0 - pole) / (z - pole)
-        total += (part.share + part.kick_s2 * ((1.0 - 1.0 / z) / step) ** 2) * answer
+        now, before, earlier = part.shape(step)
+        total += (now + (before + earlier / z) / z) * answer
     return total
 
 
 def _airframe(scenario: Scenario, vehicle: Vehicle, damping: float, z: Complex) -> Complex:
     """Angular acceleration to measured rate."""
     gyro = vehicle.sensors.gyro
-    (now, before, earlier), pole = turning(damping, scenario.step_s, scenario.substeps)
-    body = scenario.step_s * (now * z + before + earlier / z) / (z - pole)
+    shares, pole = turning(damping, scenario.step_s, scenario.substeps)
+    body = scenario.step_s * rate_response(z, shares, pole)
     return np.asarray(body * measuring(z, filter_pole(gyro.filter_s, scenario.step_s), gyro.latency_samples))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -11,8 +12,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError, similar
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import read_toml
-from cosim.cli import opt
-from cosim.cli.console import say, show_table
+from cosim.cli.console import terminal
 from cosim.cli.options import DONE, example
 from cosim.cli.results.runs import KINDS, catalogue
 from cosim.cli.trust import looks
@@ -59,23 +59,19 @@ class Number(NamedTuple):
     meaning: str
 
 
-class Show(opt.Output):
-    """Options of ``hexjet show``."""
-
-    name: str = opt.argument()
-    kind = opt.choice("--kind", KINDS, "Where several kinds have the name.  [default: all that have it]")
-    as_json = opt.JSON
-
-
 @click.command(epilog=example("hexjet show hexjet-p220"))
-@opt.takes(Show)
+@click.argument("name")
+@click.option(
+    "--kind", type=click.Choice(KINDS), help="Where several kinds have the name.  [default: all that have it]"
+)
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
 @looks
-def show(options: Show) -> int:
+def show(name: str, kind: str | None, as_json: bool) -> int:
     """Show what NAME, of hexjet list, is: its numbers, their units and what they mean, from its files.
 
     The thrust of an engine is measured: its FMU is held at throttles until it stands still.
     """
-    name, kinds = options.name, [options.kind] if options.kind else list(KINDS)
+    kinds = [kind] if kind else list(KINDS)
     entries = [(kind, entry) for kind in kinds for entry in catalogue(kind) if entry["name"] == name]
     if not entries:
         names = {entry["name"] for kind in kinds for entry in catalogue(kind)}
@@ -84,13 +80,11 @@ def show(options: Show) -> int:
         {"kind": kind, **entry, "description": _description(kind, name), "numbers": list(_numbers(kind, name))}
         for kind, entry in entries
     ]
-
-    def show_all() -> None:
+    if as_json:
+        click.echo(json.dumps([item | {"numbers": [number._asdict() for number in item["numbers"]]} for item in shown]))
+    else:
         for item in shown:
             _print(item)
-
-    data = [item | {"numbers": [number._asdict() for number in item["numbers"]]} for item in shown]
-    options.answer(lambda: data, show_all, nan=True)
     return DONE
 
 
@@ -278,16 +272,24 @@ def _text(value: Any) -> str:
 
 
 def _print(item: Mapping[str, Any]) -> None:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
     from cosim.results.wording import unit_shown
 
+    console = terminal()
     kind = {"studies": "study", "aircraft": "aircraft"}.get(item["kind"], item["kind"].removesuffix("s"))
-    say(f"[bold]{item['name']}[/bold], {kind}: {item['title']}", marked=True)
+    console.print(f"[bold]{item['name']}[/bold], {kind}: {item['title']}", highlight=False)
     if item["description"]:
-        say(item["description"])
-    rows = []
+        console.print(item["description"], highlight=False, markup=False)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for title in ("number", "value", "unit", "meaning"):
+        table.add_column(title, overflow="fold")
     for number in item["numbers"]:
         unit, factor = unit_shown(number.unit)
         value = factor * number.value if factor != 1.0 and isinstance(number.value, float) else number.value
         unit = unit if value is not number.value or factor == 1.0 else number.unit
-        rows.append((number.name, _text(value), unit, number.meaning))
-    show_table(("number", "value", "unit", "meaning"), rows, plain=True, pad_edge=False)
+        table.add_row(*map(Text, (number.name, _text(value), unit, number.meaning)))  # brackets are no mark-up
+    if table.row_count:
+        console.print(table, markup=False)

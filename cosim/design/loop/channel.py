@@ -25,9 +25,11 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.control.predictors.linear import delayed_response
-from cosim.design.loop.dynamics import CARRIED, Dynamics, lags
+from cosim.design.loop.actuator import SERVO, STILL, Actuator, by_hinges, servo_actuator
+from cosim.design.loop.dynamics import CARRIED
 from cosim.engine import EngineSpec
 from cosim.simulation.axis_chain import (
+    AxisPart,
     axis_gain,
     axis_moment,
     bank_reaction,
@@ -35,6 +37,7 @@ from cosim.simulation.axis_chain import (
     filter_pole,
     hinged_parts,
     measuring,
+    rate_response,
     turning,
 )
 from cosim.simulation.build import effectiveness_of
@@ -49,27 +52,12 @@ from cosim.spec.vehicle import (
 )
 
 BESIDE = 160  # frequencies at which what others add to an axis is computed: 4 % apart, more counts below than is
-SERVO = "tilt servo"  # what an actuator that turns a thrust is called
 MET = 0.5  # of all delay at low frequency or of the pace: as far may the two be apart; one lag alone has 0.64
 SECOND_POLE_WITHIN = 5.0  # times the slowest pole: up to here a lead takes the second one with it
 LED_WITHIN = 3.0  # times the channel's pace: slower poles of an engine with a zero beside one are not led
 SLOWEST = 1e-5  # rad/s, from where the first radian is looked for: a day
 TURNS = 400  # frequencies until then, 5 % apart
 INSTANT = 1e-9  # a pole in z below which a lag is over within a step: a 20th of one; chosen by us, far below what acts
-
-
-@dataclass(frozen=True)
-class Actuator:
-    """What answers the command: its dynamics with gain 1 at rest."""
-
-    name: str
-    dynamics: Dynamics
-    model: RateModel  # the same, held and sampled
-
-    @classmethod
-    def of(cls, name: str, dynamics: Dynamics) -> Actuator:
-        """Sampled once."""
-        return cls(name, dynamics, dynamics.discrete(name))
 
 
 @dataclass(frozen=True)
@@ -91,7 +79,9 @@ class Channel:
     angle_latency: int = 0
     angle_noise: float = 0.0
     added_delay: int = 0
-    reaction: float = 0.0  # of what tilts, 2 J / (K T^2) with the moment K per rad: it acts by (1 - 1/z)^2 of the tilt
+    # the moment, of the actuator's answers of this step and of those before: what tilts pushes back, what spins leads
+    shape: tuple[float, ...] = STILL
+    hinged: tuple[AxisPart, ...] = ()  # what hinges give, of which actuator and shape are made
     identified: RateModel | None = None  # command to measured rate, taken as it is instead of the chain
 
     @property
@@ -100,9 +90,9 @@ class Channel:
         return filter_pole(self.rate_filter_s, self.step)
 
     @property
-    def turning(self) -> tuple[tuple[float, float, float], float]:
+    def turning(self) -> tuple[tuple[float, ...], float]:
         """What JSBSim's runs make of a moment, and the rate's pole: :func:`cosim.simulation.axis_chain.turning`."""
-        return turning(self.damping_1_s, self.step, self.substeps, self.reaction)
+        return turning(self.damping_1_s, self.step, self.substeps, self.shape)
 
     @property
     def transport_samples(self) -> float:
@@ -116,7 +106,18 @@ class Channel:
         """Sum of the lags, the gyro's and a hold's included, s."""
         if self.identified is not None:
             return sum(-self.step / log(pole) for pole in self.identified.poles if 0.0 < pole < 0.998)
-        return self.actuator.dynamics.lag_s + self.rate_filter_s + 0.5 * (self.rate_hold - 1) * self.step
+        acting = self.actuator.dynamics.lag_s - self.lead_s
+        if len(self.hinged) > 1:  # each by its share
+            late = sum([part.share * part.servos[0].lag_s for part in self.hinged])
+            acting = late / sum([part.share for part in self.hinged]) - self.lead_s
+        return acting + self.rate_filter_s + 0.5 * (self.rate_hold - 1) * self.step
+
+    @property
+    def lead_s(self) -> float:
+        """By how much the momentum of rotors that hinges turn acts sooner than the hinges do, s; 0 without hinges."""
+        if not self.hinged:
+            return 0.0
+        return sum([part.lead_s for part in self.hinged]) / sum([part.share for part in self.hinged])
 
     @property
     def slowness_s(self) -> float:
@@ -129,8 +130,9 @@ class Channel:
 
         That is all delay at low frequency, where this is what a crossover meets.  It is not where a slow pole has a
         zero beside it: thrust that overshoots and comes back slowly leads at low frequency and is late all the same,
-        and thrust that creeps up its last part is late at low frequency alone.  There it is the time of the frequency
-        at which the channel has turned its phase by 1 rad, as a delay of one over it does.
+        and thrust that creeps up its last part is late at low frequency alone; nor where rotors lead.  There it is the
+        time of the frequency at which the actuator that gives most has turned the phase by 1 rad, as a delay of one
+        over it does.
         """
         turned = self._turned_s() if self.identified is None else self.slowness_s
         return self.slowness_s if MET < turned / max(self.slowness_s, INSTANT) < 1.0 / MET else turned
@@ -184,8 +186,9 @@ class Channel:
         gain = body.gain * self.gain * self.step * (1.0 - self.gyro_pole) * first
         zeros, poles, pairs = [*body.zeros], [*body.poles, pole], [*body.zero_pairs]
         if any(shares[1:]):
-            poles.append(0.0)
-            roots = np.roots(shares)
+            acting = np.trim_zeros(shares, "b")
+            poles += [0.0] * (len(acting) - 2)
+            roots = np.roots(acting)
             zeros += [float(root.real) for root in roots if not root.imag]
             pairs += [(float(root.real), float(root.imag)) for root in roots if root.imag > 0.0]
         else:
@@ -214,8 +217,8 @@ class Channel:
         if self.identified is not None:
             rate = delayed_response(self.identified, z) * late
             return rate, rate * integral * z**-self.angle_latency, rate * integral
-        (now, before, earlier), pole = self.turning
-        body = (now * z + before + earlier / z) / (z - pole)
+        shares, pole = self.turning
+        body = rate_response(z, shares, pole)
         rate = self.gain * self.step * delayed_response(self.actuator.model, z) * body * late
         return (
             np.asarray(rate * self.measuring(z)),
@@ -233,14 +236,18 @@ class Channel:
         """With another transport delay of the actuator (of everything, where the response was given as a whole)."""
         if self.identified is not None:
             return replace(self, identified=self.identified.model_copy(update={"delay_samples": samples}))
-        dynamics = replace(self.actuator.dynamics, delay_samples=samples)
-        return replace(self, actuator=Actuator.of(self.actuator.name, dynamics))
+        return replace(self, actuator=self.actuator.with_delay(samples))
 
     def with_lags(self, factor: float) -> Channel:
         """With the actuator slower by a factor; 0 takes its lags away, but for what a step does not show."""
         if self.identified is not None:
             raise InputError("a response given as a whole does not say which of its lags are the engine's")
-        return replace(self, actuator=Actuator.of(self.actuator.name, self.actuator.dynamics.slower(factor)))
+        if not self.hinged:
+            return replace(self, actuator=Actuator.of(self.actuator.name, self.actuator.dynamics.slower(factor)))
+        actuator, shape = by_hinges(self.hinged, self.step, factor)
+        dynamics = replace(actuator.dynamics, unsure=self.actuator.dynamics.unsure)
+        actuator = replace(actuator, dynamics=dynamics).with_delay(self.actuator_delay)
+        return replace(self, actuator=actuator, shape=shape)
 
     @property
     def by_servo(self) -> bool:
@@ -251,11 +258,6 @@ class Channel:
     def actuator_delay(self) -> float:
         """Samples that :meth:`with_delay` replaces."""
         return (self.identified or self.actuator.model).delay_samples
-
-
-def servo_actuator(servo: Servo | Hinge, step: float) -> Actuator:
-    """A tilt servo, or a hinge's, while its rate limit is not reached."""
-    return Actuator.of(SERVO, lags([servo.lag_s], 0.0, step))
 
 
 def thrust_span(engine: EngineSpec) -> float:
@@ -282,6 +284,7 @@ def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, d
         return _by_effectiveness(axis, scenario, vehicle, engine, dynamics)
     inertia, span = vehicle.inertia_kg_m2[index], thrust_span(engine)
     thrusts, moment = by_throttle(vehicle, index), axis_moment(vehicle, index, span)
+    kick = bank_reaction(vehicle, index, moment, scenario.step_s)
     room = _room(vehicle, engine) if thrusts else _servo_room(vehicle.servo)
     return Channel(
         axis,
@@ -294,43 +297,38 @@ def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, d
         room,
         **_gyro(vehicle.sensors),  # type: ignore[arg-type]
         added_delay=scenario.added_delay_samples if axis == "roll" else 0,
-        reaction=bank_reaction(vehicle, index, moment, scenario.step_s),
+        shape=(1.0 + kick, -2.0 * kick, kick),
     )
 
 
 def _by_effectiveness(
     axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator
 ) -> Channel:
-    """Angular acceleration asked for, through what gives most of it in hover: thrusts, or hinges of one lag.
+    """Angular acceleration asked for, through what gives most of it in hover: thrusts, or hinges.
 
-    What others give of it, and how parts that hinges turn push back, is known: :func:`_beside`.
+    What the other gives of it is carried as an uncertainty: :func:`_beside`.
     """
     index = AXES.index(axis)
     allocator, step = effectiveness_of(scenario, vehicle, engine), scenario.step_s
     room = allocator.room(index)
-    given = hinged_parts(vehicle, allocator, index, step)
-    parts = [
-        (servo_actuator(part.servos[0], step) if part.servos else dynamics, part.share, part.kick_s2) for part in given
-    ]
-    main, _, _ = max(parts, key=lambda part: part[1])
-    if main is not dynamics:
+    engines, *hinges = hinged_parts(vehicle, allocator, index, engine, step)
+    hinged = tuple([part for part in hinges if any(part.shape(step))])
+    main, shape, others = dynamics, STILL, hinged
+    if sum([part.share for part in hinged]) > engines.share:
+        main, shape = by_hinges(hinged, step)
+        others = (engines,)
         # no step of the command may ask more of a hinge than its servo follows
-        room = min(
-            [
-                room,
-                *(
-                    _servo_room(hinge) / abs(move)
-                    for part in given
-                    for hinge, move in zip(part.servos, part.moves, strict=True)
-                    if move
-                ),
-            ]
-        )
-    main = _beside(main, parts, step)
+        follows = [
+            _servo_room(hinge) / abs(move)
+            for part in hinged
+            for hinge, move in zip(part.servos, part.moves, strict=True)
+            if move
+        ]
+        room = min([room, *follows])
     return Channel(
         axis,
         "rad/s^2",
-        main,
+        _beside(main, shape, others, dynamics, step),
         1.0,
         vehicle.aero.damping_n_m_s[index] / vehicle.inertia_kg_m2[index],
         step,
@@ -338,22 +336,28 @@ def _by_effectiveness(
         room,
         **_gyro(vehicle.sensors),  # type: ignore[arg-type]
         added_delay=scenario.added_delay_samples if axis == "roll" else 0,
+        shape=shape,
+        hinged=() if main is dynamics else hinged,
     )
 
 
-def _beside(main: Actuator, parts: Sequence[tuple[Actuator, float, float]], step: float) -> Actuator:
-    """The actuator that gives most of an axis; what others do beside it is carried as an uncertainty.
+def _beside(
+    main: Actuator, shape: Sequence[float], others: Sequence[AxisPart], engine: Actuator, step: float
+) -> Actuator:
+    """Return the actuator that gives most of an axis; what others do beside it is carried as an uncertainty.
 
-    ``parts``: actuator ``A``, its share ``w`` of the axis and the reaction ``r`` of what it turns, per command.  The
-    axis is ``sum (w + r (1 - 1/z)^2 / T^2) A``: at every frequency that is known, and so is how far ``A`` of this one
-    alone is off it.  A design that stands all that are as far off stands this one.
+    With ``W A`` of this one, by its ``shape``, and ``W_i A_i`` of ``others``, of shares ``w_i``, the axis is
+    ``(1 - sum w_i) W A + sum W_i A_i``: at every frequency that is known, and so is how far ``W A`` alone is off it.  A
+    design that stands all that are as far off stands this one.  ``engine`` answers where another has no servos.
     """
     hertz = np.geomspace(1e-3, 0.49, BESIDE) / step
     z = np.exp(2j * np.pi * hertz * step)
-    whole = np.zeros(len(z), complex)
-    for actuator, share, kick in parts:
-        whole += (share + kick * ((1.0 - 1.0 / z) / step) ** 2) * delayed_response(actuator.model, z)
-    off = np.abs(whole / delayed_response(main.model, z) - 1.0)
+    own = np.polyval(shape[::-1], 1.0 / z) * delayed_response(main.model, z)
+    whole = np.full(len(z), -sum([part.share for part in others]), complex)
+    for part in others:
+        answer = servo_actuator(part.servos[0], step) if part.servos else engine
+        whole += np.polyval(part.shape(step)[::-1], 1.0 / z) * delayed_response(answer.model, z) / own
+    off = np.abs(whole)
     if float(off.max()) < CARRIED:
         return main
     if main.dynamics.unsure:  # what its own model leaves comes on top

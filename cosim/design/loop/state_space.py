@@ -53,7 +53,7 @@ class Space:
         if self._between:
             self._slot("loaded", 1)
         if channel.identified is None:
-            self._slot("force", 2)  # of the last two steps
+            self._slot("force", len(channel.turning[0]) - 1)  # of the steps before
             self._slot("rate", 1)
             self._slot("gyro", max(1, channel.rate_latency + channel.rate_hold))
         else:
@@ -139,8 +139,10 @@ class Space:
         self._keep("plant", state)
         force, before = plant.C @ state, x["rate"][0]
         if channel.identified is None:
-            (now, late, later), pole = channel.turning
-            acting = now * force + late * x["force"][0] + later * x["force"][1]
+            (now, *late), pole = channel.turning
+            acting = now * force
+            for k, share in enumerate(late):
+                acting = acting + share * x["force"][k]
             rate = pole * before + channel.gain * T * acting
             self._shift("force", force)
             c = channel.gyro_pole

@@ -13,7 +13,8 @@ from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.design.design import dynamics_of, identify_there, shipped
 from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import at_share
-from cosim.design.loop.channel import Actuator, Channel, channels, hover_share
+from cosim.design.loop.actuator import Actuator
+from cosim.design.loop.channel import Channel, channels, hover_share
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.frequency import LoopMargins
 from cosim.design.loop.tuning import Tuning

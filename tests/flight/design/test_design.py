@@ -31,7 +31,8 @@ from cosim.design.design import (
     design,
     margins,
 )
-from cosim.design.loop.channel import Actuator, Channel, channels, without_instant
+from cosim.design.loop.actuator import Actuator
+from cosim.design.loop.channel import Channel, channels, without_instant
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import lags
 from cosim.design.loop.frequency import (

@@ -11,7 +11,9 @@ import pytest
 from long_cases import long_after, long_case
 from places import ROOT
 
+from cosim.base.arrays import Array
 from cosim.base.constants import GRAVITY
+from cosim.base.signals import AXES
 from cosim.design.design import (
     _Asked,
     _axis,
@@ -22,18 +24,19 @@ from cosim.design.design import (
     needed,
     shipped,
 )
-from cosim.design.loop.channel import SERVO, Actuator, Channel, channels, engine_lead
-from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from cosim.design.loop.actuator import SERVO, Actuator
+from cosim.design.loop.channel import Channel, channels, engine_lead
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid, steps_by_response
 from cosim.design.tune import settle
-from cosim.engine import EngineSpec, load_engine
+from cosim.engine import EngineSpec, load_engine, make_bank
 from cosim.flight import fly
-from cosim.simulation.axis_chain import hinge_kicks
+from cosim.simulation.axis_chain import hinge_kicks, hinged_parts
 from cosim.simulation.build import effectiveness_of
 from cosim.simulation.controllers.controller_file import Requirements, read_controller, with_controller
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, engine_of, load_vehicle
 
-T = 0.004
+T, UP = 0.004, (0.0, 0.0, -1.0)
 
 
 @lru_cache
@@ -93,8 +96,84 @@ def test_what_turns_pushes_back_as_newton_has_it() -> None:
     assert hinge_kicks(vehicle, T)[0] == pytest.approx(np.linalg.solve(np.array(vehicle.tensor), moment), rel=1e-6)
 
 
+def leads(aircraft: str, index: int) -> Array:
+    """Of each hinge, by Euler: the spools' momentum on its tilted axis, over the body's tensor, in s of its move's rate."""
+    vehicle, spec, _ = plants(aircraft)
+    scenario, _, _ = _hover(aircraft)
+    allocator = effectiveness_of(scenario, vehicle, spec)
+    thrusts = allocator.hovering((0.0, 0.0, 0.0))[0]
+    rows = []
+    for hinge, move in zip(vehicle.hinges, allocator.split(index)[0][len(vehicle.jets) :], strict=False):
+        moment = np.zeros(3)
+        for jet in hinge.carries:
+            throttle = np.interp(thrusts[jet - 1], spec.rising.thrust, spec.rising.throttle)
+            with make_bank([spec], T) as bank:
+                momentum = vehicle.jets[jet - 1].spin * spec.rotor_inertia * bank.reset(float(throttle)).spool_speed[0]
+            moment -= momentum * np.cross(hinge.axis, UP)
+        rows.append(move * np.linalg.solve(np.array(vehicle.tensor), moment)[index])
+    return np.array(rows)
+
+
+def test_rotors_that_hinges_turn_lead_by_their_momentum() -> None:
+    """The trijet's tilts against each other balance the vanes' push; its spools turn against each other too."""
+    vehicle, spec, _ = plants("trijet")
+    allocator = effectiveness_of(*_hover("trijet"))
+    for index, samples in ((0, 6.4453), (1, 0.0), (2, 0.9649)):  # of the delay ledger
+        parts = hinged_parts(vehicle, allocator, index, spec, T)
+        tilts = next(part for part in parts if part.servos[:1] == (vehicle.hinges[0],))
+        assert tilts.lead_s == pytest.approx(leads("trijet", index).sum(), rel=1e-4, abs=1e-9)
+        # the ledger has each station's own engine, and the fan's share of the thrusts is another one
+        assert sum(part.lead_s for part in parts) == pytest.approx(samples * T, rel=2e-3, abs=1e-4 * T)
+    quadjet, spec, _ = plants("quadjet")  # what its hinges turn is a nozzle, and no spool
+    parts = hinged_parts(quadjet, effectiveness_of(*_hover("quadjet")), 0, spec, T)
+    assert max(abs(part.lead_s) for part in parts) < 1e-9
+
+
+@pytest.mark.parametrize(("aircraft", "axis"), [("trijet", "roll"), ("trijet", "yaw"), ("jetwing", "pitch")])
+def test_a_channel_by_hinges_of_several_lags_is_their_sum(aircraft: str, axis: str) -> None:
+    """Servo by servo, each with its share, its reaction and the spools that it turns, to rounding; and in time as well."""
+    vehicle, spec, of = plants(aircraft)
+    channel, index = of[axis], AXES.index(axis)
+    scenario, _, _ = _hover(aircraft)
+    moves, effects = (
+        np.array(column[len(vehicle.jets) :]) for column in effectiveness_of(scenario, vehicle, spec).split(index)
+    )
+    lead, kick = leads(aircraft, index), hinge_kicks(vehicle, T)[:, index]
+    grid = FrequencyGrid(channel)
+    back, whole, shares = 1.0 / grid.z, np.zeros(len(grid.z), complex), 0.0
+    for k, hinge in enumerate(vehicle.hinges):
+        pole = exp(-T / hinge.lag_s)
+        answer = (1.0 - pole) / (grid.z - pole)
+        own = moves[k] * effects[k] + lead[k] * (1.0 - back) / T + moves[k] * kick[k] * ((1.0 - back) / T) ** 2
+        whole, shares = whole + own * answer, shares + moves[k] * effects[k]
+    fall = channel.damping_1_s * T
+    gained = (1.0 - exp(-fall)) / fall if fall else 1.0
+    rate = whole / shares * T * gained * grid.z / (grid.z - exp(-fall)) * grid.measuring
+    assert np.abs(grid.rate / rate - 1.0).max() < 1e-4  # the spools' speed is read around hover, by a small step
+    tuning = shipped(channel, vehicle, spec)
+    closed = ClosedLoop(grid, tuning)
+    by_response = steps_by_response(channel, tuning, len(closed.steps.angle))
+    assert closed.steps.angle == pytest.approx(by_response.angle, abs=1e-6)
+    assert closed.steps.command == pytest.approx(by_response.command, abs=1e-6)
+
+
+def test_slower_servos_are_the_same_hinges_with_longer_lags() -> None:
+    """And a delay comes on top of that; both of what they turn is kept."""
+    vehicle, spec, of = plants("trijet")
+    slow = vehicle.model_copy(
+        update={"hinges": [hinge.model_copy(update={"lag_s": 1.3 * hinge.lag_s}) for hinge in vehicle.hinges]}
+    )
+    scenario, _, _ = _hover("trijet")
+    z = np.exp(1j * np.geomspace(1e-3, 3.0, 50))
+    (there, _, _) = channels(scenario, slow, spec, of["altitude"].actuator)["roll"].responses(z)
+    (longer, _, _) = of["roll"].with_lags(1.3).responses(z)
+    assert np.abs(longer / there - 1.0).max() < 1e-9
+    (late, _, _) = of["roll"].with_delay(2.0).with_lags(1.3).responses(z)
+    assert np.abs(late / (there / z**2) - 1.0).max() < 1e-9
+
+
 def test_what_is_given_beside_is_carried() -> None:
-    """The trijet's pitch: servo 86 %, thrust 14 %, and a notch of the reaction; at each frequency within what is carried."""
+    """The trijet's pitch: servo 86 %, with a notch of the reaction, and thrust 14 %; of that at each frequency as much."""
     vehicle, spec, of = plants("trijet")
     channel = of["pitch"]
     assert channel.by_servo
@@ -104,11 +183,12 @@ def test_what_is_given_beside_is_carried() -> None:
     by_thrust = sum(m * e for m, e in zip(moves[:jets], effects[:jets], strict=True))
     engine = of["altitude"].actuator.dynamics
     kick = sum(m * k for m, k in zip(moves[jets:], hinge_kicks(vehicle, T)[:, 1], strict=True))
-    hertz = np.array([0.3, 0.5, 2.0, 5.0, 10.0])
+    hertz = np.array([0.3, 0.5, 2.0, 4.0, 10.0])
     s = 2j * np.pi * hertz
     hold = np.exp(-s * T / 2)  # of both the same to the share that counts here
-    servo = 1.0 / (1.0 + s * channel.actuator.dynamics.lag_s)
-    whole = (1.0 - by_thrust) * servo + by_thrust * engine.held(hertz) / hold + kick * s * s * servo
+    turned = (1.0 - np.exp(-s * T)) / T
+    servo = (1.0 + kick / (1.0 - by_thrust) * turned**2) / (1.0 + s * channel.actuator.dynamics.lag_s)
+    whole = (1.0 - by_thrust) * servo + by_thrust * engine.held(hertz) / hold
     carried = channel.actuator.dynamics.uncertainty(hertz)
     assert carried == pytest.approx(np.abs(whole / servo - 1.0), rel=0.05, abs=0.005)
 

@@ -22,7 +22,8 @@ from cosim.design import tune as search
 from cosim.design.as_flown import FlownMeasures, FlownPair, comparison_lines, comparison_rows, worse_lines
 from cosim.design.controller_table import controller_table
 from cosim.design.design import Design, design
-from cosim.design.loop.channel import Actuator, channels
+from cosim.design.loop.actuator import Actuator
+from cosim.design.loop.channel import channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import bounds, fit_dynamics, with_misfit
 from cosim.design.proof import Proof

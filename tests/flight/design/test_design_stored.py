@@ -35,7 +35,8 @@ from cosim.design.design import (
 )
 from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import at_share, keeps
-from cosim.design.loop.channel import Actuator, Channel, channels, engine_lead
+from cosim.design.loop.actuator import Actuator
+from cosim.design.loop.channel import Channel, channels, engine_lead
 from cosim.design.loop.tuning import Tuning
 from cosim.design.tune import settle, tune
 from cosim.engine import load_engine

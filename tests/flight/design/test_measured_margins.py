@@ -157,6 +157,17 @@ def test_the_gain_that_the_tilts_of_the_full_scale_allow_is_measured_at_half_the
     assert (table["phase, lead"][1], table["delay, less"][1]) == ("none", "none")
 
 
+def test_spools_that_hinges_turn_are_in_what_is_computed() -> None:
+    """The trijet's roll: 64 deg, of which the lead of its tilting spools is 13."""
+    found = measure_margins(Scenario.load("trijet-hover").replace(sensor_noise=False, expect=[]), ["roll"], **SHORT)
+    roll = found.axes["roll"]
+    assert roll.response.margins["phase_deg"].value == pytest.approx(64.5, abs=1.0)
+    for name in ("phase_deg", "delay_s", "peak_sensitivity"):
+        off = roll.off(name)
+        assert off is not None
+        assert abs(off) < CLOSE, name
+
+
 def test_bounds_hold_what_is_true_about_as_often_as_they_say() -> None:
     k, tau, hertz = 4.0, 0.1, np.geomspace(0.1, 10.0, 80)
     s = 2j * pi * hertz

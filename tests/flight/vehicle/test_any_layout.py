@@ -12,7 +12,8 @@ import pytest
 from cosim import Scenario, fly
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.design.loop.channel import Actuator, channels
+from cosim.design.loop.actuator import Actuator
+from cosim.design.loop.channel import channels
 from cosim.design.loop.dynamics import lags
 from cosim.engine import load_engine
 from cosim.results.report.flight_figures import run_figures

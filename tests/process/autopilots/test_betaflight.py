@@ -23,7 +23,8 @@ from cosim.autopilots.run import LOCKSTEP, AutopilotRun, fly_autopilot, outside_
 from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Sample
 from cosim.design.design import margins
-from cosim.design.loop.channel import Actuator, channels
+from cosim.design.loop.actuator import Actuator
+from cosim.design.loop.channel import channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import lags
 from cosim.design.loop.firmware import Firmware, matrices

@@ -17,7 +17,8 @@ from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
 from cosim.cli.controllers.design import design
 from cosim.design.design import assess
-from cosim.design.loop.channel import Actuator, Channel, channels
+from cosim.design.loop.actuator import Actuator
+from cosim.design.loop.channel import Channel, channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import lags
 from cosim.design.loop.firmware import Firmware

@@ -30,7 +30,8 @@ from cosim.control.laws.mpc import MpcAxis
 from cosim.control.laws.px4 import ACCELERATION_HZ, FADES, LowPass, Px4Axis
 from cosim.control.predictors.linear import model_response
 from cosim.control.rate import RateController
-from cosim.design.loop.channel import Actuator, Channel, channels
+from cosim.design.loop.actuator import Actuator
+from cosim.design.loop.channel import Channel, channels
 from cosim.design.loop.closed_loop import WINDOW, ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import lags
 from cosim.design.loop.tuning import Tuning

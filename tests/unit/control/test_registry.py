@@ -186,7 +186,8 @@ def test_a_ground_station_is_offered_it(mine: PredictorSpec) -> None:
 def loop() -> tuple[Channel, Tuning]:
     """The roll channel with EDF engines, and the aircraft's own gains on it."""
     from cosim.design.design import _scenario, believed, dynamics_of, identify_there, shipped
-    from cosim.design.loop.channel import Actuator, channels
+    from cosim.design.loop.actuator import Actuator
+    from cosim.design.loop.channel import channels
     from cosim.engine import load_engine
 
     scenario, vehicle = _scenario("edf", "hexjet", [])

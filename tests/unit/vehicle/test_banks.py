@@ -16,7 +16,8 @@ from cosim.base.signals import (
     State,
     Vector3,
 )
-from cosim.design.loop.channel import Actuator, Channel, channels
+from cosim.design.loop.actuator import Actuator
+from cosim.design.loop.channel import Channel, channels
 from cosim.design.loop.dynamics import lags
 from cosim.engine import load_engine
 from cosim.flight import fly

@@ -1,0 +1,164 @@
+"""What a fresh process needs: time from the command to the first step, and memory for a long flight."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from shutil import rmtree
+from typing import NamedTuple
+
+from cosim.base.errors import FlightError
+from cosim.base.runtime.processes import python_command
+from cosim.bench.measures.long_flight import (
+    MEGABYTE,
+    PARTS,
+    REPORTED,
+    WRITTEN,
+)
+from cosim.bench.timing import Spread
+
+# `hexjet fly`, stopped where its log is begun and its first step comes next; stamped against the time of its start.
+_FIRST_STEP = """
+import sys, time
+python = time.time()
+import cosim.cli.console, cosim.flight
+from cosim.cli.main import main
+imported = time.time()
+record = cosim.flight.record
+def begun(*arguments, **options):
+    recording = record(*arguments, **options)
+    print(python, imported, time.time(), flush=True)
+    sys.exit(0)
+cosim.flight.record = begun
+main()
+"""
+_LONG_FLIGHT = "from cosim.bench.measures.long_flight import main; main(*sys.argv[1:])"
+
+
+@dataclass(frozen=True)
+class Startup:
+    """Seconds from the start of ``hexjet fly hover`` to its first step, and of these: Python, imports, building."""
+
+    first_step_s: Spread
+    python_s: Spread
+    imports_s: Spread
+    build_s: Spread
+
+
+@dataclass(frozen=True)
+class Landmark:
+    """Resident memory at one point of a flight, and the most there was until then; over several processes."""
+
+    where: str
+    resident_mb: Spread | None  # None where the system does not tell
+    peak_mb: Spread
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Memory of processes that fly ``hover`` for long with full recording, then make log, summary and report.
+
+    ``growth_mb``: resident from a quarter of the flight to its end; None where the system does not tell.
+    """
+
+    minutes: float
+    steps: int
+    wall_s: Spread
+    log_mb: float  # of the run's folder in the end
+    landmarks: list[Landmark]
+    growth_mb: Spread | None
+    peak_mb: Spread
+
+
+def measure_startup(times: int, folder: Path, on_start: Callable[[], object]) -> Startup:
+    """Start ``times`` processes, after one that warms the file cache.  Raises FlightError if one does not get there."""
+    rows = []
+    for number in range(times + 1):
+        arguments = ["fly", "hover", "--out", str(folder / f"start-{number}")]
+        started = time.time()
+        child = start_python(_FIRST_STEP, *arguments)
+        said, _ = child.communicate()
+        if child.returncode:
+            raise FlightError(f"the flight to its first step ended with status {child.returncode}")
+        python, imported, stepped = (float(word) for word in said.split())
+        if number:
+            rows.append((stepped - started, python - started, imported - python, stepped - imported))
+        on_start()
+    return Startup(*(Spread.of(column) for column in zip(*rows, strict=True)))
+
+
+def measure_memory(
+    minutes: float, times: int, folder: Path, on_flight: Callable[[], object], report: bool = True
+) -> Memory:
+    """Fly in processes, one after the other.  Raises FlightError if one does not get to its end."""
+    flights = []
+    for number in range(times):
+        flights.append(_fly_long(folder / f"long-{minutes:g}-{number}", minutes, report))
+        on_flight()
+    landmarks = []
+    for marks in zip(*(flight.marks for flight in flights), strict=True):
+        resident = [mark.resident for mark in marks if mark.resident is not None]
+        peak = Spread.of([mark.peak for mark in marks])
+        landmarks.append(Landmark(marks[0].where, Spread.of(resident) if resident else None, peak))
+    growths = [flight.growth for flight in flights if flight.growth is not None]
+    return Memory(
+        minutes=minutes,
+        steps=flights[0].marks[-1].steps,
+        wall_s=Spread.of([flight.wall for flight in flights]),
+        log_mb=flights[0].log,
+        landmarks=landmarks,
+        growth_mb=Spread.of(growths) if growths else None,
+        peak_mb=landmarks[-1].peak_mb,
+    )
+
+
+class _Mark(NamedTuple):
+    """What a flying process says of itself: MB."""
+
+    where: str
+    resident: float | None
+    peak: float
+    steps: int
+
+
+class _Long(NamedTuple):
+    marks: list[_Mark]
+    wall: float
+    log: float
+
+    @property
+    def growth(self) -> float | None:
+        resident = {mark.where: mark.resident for mark in self.marks}
+        begin, end = (resident[f"{part}/{PARTS}"] for part in (1, PARTS))
+        return None if begin is None or end is None else end - begin
+
+
+def _fly_long(out: Path, minutes: float, report: bool) -> _Long:
+    begin = time.perf_counter()
+    child = start_python(_LONG_FLIGHT, str(out), repr(minutes), REPORTED if report else WRITTEN)
+    assert child.stdout is not None
+    marks: list[_Mark] = []
+    with child:
+        for line in child.stdout:
+            mark = _Mark(*json.loads(line))
+            # the system counts roughly, and its peak may go down by a few pages
+            marks.append(mark._replace(peak=max([mark.peak, *(each.peak for each in marks)])))
+    if child.returncode or not marks or marks[-1].where != (REPORTED if report else WRITTEN):
+        raise FlightError(f"the long flight ended early, with status {child.returncode}")
+    size = sum(file.stat().st_size for file in out.iterdir()) / MEGABYTE
+    rmtree(out)
+    return _Long(marks, time.perf_counter() - begin, size)
+
+
+def start_python(code: str, *arguments: str, ask: bool = False) -> subprocess.Popen[str]:
+    """This Python, with this package; ``ask``: it reads what it is asked."""
+    return subprocess.Popen(
+        python_command(code, *arguments),
+        stdin=subprocess.PIPE if ask else None,
+        stdout=subprocess.PIPE,
+        text=True,
+    )

@@ -1,0 +1,185 @@
+"""A hover by RotorPy and by us: each with its own quadrotor, controller and sensors, for as long and at the same rate.
+
+Not the same work, and so no verdict: RotorPy integrates rigid body and motors by an adaptive Runge-Kutta method
+(``scipy.integrate.solve_ivp``) anew in every control step and keeps its log in memory; we run JSBSim's fixed steps
+with an FMU for every engine and write every column to disk.  What it does is counted and stated with its times.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module, metadata
+from itertools import starmap
+from math import sqrt
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import FlightError
+from cosim.bench.measures.growth import SUBSTEPS, quadrotor
+from cosim.bench.measures.speed import Flights, collect, hover
+from cosim.bench.timing import (
+    Action,
+    Cost,
+    Job,
+    Pair,
+    Spread,
+)
+
+PACKAGE = "rotorpy"
+RATES = (250, 400)  # Hz: of the Hex-Jet's control, of our quadrotor's
+FARTHEST_M = 0.1  # from where it is to hover
+
+WHOLE, PLANT = "whole flight", "vehicle alone"
+
+
+@dataclass(frozen=True)
+class Hover:
+    """One way of hovering at ``rate`` steps a second.
+
+    ``factor``: seconds flown in a second of wall time.  ``ratio``: its step by ours at the same rate, round by round.
+    """
+
+    rate: int
+    cost: Cost
+    factor: Spread
+    ratio: Spread
+
+
+@dataclass(frozen=True)
+class Multirotor:
+    """By name: ours, and RotorPy's if it is there, else why it is ``missing``.
+
+    ``evaluations``: of RotorPy's equations of motion in a control step, of the integration and of the rest.
+    """
+
+    seconds: float
+    hovers: dict[str, Hover]
+    version: str | None
+    evaluations: dict[int, float]
+    missing: str | None
+
+
+OURS = {250: "ours, Hex-Jet", 400: "ours, quadrotor"}
+
+
+def measure_multirotor(seconds: float, rounds: int, folder: Path, on_round: Callable[[], object]) -> Multirotor:
+    """Hover for so long: every way in turn, to and fro, each between two timings of the unit."""
+    rotorpy = find_rotorpy()
+    missing = rotorpy if isinstance(rotorpy, str) else None
+    jobs: dict[str, tuple[int, Job]] = {}
+    evaluations = {}
+    with Flights(250, folder) as flights:
+        for rate, scenario in ((250, hover), (400, lambda steps, _: quadrotor(steps))):
+            name = OURS[rate]
+            jobs[name] = rate, flights.fly(scenario(round(seconds * rate), SUBSTEPS)).recorded(name)
+            if not isinstance(rotorpy, str):
+                evaluations[rate] = rotorpy.evaluations(rate)
+                for what, action in ((WHOLE, rotorpy.whole), (PLANT, rotorpy.plant)):
+                    name = f"RotorPy, {what}, {rate} Hz"
+                    steps = round(seconds * rate)
+                    jobs[name] = rate, Job(name, SUBSTEPS, steps, partial(action, rate, steps))
+        pairs = collect([job for _, job in jobs.values()], flights.units(), rounds, on_round)
+    rows = {name: pairs[SUBSTEPS, name] for name in jobs}
+    hovers = {name: _hover(rate, rows[name], rows[OURS[rate]]) for name, (rate, _) in jobs.items()}
+    return Multirotor(seconds, hovers, None if missing else metadata.version(PACKAGE), evaluations, missing)
+
+
+def _hover(rate: int, rows: list[Pair], ours: list[Pair]) -> Hover:
+    return Hover(
+        rate,
+        Cost.of(rows),
+        Spread.of([1.0 / (rate * step.wall) for step, _ in rows]),
+        Spread.of([(a.step.cpu / a.unit.cpu) / (b.step.cpu / b.unit.cpu) for a, b in zip(rows, ours, strict=True)]),
+    )
+
+
+def find_rotorpy() -> RotorPy | str:
+    """RotorPy, or what is in the way of it."""
+    os.environ.setdefault("MPLBACKEND", "Agg")  # it imports pyplot, and nothing is to be shown
+    try:
+        return RotorPy()
+    except (ImportError, OSError) as error:
+        return f"{error}; it comes with: pip install {PACKAGE}"
+
+
+class RotorPy:
+    """Its Hummingbird in hover: geometric controller fed by noisy motion capture, no wind, defaults everywhere else."""
+
+    def __init__(self) -> None:
+        self._environment = import_module("rotorpy.environments").Environment
+        self._multirotor = import_module("rotorpy.vehicles.multirotor").Multirotor
+        self._parameters = import_module("rotorpy.vehicles.hummingbird_params").quad_params
+        self._control = import_module("rotorpy.controllers.quadrotor_control").SE3Control
+        self._trajectory = import_module("rotorpy.trajectories.hover_traj").HoverTraj
+        self._replays: dict[tuple[int, int], tuple[Callable[..., Any], list[tuple[Any, ...]]]] = {}
+
+    def whole(self, rate: int, steps: int) -> Action:
+        """``Environment.run`` without drawing.  Raises FlightError, when run, if it does not hover."""
+        return partial(self._fly, self._build(self._vehicle(), rate), rate, steps)
+
+    def plant(self, rate: int, steps: int) -> Action:
+        """``Multirotor.step`` alone, on the states and motor commands of a flight: body, aerodynamics, motors."""
+        if (rate, steps) not in self._replays:
+            self._replays[rate, steps] = self._replay(rate, steps)
+        step, inputs = self._replays[rate, steps]
+        return partial(deque, starmap(step, inputs), 0)
+
+    def _replay(self, rate: int, steps: int) -> tuple[Callable[..., Any], list[tuple[Any, ...]]]:
+        vehicle, inputs = self._vehicle(), []
+        step = vehicle.step
+
+        def noted(*arguments: Any) -> Any:
+            inputs.append(arguments)
+            return step(*arguments)
+
+        vehicle.step = noted
+        self._fly(self._build(vehicle, rate), rate, steps)
+        return step, inputs
+
+    def evaluations(self, rate: int, steps: int = 50) -> float:
+        """How often its equations of motion are evaluated in a control step of the whole flight, on average."""
+        vehicle = self._vehicle()
+        inner, count = vehicle._s_dot_fn, 0
+
+        def counted(*arguments: Any) -> Any:
+            nonlocal count
+            count += 1
+            return inner(*arguments)
+
+        vehicle._s_dot_fn = counted
+        self._fly(self._build(vehicle, rate), rate, steps)
+        return count / steps
+
+    def _vehicle(self) -> Any:
+        import numpy as np
+
+        numbers = self._parameters
+        speed = sqrt(9.81 * numbers["mass"] / (numbers["num_rotors"] * numbers["k_eta"]))  # its own g
+        start = {
+            "x": np.zeros(3),
+            "v": np.zeros(3),
+            "q": np.array([0.0, 0.0, 0.0, 1.0]),
+            "w": np.zeros(3),
+            "wind": np.zeros(3),
+            "rotor_speeds": np.full(numbers["num_rotors"], speed),
+        }
+        return self._multirotor(numbers, initial_state=start)
+
+    def _build(self, vehicle: Any, rate: int) -> Any:
+        control = self._control(self._parameters)
+        return self._environment(vehicle=vehicle, controller=control, trajectory=self._trajectory(), sim_rate=rate)
+
+    def _fly(self, environment: Any, rate: int, steps: int) -> None:
+        # it adds up its time: half a step less, and rounding cannot add one
+        end = (steps - 0.5) / rate
+        result = environment.run(t_final=end, use_mocap=True, terminate=False, plot=False, verbose=False)
+        flown = len(result["time"]) - 1
+        if flown != steps:
+            raise FlightError(f"RotorPy flew {flown} steps of {steps}: {result['exit'].value}")
+        place = [float(value) for value in result["state"]["x"][-1]]
+        if not all(abs(value) < FARTHEST_M for value in place):
+            raise FlightError(f"RotorPy does not hover: it ends at {place} m")

@@ -1,0 +1,252 @@
+"""Six separate FMU instances stepped by us and by other co-simulation engines: the same FMU, inputs and step.
+
+The others are optional; one that is not there is named with the reason, and the rest is measured.  All step the
+FMI 2.0 build, which every one of them takes, and all answer bit for bit alike, which a test says where they are
+installed.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+import zipfile
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module, metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+
+from cosim.base.errors import FlightError
+from cosim.base.signals import JETS
+from cosim.bench.measures.speed import Flights, collect
+from cosim.bench.timing import Action, Cost, Job
+from cosim.engine import EngineBank, load_engine
+
+ENGINE = "edf-as-flown-fmi2"
+STEP = 0.004
+SUBSTEPS = 4  # as the shipped scenarios have it; decides how long a step the unit takes
+MOST_STEPS = 1000  # the slowest takes a quarter of a millisecond a step
+
+EXCHANGE = "throttles in, step, thrusts out"
+ALONE = "step alone"
+
+Throttles = Sequence[float]
+
+
+class Stepper(NamedTuple):
+    """Six fresh instances at time 0.  ``step``: without handing values over, where there is such a call."""
+
+    exchange: Callable[[int, Throttles], Sequence[float]]
+    step: Callable[[int], object] | None
+
+
+Opener = Callable[[ExitStack], Stepper]
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A co-simulation engine that steps FMUs; ``open`` makes new instances, closed with the stack."""
+
+    name: str
+    package: str  # distribution, whose version is stated
+    open: Opener
+
+
+@dataclass(frozen=True)
+class Peers:
+    """What six engines cost a step, by engine and then by what was done; who is missing, and why."""
+
+    fmu: str
+    steps: int
+    costs: dict[str, dict[str, Cost]]
+    versions: dict[str, str]
+    missing: dict[str, str]
+
+
+def inputs(steps: int) -> list[tuple[float, ...]]:
+    """Six throttles a step, each at another place and all moving."""
+    return [tuple(0.4 + 0.02 * jet + 0.01 * ((k + jet) % 2) for jet in range(JETS)) for k in range(steps)]
+
+
+def find_peers() -> tuple[list[Peer], dict[str, str]]:
+    """Those that can be used here, us first, and for the others what is in the way."""
+    peers = [Peer("ours", "hexjet-cosim", _ours), Peer("FMPy's wrappers", "FMPy", _fmpy)]
+    missing = {}
+    for name, package, prepare in (("ecos", "ecospy", _prepare_ecos), ("libcosim", "libcosimpy", _prepare_libcosim)):
+        try:
+            peers.append(Peer(name, package, prepare()))
+        except (ImportError, OSError) as error:
+            missing[name] = f"{error}; it comes with: pip install {package}"
+    return peers, missing
+
+
+def measure_peers(steps: int, rounds: int, folder: Path, on_round: Callable[[], object]) -> Peers:
+    """Time them in turn, to and fro, each between two timings of the unit."""
+    steps = min(steps, MOST_STEPS)
+    peers, missing = find_peers()
+    with ExitStack() as stack, Flights(steps, folder) as flights:
+        benches = [stack.enter_context(Bench(peer, steps)) for peer in peers]
+        pairs = collect([job for bench in benches for job in bench.jobs()], flights.units(), rounds, on_round)
+    costs: dict[str, dict[str, Cost]] = {peer.name: {} for peer in peers}
+    for (_, label), rows in pairs.items():
+        name, _, what = label.partition(": ")
+        costs[name][what] = Cost.of(rows)
+    versions = {peer.name: metadata.version(peer.package) for peer in peers}
+    return Peers(f"{ENGINE}.fmu", steps, costs, versions, missing)
+
+
+class Bench:
+    """One of them with instances of its own, new ones for every timing."""
+
+    def __init__(self, peer: Peer, steps: int) -> None:
+        self._peer = peer
+        self._steps = steps
+        self._inputs = inputs(steps)
+        self._open = ExitStack()
+
+    def __enter__(self) -> Bench:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._open.close()
+
+    def new(self) -> Stepper:
+        """Fresh instances; those before are closed."""
+        self._open.close()
+        return self._peer.open(self._open)
+
+    def jobs(self) -> list[Job]:
+        """With values handed over, and without where that can be done."""
+        jobs = [Job(f"{self._peer.name}: {EXCHANGE}", SUBSTEPS, self._steps, self._exchange)]
+        if self.new().step is not None:
+            jobs.append(Job(f"{self._peer.name}: {ALONE}", SUBSTEPS, self._steps, self._alone))
+        return jobs
+
+    def _exchange(self) -> Action:
+        return partial(self._run, self.new().exchange)
+
+    def _run(self, exchange: Callable[[int, Throttles], Sequence[float]]) -> None:
+        for k, throttles in enumerate(self._inputs):
+            thrust = exchange(k, throttles)
+        if not min(thrust) > 0.0:
+            raise FlightError(f"{self._peer.name}: six engines at part throttle give {list(thrust)} N")
+
+    def _alone(self) -> Action:
+        step = self.new().step
+        assert step is not None
+
+        def action() -> None:
+            for k in range(self._steps):
+                step(k)
+
+        return action
+
+
+def _bank(stack: ExitStack) -> EngineBank:
+    bank = stack.enter_context(EngineBank(load_engine(ENGINE, {}, STEP), JETS, STEP))
+    bank.reset(0.0)
+    return bank
+
+
+def _fmu() -> tuple[Path, int, int]:
+    """The archive, and the value references of its throttle and its thrust."""
+    path = load_engine(ENGINE, {}, STEP).path
+    with zipfile.ZipFile(path) as archive, archive.open("modelDescription.xml") as file:
+        variables = ElementTree.parse(file).iter("ScalarVariable")
+        references = {variable.get("name"): int(variable.get("valueReference", "")) for variable in variables}
+    return path, references["throttle"], references["thrust"]
+
+
+def _ours(stack: ExitStack) -> Stepper:
+    bank = _bank(stack)
+
+    def exchange(k: int, throttles: Throttles) -> Sequence[float]:
+        return _thrust(bank.step(k, tuple(throttles)))
+
+    return Stepper(exchange, None)
+
+
+def _thrust(answer: Any) -> Sequence[float]:
+    """The thrusts in what the bank answers."""
+    thrust: Sequence[float] = getattr(answer, "thrust", answer)
+    return thrust
+
+
+def _fmpy(stack: ExitStack) -> Stepper:
+    """FMPy's Python wrappers around the same instances, by which a script would step them."""
+    _, throttle, thrust = _fmu()
+    bank = _bank(stack)
+    slaves = [slave.fmu for slave in bank._instances]
+
+    def exchange(k: int, throttles: Throttles) -> Sequence[float]:
+        for slave, value in zip(slaves, throttles, strict=True):
+            slave.setReal([throttle], [value])
+        step(k)
+        return [slave.getReal([thrust])[0] for slave in slaves]
+
+    def step(k: int) -> None:
+        for slave in slaves:
+            slave.doStep(currentCommunicationPoint=k * STEP, communicationStepSize=STEP)
+
+    return Stepper(exchange, step)
+
+
+def _prepare_ecos() -> Opener:
+    library = Path(sys.prefix) / "lib" / "libtbb.so.12"
+    if library.is_file():
+        # ecospy's library for Linux needs oneTBB and does not bring it; the package tbb puts it where nobody looks
+        ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
+    ecospy = import_module("ecospy")
+    ecospy.EcosLib.set_log_level("off")
+
+    def opened(stack: ExitStack) -> Stepper:
+        path, _, _ = _fmu()
+        structure = ecospy.EcosSimulationStructure()
+        for jet in range(JETS):
+            structure.add_model(f"jet{jet}", str(path))
+        simulation = ecospy.EcosSimulation(step_size=STEP, structure=structure)
+        stack.callback(structure.free)
+        stack.callback(simulation.free)
+        simulation.init()
+        ports = [(f"jet{jet}::throttle", f"jet{jet}::thrust") for jet in range(JETS)]
+
+        def exchange(k: int, throttles: Throttles) -> Sequence[float]:
+            for (throttle, _), value in zip(ports, throttles, strict=True):
+                simulation.set_real(throttle, value)
+            simulation.step()
+            return [simulation.get_real(thrust) for _, thrust in ports]
+
+        return Stepper(exchange, lambda k: simulation.step())
+
+    return opened
+
+
+def _prepare_libcosim() -> Opener:
+    parts = ("Execution", "Slave", "Manipulator", "Observer", "Logging")
+    execution, slave, manipulator, observer, logging = (import_module(f"libcosimpy.Cosim{part}") for part in parts)
+    logging.log_output_level(logging.CosimLogLevel.FATAL)
+
+    def opened(stack: ExitStack) -> Stepper:
+        path, throttle, thrust = _fmu()
+        run = execution.CosimExecution.from_step_size(round(STEP * 1e9))
+        slaves = [slave.CosimLocalSlave(str(path), f"jet{jet}") for jet in range(JETS)]
+        indices = [run.add_local_slave(each) for each in slaves]
+        inlet, outlet = manipulator.CosimManipulator.create_override(), observer.CosimObserver.create_last_value()
+        if min(indices) < 0 or not run.add_manipulator(inlet) or not run.add_observer(outlet):
+            raise FlightError(f"libcosim does not take {path.name}")
+
+        def exchange(k: int, throttles: Throttles) -> Sequence[float]:
+            for index, value in zip(indices, throttles, strict=True):
+                inlet.slave_real_values(index, [throttle], [value])
+            run.step()
+            return [outlet.last_real_values(index, [thrust])[0] for index in indices]
+
+        def step(k: int, keep: Any = slaves) -> None:  # libcosim does not keep the slaves alive
+            run.step()
+
+        return Stepper(exchange, step)
+
+    return opened

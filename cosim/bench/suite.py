@@ -1,0 +1,208 @@
+"""All measurements together, and how much of each."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from cosim.base.errors import FlightError, InputError, nearest
+from cosim.base.storage.scratch import scratch
+from cosim.bench.machine import (
+    Machine,
+    compilers,
+    load,
+    look_around,
+    package_versions,
+)
+from cosim.bench.measures.blocks import Breakdown, measure_blocks
+from cosim.bench.measures.campaign import CampaignCost, CampaignPlan, measure_campaign
+from cosim.bench.measures.growth import (
+    EngineCounts,
+    Lengths,
+    LogRates,
+    measure_engine_counts,
+    measure_lengths,
+    measure_log_rates,
+)
+from cosim.bench.measures.others import Others, measure_others
+from cosim.bench.measures.own_blocks import OwnBlocks, measure_own_blocks
+from cosim.bench.measures.pages import Pages, PagesPlan, measure_pages
+from cosim.bench.measures.process import (
+    Memory,
+    Startup,
+    measure_memory,
+    measure_startup,
+)
+from cosim.bench.measures.speed import RECORDED, measure_speed, warm_up
+from cosim.bench.peers.multirotor import Multirotor, measure_multirotor
+from cosim.bench.peers.peers import Peers, measure_peers
+from cosim.bench.timing import Cost
+
+STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY = "step", "blocks", "others", "own", "peers", "rotorpy"
+TIME, ENGINES, LOG, PAGES = "time", "engines", "log", "pages"
+START, MEMORY, CAMPAIGN = "start", "memory", "campaign"
+PARTS = (STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY, TIME, ENGINES, LOG, PAGES, START, MEMORY, CAMPAIGN)
+QUICK = (STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY, TIME, ENGINES, LOG, PAGES, START)  # less than a minute
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to measure, and how much of it.
+
+    ``steps`` of a flight, ``rounds`` through the jobs, ``starts`` of processes; ``lengths_s`` of flights compared and
+    ``hover_s`` of those beside RotorPy; ``others_s`` of other flights; ``pages`` that are written and
+    looked at; ``memory_minutes`` of the long flight.
+
+    ``folder``: where flights are recorded; None is the system's place for temporary files.
+    """
+
+    parts: tuple[str, ...] = QUICK
+    steps: int = 2500
+    rounds: int = 5
+    starts: int = 5
+    lengths_s: tuple[int, ...] = (10, 60)
+    hover_s: float = 1.0
+    others_s: float = 6.0
+    pages: PagesPlan = field(default_factory=PagesPlan)
+    memory_minutes: float = 5.0
+    campaign: CampaignPlan = field(default_factory=CampaignPlan)
+    folder: str | None = None
+
+
+FULL = Plan(
+    parts=PARTS,
+    steps=5000,
+    rounds=9,
+    lengths_s=(10, 60, 600),
+    hover_s=10.0,
+    pages=PagesPlan((20, 600), flights=1000, look_s=5.0),
+    memory_minutes=60.0,
+    campaign=CampaignPlan(rounds=7, flights=50, study=2000),
+)
+
+
+def make_plan(full: bool, campaign: bool, only: Sequence[str], amounts: Mapping[str, Any]) -> Plan:
+    """The quick plan or the full one, with the campaign if asked for, or with some parts ``only``.
+
+    An amount that is None stays as it is.  Raises InputError for an unknown part.
+    """
+    for part in only:
+        if part not in PARTS:
+            raise InputError(f"--only: unknown part {part!r}; {nearest(part, PARTS)}")
+    plan = FULL if full else Plan()
+    wanted = {*(only or plan.parts), *([CAMPAIGN] if campaign else [])}
+    if amounts.get("memory_minutes") is not None and not only:
+        wanted.add(MEMORY)
+    given = {name: value for name, value in amounts.items() if value is not None}
+    return replace(plan, parts=tuple(part for part in PARTS if part in wanted), **given)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What was measured; None where it was not, and in ``failed`` why if it was tried.
+
+    ``step``: by JSBSim runs a step, then by name.
+    """
+
+    machine: Machine
+    versions: dict[str, str]
+    compilers: dict[str, str]
+    plan: Plan
+    wall_s: float
+    failed: dict[str, str] = field(default_factory=dict)
+    step: dict[int, dict[str, Cost]] | None = None
+    blocks: Breakdown | None = None
+    others: Others | None = None
+    own: OwnBlocks | None = None
+    peers: Peers | None = None
+    rotorpy: Multirotor | None = None
+    time: Lengths | None = None
+    engines: EngineCounts | None = None
+    log: LogRates | None = None
+    pages: Pages | None = None
+    start: Startup | None = None
+    memory: Memory | None = None
+    campaign: CampaignCost | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """As it goes into JSON."""
+        data: dict[str, Any] = asdict(self)
+        del data["plan"]["folder"]
+        return data
+
+
+def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda what, done, total: None) -> Result:
+    """Measure; ``on_progress`` is told which part is measured, how much of it is done, and of how much.
+
+    A part that fails is stated in the result and does not end the others.
+    """
+    begin, before = time.perf_counter(), load()
+    results: dict[str, Any] = {}
+    failed: dict[str, str] = {}
+    with TemporaryDirectory(prefix="bench-", dir=plan.folder or scratch()) as name:
+        folder = Path(name)
+        warm_up(folder / "warm")
+        for part in PARTS:
+            if part in plan.parts:
+                measured, total = _part(part, plan, folder / part)
+                (folder / part).mkdir()
+                try:
+                    results[part] = measured(_Counter(on_progress, part, total))
+                except FlightError as error:  # the others are worth having
+                    failed[part] = str(error)
+    share = None
+    if STEP in results:
+        share = min(costs[RECORDED].cpu_us.median / costs[RECORDED].wall_us.median for costs in results[STEP].values())
+    return Result(
+        machine=look_around(before, share),
+        versions=package_versions(),
+        compilers=compilers(),
+        plan=plan,
+        wall_s=time.perf_counter() - begin,
+        failed=failed,
+        **results,
+    )
+
+
+def _part(part: str, plan: Plan, folder: Path) -> tuple[Callable[[Callable[[], object]], object], int]:
+    """What measures a part, and how often it says that it has got further."""
+    steps, rounds = plan.steps, plan.rounds
+    parts: dict[str, tuple[Callable[[Callable[[], object]], object], int]] = {
+        STEP: (partial(measure_speed, steps, rounds, folder), rounds),
+        BLOCKS: (partial(measure_blocks, steps, rounds, folder), rounds),
+        OTHERS: (partial(measure_others, plan.others_s, rounds, folder), rounds),
+        OWN: (partial(measure_own_blocks, plan.others_s, rounds, folder), rounds),
+        PEERS: (partial(measure_peers, steps, rounds, folder), rounds),
+        ROTORPY: (partial(measure_multirotor, plan.hover_s, rounds, folder), rounds),
+        TIME: (
+            partial(measure_lengths, plan.lengths_s, rounds, plan.starts, folder),
+            rounds + len(plan.lengths_s) * plan.starts,
+        ),
+        ENGINES: (partial(measure_engine_counts, steps, rounds, folder), rounds),
+        LOG: (partial(measure_log_rates, steps, rounds, folder), rounds),
+        PAGES: (partial(measure_pages, plan.pages, rounds, folder), rounds * len(plan.pages.seconds) + 1),
+        START: (partial(measure_startup, plan.starts, folder), plan.starts + 1),
+        MEMORY: (partial(measure_memory, plan.memory_minutes, plan.starts, folder), plan.starts),
+        CAMPAIGN: (
+            partial(measure_campaign, plan.campaign, folder),
+            plan.campaign.rounds + bool(plan.campaign.study),
+        ),
+    }
+    return parts[part]
+
+
+class _Counter:
+    """Counts its calls towards ``total``."""
+
+    def __init__(self, tell: Callable[[str, int, int], object], what: str, total: int) -> None:
+        self._tell, self._what, self._total, self._done = tell, what, total, 0
+        tell(what, 0, total)
+
+    def __call__(self) -> None:
+        self._done += 1
+        self._tell(self._what, self._done, self._total)

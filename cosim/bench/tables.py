@@ -1,0 +1,331 @@
+"""The measurements as tables of text, the same on a terminal and on a page.  Every figure is a median [quartiles]."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+from cosim.bench.measures.blocks import Breakdown
+from cosim.bench.measures.browser import Frames, Seen
+from cosim.bench.measures.campaign import EARLY, PROCESSES, CampaignCost
+from cosim.bench.measures.growth import EngineCounts, Lengths, LogRates
+from cosim.bench.measures.others import Others
+from cosim.bench.measures.own_blocks import BASELINE, OwnBlocks
+from cosim.bench.measures.pages import Pages
+from cosim.bench.measures.process import Memory, Startup
+from cosim.bench.measures.speed import BARE
+from cosim.bench.peers.multirotor import Multirotor
+from cosim.bench.peers.peers import ALONE, EXCHANGE, Peers
+from cosim.bench.suite import (
+    BLOCKS,
+    CAMPAIGN,
+    ENGINES,
+    LOG,
+    MEMORY,
+    OTHERS,
+    OWN,
+    PAGES,
+    PEERS,
+    ROTORPY,
+    START,
+    STEP,
+    TIME,
+    Result,
+)
+from cosim.bench.targets import judge, runs_a_step
+from cosim.bench.timing import Cost, Spread
+
+ASKED, MACHINE = "asked", "machine"
+KEYS = (ASKED, STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY, TIME, ENGINES, LOG, PAGES, START, MEMORY, CAMPAIGN, MACHINE)
+
+Row = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """``columns`` are the headings after the first, which names the rows; ``notes`` stand below."""
+
+    title: str
+    columns: Row
+    rows: Sequence[Row]
+    notes: list[str] = field(default_factory=list)
+
+
+def tables(result: Result) -> dict[str, list[Table]]:
+    """The tables by part, in the order in which they are read; nothing for a part that was not measured."""
+    parts: dict[str, list[Table]] = {ASKED: [_asked(result)]}
+    if result.step:
+        parts[STEP] = [_step(runs, costs) for runs, costs in result.step.items()]
+    if result.blocks:
+        parts[BLOCKS] = [_blocks(result.blocks)]
+    if result.others:
+        parts[OTHERS] = [_others(result.others)]
+    if result.own:
+        parts[OWN] = [_own(result.own)]
+    if result.peers:
+        parts[PEERS] = [_peers(result.peers)]
+    if result.rotorpy:
+        parts[ROTORPY] = [_rotorpy(result.rotorpy)]
+    if result.time:
+        parts[TIME] = [_time(result.time)]
+    if result.engines:
+        parts[ENGINES] = list(_engines(result.engines))
+    if result.log:
+        parts[LOG] = [_log(result.log)]
+    if result.pages:
+        parts[PAGES] = list(_pages(result.pages))
+    if result.start:
+        parts[START] = [_start(result.start)]
+    if result.memory:
+        parts[MEMORY] = [_memory(result.memory)]
+    if result.campaign:
+        parts[CAMPAIGN] = list(_campaign(result.campaign))
+    return parts | {MACHINE: list(_machine(result))}
+
+
+def spread(value: Spread) -> str:
+    """``median [lower quartile, upper quartile]``, to three digits of the median."""
+    digits = _digits(value.median)
+    return f"{value.median:.{digits}f} [{value.low:.{digits}f}, {value.high:.{digits}f}]"
+
+
+def _digits(value: float) -> int:
+    """Decimals that leave three digits, and no more than three."""
+    size = abs(value)
+    return 0 if size >= 100.0 else 1 if size >= 10.0 else 2 if size >= 1.0 else 3
+
+
+def _asked(result: Result) -> Table:
+    rows = []
+    for judged in judge(result):
+        bound = f"at {'least' if judged.least else 'most'} {judged.bound:g} {judged.unit}"
+        rows.append((judged.name, spread(judged.measured), bound, "yes" if judged.met else "no"))
+    return Table("asked for", ("measured", "asked for", "met"), rows)
+
+
+def _cost(cost: Cost) -> Row:
+    return spread(cost.wall_us), spread(cost.cpu_us), spread(cost.units)
+
+
+US = ("us wall", "us cpu", "units")
+
+
+def _step(runs: int, costs: dict[str, Cost]) -> Table:
+    rows = [(name, *_cost(cost)[:2], "1" if name == BARE else spread(cost.units)) for name, cost in costs.items()]
+    return Table(f"one control step, JSBSim runs in it: {runs}", US, rows)
+
+
+def _blocks(breakdown: Breakdown) -> Table:
+    whole = breakdown.outside.units.median
+    rows = []
+    for name, cost in breakdown.alone.items():
+        met = breakdown.in_flight.get(name)
+        us, units = ("-", cost.units.median) if met is None else (f"{met.us:.2f}", met.units)
+        rows.append((name, spread(cost.cpu_us), us, f"{units:.2f}", f"{100.0 * units / whole:.0f}"))
+    rest = breakdown.rest_units
+    rows.append(("rest: loop, records", "", "", f"{rest:.2f}", f"{100.0 * rest / whole:.0f}"))
+    rows.append(("all, recorded to disk", "", spread(breakdown.outside.cpu_us), f"{whole:.2f}", "100"))
+    title = f"where it goes outside JSBSim, {breakdown.substeps} runs a step"
+    return Table(title, ("us alone", "us in flight", "units", "%"), rows)
+
+
+def _others(others: Others) -> Table:
+    rows = [(name, *(spread(cost.units) for cost in costs.values())) for name, costs in others.outside.items()]
+    columns = tuple(map(runs_a_step, next(iter(others.outside.values()))))
+    return Table("not JSBSim, recorded to disk, in other flights; units", columns, rows)
+
+
+def _own(found: OwnBlocks) -> Table:
+    """By both clocks: what waits for a process takes none of the processor's time."""
+    rows = [
+        (f"{BASELINE}, what is not JSBSim", *_cost(found.ours), spread(found.ours.units_wall)),
+        *((f"more by {name}", *_cost(cost), spread(cost.units_wall)) for name, cost in found.more.items()),
+    ]
+    notes = [] if found.missing is None else [_missing("a whole controller, as an FMU", found.missing)]
+    return Table("a hover with blocks of one's own, 1 run a step", (*US, "units of wall time"), rows, notes)
+
+
+def _peers(peers: Peers) -> Table:
+    """Units of all threads' processor time: some of them step in threads of their own."""
+    rows = [
+        (f"{name} {peers.versions[name]}: {what}", spread(costs[what].wall_us), spread(costs[what].units_process))
+        for name, costs in peers.costs.items()
+        for what in (EXCHANGE, ALONE)
+        if what in costs
+    ]
+    title = f"six instances of {peers.fmu}, {peers.steps} steps; units of all threads together"
+    return Table(title, ("us wall", "units"), rows, [_missing(name, why) for name, why in peers.missing.items()])
+
+
+def _missing(name: str, why: str) -> str:
+    return f"{name} not measured: {why}"
+
+
+def _rotorpy(multirotor: Multirotor) -> Table:
+    rows = []
+    for name, hover in multirotor.hovers.items():
+        second = spread(hover.cost.wall_us.times(hover.rate))
+        step = spread(hover.cost.wall_us), spread(hover.cost.units)
+        rows.append((name, *step, second, spread(hover.factor), spread(hover.ratio)))
+    notes = [] if multirotor.missing is None else [_missing("RotorPy", multirotor.missing)]
+    for rate, count in multirotor.evaluations.items():
+        notes.append(
+            f"RotorPy {multirotor.version} at {rate} Hz: {count:.1f} evaluations of its equations of motion a step."
+        )
+    columns = ("us a step", "units a step", "us a second flown", "seconds flown a second", "by ours at that rate")
+    return Table(f"a hover of {multirotor.seconds:g} s", columns, rows, notes)
+
+
+def _time(lengths: Lengths) -> Table:
+    rows = []
+    for seconds, cost in lengths.steps.items():
+        memory = lengths.memory[seconds]
+        flying = next(mark.resident_mb for mark in memory.landmarks if mark.where == "4/4")
+        held = "-" if flying is None else spread(flying)
+        rows.append((f"{seconds} s", spread(cost.cpu_us), spread(cost.units), held, spread(memory.peak_mb)))
+    notes = [f"A step of the longest flight costs {spread(lengths.growth)} times one of the shortest, round by round."]
+    columns = ("us cpu", "units", "resident at its end, MB", "peak with log and summary, MB")
+    return Table("a recorded step by the time that is flown", columns, rows, notes)
+
+
+def _engines(counts: EngineCounts) -> Iterator[Table]:
+    banks = [(f"{count}", spread(cost.cpu_us), spread(cost.units)) for count, cost in counts.banks.items()]
+    yield Table(f"a bank's step by its engines ({counts.engine})", ("us cpu", "units"), banks)
+    flown = [(name, *_cost(cost)) for name, cost in counts.flown.items()]
+    yield Table("whole recorded step, 4 runs in it; units of the Hex-Jet's airframe", US, flown)
+
+
+def _log(rates: LogRates) -> Table:
+    names = {0: "nothing is recorded", 1: "every step"}
+    rows = [(names.get(every, f"one step in {every}"), *_cost(cost)) for every, cost in rates.steps.items()]
+    return Table("whole step by what is recorded, 4 JSBSim runs in it", US, rows)
+
+
+def _pages(pages: Pages) -> Iterator[Table]:
+    rows = [
+        (
+            f"{seconds} s",
+            *(f"{size:.2f}" for size in (page.whole_mb, page.shared_mb, page.log_mb)),
+            spread(page.write_s),
+            spread(page.by_flight),
+        )
+        for seconds, page in pages.by_length.items()
+    ]
+    columns = ("MB", "MB with shared assets", "MB of the log", "s to write it", "by the flight's own time")
+    yield Table(f"the page of a flight ({pages.flight}) by the time that is flown", columns, rows)
+    flights, title = pages.campaign.flights, "the page of a campaign"
+    yield Table(title, ("MB",), [(f"{flights} flights", f"{pages.campaign.mb:.2f}")])
+    title = "pages in a browser"
+    if pages.missing:
+        yield Table(title, ("",), [], [_missing(title, pages.missing)])
+        return
+    seen = {f"{seconds} s": page.seen for seconds, page in pages.by_length.items()}
+    seen[f"{flights} flights"] = pages.campaign.seen
+    looks = [(name, each) for name, each in seen.items() if each]
+    found: list[tuple[str, Callable[[Seen], Spread | None]]] = [
+        ("s until it is there", lambda each: each.open_s),
+        ("s of its thread until then", lambda each: each.open_cpu_s),
+    ]
+    for what, of in (("scrolled", lambda each: each.scrolled), ("replaying", lambda each: each.replayed)):
+        found += [
+            (f"{what}: frames a second", _frame(of, "rate")),
+            (f"{what}: % of them late", _frame(of, "late")),
+            (f"{what}: ms of its thread a frame", _frame(of, "page_ms")),
+            (f"{what}: ms of what draws a frame", _frame(of, "drawing_ms")),
+        ]
+    rows = [
+        (name, *("-" if (value := take(each)) is None else spread(value) for _, each in looks)) for name, take in found
+    ]
+    yield Table(title, tuple(name for name, _ in looks), rows, [f"{pages.browser}."])
+
+
+def _frame(of: Callable[[Seen], Frames | None], name: str) -> Callable[[Seen], Spread | None]:
+    def take(seen: Seen) -> Spread | None:
+        frames = of(seen)
+        return None if frames is None else getattr(frames, name)
+
+    return take
+
+
+def _start(startup: Startup) -> Table:
+    rows = [
+        (name, spread(measured))
+        for name, measured in (
+            ("Python starts", startup.python_s),
+            ("imports", startup.imports_s),
+            ("builds the flight, begins the log", startup.build_s),
+            ("to the first step", startup.first_step_s),
+        )
+    ]
+    return Table("From the command to the first step: hexjet fly hover", ("s",), rows)
+
+
+def _memory(memory: Memory) -> Table:
+    rows = []
+    for mark in memory.landmarks:
+        where = f"{mark.where} of the flight" if "/" in mark.where else mark.where
+        held = "-" if mark.resident_mb is None else spread(mark.resident_mb)
+        rows.append((where, held, spread(mark.peak_mb)))
+    note = f"Each flight with its files took {spread(memory.wall_s)} s; its folder has {memory.log_mb:.0f} MB."
+    title = f"{memory.minutes:g} min flown, {memory.steps} steps"
+    return Table(title, ("resident MB", "peak so far MB"), rows, [note])
+
+
+def _campaign(cost: CampaignCost) -> Iterator[Table]:
+    one, two = PROCESSES
+    rows = [
+        (
+            "bare JSBSim, runs a ms",
+            *(spread(cost.bare.rate[count].times(1e-3)) for count in PROCESSES),
+            spread(cost.bare.gain),
+        ),
+        (
+            f"flights of {cost.flight_s:g} s, 1/s",
+            *(spread(cost.flown.rate[count]) for count in PROCESSES),
+            spread(cost.flown.gain),
+        ),
+        ("gain of the campaign by bare JSBSim's", "", "", spread(cost.share)),
+    ]
+    yield Table("from one process to two", (f"{one} process", f"{two} processes", "gain"), rows)
+    if cost.study:
+        study = cost.study
+        held = [
+            (f"worker {number}, {worker.flights} flights", _mb(worker.early_mb), _mb(worker.end_mb))
+            for number, worker in enumerate(study.workers, 1)
+        ]
+        took = f"{study.flights} flights in {study.wall_s:.0f} s, one run"
+        note = f"{took}; {spread(study.rate)} flights a second over its tenths."
+        title = f"a study of {study.flights} flights, two workers: resident memory, MB"
+        yield Table(title, (f"after {EARLY} flights", "after the last"), held, [note])
+
+
+def _mb(value: float | None) -> str:
+    return "-" if value is None else f"{value:.0f}"
+
+
+def _machine(result: Result) -> Iterator[Table]:
+    machine, plan = result.machine, result.plan
+    memory = "-" if machine.memory_mb is None else f"{machine.memory_mb / 1000.0:.1f} GB"
+    rows = [
+        ("processor", machine.cpu),
+        ("cores", str(machine.cores)),
+        ("memory", memory),
+        ("kernel", f"{machine.system}, {machine.kernel}"),
+        ("C library", machine.libc or "-"),
+    ]
+    rows.append(("modules of a control step", "compiled" if machine.compiled else "Python source"))
+    if machine.load:
+        rows.append(("load before, after", ", ".join(f"{value:.2f}" for value in machine.load)))
+    if machine.processor_share is not None:
+        rows.append(("processor time by wall time in flight", f"{machine.processor_share:.3f}"))
+    rows += [(f"compiler of {name}", version) for name, version in result.compilers.items()]
+    rows.append(
+        (
+            "repeats",
+            f"{plan.rounds} rounds, {plan.starts} processes started, {plan.campaign.rounds} rounds of the campaign",
+        )
+    )
+    rows.append(("steps of a timed flight", str(plan.steps)))
+    rows.append(("measured in", f"{result.wall_s:.0f} s"))
+    yield Table("the machine", ("",), rows)
+    yield Table("the packages", ("version",), list(result.versions.items()))

@@ -1,0 +1,126 @@
+"""What the project asks of itself, and how the measurements stand to it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from cosim.bench.measures.browser import Seen
+from cosim.bench.measures.own_blocks import CLASSES
+from cosim.bench.measures.speed import ENGINES, OUTSIDE, RECORDED
+from cosim.bench.suite import Result
+from cosim.bench.timing import Spread
+
+RUNS = "JSBSim runs"
+OUTSIDE_UNITS = 1.5  # JSBSim runs, a control step of the standard flight
+DEAREST_UNITS = 3.5  # of any other flight that is measured
+BY_BARE = {1: 4.5, 4: 2.0}  # whole flight by bare JSBSim, by runs a step
+ENGINE_UNITS = 1.5  # JSBSim runs: six engine FMUs, a control step
+CLASS_UNITS = 1.5  # JSBSim runs more: a controller from outside, as a class
+FIRST_STEP_S = 1.5
+PAGE_MB = {20: 1.5, 600: 12.0}  # by the seconds flown
+CAMPAIGN_PAGE_MB = 2.0
+OPEN_S = 1.0  # until a page is laid out and painted
+FRAMES_S = 59.0  # of the 60 that a screen shows; what is counted in a few seconds is a frame more or less
+STEP_GROWTH = 1.05  # the step of the longest flight by that of the shortest: what a quiet machine can tell from 1
+FLIGHT_GROWTH_MB = 2.0  # from the first quarter of a long flight to its end: blocks of the log come and go
+PEAK_MB = 300.0
+CAMPAIGN_SHARE = 0.95  # of bare JSBSim's gain from one process to two
+WORKER_GROWTH = 1.05  # a worker's memory at its end by that after its first flights
+STUDY_FLIGHTS = 2000
+STUDY_S = 300.0
+
+
+@dataclass(frozen=True)
+class TargetResult:
+    """One thing that is asked for: at most ``bound``, or at least if ``least``.  The median decides."""
+
+    name: str
+    measured: Spread
+    bound: float
+    unit: str
+    least: bool = False
+
+    @property
+    def met(self) -> bool:
+        median = self.measured.median
+        return median >= self.bound if self.least else median <= self.bound
+
+
+def judge(result: Result) -> list[TargetResult]:
+    """Everything that is asked for and was measured."""
+    return [*_step(result), *_processes(result), *_campaign(result)]
+
+
+def to_dict(result: Result) -> dict[str, Any]:
+    """A result as it goes into JSON, with what is asked for."""
+    return result.to_dict() | {"asked": [asdict(row) | {"met": row.met} for row in judge(result)]}
+
+
+def runs_a_step(runs: int) -> str:
+    """In words."""
+    return f"{runs} run{'s' if runs > 1 else ''} a step"
+
+
+def _step(result: Result) -> Iterator[TargetResult]:
+    for runs, costs in (result.step or {}).items():
+        in_it = runs_a_step(runs)
+        yield TargetResult(f"not JSBSim, recorded in full, {in_it}", costs[OUTSIDE].units, OUTSIDE_UNITS, RUNS)
+        whole = costs[RECORDED].units.times(1.0 / runs)
+        yield TargetResult(f"whole flight by bare JSBSim, {in_it}", whole, BY_BARE[runs], "times")
+        yield TargetResult(f"{ENGINES}, {in_it}", costs[ENGINES].units, ENGINE_UNITS, RUNS)
+    if result.others:
+        units = [cost.units for costs in result.others.outside.values() for cost in costs.values()]
+        dearest = max(units, key=lambda each: each.median)
+        yield TargetResult("the dearest of the other flights, recorded in full", dearest, DEAREST_UNITS, RUNS)
+    if result.own:
+        for name in CLASSES:
+            yield TargetResult(f"more by {name}", result.own.more[name].units, CLASS_UNITS, RUNS)
+    if result.time:
+        shortest, longest = min(result.time.steps), max(result.time.steps)
+        name = f"a step of {longest} s flown by one of {shortest} s"
+        yield TargetResult(name, result.time.growth, STEP_GROWTH, "times")
+
+
+def _processes(result: Result) -> Iterator[TargetResult]:
+    if result.pages:
+        for seconds, page in result.pages.by_length.items():
+            if seconds in PAGE_MB:
+                name = f"the page of {seconds} s flown"
+                yield TargetResult(name, Spread.of([page.whole_mb]), PAGE_MB[seconds], "MB")
+                yield from _seen(name, page.seen)
+        campaign = result.pages.campaign
+        name = f"the page of a campaign of {campaign.flights} flights"
+        yield TargetResult(name, Spread.of([campaign.mb]), CAMPAIGN_PAGE_MB, "MB")
+    if result.start:
+        yield TargetResult("from command to first step", result.start.first_step_s, FIRST_STEP_S, "s")
+    if result.memory:
+        minutes = f"{result.memory.minutes:g} min flown"
+        if result.memory.growth_mb:
+            yield TargetResult(
+                f"memory gained from a quarter to the end, {minutes}", result.memory.growth_mb, FLIGHT_GROWTH_MB, "MB"
+            )
+        yield TargetResult(f"memory at its peak, {minutes}", result.memory.peak_mb, PEAK_MB, "MB")
+
+
+def _seen(name: str, seen: Seen | None) -> Iterator[TargetResult]:
+    if seen:
+        yield TargetResult(f"{name}, until it is there", seen.open_s, OPEN_S, "s")
+        yield TargetResult(f"{name}, scrolled", seen.scrolled.rate, FRAMES_S, "frames a second", least=True)
+
+
+def _campaign(result: Result) -> Iterator[TargetResult]:
+    campaign = result.campaign
+    if campaign is None:
+        return
+    yield TargetResult("gain by a second worker, by bare JSBSim's", campaign.share, CAMPAIGN_SHARE, "times", least=True)
+    if campaign.study:
+        growth = [
+            worker.end_mb / worker.early_mb for worker in campaign.study.workers if worker.end_mb and worker.early_mb
+        ]
+        if growth:
+            yield TargetResult("memory of a worker, last flight by 50th", Spread.of(growth), WORKER_GROWTH, "times")
+        if campaign.study.flights == STUDY_FLIGHTS:
+            wall = Spread.of([campaign.study.wall_s])
+            yield TargetResult(f"{STUDY_FLIGHTS} flights of {campaign.flight_s:g} s, two workers", wall, STUDY_S, "s")
