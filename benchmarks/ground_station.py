@@ -1,10 +1,10 @@
 """What a ground station gets of a session, and what it costs the flight: numbers only, nothing is judged.
 
-    python -m benchmarks.ground_station                  real time, two stations: deadlines, state to packet
-    python -m benchmarks.ground_station --flood          with a third that floods and a fourth that never reads
-    python -m benchmarks.ground_station --soak 3600      an hour of flight as fast as it goes: memory and queues
-    python -m benchmarks.ground_station --lines          what serial lines of several speeds carry of the telemetry
-    python -m benchmarks.ground_station --stalled 60     a serial port that stops reading, beside UDP and TCP
+    python benchmarks/ground_station.py                  real time, two stations: deadlines, state to packet
+    python benchmarks/ground_station.py --flood          with a third that floods and a fourth that never reads
+    python benchmarks/ground_station.py --soak 3600      an hour of flight as fast as it goes: memory and queues
+    python benchmarks/ground_station.py --lines          what serial lines of several speeds carry of the telemetry
+    python benchmarks/ground_station.py --stalled 60     a serial port that stops reading, beside UDP and TCP
     ... --write docs/ground-station.md                   the last two: puts their tables between the page's marks
 
 Stations are processes of their own; clocks are comparable because all use the system's monotonic one.
@@ -19,17 +19,15 @@ import socket
 import struct
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from statistics import median
-from tempfile import TemporaryDirectory
 from typing import Any
 
-from benchmarks.measures.long_flight import resident_of
-from cosim.base.storage.scratch import scratch
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.parameters import Parameters
 from cosim.groundstation.exchange import Exchange, Port
@@ -122,7 +120,7 @@ def silent(port: int) -> None:
 
 def realtime(seconds: float, others: bool, factor: float) -> dict[str, Any]:
     published: dict[int, float] = {}
-    with Links(["udpin:127.0.0.1:0"]) as links, TemporaryDirectory(dir=scratch()) as folder:
+    with Links(["udpin:127.0.0.1:0"]) as links, tempfile.TemporaryDirectory() as folder:
         exchange = links.exchange
 
         def note() -> None:
@@ -177,8 +175,8 @@ def realtime(seconds: float, others: bool, factor: float) -> dict[str, Any]:
 
 def soak(seconds: float) -> dict[str, Any]:
     """Up, to and fro, down, again and again, with two stations on the links."""
-    rows: list[dict[str, float | None]] = []
-    with Links(["udpin:127.0.0.1:0"]) as links, TemporaryDirectory(dir=scratch()) as folder:
+    rows: list[dict[str, float]] = []
+    with Links(["udpin:127.0.0.1:0"]) as links, tempfile.TemporaryDirectory() as folder:
         exchange = links.exchange
         session = _session(links, Path(folder) / "run", None, seconds)
         stations = [_spawn("listen", links.link.ports[0]) for _ in range(2)]
@@ -193,7 +191,7 @@ def soak(seconds: float) -> dict[str, Any]:
                     rows.append(
                         {
                             "time_s": snapshot.time,
-                            "memory_mb": resident_of("self"),
+                            "memory_mb": _memory(),
                             "waiting_requests": exchange.waiting,
                             "waiting_bytes": sum(peer.waiting for peer in links.link.peers),
                         }
@@ -393,17 +391,11 @@ def stalled(seconds: float) -> str:
     os.set_blocking(ours, False)
     urls = [f"serial:{os.ttyname(theirs)}:57600", "udpin:127.0.0.1:0", "tcpin:127.0.0.1:0"]
     rows: list[tuple[str, ...]] = []
-    with Links(urls) as links, TemporaryDirectory(dir=scratch()) as folder:
+    with Links(urls) as links, tempfile.TemporaryDirectory() as folder:
         session = _session(links, Path(folder) / "run", 1.0)
         serial = links.link._channels[0]
         events: list[tuple[float, str]] = []
-        tell = links.link.tell
-
-        def note(text: str) -> None:
-            events.append((time.monotonic(), text))
-            tell(text)
-
-        links.link.tell = note
+        tell, links.link.tell = links.link.tell, lambda text: (events.append((time.monotonic(), text)), tell(text))[1]
 
         def read(until: Callable[[], bool]) -> None:
             while not until():
@@ -451,14 +443,20 @@ def stalled(seconds: float) -> str:
 
 def _session(links: Links, folder: Path, factor: float | None, duration: float | None = None) -> Session:
     return Session(
-        Scenario.load("hover").replace(name="gcs"), links.exchange, factor=factor, out=folder, duration=duration,
-        report=False, begun=links.begin, over=links.end,
-    )  # fmt: skip
+        Scenario.load("hover").replace(name="gcs"),
+        links.exchange,
+        factor=factor,
+        out=folder,
+        duration=duration,
+        report=False,
+        begun=links.begin,
+        over=links.end,
+    )
 
 
 def _spawn(kind: str, port: int) -> subprocess.Popen[str]:
     station = subprocess.Popen(
-        [sys.executable, "-P", "-m", "benchmarks.ground_station", "--station", kind, "--port", str(port)],
+        [sys.executable, __file__, "--station", kind, "--port", str(port)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -466,6 +464,12 @@ def _spawn(kind: str, port: int) -> subprocess.Popen[str]:
     assert station.stdout is not None
     station.stdout.readline()  # ready
     return station
+
+
+def _memory() -> float:
+    """Resident, MB."""
+    with open("/proc/self/statm", encoding="ascii") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def main() -> None:

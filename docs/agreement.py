@@ -49,6 +49,7 @@ COLUMNS = {
     ),
     "margins": (
         "aircraft", "axis", "phase margin, deg", "computed", "gain margin, dB", "computed gain margin, dB", "agree",
+        "why not",
     ),
 }  # fmt: skip
 Cells = list[str]
@@ -76,13 +77,18 @@ def swept(aircraft: str, axis: str) -> Cells:
 
 def why_not(aircraft: str, axis: str, cells: Cells) -> Cells:
     """Why a sweep does not give the ledger's sum: whether the axis as it is computed, linear and without noise, has the
-    form that is fitted, in the same band; and what of the ledger no lag is.
+    form that is fitted, in the same band; what of the ledger no lag is; and where noise is what moves it, whether it is
+    found without.
     """
     lowest, _, highest = cells[0].partition(" to ")
     if not highest:
         return [""]
     scenario = _hovering(aircraft)
     reasons = []
+    if "coherence" in cells[1]:
+        still = identify_axis(axis, aircraft, settings=("sensor_noise=false",))
+        found = "also refused" if still.refused else f"found, with {low_frequency_delay(still.chosen):.2f} samples"
+        reasons.append(f"without the sensors' noise it is {found}")
     if cells[-1]:  # a sum was found
         worth = 0.01 * float(cells[4]) / (2.0 * np.pi * float(lowest) * scenario.step_s)
         reasons.append(f"the misfit is worth {worth:.1f} samples at {lowest} Hz")
@@ -115,12 +121,24 @@ def _hovering(aircraft: str) -> Scenario:
 
 
 def measured(aircraft: str, axis: str) -> Cells:
-    """What ``hexjet margins`` measures in hover, beside what is computed."""
+    """What ``hexjet margins`` measures in hover beside what is computed; where they do not agree also without noise, up
+    to half the control rate.
+    """
+    scenario = _hovering(aircraft)
     try:
-        made = measure_margins(_hovering(aircraft), (axis,))
+        cells, agrees = _compared(scenario, axis)
+        if agrees is not False:
+            return [*cells, "" if agrees is None else _agree(agrees), ""]
+        (phase, _, gain, _), still = _compared(scenario.replace(sensor_noise=False), axis, 0.5 / scenario.step_s)
     except InputError as error:
-        return [f"none: {error}", *[""] * 4]
-    got = made.axes[axis]
+        return [f"none: {error}", *[""] * 5]
+    verdict = "which agrees: it is the noise" if still else "which does not agree either"
+    return [*cells, _agree(False), f"without the sensors' noise {phase} deg and {gain} dB are measured, {verdict}"]
+
+
+def _compared(scenario: Scenario, axis: str, to_hz: float | None = None) -> tuple[Cells, bool | None]:
+    """Phase and gain margin, each measured and computed, and whether they agree; None where nothing can be said."""
+    got = measure_margins(scenario, (axis,), to_hz=to_hz).axes[axis]
     cells, verdicts = [], []
     for name, allowed in OFF.items():
         ours = got.response.margins.get(name)
@@ -128,7 +146,7 @@ def measured(aircraft: str, axis: str) -> Cells:
         cells += [f"{value:.1f}" if value is not None else "none" for value in (ours and ours.value, theirs)]
         off = got.off(name)
         verdicts += [] if off is None else [abs(off) <= allowed]
-    return [*cells, _agree(all(verdicts)) if verdicts else ""]
+    return cells, all(verdicts) if verdicts else None
 
 
 def _agree(holds: bool) -> str:
