@@ -65,8 +65,16 @@ def loaded() -> dict[str, str]:
 
 
 def warn_of_others() -> None:
-    """Warn, once in a process, if numpy or scipy was loaded with other kernels than the reference."""
-    others = [f"{package} computes with {kernel}" for package, kernel in loaded().items() if kernel != REFERENCE]
+    """Warn, once in a process, if numpy or scipy was loaded with other kernels than the reference.
+
+    Where the environment names those kernels it is what was asked for, and nothing is said.
+    """
+    asked = os.environ.get(VARIABLE, REFERENCE).lower()
+    others = [
+        f"{package} computes with {kernel}"
+        for package, kernel in loaded().items()
+        if kernel.lower() not in (REFERENCE.lower(), asked)
+    ]
     if others and not _warned and can_use_reference():
         _warned.append(others[0])
         warnings.warn(

@@ -83,7 +83,24 @@ def test_a_flight_has_the_bits_of_the_reference_and_others_are_told_once() -> No
     assert ran(FLY).stdout == named.stdout
     assert REFERENCE in named.stdout
     assert named.stderr == ""
-    other = ran(f"import numpy\n{FLY}", **{VARIABLE: OTHER})
+    # numpy comes first with other kernels, which nobody has asked for where a flight begins
+    late = f"import os, numpy, scipy.linalg\ndel os.environ['{VARIABLE}']\n{FLY}"
+    other = ran(late, **{VARIABLE: OTHER})
     assert OTHER in other.stdout
     assert other.stderr.count("RuntimeWarning") == 1
     assert f"instead of {REFERENCE}" in other.stderr
+
+
+@needs_reference
+@pytest.mark.parametrize("first", ["", "import numpy\n"])
+def test_kernels_that_the_environment_names_are_no_surprise(first: str) -> None:
+    """They are in the summary, and nothing warns of them; of a name that changed nothing it does."""
+    code = (
+        "import cosim; run = cosim.fly(cosim.Scenario.load('hover', ['duration_s=0.1']), report=False)\n"
+        "print(run.summary.blas_kernels)"
+    )
+    named = ran(first + code, **{VARIABLE: OTHER})
+    assert OTHER in named.stdout
+    assert named.stderr == ""
+    late = ran(f"import os, numpy\nos.environ['{VARIABLE}'] = 'Sandybridge'\n{code}", **{VARIABLE: OTHER})
+    assert late.stderr.count("RuntimeWarning") == 1

@@ -10,7 +10,7 @@ import pytest
 
 from cosim.base.arrays import Array
 from cosim.results.limits import ALTERNATING_PERCENT, beyond, exceedance
-from cosim.results.metrics import REVERSAL, alternating_percent
+from cosim.results.metrics import REVERSAL, alternating_percent, settling_time
 from cosim.results.steadiness import AxisYardstick, axis_limits, noise_floor, settling_limit
 
 STEP, SPAN = 0.004, 0.4
@@ -68,6 +68,28 @@ def test_a_step_is_to_settle_in_ten_time_constants() -> None:
     )
     # too slow: ln 20 / 0.5 = 6 s; the limit is the same, the metric is not within it
     assert limits(flight(step(10.0), response(10.0, 0.5)))["roll.settling_time_s"] == 4.0
+
+
+def behind(lag_s: float, delay_s: float, size_deg: float, seconds: float) -> Array:
+    """Return the response of the attitude law through a lag or a delay, or both, to a step."""
+    angle, rate, late = [0.0], 0.0, at(delay_s)
+    for asked in step(size_deg, seconds).tolist()[1:]:
+        wanted = AXIS.gain_1_s * (asked - (angle[-1 - late] if late < len(angle) else 0.0))
+        rate = wanted if lag_s == 0.0 else rate + STEP / lag_s * (wanted - rate)
+        angle.append(angle[-1] + STEP * rate)
+    return np.array(angle)
+
+
+@pytest.mark.parametrize(("lag_s", "delay_s", "percent"), [(0.8, 0.0, 30.0), (0.0, 0.42, 55.0)])
+def test_who_overshoots_by_as_much_has_not_settled(lag_s: float, delay_s: float, percent: float) -> None:
+    """Why overshoot has no limit of its own: with a lag and with a delay alone, from there on up to instability."""
+    for more in (1.0, 1.15, 1.3):
+        angle = behind(more * lag_s, more * delay_s, 10.0, 30.0)
+        assert percent < 100.0 * (angle.max() / 10.0 - 1.0)
+        setpoint = step(10.0, 30.0)
+        found = settling_time(np.radians(setpoint - angle)[at(1.0) :], radians(10.0), STEP)
+        assert limits(flight(setpoint, angle))["roll.settling_time_s"] == 4.0
+        assert found is None or found > 4.0
 
 
 def test_a_step_that_is_too_short_to_settle_tells_nothing_and_hides_nothing() -> None:
