@@ -1,1 +1,6 @@
-"""What a flight costs: ``python -m benchmarks``."""
+"""What a flight costs, with one JSBSim run as the unit: steps, starts, memory, how they grow, and what others take.
+
+``python -m benchmarks``, or ``hexjet bench`` where this is installed from a checkout.  Times belong to the machine they
+were taken on, ratios travel better.  What the project asks of itself is reported beside what was found, and nothing
+fails.
+"""

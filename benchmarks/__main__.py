@@ -1,4 +1,4 @@
-"""``python -m benchmarks``: the same as ``hexjet bench``; the measurements are in :mod:`cosim.bench`."""
+"""``python -m benchmarks``: the same as ``hexjet bench``."""
 
 from __future__ import annotations
 

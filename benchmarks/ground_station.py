@@ -1,10 +1,10 @@
 """What a ground station gets of a session, and what it costs the flight: numbers only, nothing is judged.
 
-    python benchmarks/ground_station.py                  real time, two stations: deadlines, state to packet
-    python benchmarks/ground_station.py --flood          with a third that floods and a fourth that never reads
-    python benchmarks/ground_station.py --soak 3600      an hour of flight as fast as it goes: memory and queues
-    python benchmarks/ground_station.py --lines          what serial lines of several speeds carry of the telemetry
-    python benchmarks/ground_station.py --stalled 60     a serial port that stops reading, beside UDP and TCP
+    python -m benchmarks.ground_station                  real time, two stations: deadlines, state to packet
+    python -m benchmarks.ground_station --flood          with a third that floods and a fourth that never reads
+    python -m benchmarks.ground_station --soak 3600      an hour of flight as fast as it goes: memory and queues
+    python -m benchmarks.ground_station --lines          what serial lines of several speeds carry of the telemetry
+    python -m benchmarks.ground_station --stalled 60     a serial port that stops reading, beside UDP and TCP
     ... --write docs/ground-station.md                   the last two: puts their tables between the page's marks
 
 Stations are processes of their own; clocks are comparable because all use the system's monotonic one.
@@ -19,15 +19,17 @@ import socket
 import struct
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
 from typing import Any
 
+from benchmarks.measures.long_flight import resident_of
+from cosim.base.storage.scratch import scratch
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.parameters import Parameters
 from cosim.groundstation.exchange import Exchange, Port
@@ -120,7 +122,7 @@ def silent(port: int) -> None:
 
 def realtime(seconds: float, others: bool, factor: float) -> dict[str, Any]:
     published: dict[int, float] = {}
-    with Links(["udpin:127.0.0.1:0"]) as links, tempfile.TemporaryDirectory() as folder:
+    with Links(["udpin:127.0.0.1:0"]) as links, TemporaryDirectory(dir=scratch()) as folder:
         exchange = links.exchange
 
         def note() -> None:
@@ -175,8 +177,8 @@ def realtime(seconds: float, others: bool, factor: float) -> dict[str, Any]:
 
 def soak(seconds: float) -> dict[str, Any]:
     """Up, to and fro, down, again and again, with two stations on the links."""
-    rows: list[dict[str, float]] = []
-    with Links(["udpin:127.0.0.1:0"]) as links, tempfile.TemporaryDirectory() as folder:
+    rows: list[dict[str, float | None]] = []
+    with Links(["udpin:127.0.0.1:0"]) as links, TemporaryDirectory(dir=scratch()) as folder:
         exchange = links.exchange
         session = _session(links, Path(folder) / "run", None, seconds)
         stations = [_spawn("listen", links.link.ports[0]) for _ in range(2)]
@@ -191,7 +193,7 @@ def soak(seconds: float) -> dict[str, Any]:
                     rows.append(
                         {
                             "time_s": snapshot.time,
-                            "memory_mb": _memory(),
+                            "memory_mb": resident_of("self"),
                             "waiting_requests": exchange.waiting,
                             "waiting_bytes": sum(peer.waiting for peer in links.link.peers),
                         }
@@ -391,11 +393,17 @@ def stalled(seconds: float) -> str:
     os.set_blocking(ours, False)
     urls = [f"serial:{os.ttyname(theirs)}:57600", "udpin:127.0.0.1:0", "tcpin:127.0.0.1:0"]
     rows: list[tuple[str, ...]] = []
-    with Links(urls) as links, tempfile.TemporaryDirectory() as folder:
+    with Links(urls) as links, TemporaryDirectory(dir=scratch()) as folder:
         session = _session(links, Path(folder) / "run", 1.0)
         serial = links.link._channels[0]
         events: list[tuple[float, str]] = []
-        tell, links.link.tell = links.link.tell, lambda text: (events.append((time.monotonic(), text)), tell(text))[1]
+        tell = links.link.tell
+
+        def note(text: str) -> None:
+            events.append((time.monotonic(), text))
+            tell(text)
+
+        links.link.tell = note
 
         def read(until: Callable[[], bool]) -> None:
             while not until():
@@ -443,20 +451,14 @@ def stalled(seconds: float) -> str:
 
 def _session(links: Links, folder: Path, factor: float | None, duration: float | None = None) -> Session:
     return Session(
-        Scenario.load("hover").replace(name="gcs"),
-        links.exchange,
-        factor=factor,
-        out=folder,
-        duration=duration,
-        report=False,
-        begun=links.begin,
-        over=links.end,
-    )
+        Scenario.load("hover").replace(name="gcs"), links.exchange, factor=factor, out=folder, duration=duration,
+        report=False, begun=links.begin, over=links.end,
+    )  # fmt: skip
 
 
 def _spawn(kind: str, port: int) -> subprocess.Popen[str]:
     station = subprocess.Popen(
-        [sys.executable, __file__, "--station", kind, "--port", str(port)],
+        [sys.executable, "-P", "-m", "benchmarks.ground_station", "--station", kind, "--port", str(port)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -464,12 +466,6 @@ def _spawn(kind: str, port: int) -> subprocess.Popen[str]:
     assert station.stdout is not None
     station.stdout.readline()  # ready
     return station
-
-
-def _memory() -> float:
-    """Resident, MB."""
-    with open("/proc/self/statm", encoding="ascii") as file:
-        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def main() -> None:

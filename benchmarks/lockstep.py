@@ -1,7 +1,7 @@
 """What the lockstep with an autopilot costs a step: numbers only, nothing is judged.
 
-    python benchmarks/lockstep.py                            a minute
-    python benchmarks/lockstep.py --write docs/autopilots.md     puts the table between the page's marks
+    python -m benchmarks.lockstep                            a minute
+    python -m benchmarks.lockstep --write docs/autopilots.md     puts the table between the page's marks
 
 The autopilots are the tests' stand-ins, in processes of their own. What an exchange costs is given three times: of the
 clock, which has the stand-in's own time and the system's way there and back in it; of the processor, in the thread that
@@ -15,23 +15,23 @@ import argparse
 import socket
 import subprocess
 import sys
-import tempfile
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
 
+from benchmarks.timing import Clocked, Job, clock
 from cosim.autopilots.ardupilot import ArduPilot, Launch
 from cosim.autopilots.lockstep import Autopilot, Frame, Sticks
 from cosim.autopilots.px4 import Px4
 from cosim.base.frames import from_euler
 from cosim.base.geodesy import Geodesy
+from cosim.base.storage.scratch import scratch
 from cosim.results.report.marks import table, write_marks
 from cosim.spec.scenario import Scenario
 
 MARK = "lockstep"
-HERE = Path(__file__).resolve()
 HOVER = Scenario.load("hover").replace(engine="edf")
 VEHICLE = HOVER.resolved_vehicle()[0]
 PLACE = Geodesy(22.35, 113.59)
@@ -41,12 +41,11 @@ STILL = Frame(
     0.0, (0.1, -0.2, 0.3), (0.5, -0.4, -9.8), from_euler(0.1, 0.2, 0.3), (1.0, 2.0, -30.0), (0.1, 0.2, -0.3), 30.0,
     Sticks(0.5, -0.25, 0.1, 0.4, True),
 )  # fmt: skip
-Cost = tuple[float, float]  # of the clock and of this thread's processor, s each
 
 
 def stand_in(kind: str) -> None:
     """What the child process does, until its standard input ends."""
-    sys.path.insert(0, str(HERE.parents[1] / "tests" / "tools"))
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "tools"))
     import autopilot_standins
 
     if kind == "ardupilot":
@@ -78,7 +77,10 @@ def echo(kind: str) -> None:
 @contextmanager
 def child(kind: str) -> Iterator[subprocess.Popen[str]]:
     process = subprocess.Popen(
-        [sys.executable, str(HERE), "--stand-in", kind], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-P", "-m", "benchmarks.lockstep", "--stand-in", kind],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     )
     try:
         yield process
@@ -87,15 +89,17 @@ def child(kind: str) -> Iterator[subprocess.Popen[str]]:
         process.wait()
 
 
-def timed(step: Callable[[int], object]) -> Cost:
-    """What one of :data:`FRAMES` steps costs."""
-    wall, own = time.perf_counter(), time.thread_time()
-    for k in range(FRAMES):
-        step(k)
-    return (time.perf_counter() - wall) / FRAMES, (time.thread_time() - own) / FRAMES
+def timed(step: Callable[[int], object]) -> Clocked:
+    """Return what one of :data:`FRAMES` steps costs."""
+
+    def steps() -> None:
+        for k in range(FRAMES):
+            step(k)
+
+    return clock(Job("frames", 0, FRAMES, lambda: steps))
 
 
-def bare(kind: str) -> Cost:
+def bare(kind: str) -> Clocked:
     """A round trip of packets as large as those of the lockstep, and nothing else."""
     with child(kind) as process:
         assert process.stdout is not None
@@ -128,7 +132,7 @@ def paired(kind: str, folder: Path) -> Iterator[Autopilot]:
             ours.close()
 
 
-def exchanged(kind: str, folder: Path) -> Cost:
+def exchanged(kind: str, folder: Path) -> Clocked:
     with paired(kind, folder) as ours:
         ours.start()
         for k in range(20):  # its boot
@@ -136,18 +140,18 @@ def exchanged(kind: str, folder: Path) -> Cost:
         return timed(lambda k: ours.exchange(STILL._replace(time=(20 + k) * HOVER.step_s)))
 
 
-def measured() -> dict[str, list[tuple[Cost, Cost]]]:
+def measured() -> dict[str, list[tuple[Clocked, Clocked]]]:
     """Cost of an exchange and of a bare round trip, round by round, of each autopilot."""
-    found: dict[str, list[tuple[Cost, Cost]]] = {"ardupilot": [], "px4": []}
+    found: dict[str, list[tuple[Clocked, Clocked]]] = {"ardupilot": [], "px4": []}
     for number in range(ROUNDS):
         for kind, sort in (("ardupilot", "udp"), ("px4", "tcp")):
-            with tempfile.TemporaryDirectory() as folder:
+            with TemporaryDirectory(dir=scratch()) as folder:
                 found[kind].append((exchanged(kind, Path(folder)), bare(sort)))
         print(f"round {number + 1} of {ROUNDS}", flush=True)
     return found
 
 
-def text_of(found: dict[str, list[tuple[Cost, Cost]]]) -> str:
+def text_of(found: dict[str, list[tuple[Clocked, Clocked]]]) -> str:
     rows = []
     for kind, rounds in found.items():
         (wall, own), (bare_wall, bare_own) = (

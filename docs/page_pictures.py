@@ -19,8 +19,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from benchmarks.measures.browser import find_browser
 from cosim.base.errors import InputError
-from cosim.bench.measures.browser import find_browser
 from cosim.cli.main import main as hexjet
 from cosim.control.autopilot import requests as rq
 from cosim.groundstation.exchange import Exchange

@@ -35,7 +35,6 @@ DUTY = {
     "codegen": "a controller as C and as FMUs",
     "campaign": "many flights",
     "shelf": "the folder of runs as a page",
-    "bench": "what it costs",
     "cli": "one file a command",
 }
 BLUE, GREY, INK = "#2a78d6", "#8a939b", "#1c2733"

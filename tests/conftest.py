@@ -89,7 +89,7 @@ def hexjet(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytes
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """A headless browser that is installed; without one the test says that it was skipped."""
-    from cosim.bench.measures.browser import find_browser
+    from benchmarks.measures.browser import find_browser
 
     found = find_browser()
     # what stands in for a browser that is not installed answers with an error

@@ -99,7 +99,7 @@ def gravitation(r: Array) -> Array:
     """Attraction with J2, m/s^2."""
     size = float(np.linalg.norm(r))
     across, flat = 5.0 * (r[2] / size) ** 2, 1.5 * J2 * (RADIUS / size) ** 2
-    return -MU / size**3 * r * (1.0 + flat * (np.array([1.0, 1.0, 3.0]) - across))
+    return np.asarray(-MU / size**3 * r * (1.0 + flat * (np.array([1.0, 1.0, 3.0]) - across)))
 
 
 def density(height: float) -> float:

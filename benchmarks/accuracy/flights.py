@@ -268,7 +268,8 @@ def from_the_log(log: Log, scenario: Scenario, air_turns: bool = True) -> tuple[
     for k in range(len(log) - 1):
         axes = [jet_axis(tilts[k][0 if on_left else 1]) for on_left in left]
         forces = tuple((n * x, n * y, n * z) for n, (x, y, z) in zip(thrusts[k], axes, strict=True))
-        held.append(Held(forces, Disturbance(pushes[k], twists[k], payload=payloads[k]), (air[k], air[k + 1])))
+        mass, x, y, z = payloads[k]
+        held.append(Held(forces, Disturbance(pushes[k], twists[k], payload=(mass, x, y, z)), (air[k], air[k + 1])))
     place = scenario.environment
     steps, worst = round(WINDOW / scenario.step_s), (0.0, 0.0)
     for first in range(1, len(held) - steps + 1, steps):

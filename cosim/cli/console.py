@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -73,6 +73,52 @@ def part_progress(title: str, quiet: bool) -> Iterator[Callable[[str, int, int],
     with on_terminal(Progress(*columns, console=Console(stderr=True), transient=True)) as progress:
         task = progress.add_task(title, total=None)
         yield lambda part, done, of: progress.update(task, description=part, completed=done, total=of)
+
+
+def say(text: str, *, wrap: bool = True, marked: bool = False) -> None:
+    """Print a line, broken at the terminal's width unless ``wrap`` is off; ``marked``: with rich's markup in it."""
+    terminal().print(text, highlight=False, markup=marked, soft_wrap=not wrap)
+
+
+def show_table(
+    titles: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    right: Container[int] = (),
+    *,
+    plain: bool = False,
+    name_width: int | None = None,
+    **looks: Any,
+) -> None:
+    """Print a table, nothing where it has no rows.
+
+    Parameters
+    ----------
+    titles, rows
+        Texts of the headings and of each row's cells; rich's markup counts in them.
+    right
+        Columns that stand to the right, counted from 0.
+    plain
+        Brackets are no markup, numbers have no colour, and long words are folded.
+    name_width
+        The least width of the first column.
+    **looks
+        Of rich's ``Table``.
+    """
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, **looks)
+    for number, title in enumerate(titles):
+        table.add_column(
+            title,
+            justify="right" if number in right else "left",
+            overflow="fold" if plain else "ellipsis",
+            min_width=None if number else name_width,
+        )
+    for row in rows:
+        table.add_row(*row)
+    if table.row_count:
+        terminal().print(table, **({"highlight": False, "markup": False} if plain else {}))
 
 
 def cell(value: float | None, form: str) -> str:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from cosim.base.errors import InputError
-from cosim.cli.console import output_to_stderr, part_progress, terminal
-from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, offer_to_compile
+from cosim.cli import opt
+from cosim.cli.console import output_to_stderr, part_progress, say
+from cosim.cli.options import DONE, FLIGHT_FAILED, example, offer_to_compile
 from cosim.cli.outputs import Out
 
 if TYPE_CHECKING:
@@ -23,31 +23,41 @@ def fmu() -> None:
 
 
 _FMU = Out(".fmu")
-_WINDOWS = click.option(
-    "--windows", is_flag=True, help="For 64-bit Windows, with MinGW's compiler (x86_64-w64-mingw32-gcc)."
-)
+_WINDOWS = opt.flag("--windows", "For 64-bit Windows, with MinGW's compiler (x86_64-w64-mingw32-gcc).")
+
+
+class Build(opt.Record):
+    """Options of ``hexjet fmu build``."""
+
+    engines: tuple[str, ...] = opt.argument(nargs=-1)
+    windows: bool = _WINDOWS
 
 
 @fmu.command("build", epilog=example("hexjet fmu build turbojet"))
-@click.argument("engines", nargs=-1)
-@_WINDOWS
-def fmu_build(engines: tuple[str, ...], windows: bool) -> int:
+@opt.takes(Build)
+def fmu_build(options: Build) -> int:
     """Build the FMUs of ENGINES, or of all, from their sources; those up to date are left alone."""
     from cosim.engine import build_engines
     from cosim.engine.make.compile import compile_archive, has_windows
 
-    for path in build_engines(list(engines) or None):
-        if windows and not has_windows(path):
+    for path in build_engines(list(options.engines) or None):
+        if options.windows and not has_windows(path):
             compile_archive(path, windows=True)
         click.echo(str(path))
     return DONE
 
 
+class Compile(opt.Output):
+    """Options of ``hexjet fmu compile``."""
+
+    archive: Path = opt.argument(metavar="FILE.fmu", type=click.Path(path_type=Path))
+    out = opt.out("[default: into FILE.fmu itself]", "FILE.fmu|DIR", _FMU)
+    windows: bool = _WINDOWS
+
+
 @fmu.command("compile", epilog=example("hexjet fmu compile their.fmu"))
-@click.argument("archive", metavar="FILE.fmu", type=click.Path(path_type=Path))
-@click.option("--out", type=_FMU, metavar="FILE.fmu|DIR", help="[default: into FILE.fmu itself]")
-@_WINDOWS
-def fmu_compile(archive: Path, out: Path | None, windows: bool) -> int:
+@opt.takes(Compile)
+def fmu_compile(options: Compile) -> int:
     """Compile the sources that an FMU brings for this machine, and put the library into it.
 
     For an FMU without a library for this machine, or, with --windows, for one that is to run on Windows too: an engine
@@ -55,31 +65,34 @@ def fmu_compile(archive: Path, out: Path | None, windows: bool) -> int:
     """
     from cosim.engine.make.compile import compile_archive
 
-    out = out if out is None or _FMU.is_file(out) else out / archive.name
-    click.echo(str(compile_archive(archive, out, windows)))
+    out = options.out
+    if out is not None and not _FMU.is_file(out):
+        out = out / options.archive.name
+    click.echo(str(compile_archive(options.archive, out, options.windows)))
     return DONE
 
 
+class Survey(opt.Output):
+    """Options of ``hexjet fmu survey``."""
+
+    engines: tuple[Path, ...] = opt.argument(
+        nargs=-1, required=True, metavar="FILE...", type=click.Path(path_type=Path)
+    )
+    controller = opt.word("--controller", "NAME", "As in hexjet design, or auto.", "baseline")
+    time_limit = opt.number("--time-limit", "S", "For each command.", min=1.0, default=900.0)
+    page = opt.path(
+        "--page",
+        "FILE.md",
+        "Write each row into this page as it is found, between the marks 'measured: engines' and 'end'; other rows "
+        "of its table stay.",
+    )
+    missing = opt.flag("--missing", "Leave out the engines that have a row in the page already.")
+    as_json = opt.JSON
+
+
 @fmu.command("survey", epilog=example("hexjet fmu survey engines/*.fmu engines/*.toml"))
-@click.argument("engines", nargs=-1, required=True, metavar="FILE...", type=click.Path(path_type=Path))
-@click.option(
-    "--controller", default="baseline", show_default=True, metavar="NAME", help="As in hexjet design, or auto."
-)
-@click.option(
-    "--time-limit", type=Number(min=1.0), default=900.0, show_default=True, metavar="S", help="For each command."
-)
-@click.option(
-    "--page",
-    metavar="FILE.md",
-    type=click.Path(path_type=Path),
-    help="Write each row into this page as it is found, between the marks 'measured: engines' and 'end'; other rows "
-    "of its table stay.",
-)
-@click.option("--missing", is_flag=True, help="Leave out the engines that have a row in the page already.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
-def fmu_survey(
-    engines: tuple[Path, ...], controller: str, time_limit: float, page: Path | None, missing: bool, as_json: bool
-) -> int:
+@opt.takes(Survey)
+def fmu_survey(options: Survey) -> int:
     """One line for each of many engines: is it fit, is there a design for it, does that fly as promised.
 
     Checked, designed for and flown in processes of their own.  Status 1: a command of ours failed on one of them.
@@ -89,44 +102,43 @@ def fmu_survey(
     from cosim.design.survey import COLUMNS, FAULT, MARK, add_to_page, rows_of, survey
     from cosim.results.report.marks import check_marks, table
 
-    if missing and page is None:
+    engines, page = options.engines, options.page
+    if options.missing and page is None:
         raise InputError("--missing: goes with --page, which has the rows")
     if page:
         check_marks(page, [MARK])
-    if page and missing:
+    if page and options.missing:
         there = rows_of(page)
         engines = tuple(path for path in engines if path.stem not in there)
     rows = []
-    with part_progress("survey", quiet=as_json) as tell:
-        for number, row in enumerate(survey(engines, controller, time_limit), start=1):
+    with part_progress("survey", quiet=options.as_json) as tell:
+        for number, row in enumerate(survey(engines, options.controller, options.time_limit), start=1):
             tell(row.engine, number, len(engines))
             rows.append(row)
             if page:
                 add_to_page(page, row)
-    if as_json:
-        click.echo(json.dumps({"engines": [asdict(row) for row in rows]}))
-    else:
-        click.echo(table(COLUMNS, [row.cells for row in rows], left=len(COLUMNS) - 1), nl=False)
+    options.answer(
+        lambda: {"engines": [asdict(row) for row in rows]},
+        lambda: click.echo(table(COLUMNS, [row.cells for row in rows], left=len(COLUMNS) - 1), nl=False),
+        nan=True,
+    )
     return FLIGHT_FAILED if any(row.verdict == FAULT for row in rows) else DONE
 
 
+class Check(opt.Output):
+    """Options of ``hexjet fmu check``."""
+
+    engine: str = opt.argument(metavar="NAME|FILE.fmu|MAPPING.toml")
+    step = opt.positive("--step", "S", "Control step.  [default: 0.004, or the library engine's]")
+    settings = opt.words("--set", "PARAMETER=VALUE", "Set a parameter of the engine.")
+    time_limit = opt.number("--time-limit", "S", "For all of it.", min=1.0, default=120.0)
+    out = opt.OUT
+    as_json = opt.JSON
+
+
 @fmu.command("check", epilog=example("hexjet fmu check their.fmu --step 0.004"))
-@click.argument("engine", metavar="NAME|FILE.fmu|MAPPING.toml")
-@click.option(
-    "--step",
-    type=Number(min=0.0, min_open=True),
-    metavar="S",
-    help="Control step.  [default: 0.004, or the library engine's]",
-)
-@click.option("settings", "--set", metavar="PARAMETER=VALUE", multiple=True, help="Set a parameter of the engine.")
-@click.option(
-    "--time-limit", type=Number(min=1.0), default=120.0, show_default=True, metavar="S", help="For all of it."
-)
-@click.option("--out", type=Out(), metavar="DIR", help="[default: a new one in runs/]")
-@click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
-def fmu_check(
-    engine: str, step: float | None, settings: tuple[str, ...], time_limit: float, out: Path | None, as_json: bool
-) -> int:
+@opt.takes(Check)
+def fmu_check(options: Check) -> int:
     """Tell whether an FMU is fit to be an engine, and how it answers its throttle; of a controller, what it is.
 
     The FMU is run in a process of its own: if it crashes, hangs or eats memory, that is told and nothing else happens.
@@ -135,30 +147,27 @@ def fmu_check(
     from cosim.base.storage.toml import parse_numbers
     from cosim.engine import check_fmu, limits_of
     from cosim.engine.make.controller_fmu import is_controller
-    from cosim.flight import new_folder
     from cosim.results.report.engine_check import write_check
 
+    engine = options.engine
     if is_controller(Path(engine)):
-        return _check_controller(Path(engine), as_json)
+        return _check_controller(Path(engine), options)
     offer_to_compile(engine)
-    report = check_fmu(engine, step, parse_numbers(settings, "--set"), limits_of(time_limit))
-    page = write_check(report, out if out is not None else new_folder(Path("runs"), f"check-{Path(engine).stem}"))
-    if as_json:
-        click.echo(json.dumps(report.to_dict(), allow_nan=False))
-    else:
-        print_check(report, page)
+    report = check_fmu(engine, options.step, parse_numbers(options.settings, "--set"), limits_of(options.time_limit))
+    page = write_check(report, options.run_folder(f"check-{Path(engine).stem}"))
+    options.answer(report.to_dict, lambda: print_check(report, page))
     return DONE if report.ok else FLIGHT_FAILED
 
 
-def _check_controller(path: Path, as_json: bool) -> int:
-    """What a controller's FMU is told and answers, and whether it flies in hover for a second, twice the same."""
+def _check_controller(path: Path, output: opt.Output) -> int:
+    """Print what a controller's FMU is told and answers, and whether a second of hover is twice the same."""
     from cosim.engine.make.controller_fmu import describing, read_controller_fmu
     from cosim.flight import fly
     from cosim.spec.scenario import Scenario
 
     fmu = read_controller_fmu(path)
     description = describing(fmu)
-    with output_to_stderr(as_json):
+    with output_to_stderr(output.as_json):
         run = fly(Scenario.load("hover").replace(duration_s=1.0, expect=[], controller=str(path.absolute())))
     own = run.summary.own_controller
     report = {
@@ -173,21 +182,18 @@ def _check_controller(path: Path, as_json: bool) -> int:
         "hover of 1 s": f"{run.outcome}, {run.reason}",
         "repeatable": own.repeatable if own is not None else None,
     }
-    if as_json:
-        click.echo(json.dumps(report, allow_nan=False))
-    else:
+
+    def show() -> None:
         for key, value in report.items():
-            shown = ", ".join(value) if isinstance(value, list) else value
-            terminal().print(f"{key:14} {shown}", highlight=False, soft_wrap=True, markup=False)
+            say(f"{key:14} {', '.join(value) if isinstance(value, list) else value}", wrap=False)
+
+    output.answer(lambda: report, show)
     return DONE if run.outcome == "completed" and report["repeatable"] else FLIGHT_FAILED
 
 
 def print_check(report: CheckReport, page: Path) -> None:
-    """The findings, one to a line, problems last, and where the page is."""
-    console = terminal()
-    for label, value in report.lines():
-        console.print(f"{label:22} {value}", highlight=False, soft_wrap=True, markup=False)
-    for problem in report.problems:
-        console.print(f"problem: {problem}", highlight=False, soft_wrap=True, markup=False)
-    console.print(f"report: {page}", highlight=False, soft_wrap=True)
-    console.print("fit to fly" if report.ok else "not fit to fly", style="bold")
+    """Print the findings, one to a line, problems last, and where the page is."""
+    lines = [f"{label:22} {value}" for label, value in report.lines()]
+    for line in [*lines, *(f"problem: {problem}" for problem in report.problems), f"report: {page}"]:
+        say(line, wrap=False)
+    say(f"[bold]{'fit to fly' if report.ok else 'not fit to fly'}[/bold]", marked=True)

@@ -22,7 +22,6 @@ from cosim.cli.trust import asks, with_trust
 INTERRUPTED, TERMINATED = 130, 143  # as a shell has them
 COMMANDS = {  # where each is, so that none is read for another
     "aircraft": "aircraft:aircraft",
-    "bench": "bench:bench",
     "compare": "results.compare:compare",
     "design": "controllers.design:design",
     "export": "results.export:export",

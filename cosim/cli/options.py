@@ -2,34 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
 from cosim.base.errors import InputError
+from cosim.cli import opt
+
+if TYPE_CHECKING:
+    from cosim.spec.scenario import Scenario
 
 DONE, FLIGHT_FAILED, WRONG_INPUT = 0, 1, 2
-
-
-class Number(click.FloatRange):
-    """A finite number; click lets NaN through any range."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        number = float(super().convert(value, param, ctx))
-        if not isfinite(number):
-            self.fail(f"{value} is not a finite number.", param, ctx)
-        return number
-
-    def _describe_range(self) -> str:
-        """For the help; click says ``x<=None`` of a number that has no bounds."""
-        return "" if self.min is None and self.max is None else super()._describe_range()
 
 
 REPORTED = "told"  # a note of an interruption: the command has said itself what is kept
@@ -62,29 +52,45 @@ def example(text: str) -> str:
     return f"\b\nExample:\n  {text}"
 
 
-def log_options(command: Any) -> Any:
-    """What of a flight's log is read: its time, where it is a table, and from when to when."""
-    for option in reversed(
-        [
-            click.option(
-                "--time", "time_column", metavar="NAME", help="A table's column of time.  [default: the one called so]"
-            ),
-            click.option("--time-unit", help="Of that column: s, ms, us or ns.  [default: as the column says, or s]"),
-            click.option(
-                "--from", "begin", type=Number(), metavar="S", help="Use the log from here on, in its own time."
-            ),
-            click.option("--to", "end", type=Number(), metavar="S", help="And to here."),
-        ]
-    ):
-        command = option(command)
-    return command
+class Flight(opt.Record):
+    """What flies: a scenario, and what a command line writes over it."""
+
+    scenario: str = "hover"
+    controller: str | None = None
+    aircraft: str | None = None
+    engines: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
+    model: Path | None = None
+    seed: int | None = None
+    metrics: tuple[str, ...] = ()
+    own_observers: tuple[str, ...] = ()
+    sensors: str | None = None
+    wind: str | None = None
+    unchecked_engine: bool = False
+
+    def load(self) -> Scenario:
+        """Return the scenario with the choices of the command line.  Raises InputError for a wrong one."""
+        scenario = load_scenario(
+            self.scenario, self.controller, self.engines, self.seed, self.settings, self.model, self.aircraft
+        )
+        changes = brought_changes(self.metrics, self.own_observers, self.sensors, self.wind)
+        if self.sensors or self.wind:  # what it expects was stated without them
+            changes["expect"] = []
+        if self.unchecked_engine:
+            changes["engine_unchecked"] = True
+        return scenario.replace(**changes) if changes else scenario
 
 
-def refuse_others(context: click.Context, why: str, *allowed: str) -> None:
+def is_given(name: str) -> bool:
+    """Return whether an option of the running command is on its command line."""
+    return click.get_current_context().get_parameter_source(name) is ParameterSource.COMMANDLINE
+
+
+def refuse_others(why: str, *allowed: str) -> None:
     """Refuse what was given on the command line and is not allowed beside the rest, and say ``why``."""
-    for parameter in context.command.params:
+    for parameter in click.get_current_context().command.params:
         name = parameter.name or ""
-        if name not in (*allowed, "trust") and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+        if name not in (*allowed, "trust") and is_given(name):
             given = max(parameter.opts, key=len)
             raise InputError(f"{given}: {why}")
 
@@ -128,8 +134,8 @@ def load_scenario(
     settings: tuple[str, ...],
     model: Path | None = None,
     aircraft: str | None = None,
-) -> Any:
-    """The scenario with the command line's choices written over it."""
+) -> Scenario:
+    """Return the scenario with the command line's choices written over it."""
     from cosim.spec.controller_name import is_design, seen_from
     from cosim.spec.scenario import Scenario
 
@@ -196,38 +202,6 @@ def _controller_without_a_model(aircraft: str, scenario: Any) -> dict[str, str]:
     return {"controller": BASELINE.name}
 
 
-def shared_assets(command: Callable[..., int]) -> Callable[..., int]:
-    """The option of commands that write a run's page."""
-    text = "What draws the page goes into one folder beside DIR, assets-..., for all runs there; move them together."
-    return click.option("--shared-assets", is_flag=True, help=text)(command)
-
-
-def own_blocks(command: Callable[..., int]) -> Callable[..., int]:
-    """The options that name blocks of the user's beside the controller, for :func:`with_own_blocks`."""
-    options = (
-        click.option("metrics", "--metric", metavar="NAME", multiple=True,
-                     help="One of yours beside the built-in ones: FILE.py:Name, package.module:Name, an entry."),
-        click.option("own_observers", "--observer", metavar="NAME", multiple=True, help="One of yours, the same way."),
-        click.option("--sensors", metavar="NAME",
-                     help="Yours behind the built-in ones, the same way, or a profile of these: measured."),
-        click.option("--wind", metavar="NAME|FILE.csv",
-                     help="Yours over time and place, the same way, or a table over time."),
-    )  # fmt: skip
-    for option in reversed(options):
-        command = option(command)
-    return command
-
-
-def with_own_blocks(
-    scenario: Any, metrics: tuple[str, ...], observers: tuple[str, ...], sensors: str | None, wind: str | None
-) -> Any:
-    """The scenario with them; what it expects was stated without other sensors or wind."""
-    changes = brought_changes(metrics, observers, sensors, wind)
-    if sensors or wind:
-        changes["expect"] = []
-    return scenario.replace(**changes) if changes else scenario
-
-
 def brought_changes(
     metrics: tuple[str, ...], observers: tuple[str, ...] = (), sensors: str | None = None, wind: str | None = None
 ) -> dict[str, Any]:
@@ -244,7 +218,6 @@ def brought_changes(
 
 def brought_settings(metrics: tuple[str, ...], wind: str | None = None) -> list[str]:
     """The same as settings of a study, ``KEY=VALUE``."""
-    import json
 
     return [f"{key}={json.dumps(value)}" for key, value in brought_changes(metrics, wind=wind).items()]
 
@@ -261,7 +234,6 @@ def engine_for(aircraft: str, engine: str | None) -> str:
 
 def aircraft_settings(aircraft: str | None) -> list[str]:
     """Another aircraft with the engine that it is made for as settings of a study; a path is meant from here."""
-    import json
 
     from cosim.spec.vehicle import aircraft_seen_from, engine_of
 

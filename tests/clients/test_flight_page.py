@@ -14,7 +14,7 @@ from flights import STEP, samples, scenario, setup
 from patience import PATIENCE
 from places import ROOT
 
-from cosim.bench.measures.browser import Look
+from benchmarks.measures.browser import Look
 from cosim.flight import with_page
 from cosim.results.recorder import MemoryLog
 from cosim.results.report.comparison import compare_report

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
@@ -11,110 +10,72 @@ from typing import TYPE_CHECKING
 import click
 
 from cosim.base.errors import InputError
-from cosim.cli.console import output_to_stderr, part_progress, terminal
-from cosim.cli.options import DONE, FLIGHT_FAILED, Number, engine_for, example, offer_to_compile, warn_of_blemishes
+from cosim.cli import opt
+from cosim.cli.console import output_to_stderr, part_progress, say, show_table, terminal
+from cosim.cli.options import DONE, FLIGHT_FAILED, engine_for, example, offer_to_compile, warn_of_blemishes
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from cosim.design.design import Design
 
 
+class DesignOptions(opt.Output):
+    """Options of ``hexjet design``."""
+
+    engine = opt.word("--engine", "NAME|FILE", "A name, an .fmu or a .toml.  [default: the aircraft's own]")
+    aircraft = opt.word("--aircraft", None, "See: hexjet list aircraft.", "hexjet")
+    controller = opt.word("--controller", "NAME", "One of the predictors, or the best of them.", "auto")
+    model = opt.path("--model", "FILE.toml", "As hexjet identify writes it.")
+    amplitude = opt.number(
+        "--amplitude",
+        "A",
+        "Of the engine's sweep, in throttle; more where the flight will reach its limits.  [default: 0.005]",
+        min=0.0,
+        max=0.5,
+        min_open=True,
+    )
+    max_sensitivity = opt.number("--max-sensitivity", None, "Peak of |S|.", min=1.05, max=10.0, default=1.7)
+    delay_tolerance = opt.number("--delay-tolerance", None, "Of the delay, both ways.", min=0.0, max=1.0, default=0.3)
+    gain_tolerance = opt.number("--gain-tolerance", None, "Of the gain, both ways.", min=0.0, max=0.95, default=0.3)
+    min_bandwidth = opt.number("--min-bandwidth", "HZ", "Of roll and pitch.", min=0.0, default=0.16)
+    noise_share = opt.number(
+        "--noise-share",
+        None,
+        "One standard deviation of sensor noise in a command, as a share of its room.",
+        min=0.0,
+        max=1.0,
+        min_open=True,
+        default=0.0833,
+    )
+    autopilot = opt.choice(
+        "--for",
+        ["betaflight", "px4", "ardupilot"],
+        "Gains for that autopilot's own loops, with their filters, delays and units; see hexjet sitl.",
+    )
+    lead: bool = opt.option(
+        "--lead/--no-lead", default=True, help="Try a lead against the engine's lag.  [default: --lead]"
+    )
+    scheduled: bool = opt.option(
+        "--schedule/--no-schedule",
+        default=True,
+        help="Let gains follow the thrust where fuel burns and a full tank's do not fit.  [default: --schedule]",
+    )
+    start = opt.path(
+        "--start", "FILE.toml", "A controller file: search from its gains on, for its candidate alone; seconds."
+    )
+    proof: bool = opt.option(
+        "--proof/--no-proof",
+        default=True,
+        help="End with the proof: measured past the crossover, flown at the corners of the tolerances.  [default: "
+        "--proof]",
+    )
+    settings = opt.words("--set", "KEY=VALUE", "As in hexjet fly, over a plain hover.")
+    out = opt.path("--out", "FILE.toml", "[default: a new folder in runs/]", dir_okay=False, writable=True)
+    as_json = opt.JSON
+
+
 @click.command(epilog=example("hexjet design --engine turbojet --out turbojet.toml"))
-@click.option("--engine", metavar="NAME|FILE", help="A name, an .fmu or a .toml.  [default: the aircraft's own]")
-@click.option("--aircraft", default="hexjet", show_default=True, help="See: hexjet list aircraft.")
-@click.option(
-    "--controller",
-    default="auto",
-    show_default=True,
-    metavar="NAME",
-    help="One of the predictors, or the best of them.",
-)
-@click.option("--model", type=click.Path(path_type=Path), metavar="FILE.toml", help="As hexjet identify writes it.")
-@click.option(
-    "--amplitude",
-    type=Number(min=0.0, min_open=True, max=0.5),
-    metavar="A",
-    help="Of the engine's sweep, in throttle; more where the flight will reach its limits.  [default: 0.005]",
-)
-@click.option("--max-sensitivity", type=Number(min=1.05, max=10.0), default=1.7, show_default=True, help="Peak of |S|.")
-@click.option(
-    "--delay-tolerance",
-    type=Number(0.0, 1.0),
-    default=0.3,
-    show_default=True,
-    help="Of the delay, both ways.",
-)
-@click.option(
-    "--gain-tolerance", type=Number(0.0, 0.95), default=0.3, show_default=True, help="Of the gain, both ways."
-)
-@click.option(
-    "--min-bandwidth",
-    type=Number(min=0.0),
-    default=0.16,
-    show_default=True,
-    metavar="HZ",
-    help="Of roll and pitch.",
-)
-@click.option(
-    "--noise-share",
-    type=Number(min=0.0, min_open=True, max=1.0),
-    default=0.0833,
-    show_default=True,
-    help="One standard deviation of sensor noise in a command, as a share of its room.",
-)
-@click.option(
-    "--for",
-    "autopilot",
-    type=click.Choice(["betaflight", "px4", "ardupilot"]),
-    help="Gains for that autopilot's own loops, with their filters, delays and units; see hexjet sitl.",
-)
-@click.option("--lead/--no-lead", default=True, help="Try a lead against the engine's lag.  [default: --lead]")
-@click.option(
-    "--schedule/--no-schedule",
-    "scheduled",
-    default=True,
-    help="Let gains follow the thrust where fuel burns and a full tank's do not fit.  [default: --schedule]",
-)
-@click.option(
-    "--start",
-    type=click.Path(path_type=Path),
-    metavar="FILE.toml",
-    help="A controller file: search from its gains on, for its candidate alone; seconds.",
-)
-@click.option(
-    "--proof/--no-proof",
-    default=True,
-    help="End with the proof: measured past the crossover, flown at the corners of the tolerances.  [default: --proof]",
-)
-@click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly, over a plain hover.")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False, writable=True),
-    metavar="FILE.toml",
-    help="[default: a new folder in runs/]",
-)
-@click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
-def design(
-    engine: str | None,
-    aircraft: str,
-    controller: str,
-    model: Path | None,
-    amplitude: float | None,
-    max_sensitivity: float,
-    delay_tolerance: float,
-    gain_tolerance: float,
-    min_bandwidth: float,
-    noise_share: float,
-    autopilot: str | None,
-    lead: bool,
-    scheduled: bool,
-    start: Path | None,
-    proof: bool,
-    settings: tuple[str, ...],
-    out: Path | None,
-    as_json: bool,
-) -> int:
+@opt.takes(DesignOptions)
+def design(options: DesignOptions) -> int:
     """Design a controller for an engine on an aircraft: predictor, its model, and the gains of all axes.
 
     Writes a controller file for hexjet fly --controller, and a page beside it.  A design ends with its proof: the loops
@@ -131,61 +92,64 @@ def design(
     from cosim.design.result import to_dict, write
     from cosim.simulation.controllers.controller_file import Requirements
 
-    if out is not None:  # before minutes of searching
-        if out.suffix.lower() != ".toml":
-            raise InputError(f"--out {out}: must end in .toml, by which --controller knows it")
-        try:
-            out.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"--out {out}: cannot be written to: {error.strerror or error}") from error
-    engine = engine_for(aircraft, engine)
-    firmware = None
+    if options.out is not None:  # before minutes of searching
+        _prepare(options.out)
+    engine = engine_for(options.aircraft, options.engine)
+    autopilot, aircraft, firmware = options.autopilot, options.aircraft, None
     if autopilot is not None:
         from cosim.cli.firmware import firmware_for
         from cosim.control.predictors.registry import BASELINE
 
-        if controller not in ("auto", BASELINE.name) or start is not None:
+        if options.controller not in ("auto", BASELINE.name) or options.start is not None:
             raise InputError(f"--for {autopilot}: it has no predictor of ours: leave --controller and --start out")
-        firmware = firmware_for(autopilot, aircraft, settings)
-        controller, lead, scheduled, proof = BASELINE.name, False, False, False
+        firmware = firmware_for(autopilot, aircraft, options.settings)
+        options.controller = BASELINE.name
+        options.lead = options.scheduled = options.proof = False
     offer_to_compile(engine)
     warn_of_blemishes(engine)
     need = Requirements(
-        max_sensitivity=max_sensitivity,
-        delay_tolerance=delay_tolerance,
-        gain_tolerance=gain_tolerance,
-        min_bandwidth_hz=min_bandwidth,
-        noise_share=noise_share,
+        max_sensitivity=options.max_sensitivity,
+        delay_tolerance=options.delay_tolerance,
+        gain_tolerance=options.gain_tolerance,
+        min_bandwidth_hz=options.min_bandwidth,
+        noise_share=options.noise_share,
     )
-    with output_to_stderr(as_json), part_progress("design", quiet=as_json) as tell:
+    with output_to_stderr(options.as_json), part_progress("design", quiet=options.as_json) as tell:
         search = partial(
             make,
             engine,
             aircraft,
-            controller=controller,
+            controller=options.controller,
             need=need,
-            settings=settings,
-            model=model,
-            amplitude=amplitude,
-            lead=lead,
-            scheduled=scheduled,
-            start=start,
+            settings=options.settings,
+            model=options.model,
+            amplitude=options.amplitude,
+            lead=options.lead,
+            scheduled=options.scheduled,
+            start=options.start,
             firmware=firmware,
             say=lambda text: tell(text, 0, 1),
         )
         made = search()
-        if proof:
+        if options.proof:
             made = proved(made, lambda text: tell(text, 0, 1), lambda unsure: search(unsure=unsure))
-    paths = write(made, out)
+    paths = write(made, options.out)
     if autopilot is not None and made.ok:
         from cosim.cli.firmware import write_parameters
 
         paths["parameters"] = write_parameters(autopilot, aircraft, paths["controller"], made.scenario.step_s)
-    if as_json:
-        click.echo(json.dumps(to_dict(made, paths), allow_nan=False))
-    else:
-        print_design(made, paths)
+    options.answer(lambda: to_dict(made, paths), lambda: print_design(made, paths))
     return DONE if made.ok else FLIGHT_FAILED
+
+
+def _prepare(out: Path) -> None:
+    """Make the folder of a controller file.  Raises InputError for a name that is none, or where it cannot be made."""
+    if out.suffix.lower() != ".toml":
+        raise InputError(f"--out {out}: must end in .toml, by which --controller knows it")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out {out}: cannot be written to: {error.strerror or error}") from error
 
 
 AT_A_LEVEL = ("peak |S|", "phase deg", "bandwidth Hz", "tolerated")  # of fuel; the page has every column
@@ -197,45 +161,36 @@ def print_design(design: Design, paths: dict[str, Path]) -> None:
     from cosim.design.as_flown import WORSE_WORDS, comparison_columns, comparison_rows
     from cosim.design.result import COLUMNS, answer_lines, channel_rows, detail_lines, level_rows, row_lines
 
-    console = terminal()
-
-    def print_lines(lines: Iterable[str]) -> None:
+    def say_all(lines: Iterable[str]) -> None:
         for line in lines:
-            console.print(line, highlight=False, markup=False)
+            say(line)
 
-    console.print(f"{design.vehicle.name} with engine [bold]{design.engine.name}[/bold]", highlight=False)
-    print_lines(answer_lines(design))
+    say(f"{design.vehicle.name} with engine [bold]{design.engine.name}[/bold]", marked=True)
+    say_all(answer_lines(design))
     for name, path in paths.items():
-        console.print(f"{name}: {path}", highlight=False, soft_wrap=True)
+        say(f"{name}: {path}", wrap=False)
     shown = [k for k, column in enumerate(COLUMNS) if column not in ("attitude 1/s", "P", "I", "D", "delay ms")]
     columns = [list(column) for column in zip(COLUMNS, *channel_rows(design), strict=True)]
-    _print_side_by_side(console, [columns[k] for k in shown])
+    _show_in_pieces([columns[k] for k in shown])
     if levels := level_rows(design):
         said = [0, *(COLUMNS.index(column) for column in AT_A_LEVEL)]
-        _print_table(console, [[row[k] for k in said] for row in (COLUMNS, *levels)])
-    print_lines([*row_lines(design), *detail_lines(design)])
+        _show([[row[k] for k in said] for row in (COLUMNS, *levels)])
+    say_all([*row_lines(design), *detail_lines(design)])
     if design.proof is not None and design.proof.compared:
         compared = design.proof.compared
-        _print_side_by_side(console, [comparison_columns(compared), *comparison_rows(compared)])
-        print_lines([WORSE_WORDS])
+        _show_in_pieces([comparison_columns(compared), *comparison_rows(compared)])
+        say(WORSE_WORDS)
 
 
-def _print_side_by_side(console: Console, lines: Sequence[Sequence[str]]) -> None:
+def _show_in_pieces(lines: Sequence[Sequence[str]]) -> None:
     """Print a table, headings first, in pieces of as many pairs of columns as the terminal is wide."""
-    side = max(1, (console.width - 14) // 40 * 2)
+    side = max(1, (terminal().width - 14) // 40 * 2)
     for first in range(1, len(lines[0]), side):
-        _print_table(console, [[line[0], *line[first : first + side]] for line in lines])
+        _show([[line[0], *line[first : first + side]] for line in lines])
 
 
-def _print_table(console: Console, lines: Sequence[Sequence[str]]) -> None:
+def _show(lines: Sequence[Sequence[str]]) -> None:
     """Print a table, headings first; a line's name is wrapped last."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
-    for n, heading in enumerate(lines[0]):
-        least = 1 if n else min(NAME_WIDTH, max(len(line[0]) for line in lines))
-        table.add_column(heading, justify="right" if n else "left", min_width=least)
-    for line in lines[1:]:
-        table.add_row(*line)
-    console.print(table)
+    width = min(NAME_WIDTH, max(len(line[0]) for line in lines))
+    numbers = range(1, len(lines[0]))
+    show_table(lines[0], lines[1:], numbers, name_width=width, pad_edge=False, collapse_padding=True)

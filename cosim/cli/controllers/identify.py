@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
-from cosim.cli.console import output_to_stderr, terminal
-from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, log_options
-from cosim.cli.outputs import Out
+from cosim.cli import opt
+from cosim.cli.console import output_to_stderr, say, show_table
+from cosim.cli.options import DONE, FLIGHT_FAILED, example
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from cosim.identify.logs import FlightLog
     from cosim.identify.prediction_error.identify_log import LogIdentification
     from cosim.identify.sweep import Identification
@@ -28,32 +25,38 @@ def identify() -> None:
     """Sweep an engine or an axis in flight, or take a flight's log, and fit a model with a delay."""
 
 
-def _sweep_options(command: Any) -> Any:
-    for option in reversed(
-        [
-            click.option("--from-hz", type=Number(), metavar="HZ", help="Lowest frequency of the response."),
-            click.option("--to-hz", type=Number(), metavar="HZ", help="Highest frequency of the response."),
-            click.option("--amplitude", type=Number(), metavar="A", help="Of the sweep, in the unit of the command."),
-            click.option("--duration", type=Number(), metavar="S", help="Of the sweep."),
-            click.option("holds", "--hold", metavar="NAME=VALUE", multiple=True, help="Keep a parameter of the model."),
-            click.option("--out", type=Out(), metavar="DIR", help="[default: a new one in runs/]"),
-            click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else."),
-        ]
-    ):
-        command = option(command)
-    return command
+class Sweep(opt.Output):
+    """Options of every sweep; its other choices are those of the function that sweeps."""
+
+    from_hz = opt.number("--from-hz", "HZ", "Lowest frequency of the response.")
+    to_hz = opt.number("--to-hz", "HZ", "Highest frequency of the response.")
+    amplitude = opt.number("--amplitude", "A", "Of the sweep, in the unit of the command.")
+    duration = opt.number("--duration", "S", "Of the sweep.")
+    holds = opt.words("--hold", "NAME=VALUE", "Keep a parameter of the model.")
+    out = opt.OUT
+    as_json = opt.JSON
+
+
+_SWEPT = ("from_hz", "to_hz", "amplitude", "duration", "lags")
+
+
+class EngineSweep(opt.Record):
+    """Options of ``hexjet identify engine`` before those of every sweep."""
+
+    name: str = opt.argument(metavar="NAME|FILE.fmu")
+    throttle = opt.number("--throttle", None, "Around which it is swept.", default=0.5)
+    step = opt.number("--step", "S", "Sample time.", default=0.004)
+    lags = opt.whole("--lags", None, "Lags beside the first pole.", min=0, max=2, default=0)
+    settings = opt.words("--set", "PARAMETER=VALUE", "Set a parameter of the engine.")
+
+
+class SweptEngine(Sweep, EngineSweep):
+    """Options of ``hexjet identify engine``."""
 
 
 @identify.command("engine", epilog=example("hexjet identify engine turbojet --set delay_samples=40"))
-@click.argument("name", metavar="NAME|FILE.fmu")
-@click.option("--throttle", type=Number(), default=0.5, show_default=True, help="Around which it is swept.")
-@click.option("--step", type=Number(), default=0.004, show_default=True, metavar="S", help="Sample time.")
-@click.option("--lags", type=click.IntRange(0, 2), default=0, show_default=True, help="Lags beside the first pole.")
-@click.option("settings", "--set", metavar="PARAMETER=VALUE", multiple=True, help="Set a parameter of the engine.")
-@_sweep_options
-def identify_engine(
-    name: str, settings: tuple[str, ...], holds: tuple[str, ...], out: Path | None, as_json: bool, **choices: Any
-) -> int:
+@opt.takes(SweptEngine)
+def identify_engine(options: SweptEngine) -> int:
     """Identify an engine, throttle to thrust: one pole and a delay.
 
     Band, amplitude and duration are chosen to suit the engine where they are not given.
@@ -61,47 +64,40 @@ def identify_engine(
     from cosim.base.storage.toml import parse_numbers
     from cosim.identify.sweep import identify_engine as identify
 
-    with output_to_stderr(as_json):
-        numbers, hold = parse_numbers(settings, "--set"), parse_numbers(holds, "--hold")
-        identification = identify(name, numbers, hold=hold, **choices)
-    return _finish_identification(identification, out, f"identify-{Path(name).stem}", as_json)
+    with output_to_stderr(options.as_json):
+        numbers, hold = parse_numbers(options.settings, "--set"), parse_numbers(options.holds, "--hold")
+        identification = identify(options.name, numbers, hold=hold, **options.chosen("throttle", "step", *_SWEPT))
+    return _finish_identification(identification, f"identify-{Path(options.name).stem}", options)
 
 
-def _identify_axis(
-    axis: str, settings: tuple[str, ...], holds: tuple[str, ...], out: Path | None, as_json: bool, **choices: Any
-) -> int:
-    from cosim.base.storage.toml import parse_numbers
-    from cosim.identify.sweep import identify_axis
+class AxisSweep(opt.Record):
+    """Options of ``hexjet identify roll``, pitch and yaw before those of every sweep."""
 
-    with output_to_stderr(as_json):
-        identification = identify_axis(axis, settings=settings, hold=parse_numbers(holds, "--hold"), **choices)
-    return _finish_identification(identification, out, f"identify-{axis}", as_json)
+    aircraft = opt.word("--aircraft", None, "See: hexjet list aircraft.", "hexjet")
+    engine = opt.word("--engine", "NAME|FILE.fmu", "See: hexjet list engines.  [default: the aircraft's own]")
+    controller = opt.word("--controller", "NAME", "[default: smith, or baseline if no model is known]")
+    substeps = opt.whole("--substeps", None, "JSBSim steps in a control step.")
+    seed = opt.whole("--seed", None, "Of the sensor noise.")
+    lags = opt.whole("--lags", None, "Beside the slow pole.", min=1, max=2, default=1)
+    settings: tuple[str, ...] = opt.SETTINGS
 
 
-def _finish_identification(identification: Any, out: Path | None, name: str, as_json: bool) -> int:
-    from cosim.flight import new_folder
-    from cosim.identify.sweep import write
-
-    paths = write(identification, out if out is not None else new_folder(Path("runs"), name))
-    if as_json:
-        click.echo(json.dumps(identification.to_dict(), allow_nan=False))
-    else:
-        print_identification(identification, paths)
-    return FLIGHT_FAILED if identification.refused else DONE
+class SweptAxis(Sweep, AxisSweep):
+    """Options of ``hexjet identify roll``, pitch and yaw."""
 
 
 def _axis_command(axis: str) -> None:
     @identify.command(axis, epilog=example(f"hexjet identify {axis} --engine edf --out {axis}-model"))
-    @click.option("--aircraft", default="hexjet", show_default=True, help="See: hexjet list aircraft.")
-    @click.option("--engine", metavar="NAME|FILE.fmu", help="See: hexjet list engines.  [default: the aircraft's own]")
-    @click.option("--controller", metavar="NAME", help="[default: smith, or baseline if no model is known]")
-    @click.option("--substeps", type=int, help="JSBSim steps in a control step.")
-    @click.option("--seed", type=int, help="Of the sensor noise.")
-    @click.option("--lags", type=click.IntRange(1, 2), default=1, show_default=True, help="Beside the slow pole.")
-    @click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly.")
-    @_sweep_options
-    def command(**choices: Any) -> int:
-        return _identify_axis(axis, **choices)
+    @opt.takes(SweptAxis)
+    def command(options: SweptAxis) -> int:
+        from cosim.base.storage.toml import parse_numbers
+        from cosim.identify.sweep import identify_axis
+
+        with output_to_stderr(options.as_json):
+            hold = parse_numbers(options.holds, "--hold")
+            choices = options.chosen("aircraft", "engine", "controller", "substeps", "seed", "settings", *_SWEPT)
+            identification = identify_axis(axis, hold=hold, **choices)
+        return _finish_identification(identification, f"identify-{axis}", options)
 
     command.help = (
         f"Identify the {axis} axis in flight, torque command to measured rate: a slow pole, a lag and a delay.\n\n"
@@ -113,38 +109,44 @@ for _axis in AXES:
     _axis_command(_axis)
 
 
+def _finish_identification(identification: Identification, name: str, output: opt.Output) -> int:
+    from cosim.identify.sweep import write
+
+    paths = write(identification, output.run_folder(name))
+    output.answer(identification.to_dict, lambda: print_identification(identification, paths))
+    return FLIGHT_FAILED if identification.refused else DONE
+
+
+class FromLog(opt.LogPart, opt.Output):
+    """Options of ``hexjet identify log``."""
+
+    log: Path = opt.argument(metavar="FILE|RUN", type=click.Path(path_type=Path))
+    axis = opt.choice("--axis", AXES, "Identify torque command to measured rate of an axis.")
+    number = opt.whole("--engine", "N", "Identify engine N instead.", min=1)
+    command_text = opt.word("--command", "SUM", "The channels instead: 'm1 + m2 - 0.5*m3'.")
+    output_text = opt.word(
+        "--output",
+        "SUM",
+        "The same; deg(NAME) is one in degrees, square(NAME) a square; quotes hold a name with blanks.",
+    )
+    setpoint_text = opt.word("--setpoint", "SUM", "What was asked of the output: to test for bias.")
+    time_column, time_unit, begin, end = opt.LOG_PART
+    longest_delay = opt.number("--longest-delay", "S", None, min=0.0, max=5.0, min_open=True, default=0.4)
+    working_step = opt.positive("--working-step", "S", "Samples are averaged to it.")
+    lags = opt.whole("--lags", None, "Beside the pole.  [default: the better of two]", min=0, max=3)
+    holds = opt.words("--hold", "NAME=VALUE", "Keep a parameter: lag_s=0.009.")
+    step = opt.positive("--step", None, "Control step of the model.", default=0.004)
+    family = opt.word(
+        "--filed-under", "NAME", "The engine of an axis' model file.  [default: the run's, or edf-as-flown]"
+    )
+    channels = opt.flag("--channels", "List what the log holds, and do nothing else.")
+    out = opt.OUT
+    as_json = opt.JSON
+
+
 @identify.command("log", epilog=example("hexjet identify log flight.ulg --axis roll --out roll-model"))
-@click.argument("log", metavar="FILE|RUN", type=click.Path(path_type=Path))
-@click.option("--axis", type=click.Choice(AXES), help="Identify torque command to measured rate of an axis.")
-@click.option("--engine", "number", type=click.IntRange(min=1), metavar="N", help="Identify engine N instead.")
-@click.option("--command", "command_text", metavar="SUM", help="The channels instead: 'm1 + m2 - 0.5*m3'.")
-@click.option(
-    "--output",
-    "output_text",
-    metavar="SUM",
-    help="The same; deg(NAME) is one in degrees, square(NAME) a square; quotes hold a name with blanks.",
-)
-@click.option("--setpoint", "setpoint_text", metavar="SUM", help="What was asked of the output: to test for bias.")
-@log_options
-@click.option(
-    "--longest-delay", type=Number(min=0.0, min_open=True, max=5.0), default=0.4, show_default=True, metavar="S"
-)
-@click.option("--working-step", type=Number(min=0.0, min_open=True), metavar="S", help="Samples are averaged to it.")
-@click.option("--lags", type=click.IntRange(0, 3), help="Beside the pole.  [default: the better of two]")
-@click.option("holds", "--hold", metavar="NAME=VALUE", multiple=True, help="Keep a parameter: lag_s=0.009.")
-@click.option(
-    "--step", type=Number(min=0.0, min_open=True), default=0.004, show_default=True, help="Control step of the model."
-)
-@click.option(
-    "--filed-under",
-    "family",
-    metavar="NAME",
-    help="The engine of an axis' model file.  [default: the run's, or edf-as-flown]",
-)
-@click.option("--channels", is_flag=True, help="List what the log holds, and do nothing else.")
-@click.option("--out", type=Out(), metavar="DIR", help="[default: a new one in runs/]")
-@click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
-def identify_from_log(log: Path, channels: bool, out: Path | None, as_json: bool, **choices: Any) -> int:
+@opt.takes(FromLog)
+def identify_from_log(options: FromLog) -> int:
     """Identify an axis or an engine from a flight's log, whoever flew it: lag, gain and delay with its bounds.
 
     Reads runs, ULog, ArduPilot DataFlash, Betaflight blackbox, Crazyflie, CSV and Parquet.  Leaves a page,
@@ -156,70 +158,48 @@ def identify_from_log(log: Path, channels: bool, out: Path | None, as_json: bool
     one_thread()
     from cosim.identify.logs import read_flight_log
 
-    read = read_flight_log(log, choices.pop("time_column"), choices.pop("time_unit"))
-    if channels:
-        if as_json:
-            click.echo(json.dumps(read.to_dict(), allow_nan=False))
-        else:
-            print_channels(read)
+    log = read_flight_log(options.log, options.time_column, options.time_unit)
+    if options.channels:
+        options.answer(log.to_dict, lambda: print_channels(log))
         return DONE
-    return _identify_log(read, out, as_json, **choices)
+    return _identify_log(log, options)
 
 
-def _identify_log(
-    log: FlightLog,
-    out: Path | None,
-    as_json: bool,
-    *,
-    axis: str | None,
-    number: int | None,
-    command_text: str | None,
-    output_text: str | None,
-    setpoint_text: str | None,
-    begin: float | None,
-    end: float | None,
-    longest_delay: float,
-    working_step: float | None,
-    lags: int | None,
-    holds: tuple[str, ...],
-    step: float,
-    family: str | None,
-) -> int:
+def _identify_log(log: FlightLog, options: FromLog) -> int:
     from cosim.base.storage.toml import parse_numbers
-    from cosim.flight import new_folder
     from cosim.identify.logs import LogSignals, signals_of
     from cosim.identify.prediction_error.identify_log import identify_log
     from cosim.identify.prediction_error.result import write
 
+    axis, number, command_text, output_text = options.axis, options.number, options.command_text, options.output_text
     if (axis is None) == (number is None):
         raise InputError("identify log: say --axis roll, pitch or yaw, or --engine N")
-    if axis is not None and lags == 0:
+    if axis is not None and options.lags == 0:
         raise InputError("--lags 0: an axis has one at least")
     what = axis or f"engine:{number}"
     if command_text and output_text:
-        chosen = LogSignals(command_text, output_text, setpoint_text or "", "command", "rad/s" if axis else "output")
+        chosen = LogSignals(
+            command_text, output_text, options.setpoint_text or "", "command", "rad/s" if axis else "output"
+        )
     elif command_text or output_text:
         raise InputError("--command and --output: both or none")
     else:
         chosen = signals_of(log, what)
-        chosen = chosen._replace(setpoint=setpoint_text or chosen.setpoint)
+        chosen = chosen._replace(setpoint=options.setpoint_text or chosen.setpoint)
     identified = identify_log(
         log,
         what,
         chosen,
-        longest_delay=longest_delay,
-        step=working_step,
-        begin=begin,
-        end=end,
-        hold=parse_numbers(holds, "--hold"),
-        lags=lags,
+        longest_delay=options.longest_delay,
+        step=options.working_step,
+        begin=options.begin,
+        end=options.end,
+        hold=parse_numbers(options.holds, "--hold"),
+        lags=options.lags,
     )
-    folder = out if out is not None else new_folder(Path("runs"), f"identify-log-{what.replace(':', '-')}")
-    paths = write(identified, folder, step, family or log.engine or "edf-as-flown")
-    if as_json:
-        click.echo(json.dumps(identified.to_dict(step), allow_nan=False))
-    else:
-        print_from_log(identified, paths)
+    folder = options.run_folder(f"identify-log-{what.replace(':', '-')}")
+    paths = write(identified, folder, options.step, options.family or log.engine or "edf-as-flown")
+    options.answer(lambda: identified.to_dict(options.step), lambda: print_from_log(identified, paths))
     return DONE
 
 
@@ -238,62 +218,48 @@ def print_from_log(identified: LogIdentification, paths: dict[str, Path]) -> Non
     """The forms side by side, what is to be said of them, and where the files are."""
     from cosim.identify.prediction_error.result import rows, summary
 
-    console = terminal()
-    console.print(summary(identified), highlight=False, markup=False)
-    console.print(_side_by_side([estimate.form.label for estimate in identified.estimates], rows(identified)))
+    say(summary(identified))
+    _show_side_by_side([estimate.form.label for estimate in identified.estimates], rows(identified))
     for note in identified.notes:
-        console.print(f"note: {note}", highlight=False, markup=False)
+        say(f"note: {note}")
     for name in ("model", "engine", "report"):
         if name in paths:
-            console.print(f"{name}: {paths[name]}", highlight=False, soft_wrap=True)
+            say(f"{name}: {paths[name]}", wrap=False)
 
 
-def _side_by_side(labels: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """Models beside each other, a row a parameter."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD)
-    table.add_column("with 95 % bounds")
-    for label in labels:
-        table.add_column(label, justify="right")
-    for row in rows:
-        table.add_row(*row)
-    return table
+def _show_side_by_side(labels: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print models beside each other, a row a parameter."""
+    show_table(("with 95 % bounds", *labels), rows, range(1, 1 + len(labels)))
 
 
 def print_identification(identification: Identification, paths: dict[str, Path]) -> None:
     """The models side by side, the chosen one's discrete form, how the stated one compares, and where the files are."""
     from cosim.identify.sweep.result import equations, fit_rows
 
-    console = terminal()
     sweep, response = identification.sweep, identification.response
-    console.print(
+    say(
         f"{identification.subject}: [bold]{identification.channel}[/bold], {sweep.from_hz:.3g} to {sweep.to_hz:.3g} Hz "
         f"in {sweep.duration_s:g} s, amplitude {sweep.amplitude:.3g}; {len(response.hertz)} points, "
         f"coherence at least {response.coherence.min():.4f}",
-        highlight=False,
+        marked=True,
     )
-    console.print(_side_by_side([fit.label for fit in identification.fits], fit_rows(identification)))
+    _show_side_by_side([fit.label for fit in identification.fits], fit_rows(identification))
     for reason in identification.refused:
-        console.print(f"no model: {reason}", highlight=False, markup=False)
+        say(f"no model: {reason}")
     for text in () if identification.refused else equations(identification):
-        console.print(f"G(z) = {text}", highlight=False, markup=False)
+        say(f"G(z) = {text}")
     deviation = identification.reference_deviation()
     if identification.reference is not None and deviation is not None:
-        console.print(
+        say(
             f"the model that {identification.subject} states ({identification.reference.source}) is within "
-            f"{deviation[0]:.2f} dB and {deviation[1]:.1f} deg of the response",
-            highlight=False,
+            f"{deviation[0]:.2f} dB and {deviation[1]:.1f} deg of the response"
         )
     if identification.ledger_samples is not None:
-        console.print(
-            f"all delay as the delay ledger has it: {identification.ledger_samples:.2f} samples", highlight=False
-        )
+        say(f"all delay as the delay ledger has it: {identification.ledger_samples:.2f} samples")
     elif identification.no_ledger:
-        console.print(f"the delay ledger has no sum for it: {identification.no_ledger}", highlight=False)
+        say(f"the delay ledger has no sum for it: {identification.no_ledger}")
     for note in identification.notes:
-        console.print(f"note: {note}", highlight=False)
+        say(f"note: {note}")
     for name in ("model", "report"):
         if name in paths:
-            console.print(f"{name}: {paths[name]}", highlight=False, soft_wrap=True)
+            say(f"{name}: {paths[name]}", wrap=False)

@@ -2,31 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from cosim.base.errors import InputError
-from cosim.cli.console import on_terminal, output_to_stderr, terminal
-from cosim.cli.options import (
-    DONE,
-    FLIGHT_FAILED,
-    Number,
-    example,
-    load_scenario,
-    offer_to_compile,
-    own_blocks,
-    refuse_others,
-    shared_assets,
-    warn_of_blemishes,
-    with_own_blocks,
-)
-from cosim.cli.outputs import Out
+from cosim.cli import opt
+from cosim.cli.console import on_terminal, output_to_stderr, say, show_table, terminal
+from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, offer_to_compile, refuse_others, warn_of_blemishes
 
 if TYPE_CHECKING:
     from cosim.base.protocols import Observer
@@ -36,91 +23,61 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import Scenario
 
 
+class Fly(Flight, opt.Output):
+    """Options of ``hexjet fly``."""
+
+    scenario: str = opt.argument()
+    controller = opt.word(
+        "--controller",
+        "NAME|FILE",
+        "Overrides the scenario's; see: hexjet list controllers. Or a file that hexjet design wrote, with all "
+        "gains; or one of yours: FILE.py:Class, package.module:Class, FILE.fmu, 'process:FILE ARGUMENTS'.",
+    )
+    aircraft = opt.word(
+        "--aircraft",
+        "NAME",
+        "Overrides the scenario's, with the engine that it is made for; see: hexjet list aircraft.",
+    )
+    engines = opt.words(
+        "--engine",
+        "[N=]NAME|FILE",
+        "Overrides the scenario's: a name (see: hexjet list engines), an .fmu or a .toml that maps one; with N= "
+        "the one at station N alone.",
+    )
+    settings = opt.words(
+        "--set",
+        "KEY=VALUE",
+        "Write a value over the scenario's, e.g. vehicle.mass_kg=6.0; its expectations are not checked then.",
+    )
+    model = opt.path(
+        "--model", "FILE.toml", "Predict with the identified models in this file, as hexjet identify writes it."
+    )
+    out = opt.out("The run's folder.  [default: a new one in runs/]")
+    seed = opt.whole("--seed", None, "Overrides the scenario's seed.")
+    metrics, own_observers, sensors, wind = opt.METRICS, opt.OBSERVERS, opt.SENSORS, opt.WIND
+    unchecked_engine = opt.flag("--unchecked-engine", "Fly an FMU that hexjet fmu check finds unfit, or has not seen.")
+    realtime = opt.flag("--realtime", "Pace the flight in real time; the same as --rtf 1.")
+    rtf = opt.number(
+        "--rtf",
+        "X",
+        "Pace the flight at X times real time; 0 is as fast as it goes.  [default: 0, or 1 with --mavlink or "
+        "--flightgear]",
+        min=0.0,
+    )
+    links = opt.words(
+        "--mavlink", "URL", "Let a ground station watch, e.g. udpout:127.0.0.1:14550; see: hexjet gcs --help."
+    )
+    flightgear = opt.word(
+        "--flightgear", "[HOST:]PORT", "Let FlightGear show it: fgfs --fdm=null --native-fdm=socket,in,60,,5550,udp."
+    )
+    shared_assets: bool = opt.SHARED_ASSETS
+    flight = opt.whole("--flight", "N", "Of a campaign in the folder SCENARIO.", min=0)
+    as_json = opt.json("Print the run's summary as one JSON object and nothing else.")
+
+
 @click.command(epilog=example("hexjet fly roll-doublet --controller baseline --set vehicle.mass_kg=6.0"))
-@click.argument("scenario")
-@click.option(
-    "--controller",
-    metavar="NAME|FILE",
-    help="Overrides the scenario's; see: hexjet list controllers. Or a file that hexjet design wrote, with all gains; "
-    "or one of yours: FILE.py:Class, package.module:Class, FILE.fmu, 'process:FILE ARGUMENTS'.",
-)
-@click.option(
-    "--aircraft",
-    metavar="NAME",
-    help="Overrides the scenario's, with the engine that it is made for; see: hexjet list aircraft.",
-)
-@click.option(
-    "engines",
-    "--engine",
-    metavar="[N=]NAME|FILE",
-    multiple=True,
-    help="Overrides the scenario's: a name (see: hexjet list engines), an .fmu or a .toml that maps one; with N= "
-    "the one at station N alone.",
-)
-@click.option(
-    "settings",
-    "--set",
-    metavar="KEY=VALUE",
-    multiple=True,
-    help="Write a value over the scenario's, e.g. vehicle.mass_kg=6.0; its expectations are not checked then.",
-)
-@click.option(
-    "--model",
-    type=click.Path(path_type=Path),
-    metavar="FILE.toml",
-    help="Predict with the identified models in this file, as hexjet identify writes it.",
-)
-@click.option("--out", type=Out(), metavar="DIR", help="The run's folder.  [default: a new one in runs/]")
-@click.option("--seed", type=int, help="Overrides the scenario's seed.")
-@own_blocks
-@click.option("--unchecked-engine", is_flag=True, help="Fly an FMU that hexjet fmu check finds unfit, or has not seen.")
-@click.option("--realtime", is_flag=True, help="Pace the flight in real time; the same as --rtf 1.")
-@click.option(
-    "--rtf",
-    type=Number(min=0.0),
-    metavar="X",
-    help="Pace the flight at X times real time; 0 is as fast as it goes.  "
-    "[default: 0, or 1 with --mavlink or --flightgear]",
-)
-@click.option(
-    "links",
-    "--mavlink",
-    metavar="URL",
-    multiple=True,
-    help="Let a ground station watch, e.g. udpout:127.0.0.1:14550; see: hexjet gcs --help.",
-)
-@click.option(
-    "--flightgear",
-    metavar="[HOST:]PORT",
-    help="Let FlightGear show it: fgfs --fdm=null --native-fdm=socket,in,60,,5550,udp.",
-)
-@shared_assets
-@click.option("--flight", type=click.IntRange(min=0), metavar="N", help="Of a campaign in the folder SCENARIO.")
-@click.option("as_json", "--json", is_flag=True, help="Print the run's summary as one JSON object and nothing else.")
-@click.pass_context
-def fly(
-    context: click.Context,
-    scenario: str,
-    controller: str | None,
-    aircraft: str | None,
-    engines: tuple[str, ...],
-    settings: tuple[str, ...],
-    model: Path | None,
-    out: Path | None,
-    seed: int | None,
-    metrics: tuple[str, ...],
-    own_observers: tuple[str, ...],
-    sensors: str | None,
-    wind: str | None,
-    unchecked_engine: bool,
-    realtime: bool,
-    rtf: float | None,
-    links: tuple[str, ...],
-    flightgear: str | None,
-    shared_assets: bool,
-    flight: int | None,
-    as_json: bool,
-) -> int:
+@opt.takes(Fly)
+def fly(options: Fly) -> int:
     """Fly SCENARIO: a name in scenarios/, the path of a TOML file, or with --flight the folder of a campaign.
 
     Leaves a folder with summary, resolved scenario, log and report.  Status 0: as planned; or completed within its
@@ -128,76 +85,79 @@ def fly(
     campaign, bit for bit.  1: the flight failed, went beyond its limits or did not come to what the scenario expects,
     or is not the same.  2: wrong input.
     """
-    if flight is not None:
+    if options.flight is not None:
         why = "a flight of a campaign is flown as it was; leave it out with --flight"
-        refuse_others(context, why, "scenario", "flight", "out", "as_json")
-        return _fly_again(Path(scenario), flight, out, as_json)
+        refuse_others(why, "scenario", "flight", "out", "as_json")
+        return _fly_again(Path(options.scenario), options.flight, options)
     from cosim.flight import fly as fly_scenario
-    from cosim.flight import new_folder
     from cosim.results.run import finish_killed
-    from cosim.spec.controller_name import folder_name, is_design, short_name
+    from cosim.spec.controller_name import folder_name, short_name
 
-    if realtime and rtf is not None:
+    controller, rtf, watched = options.controller, options.rtf, bool(options.links or options.flightgear)
+    if options.realtime and rtf is not None:
         raise InputError("--realtime and --rtf: give one of them")
-    factor = (rtf or None) if rtf is not None else 1.0 if realtime or links or flightgear else None
-    finish_killed(Path(scenario))
-    offer_to_compile(*engines)
-    loaded = load_scenario(scenario, controller, engines, seed, settings, model, aircraft)
-    loaded = with_own_blocks(loaded, metrics, own_observers, sensors, wind)
-    if unchecked_engine:
-        loaded = loaded.replace(engine_unchecked=True)
-    if controller is not None and is_design(controller):
-        from cosim.simulation.controllers.controller_file import differences
-
-        for text in differences(loaded, Path(controller)):
-            click.echo(f"hexjet: warning: {controller}: {text}", err=True)
-    for text in loaded.after_the_end():
-        click.echo(f"hexjet: warning: scenario {loaded.name}: {text}", err=True)
-    warn_of_blemishes(loaded.engine, *(s.engine for s in loaded.stations.values() if s.engine), folder=loaded.folder)
+    factor = (rtf or None) if rtf is not None else 1.0 if options.realtime or watched else None
+    finish_killed(Path(options.scenario))
+    offer_to_compile(*options.engines)
+    loaded = options.load()
+    _warn(loaded, controller)
     named = short_name(controller) if controller is not None else loaded.controller
-    folder = out if out is not None else new_folder(Path("runs"), f"{loaded.name}-{folder_name(named)}")
+    folder = options.run_folder(f"{loaded.name}-{folder_name(named)}")
     with (
-        output_to_stderr(as_json),
-        _shown(loaded, flightgear) as viewers,
-        flight_progress(loaded, quiet=as_json) as watching,
+        output_to_stderr(options.as_json),
+        _shown(loaded, options.flightgear) as viewers,
+        flight_progress(loaded, quiet=options.as_json) as watching,
+        _watched(options.links) as watch,
     ):
-        observers = (*watching, *viewers)
-        if links:
-            from cosim.groundstation.links import Links
-
-            with Links(links) as opened:
-                watch = opened.read_only()
-                run = fly_scenario(
-                    loaded,
-                    folder,
-                    observers=observers,
-                    realtime_factor=factor,
-                    watch=watch,
-                    shared_assets=shared_assets,
-                )
-        else:
-            run = fly_scenario(loaded, folder, observers=observers, realtime_factor=factor, shared_assets=shared_assets)
-    if as_json:
-        click.echo(json.dumps(run.summary.model_dump(mode="json"), allow_nan=False))
-    else:
-        print_run(run)
+        run = fly_scenario(
+            loaded,
+            folder,
+            observers=(*watching, *viewers),
+            realtime_factor=factor,
+            watch=watch,
+            shared_assets=options.shared_assets,
+        )
+    options.answer(lambda: run.summary.model_dump(mode="json"), lambda: print_run(run))
     return DONE if run.summary.succeeded else FLIGHT_FAILED
 
 
-def _fly_again(folder: Path, number: int, out: Path | None, as_json: bool) -> int:
+def _warn(scenario: Scenario, controller: str | None) -> None:
+    """Say on standard error what of a design's file, of the scenario's times and of its FMUs is not as it may seem."""
+    from cosim.spec.controller_name import is_design
+
+    if controller is not None and is_design(controller):
+        from cosim.simulation.controllers.controller_file import differences
+
+        for text in differences(scenario, Path(controller)):
+            click.echo(f"hexjet: warning: {controller}: {text}", err=True)
+    for text in scenario.after_the_end():
+        click.echo(f"hexjet: warning: scenario {scenario.name}: {text}", err=True)
+    engines = (station.engine for station in scenario.stations.values() if station.engine)
+    warn_of_blemishes(scenario.engine, *engines, folder=scenario.folder)
+
+
+def _fly_again(folder: Path, number: int, output: opt.Output) -> int:
     from cosim.campaign import fly_again, open_campaign
-    from cosim.flight import new_folder
 
     campaign = open_campaign(folder)
-    out = out if out is not None else new_folder(Path("runs"), f"{campaign.study.name}-flight-{number}")
-    with output_to_stderr(as_json):
+    out = output.run_folder(f"{campaign.study.name}-flight-{number}")
+    with output_to_stderr(output.as_json):
         again = fly_again(campaign, number, out)
-    if as_json:
-        same = {"flight": number, "same": again.same, "otherwise": again.otherwise}
-        click.echo(json.dumps(again.run.summary.model_dump(mode="json") | same, allow_nan=False))
-    else:
-        print_again(again)
+    same = {"flight": number, "same": again.same, "otherwise": again.otherwise}
+    output.answer(lambda: again.run.summary.model_dump(mode="json") | same, lambda: print_again(again))
     return DONE if again.same else FLIGHT_FAILED
+
+
+@contextmanager
+def _watched(links: Sequence[str]) -> Iterator[Any]:
+    """Let ground stations watch, where they are named."""
+    if not links:
+        yield None
+        return
+    from cosim.groundstation.links import Links
+
+    with Links(links) as opened:
+        yield opened.read_only()
 
 
 @contextmanager
@@ -238,12 +198,11 @@ def flight_progress(scenario: Scenario, quiet: bool) -> Iterator[Sequence[Observ
 
 
 def print_again(again: RepeatedFlight) -> None:
-    """A flight of a campaign, and whether it is what it was."""
+    """Print a flight of a campaign, and whether it is what it was."""
     print_run(again.run)
-    console = terminal()
-    console.print(f"flight {again.number}: [bold]{again.verdict}[/bold]", highlight=False)
+    say(f"flight {again.number}: [bold]{again.verdict}[/bold]", marked=True)
     for line in again.otherwise:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        say(line, wrap=False)
 
 
 def _others(summary: Summary) -> str:
@@ -260,55 +219,38 @@ def _sensors(summary: Summary) -> str:
 
 
 def print_run(run: Run) -> None:
-    """Outcome, metrics, what was expected and not met, and where the report is."""
+    """Print outcome, metrics, what was expected and not met, and where the report is."""
     from rich.markup import escape
 
-    summary = run.summary
-    console = terminal()
-    console.print(f"{summary.scenario}: [bold]{escape(summary.ending)}[/bold]", highlight=False)
-    console.print(
+    summary, own = run.summary, run.summary.own_controller
+    say(f"{summary.scenario}: [bold]{escape(summary.ending)}[/bold]", marked=True)
+    say(
         f"{summary.aircraft}, engine {summary.engine_shown}{_others(summary)}, controller {summary.controller_shown}, "
-        f"seed {summary.seed}{_sensors(summary)}: {summary.duration_s:.2f} s flown" + _speed(summary.realtime_factor),
-        highlight=False,
+        f"seed {summary.seed}{_sensors(summary)}: {summary.duration_s:.2f} s flown" + _speed(summary.realtime_factor)
     )
     for note in summary.notes:
-        console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
+        say(f"note: {note}", wrap=False)
     print_metrics([run])
     _print_whole(run)
     for text in summary.exceeded:
-        console.print(f"beyond its limit: {text}", highlight=False)
+        say(f"beyond its limit: {text}")
     for engine, why in dict.fromkeys((station.engine, station.apart) for station in summary.stations if station.apart):
-        text = f"engines in a process of their own, because {engine} {why}"
-        console.print(text, highlight=False, markup=False, soft_wrap=True)
-    own = summary.own_controller
+        say(f"engines in a process of their own, because {engine} {why}", wrap=False)
     if own is not None and own.repeatable is False:
-        console.print(
-            f"controller {summary.controller} is not repeatable: asked the same again, it answered otherwise",
-            highlight=False,
-            markup=False,
-        )
+        say(f"controller {summary.controller} is not repeatable: asked the same again, it answered otherwise")
     if own is not None and own.level == "controller" and run.scenario.monitored:
-        console.print(
-            f"engines were not watched: {summary.controller} is a whole controller, and sees to lost ones itself",
-            highlight=False,
-            markup=False,
-        )
-    for line in summary.own_metrics_failed:
-        console.print(line, highlight=False, markup=False)
-    for complaint in summary.complaints:
-        console.print(f"not as expected: {complaint}", highlight=False)
+        say(f"engines were not watched: {summary.controller} is a whole controller, and sees to lost ones itself")
+    for line in [*summary.own_metrics_failed, *(f"not as expected: {complaint}" for complaint in summary.complaints)]:
+        say(line)
     if run.folder is not None:
-        console.print(f"report: {run.folder / 'report.html'}", highlight=False, soft_wrap=True)
+        say(f"report: {run.folder / 'report.html'}", wrap=False)
 
 
 _WIDE = 110  # columns of the terminal that a row an axis takes
 
 
 def print_metrics(runs: Sequence[Run], by: str = "axis") -> None:
-    """A table of the axes' metrics in the units of the page, one row an axis and run; ``by`` names the first column."""
-    from rich import box
-    from rich.table import Table
-
+    """Print the axes' metrics in the units of the page, one row an axis and run; ``by`` names the first column."""
     from cosim.results.report.flight import axis_cell
     from cosim.results.wording import AXIS_ROWS
 
@@ -322,37 +264,29 @@ def print_metrics(runs: Sequence[Run], by: str = "axis") -> None:
         for axis, metrics in run.metrics.items()
         if metrics.commanded or by == "axis"
     ]
-    console = terminal()
-    if console.width < _WIDE:  # lying down: a metric a row
+    if terminal().width < _WIDE:  # lying down: a metric a row
         heads, lines = (
             [line[0] for line in lines],
             [list(cells) for cells in zip(heads, *(line[1:] for line in lines), strict=True)],
         )
         by = "metric"
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column(by)
-    for head in heads:
-        table.add_column(head, justify="right")
-    for line in lines:
-        table.add_row(*line)
-    console.print(table)
+    show_table((by, *heads), lines, range(1, 1 + len(heads)), pad_edge=False)
 
 
 def _print_whole(run: Run) -> None:
-    """What is measured of the whole flight, with its limits."""
-    from rich import box
-    from rich.table import Table
-
+    """Print what is measured of the whole flight, with its limits."""
     from cosim.results.report.flight import whole_rows
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for title in ("whole flight", "value", "limit", "unit"):
-        table.add_column(title, justify="right" if title in ("value", "limit") else "left")
-    for row in whole_rows(run.summary):
-        value = f"[bold]{row['value']}[/bold]" if row["beyond"] else row["value"]
-        table.add_row(row["label"].lower().replace("rmse", "RMSE"), value, row["limit"], row["unit"])
-    if table.row_count:
-        terminal().print(table)
+    rows = [
+        (
+            row["label"].lower().replace("rmse", "RMSE"),
+            f"[bold]{row['value']}[/bold]" if row["beyond"] else row["value"],
+            row["limit"],
+            row["unit"],
+        )
+        for row in whole_rows(run.summary)
+    ]
+    show_table(("whole flight", "value", "limit", "unit"), rows, (1, 2), pad_edge=False)
 
 
 def _speed(factor: float | None) -> str:

@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from cosim.cli import opt
 from cosim.cli.console import output_to_stderr, terminal
-from cosim.cli.options import (
-    DONE,
-    FLIGHT_FAILED,
-    Number,
-    example,
-    load_scenario,
-    own_blocks,
-    with_own_blocks,
-)
-from cosim.cli.outputs import Out
+from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example
 
 if TYPE_CHECKING:
     from cosim.groundstation.links import Links
@@ -29,103 +19,71 @@ if TYPE_CHECKING:
     from cosim.results.run import Run
 
 
+class Gcs(Flight, opt.Output):
+    """Options of ``hexjet gcs``."""
+
+    scenario = opt.option(
+        "--scenario", default="hover", metavar="NAME", help="Whose wind, place and faults.  [default: a calm day]"
+    )
+    aircraft = opt.word("--aircraft", "NAME", "Overrides the scenario's, with its engine; see: hexjet list aircraft.")
+    engines = opt.ENGINES
+    controller = opt.word("--controller", "NAME", "See: hexjet list controllers.")
+    settings = opt.SETTINGS
+    seed = opt.whole("--seed", None, "Overrides the scenario's seed.")
+    metrics, own_observers, sensors, wind = opt.METRICS, opt.OBSERVERS, opt.SENSORS, opt.WIND
+    unchecked_engine = opt.flag("--unchecked-engine", "As in hexjet fly.")
+    place = opt.word("--place", "LAT,LON", "Where it stands, in degrees.")
+    links = opt.words(
+        "--mavlink",
+        "URL",
+        "udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or serial:DEVICE[:BAUD].  [default: "
+        "udpout to 127.0.0.1, ports 14550 and 14540]",
+    )
+    system = opt.option(
+        "--system",
+        type=int,
+        default=1,
+        show_default=True,
+        metavar="N",
+        help="Its MAVLink id, 1 to 250: several vehicles beside each other need one each.",
+    )
+    public = opt.flag("--public", "Let udpin and tcpin listen to the network and not to this machine alone.")
+    sign_key = opt.path("--sign-key", "FILE", "Sign, and refuse what is not signed with it.")
+    personality = opt.choice(
+        "--personality", ["px4", "ardupilot", "generic"], "What the ground station takes it for.", "px4"
+    )
+    parameters = opt.path(
+        "--params",
+        "FILE.toml",
+        "Where parameters are kept; none: nowhere.  [default: one file a vehicle in the folder for settings]",
+    )
+    rtf = opt.number("--rtf", "X", "As in fly.", min=0.0, default=1.0)
+    duration = opt.positive("--duration", "S", "[default: until Ctrl-C]")
+    web: int | None = opt.option(
+        "--web", type=click.IntRange(0, 65535), is_flag=False, flag_value=8765, metavar="[PORT]",
+        help="Serve a page too.",
+    )  # fmt: skip
+    foxglove: str | None = opt.option(
+        "--foxglove",
+        is_flag=False,
+        flag_value="8766",
+        metavar="[[HOST:]PORT]",
+        help="Show the flight to Foxglove too, on a WebSocket.  [default: 127.0.0.1:8766]",
+    )
+    out = opt.OUT
+    log_limit = opt.number(
+        "--log-limit",
+        "MB",
+        "Of each flight's log at most: what is flown beyond is not recorded.",
+        min=1.0,
+        default=2000.0,
+    )
+    as_json = opt.json("Print one JSON object at the end and nothing else.")
+
+
 @click.command(epilog=example("hexjet gcs --engine edf-as-flown --place 22.35,113.59 --web"))
-@click.option(
-    "--scenario", default="hover", metavar="NAME", help="Whose wind, place and faults.  [default: a calm day]"
-)
-@click.option(
-    "--aircraft", metavar="NAME", help="Overrides the scenario's, with its engine; see: hexjet list aircraft."
-)
-@click.option("engines", "--engine", metavar="[N=]NAME|FILE", multiple=True, help="As in hexjet fly.")
-@click.option("--controller", metavar="NAME", help="See: hexjet list controllers.")
-@click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly.")
-@click.option("--seed", type=int, help="Overrides the scenario's seed.")
-@own_blocks
-@click.option("--unchecked-engine", is_flag=True, help="As in hexjet fly.")
-@click.option("--place", metavar="LAT,LON", help="Where it stands, in degrees.")
-@click.option(
-    "links",
-    "--mavlink",
-    metavar="URL",
-    multiple=True,
-    help="udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or serial:DEVICE[:BAUD].  "
-    "[default: udpout to 127.0.0.1, ports 14550 and 14540]",
-)
-@click.option(
-    "--system",
-    type=int,
-    default=1,
-    show_default=True,
-    metavar="N",
-    help="Its MAVLink id, 1 to 250: several vehicles beside each other need one each.",
-)
-@click.option("--public", is_flag=True, help="Let udpin and tcpin listen to the network and not to this machine alone.")
-@click.option(
-    "--sign-key", type=click.Path(path_type=Path), metavar="FILE", help="Sign, and refuse what is not signed with it."
-)
-@click.option(
-    "--personality",
-    type=click.Choice(["px4", "ardupilot", "generic"]),
-    default="px4",
-    show_default=True,
-    help="What the ground station takes it for.",
-)
-@click.option(
-    "--params",
-    "parameters",
-    type=click.Path(path_type=Path),
-    metavar="FILE.toml",
-    help="Where parameters are kept; none: nowhere.  [default: one file a vehicle in the folder for settings]",
-)
-@click.option("--rtf", type=Number(min=0.0), default=1.0, show_default=True, metavar="X", help="As in fly.")
-@click.option("--duration", type=Number(min=0.0, min_open=True), metavar="S", help="[default: until Ctrl-C]")
-@click.option(
-    "--web", type=click.IntRange(0, 65535), is_flag=False, flag_value=8765, metavar="[PORT]", help="Serve a page too."
-)
-@click.option(
-    "--foxglove",
-    is_flag=False,
-    flag_value="8766",
-    metavar="[[HOST:]PORT]",
-    help="Show the flight to Foxglove too, on a WebSocket.  [default: 127.0.0.1:8766]",
-)
-@click.option("--out", type=Out(), metavar="DIR", help="[default: a new one in runs/]")
-@click.option(
-    "--log-limit",
-    type=Number(min=1.0),
-    default=2000.0,
-    show_default=True,
-    metavar="MB",
-    help="Of each flight's log at most: what is flown beyond is not recorded.",
-)
-@click.option("as_json", "--json", is_flag=True, help="Print one JSON object at the end and nothing else.")
-def gcs(
-    scenario: str,
-    aircraft: str | None,
-    engines: tuple[str, ...],
-    controller: str | None,
-    settings: tuple[str, ...],
-    seed: int | None,
-    metrics: tuple[str, ...],
-    own_observers: tuple[str, ...],
-    sensors: str | None,
-    wind: str | None,
-    unchecked_engine: bool,
-    place: str | None,
-    links: tuple[str, ...],
-    system: int,
-    public: bool,
-    sign_key: Path | None,
-    personality: Any,
-    parameters: Path | None,
-    rtf: float,
-    duration: float | None,
-    web: int | None,
-    foxglove: str | None,
-    out: Path | None,
-    log_limit: float,
-    as_json: bool,
-) -> int:
+@opt.takes(Gcs)
+def gcs(options: Gcs) -> int:
     """A vehicle on the ground that waits for a ground station: QGroundControl, MAVProxy, MAVSDK.
 
     Every flight leaves a run's folder, with telemetry.tlog and with requests.jsonl: hexjet fly on its scenario.toml
@@ -135,43 +93,43 @@ def gcs(
     from cosim.design.measured.judge import LoopJudge
     from cosim.groundstation.links import Links
     from cosim.groundstation.parameter_store import default_file, vehicle_key
-    from cosim.groundstation.session import (
-        Session,
-        place_at,
-        stopped_by_signals,
-    )
+    from cosim.groundstation.session import Session, place_at, stopped_by_signals
 
-    loaded = load_scenario(scenario, controller, engines, seed, settings, None, aircraft)
-    loaded = with_own_blocks(loaded, metrics, own_observers, sensors, wind)
-    changes: dict[str, Any] = {"name": "gcs" if scenario == "hover" else loaded.name}
-    if unchecked_engine:
-        changes["engine_unchecked"] = True
-    if place is not None:
-        changes["environment"] = place_at(place)
+    loaded = options.load()
+    changes: dict[str, Any] = {"name": "gcs" if options.scenario == "hover" else loaded.name}
+    if options.place is not None:
+        changes["environment"] = place_at(options.place)
     loaded = loaded.replace(**changes)
-    own = vehicle_key(loaded) if system == 1 else f"{vehicle_key(loaded)}-system-{system}"
-    kept = None if str(parameters) == "none" else parameters or default_file(own)
-    with output_to_stderr(as_json), Links(links, public, sign_key, personality, web, system, foxglove) as opened:
+    own = vehicle_key(loaded) + (f"-system-{options.system}" if options.system != 1 else "")
+    kept = None if str(options.parameters) == "none" else options.parameters or default_file(own)
+    as_json = options.as_json
+    with (
+        output_to_stderr(as_json),
+        Links(
+            options.links, options.public, options.sign_key, options.personality, options.web, options.system,
+            options.foxglove,
+        ) as opened,
+    ):  # fmt: skip
         session = Session(
             loaded,
             opened.exchange,
-            factor=rtf or None,
-            out=out,
+            factor=options.rtf or None,
+            out=options.out,
             parameters=kept,
-            duration=duration,
-            log_mb=log_limit,
+            duration=options.duration,
+            log_mb=options.log_limit,
             begun=opened.begin,
             over=opened.end,
         )
         session.judged_by(LoopJudge(session.scenario))
-        print_gcs(session, opened, log_limit, to_stderr=as_json)
+        print_gcs(session, opened, options.log_limit, to_stderr=as_json)
         with stopped_by_signals(session), live_line(opened, quiet=as_json):
             runs = session.run()
         counts = opened.counts
     print_session(runs, counts, to_stderr=as_json)
-    if as_json:
-        record = {"runs": [run.summary.model_dump(mode="json") for run in runs], "links": counts}
-        click.echo(json.dumps(record, allow_nan=False))
+    options.answer(
+        lambda: {"runs": [run.summary.model_dump(mode="json") for run in runs], "links": counts}, lambda: None
+    )
     return DONE if runs[-1].summary.succeeded else FLIGHT_FAILED
 
 

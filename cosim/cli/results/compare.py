@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from math import isfinite, nan
@@ -12,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cosim.base.errors import InputError
-from cosim.cli.console import output_to_stderr, terminal
+from cosim.cli import opt
+from cosim.cli.console import output_to_stderr, say, show_table, terminal
 from cosim.cli.options import DONE, example
 from cosim.cli.outputs import Out
 from cosim.cli.trust import looks
@@ -28,45 +28,36 @@ EARLIEST = 5  # beside those, the first that differ
 _MOST_INPUTS = 12  # lines in the terminal; the page has all
 
 
+class Compare(opt.Output):
+    """Options of ``hexjet compare``."""
+
+    names: tuple[str, ...] = opt.argument(nargs=-1, required=True, metavar="A B [C...]")
+    flights: tuple[int, ...] = opt.option(
+        "--flight",
+        type=click.IntRange(min=0),
+        metavar="N",
+        multiple=True,
+        help="This flight of the campaigns among A, B, C; the same as CAMPAIGN:N.",
+    )
+    patterns = opt.words(
+        "--signal",
+        "PATTERN",
+        "The signals of the table, such as 'thrust_*'.  [default: attitude, place, collective and the first that "
+        "differ]",
+    )
+    shifts = opt.words(
+        "--shift",
+        "LETTER=SECONDS",
+        "Add so much to the times of one of the flights, as of a log whose clock began elsewhere: B=-12.4.",
+    )
+    out = opt.out("The page, or its folder.  [default: a new one in runs/]", "DIR|FILE.html", _OUT)
+    no_page = opt.flag("--no-page", "Write none.")
+    as_json = opt.json("Print one JSON object, in SI units, and nothing else.")
+
+
 @click.command(epilog=example("hexjet compare runs/roll-doublet-smith-001 runs/roll-doublet-baseline-001"))
-@click.argument("names", nargs=-1, required=True, metavar="A B [C...]")
-@click.option(
-    "flights",
-    "--flight",
-    type=click.IntRange(min=0),
-    metavar="N",
-    multiple=True,
-    help="This flight of the campaigns among A, B, C; the same as CAMPAIGN:N.",
-)
-@click.option(
-    "patterns",
-    "--signal",
-    metavar="PATTERN",
-    multiple=True,
-    help="The signals of the table, such as 'thrust_*'.  [default: attitude, place, collective and the first that "
-    "differ]",
-)
-@click.option(
-    "shifts",
-    "--shift",
-    metavar="LETTER=SECONDS",
-    multiple=True,
-    help="Add so much to the times of one of the flights, as of a log whose clock began elsewhere: B=-12.4.",
-)
-@click.option(
-    "--out", type=_OUT, metavar="DIR|FILE.html", help="The page, or its folder.  [default: a new one in runs/]"
-)
-@click.option("--no-page", is_flag=True, help="Write none.")
-@click.option("as_json", "--json", is_flag=True, help="Print one JSON object, in SI units, and nothing else.")
-def compare(
-    names: tuple[str, ...],
-    flights: tuple[int, ...],
-    patterns: tuple[str, ...],
-    shifts: tuple[str, ...],
-    out: Path | None,
-    no_page: bool,
-    as_json: bool,
-) -> int:
+@opt.takes(Compare)
+def compare(options: Compare) -> int:
     """Lay two to eight flights over each other: metrics side by side, and every signal against that of the first.
 
     Each of A, B, C is the folder of a run; a flight of a campaign, DIR:N, which is flown again; a scenario, flown here
@@ -76,33 +67,29 @@ def compare(
     What is flown runs code (--trust); what was flown is only looked at.  Leaves a page with all of it.  Status 0,
     whatever differs; 2: wrong input.
     """
-    from cosim.flight import new_folder
     from cosim.results.comparison import pairs
     from cosim.results.report.comparison import write_comparison
 
-    requested = _expanded(names, flights)
+    requested = _expanded(options.names, options.flights)
     if not 2 <= len(requested) <= len(LETTERS):
         raise InputError(f"compare: {len(requested)} flights; allowed: 2 to {len(LETTERS)}")
-    out = out if out is not None else new_folder(Path("runs"), "comparison")
-    page = None if no_page else out if _OUT.is_file(out) else out / PAGE
+    out = options.run_folder("comparison")
+    page = None if options.no_page else out if _OUT.is_file(out) else out / PAGE
     if page is not None and page.exists():
         raise InputError(f"{page}: is there already; choose another name or remove it")
-    with output_to_stderr(as_json):
+    with output_to_stderr(options.as_json):
         loaded = _shifted(
-            [_load_flight(letter, name) for letter, name in zip(LETTERS, requested, strict=False)], shifts
+            [_load_flight(letter, name) for letter, name in zip(LETTERS, requested, strict=False)], options.shifts
         )
     compared = pairs(loaded)
-    chosen = _chosen(compared, patterns)
+    chosen = _chosen(compared, options.patterns)
     if page is not None:
         try:
             page.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{page.parent}: {error.strerror or error}") from error
         write_comparison(loaded, compared, page)
-    if as_json:
-        click.echo(json.dumps(_data(loaded, compared, page), allow_nan=False))
-    else:
-        _print(loaded, compared, chosen, page)
+    options.answer(lambda: _data(loaded, compared, page), lambda: _print(loaded, compared, chosen, page))
     return DONE
 
 
@@ -234,29 +221,28 @@ def _print(
 ) -> None:
     from cosim.results.report.comparison import inputs_between, pair_said, signal_cells
 
-    console = terminal()
     for flight in flights:
-        console.print(f"[bold]{flight.label[0]}[/bold]", end=" ")
-        console.print(": ".join([flight.source, *_about(flight)]), highlight=False, markup=False, soft_wrap=True)
+        terminal().print(f"[bold]{flight.label[0]}[/bold]", end=" ")
+        say(": ".join([flight.source, *_about(flight)]), wrap=False)
     _print_metrics(flights)
     for pair, other, names in zip(compared, flights[1:], chosen, strict=True):
-        console.print(" ".join(pair_said(pair)), highlight=False, markup=False)
+        say(" ".join(pair_said(pair)))
         inputs = inputs_between(flights[0], other)
         for key, left, right in inputs[:_MOST_INPUTS]:
-            text = f"  {key}: {left}; {other.label[0]} {right}"
-            console.print(text, highlight=False, markup=False, soft_wrap=True)
+            say(f"  {key}: {left}; {other.label[0]} {right}", wrap=False)
         if len(inputs) > _MOST_INPUTS:
-            console.print(f"  and {len(inputs) - _MOST_INPUTS} inputs more that are not the same")
+            say(f"  and {len(inputs) - _MOST_INPUTS} inputs more that are not the same")
         rows = {signal.name: signal for signal in pair.signals}
         cells = [
             (name, "the same", "", "", "", "") if rows[name].same else signal_cells(rows[name])
             for name in names
             if name in rows
         ]
-        if cells and not pair.same:
-            _print_table(("signal", "first at, s", "largest", "at, s", "RMS", "unit"), cells, (1, 2, 3, 4))
+        if not pair.same:
+            titles = ("signal", "first at, s", "largest", "at, s", "RMS", "unit")
+            show_table(titles, cells, range(1, 5), plain=True, pad_edge=False)
     if page is not None:
-        console.print(f"page: {page}", highlight=False, soft_wrap=True)
+        say(f"page: {page}", wrap=False)
 
 
 def _about(flight: ComparedFlight) -> list[str]:
@@ -280,22 +266,6 @@ def _print_metrics(flights: Sequence[ComparedFlight]) -> None:
         )
         for row in comparison_rows([None if flight.run is None else flight.run.summary for flight in flights])
     ]
-    if table:
-        _print_table(
-            ("metric", *(flight.label[0] for flight in flights), "unit"),
-            [(name.replace("rmse", "RMSE"), *rest) for name, *rest in table],
-            range(1, len(flights) + 1),
-        )
-
-
-def _print_table(titles: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[int]) -> None:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for n, title in enumerate(titles):
-        table.add_column(title, justify="right" if n in right else "left", overflow="fold")
-    for row in rows:
-        table.add_row(*map(Text, row))  # as they are: brackets in a name are no mark-up
-    terminal().print(table)
+    titles = ("metric", *(flight.label[0] for flight in flights), "unit")
+    rows = [(name.replace("rmse", "RMSE"), *rest) for name, *rest in table]
+    show_table(titles, rows, range(1, 1 + len(flights)), plain=True, pad_edge=False)

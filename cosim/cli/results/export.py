@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING
 
 import click
 
 from cosim.base.errors import InputError
-from cosim.cli.options import DONE, FLIGHT_FAILED, example, load_scenario, offer_to_compile
+from cosim.cli import opt
+from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, offer_to_compile
 from cosim.cli.outputs import Out
 from cosim.cli.trust import looks
 
@@ -69,24 +69,25 @@ def _log_path(target: str, out: Path) -> Path:
     return out
 
 
+class Log(opt.Output):
+    """Options of ``hexjet export DIR``."""
+
+    folder: Path = opt.argument(type=click.Path(path_type=Path), metavar="")
+    target: str = opt.option("--to", type=click.Choice([*_FILES]), required=True, help="The format.")
+    out = opt.out(
+        "The file, or its folder; what is there is overwritten.  [default: flight.ulg, .mcap, .mat or .csv in DIR]",
+        "FILE|DIR",
+        _LOG_OUT,
+    )
+    rates = opt.choice(
+        "--rates", ["all", "px4"], "ULog: every step, or each topic about as often as PX4 logs it.", "all"
+    )
+
+
 @click.command(_LOG, epilog=example("hexjet export runs/roll-doublet-smith-001 --to mcap --out flight.mcap"))
-@click.argument("folder", type=click.Path(path_type=Path), metavar="")
-@click.option("target", "--to", type=click.Choice([*_FILES]), required=True, help="The format.")
-@click.option(
-    "--out",
-    type=_LOG_OUT,
-    metavar="FILE|DIR",
-    help="The file, or its folder; what is there is overwritten.  [default: flight.ulg, .mcap, .mat or .csv in DIR]",
-)
-@click.option(
-    "--rates",
-    type=click.Choice(["all", "px4"]),
-    default="all",
-    show_default=True,
-    help="ULog: every step, or each topic about as often as PX4 logs it.",
-)
+@opt.takes(Log)
 @looks
-def log(folder: Path, target: str, out: Path | None, rates: Literal["all", "px4"]) -> int:
+def log(options: Log) -> int:
     """Write the log of the run in DIR for other tools.
 
     \b
@@ -96,14 +97,15 @@ def log(folder: Path, target: str, out: Path | None, rates: Literal["all", "px4"
     csv      every column with all its digits
     parquet  a copy of the run's own, which says what was flown
     """
-    path = _log_path(target, folder if out is None else out)
-    if target != "ulog" and rates != "all":
+    folder, target = options.folder, options.target
+    path = _log_path(target, options.out or folder)
+    if target != "ulog" and options.rates != "all":
         raise InputError(f"--rates: is for --to ulog; {target} has every step")
     match target:
         case "ulog":
             from cosim.results.export.ulog import export_ulog
 
-            export_ulog(folder, path, rates)
+            export_ulog(folder, path, options.rates)
         case "mcap":
             from cosim.results.export.mcap_file import export_mcap
 
@@ -124,70 +126,74 @@ def log(folder: Path, target: str, out: Path | None, rates: Literal["all", "px4"
     return DONE
 
 
+class Exporting(Flight, opt.Output):
+    """Options of ``hexjet export controller`` and ``vehicle``."""
+
+    scenario = opt.word(
+        "--scenario",
+        "NAME|FILE",
+        "What is flown, with aircraft, engine and controller where they are not given.",
+        "roll-doublet",
+    )
+    controller = opt.word("--controller", "NAME|FILE", "Overrides the scenario's.")
+    aircraft = opt.word("--aircraft", "NAME", "Overrides the scenario's, with the engine that it is made for.")
+    engines = opt.words("--engine", "[N=]NAME|FILE", "Overrides the scenario's.")
+    settings = opt.words("--set", "KEY=VALUE", "Write a value over the scenario's.")
+
+
+class ExportController(Exporting):
+    """Options of ``hexjet export controller``."""
+
+    scenario = opt.word(
+        "--scenario",
+        "NAME|FILE",
+        "The flight that becomes the test, with aircraft, engine and controller where they are not given.",
+        "roll-doublet",
+    )
+    controller = opt.word(
+        "--controller", "NAME|FILE.toml", "Overrides the scenario's; or a file that hexjet design wrote."
+    )
+    name = opt.word("--name", None, "Of files, functions and types, an identifier.", "controller")
+    licence = opt.word(
+        "--licence",
+        "SPDX",
+        'Stated in every file that is ours alone, e.g. MIT or "LicenseRef-Ours"; yours to choose.  What goes into '
+        "Betaflight's or ArduPilot's own code is GPL-3.0-or-later.  [default: NOASSERTION]",
+    )
+    no_fmu = opt.flag("--no-fmu", "The C alone.")
+    inside = opt.choices(
+        "--for",
+        ["px4", "ardupilot", "betaflight"],
+        "Also its rate loop for the inside of this autopilot, with instructions, in a folder of its own; repeatable.",
+    )
+    out = opt.out("A new or an empty folder.  [default: NAME]")
+    as_json = opt.json("Print one JSON object.")
+
+
 @export.command(epilog=example("hexjet export controller --controller turbojet.toml --engine turbojet --out c"))
-@click.option(
-    "--scenario",
-    default="roll-doublet",
-    show_default=True,
-    metavar="NAME|FILE",
-    help="The flight that becomes the test, with aircraft, engine and controller where they are not given.",
-)
-@click.option(
-    "--controller", metavar="NAME|FILE.toml", help="Overrides the scenario's; or a file that hexjet design wrote."
-)
-@click.option("--aircraft", metavar="NAME", help="Overrides the scenario's, with the engine that it is made for.")
-@click.option("engines", "--engine", metavar="[N=]NAME|FILE", multiple=True, help="Overrides the scenario's.")
-@click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="Write a value over the scenario's.")
-@click.option("--name", default="controller", show_default=True, help="Of files, functions and types, an identifier.")
-@click.option(
-    "--licence",
-    metavar="SPDX",
-    help='Stated in every file that is ours alone, e.g. MIT or "LicenseRef-Ours"; yours to choose.  What goes into '
-    "Betaflight's or ArduPilot's own code is GPL-3.0-or-later.  [default: NOASSERTION]",
-)
-@click.option("--no-fmu", is_flag=True, help="The C alone.")
-@click.option(
-    "inside",
-    "--for",
-    type=click.Choice(["px4", "ardupilot", "betaflight"]),
-    multiple=True,
-    help="Also its rate loop for the inside of this autopilot, with instructions, in a folder of its own; repeatable.",
-)
-@click.option("--out", type=Out(), metavar="DIR", help="A new or an empty folder.  [default: NAME]")
-@click.option("as_json", "--json", is_flag=True, help="Print one JSON object.")
-def controller(
-    scenario: str,
-    controller: str | None,
-    aircraft: str | None,
-    engines: tuple[str, ...],
-    settings: tuple[str, ...],
-    name: str,
-    licence: str | None,
-    no_fmu: bool,
-    inside: tuple[str, ...],
-    out: Path | None,
-    as_json: bool,
-) -> int:
+@opt.takes(ExportController)
+def controller(options: ExportController) -> int:
     """Write a controller as C99 with parameters, test vectors and test program, and as FMI 2.0 and 3.0 FMUs.
 
     The scenario is flown once; the C is compiled and compared with that flight where there is a compiler.  Status 1:
     it does not repeat the flight to the last bit.
     """
+    from dataclasses import asdict
+
     from cosim.autopilots.dump import torque_of
     from cosim.codegen.export import export_controller
     from cosim.spec.controller_name import is_design
 
-    offer_to_compile(*engines)
-    loaded = load_scenario(scenario, controller, engines, None, settings, None, aircraft)
-    source = Path(controller).name if controller is not None and is_design(controller) else ""
+    offer_to_compile(*options.engines)
+    loaded, name, licence = options.load(), options.name, options.licence
+    given = options.controller
+    source = Path(given).name if given is not None and is_design(given) else ""
     vehicle, _ = loaded.resolved_vehicle()
-    torques = {autopilot: torque_of(autopilot, vehicle) for autopilot in inside}
-    done = export_controller(loaded, out if out is not None else Path(name), name, licence, not no_fmu, source, torques)
-    _say_program_licences(licence, inside)
-    if as_json:
-        click.echo(json.dumps(_data(done)))
-    else:
-        _print(done)
+    torques = {autopilot: torque_of(autopilot, vehicle) for autopilot in options.inside}
+    out = options.out or Path(name)
+    done = export_controller(loaded, out, name, licence, not options.no_fmu, source, torques)
+    _say_program_licences(licence, options.inside)
+    options.answer(lambda: asdict(done) | {"folder": str(done.folder)}, lambda: _print(done), nan=True)
     return FLIGHT_FAILED if done.measured is not None and not done.measured.same else DONE
 
 
@@ -204,52 +210,25 @@ def _say_program_licences(licence: str | None, inside: tuple[str, ...]) -> None:
             )
 
 
+class ExportVehicle(Exporting):
+    """Options of ``hexjet export vehicle``."""
+
+    outside = opt.choices(
+        "--outside", ["engines", "controller"], "What is not in the FMU: its inputs and outputs become the FMU's."
+    )
+    kind = opt.choice("--as", ["fmu", "ssp"], "ssp: archives of a system, with the engines as components.", "fmu")
+    name = opt.word("--name", None, "Of the files, an identifier.", "vehicle")
+    out = opt.out(
+        "A new or an empty folder; or one file, of FMI 3.0, or of 2.0 if its name ends in -fmi2.  [default: NAME]",
+        "DIR|FILE.fmu|FILE.ssp",
+        _VEHICLE_OUT,
+    )
+    as_json = opt.json("Print one JSON object.")
+
+
 @export.command(epilog=example("hexjet export vehicle --controller smith --out vehicle"))
-@click.option(
-    "--scenario",
-    default="roll-doublet",
-    show_default=True,
-    metavar="NAME|FILE",
-    help="What is flown, with aircraft, engine and controller where they are not given.",
-)
-@click.option("--controller", metavar="NAME|FILE", help="Overrides the scenario's.")
-@click.option("--aircraft", metavar="NAME", help="Overrides the scenario's, with the engine that it is made for.")
-@click.option("engines", "--engine", metavar="[N=]NAME|FILE", multiple=True, help="Overrides the scenario's.")
-@click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="Write a value over the scenario's.")
-@click.option(
-    "--outside",
-    type=click.Choice(["engines", "controller"]),
-    multiple=True,
-    help="What is not in the FMU: its inputs and outputs become the FMU's.",
-)
-@click.option(
-    "kind",
-    "--as",
-    type=click.Choice(["fmu", "ssp"]),
-    default="fmu",
-    show_default=True,
-    help="ssp: archives of a system, with the engines as components.",
-)
-@click.option("--name", default="vehicle", show_default=True, help="Of the files, an identifier.")
-@click.option(
-    "--out",
-    type=_VEHICLE_OUT,
-    metavar="DIR|FILE.fmu|FILE.ssp",
-    help="A new or an empty folder; or one file, of FMI 3.0, or of 2.0 if its name ends in -fmi2.  [default: NAME]",
-)
-@click.option("as_json", "--json", is_flag=True, help="Print one JSON object.")
-def vehicle(
-    scenario: str,
-    controller: str | None,
-    aircraft: str | None,
-    engines: tuple[str, ...],
-    settings: tuple[str, ...],
-    outside: tuple[str, ...],
-    kind: str,
-    name: str,
-    out: Path | None,
-    as_json: bool,
-) -> int:
+@opt.takes(ExportVehicle)
+def vehicle(options: ExportVehicle) -> int:
     """Write the vehicle as FMI 2.0 and 3.0 co-simulation FMUs for other masters.
 
     The FMU flies the scenario in a Python with hexjet-cosim, which it starts itself: this one, or that which
@@ -258,28 +237,23 @@ def vehicle(
     from cosim.codegen.vehicle import export_vehicle
     from cosim.codegen.vehicle_ports import Parts
 
-    offer_to_compile(*engines)
-    loaded = load_scenario(scenario, controller, engines, None, settings, None, aircraft)
-    parts = Parts("engines" not in outside, "controller" not in outside)
-    out = out if out is not None else Path(name)
+    offer_to_compile(*options.engines)
+    loaded, name, kind = options.load(), options.name, options.kind
+    parts = Parts("engines" not in options.outside, "controller" not in options.outside)
+    out = options.out or Path(name)
     single = _VEHICLE_OUT.is_file(out)
     if single and out.suffix.lower() != f".{kind}":
         raise InputError(f"--out {out}: --as {kind} writes .{kind}")
     folder, file = (out.parent, out.name) if single else (out, "")
     done = export_vehicle(loaded, folder, name, parts, system=kind == "ssp", file=file)
-    if as_json:
-        click.echo(json.dumps(done.data))
-    else:
+
+    def show() -> None:
         click.echo(f"{done.folder}: {', '.join(done.files)}")
         click.echo(f"{done.inputs} inputs, {done.outputs} outputs, communication step {done.step_s:g} s or a multiple")
         click.echo(f"flown by {done.python}, unless HEXJET_PYTHON names another")
+
+    options.answer(lambda: done.data, show, nan=True)
     return DONE
-
-
-def _data(done: Exported) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    return asdict(done) | {"folder": str(done.folder)}
 
 
 def _print(done: Exported) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,33 +10,42 @@ import click
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder, files_in, names_in
 from cosim.base.storage.toml import read_toml
-from cosim.cli.console import terminal
-from cosim.cli.options import DONE, example, shared_assets
+from cosim.cli import opt
+from cosim.cli.console import say
+from cosim.cli.options import DONE, example
 from cosim.cli.trust import looks
 
 KINDS = ("scenarios", "studies", "engines", "aircraft", "controllers")
 
 
-@click.command("list", epilog=example("hexjet list engines"))
-@click.argument("kind", required=False, type=click.Choice(KINDS))
-@click.option("as_json", "--json", is_flag=True, help="Print one JSON object.")
-@looks
-def list_(kind: str | None, as_json: bool) -> int:
-    """List what can be flown: scenarios, studies, engines, aircraft, controllers."""
+class List(opt.Output):
+    """Options of ``hexjet list``."""
 
-    catalogues = {name: catalogue(name) for name in ([kind] if kind else KINDS)}
-    if as_json:
-        click.echo(json.dumps(catalogues))
-    else:
-        print_catalogue(catalogues)
+    kind: str | None = opt.argument(required=False, type=click.Choice(KINDS))
+    as_json = opt.json("Print one JSON object.")
+
+
+@click.command("list", epilog=example("hexjet list engines"))
+@opt.takes(List)
+@looks
+def list_(options: List) -> int:
+    """List what can be flown: scenarios, studies, engines, aircraft, controllers."""
+    catalogues = {name: catalogue(name) for name in ([options.kind] if options.kind else KINDS)}
+    options.answer(lambda: catalogues, lambda: print_catalogue(catalogues), nan=True)
     return DONE
 
 
+class Report(opt.Record):
+    """Options of ``hexjet report``."""
+
+    folder: Path = opt.argument(type=click.Path(path_type=Path), metavar="DIR")
+    shared_assets: bool = opt.SHARED_ASSETS
+
+
 @click.command(epilog=example("hexjet report runs/roll-doublet-smith-001"))
-@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
-@shared_assets
+@opt.takes(Report)
 @looks
-def report(folder: Path, shared_assets: bool) -> int:
+def report(options: Report) -> int:
     """Write the report of the run or the campaign in DIR again.
 
     A run that was killed is finished first, with all that it recorded; a campaign may still be flown.  No code of the
@@ -49,8 +57,9 @@ def report(folder: Path, shared_assets: bool) -> int:
     from cosim.results.report.flight import write_report
     from cosim.results.run import REPORT, open_run
 
+    folder = options.folder
     if is_campaign(folder):
-        if shared_assets:
+        if options.shared_assets:
             raise InputError(f"--shared-assets: {folder} is a campaign, whose page has all in it; leave it out")
         from cosim.campaign import open_campaign
         from cosim.campaign.analysis.page import write_campaign_report
@@ -59,20 +68,19 @@ def report(folder: Path, shared_assets: bool) -> int:
         print_campaign(campaign, write_campaign_report(campaign))
         return DONE
     run = open_run(folder)
-    write_report(run, folder / REPORT, shared_assets)
+    write_report(run, folder / REPORT, options.shared_assets)
     print_run(run)
     return DONE
 
 
 def print_catalogue(catalogues: dict[str, list[dict[str, Any]]]) -> None:
-    """Names and titles, kind by kind."""
-    console = terminal()
+    """Print names and titles, kind by kind."""
     for kind, entries in catalogues.items():
         if len(catalogues) > 1:
-            console.print(f"[bold]{kind}[/bold]")
+            say(f"[bold]{kind}[/bold]", marked=True)
         width = max((len(entry["name"]) for entry in entries), default=0)
         for entry in entries:
-            console.print(f"  {entry['name']:{width}}  {entry['title']}", highlight=False, soft_wrap=True)
+            say(f"  {entry['name']:{width}}  {entry['title']}", wrap=False)
 
 
 def catalogue(kind: str) -> list[dict[str, Any]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -12,7 +11,8 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError, similar
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import read_toml
-from cosim.cli.console import terminal
+from cosim.cli import opt
+from cosim.cli.console import say, show_table
 from cosim.cli.options import DONE, example
 from cosim.cli.results.runs import KINDS, catalogue
 from cosim.cli.trust import looks
@@ -59,19 +59,23 @@ class Number(NamedTuple):
     meaning: str
 
 
+class Show(opt.Output):
+    """Options of ``hexjet show``."""
+
+    name: str = opt.argument()
+    kind = opt.choice("--kind", KINDS, "Where several kinds have the name.  [default: all that have it]")
+    as_json = opt.JSON
+
+
 @click.command(epilog=example("hexjet show hexjet-p220"))
-@click.argument("name")
-@click.option(
-    "--kind", type=click.Choice(KINDS), help="Where several kinds have the name.  [default: all that have it]"
-)
-@click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
+@opt.takes(Show)
 @looks
-def show(name: str, kind: str | None, as_json: bool) -> int:
+def show(options: Show) -> int:
     """Show what NAME, of hexjet list, is: its numbers, their units and what they mean, from its files.
 
     The thrust of an engine is measured: its FMU is held at throttles until it stands still.
     """
-    kinds = [kind] if kind else list(KINDS)
+    name, kinds = options.name, [options.kind] if options.kind else list(KINDS)
     entries = [(kind, entry) for kind in kinds for entry in catalogue(kind) if entry["name"] == name]
     if not entries:
         names = {entry["name"] for kind in kinds for entry in catalogue(kind)}
@@ -80,11 +84,13 @@ def show(name: str, kind: str | None, as_json: bool) -> int:
         {"kind": kind, **entry, "description": _description(kind, name), "numbers": list(_numbers(kind, name))}
         for kind, entry in entries
     ]
-    if as_json:
-        click.echo(json.dumps([item | {"numbers": [number._asdict() for number in item["numbers"]]} for item in shown]))
-    else:
+
+    def show_all() -> None:
         for item in shown:
             _print(item)
+
+    data = [item | {"numbers": [number._asdict() for number in item["numbers"]]} for item in shown]
+    options.answer(lambda: data, show_all, nan=True)
     return DONE
 
 
@@ -272,24 +278,16 @@ def _text(value: Any) -> str:
 
 
 def _print(item: Mapping[str, Any]) -> None:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
     from cosim.results.wording import unit_shown
 
-    console = terminal()
     kind = {"studies": "study", "aircraft": "aircraft"}.get(item["kind"], item["kind"].removesuffix("s"))
-    console.print(f"[bold]{item['name']}[/bold], {kind}: {item['title']}", highlight=False)
+    say(f"[bold]{item['name']}[/bold], {kind}: {item['title']}", marked=True)
     if item["description"]:
-        console.print(item["description"], highlight=False, markup=False)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for title in ("number", "value", "unit", "meaning"):
-        table.add_column(title, overflow="fold")
+        say(item["description"])
+    rows = []
     for number in item["numbers"]:
         unit, factor = unit_shown(number.unit)
         value = factor * number.value if factor != 1.0 and isinstance(number.value, float) else number.value
         unit = unit if value is not number.value or factor == 1.0 else number.unit
-        table.add_row(*map(Text, (number.name, _text(value), unit, number.meaning)))  # brackets are no mark-up
-    if table.row_count:
-        console.print(table, markup=False)
+        rows.append((number.name, _text(value), unit, number.meaning))
+    show_table(("number", "value", "unit", "meaning"), rows, plain=True, pad_edge=False)

@@ -16,16 +16,8 @@ import pytest
 from click.testing import CliRunner
 from places import DOCS
 
-from cosim.base.errors import FlightError, InputError
-from cosim.bench import (
-    FULL,
-    Plan,
-    Result,
-    make_plan,
-    measure,
-)
-from cosim.bench.machine import package_versions
-from cosim.bench.measures import (
+from benchmarks.machine import package_versions
+from benchmarks.measures import (
     blocks,
     campaign,
     growth,
@@ -34,28 +26,33 @@ from cosim.bench.measures import (
     process,
     speed,
 )
-from cosim.bench.measures.blocks import Block, Replay
-from cosim.bench.measures.browser import looking
-from cosim.bench.measures.campaign import CampaignPlan
-from cosim.bench.measures.long_flight import fly_long, resident_and_peak, resident_of
-from cosim.bench.measures.pages import PagesPlan
-from cosim.bench.page import (
+from benchmarks.measures.blocks import Block, Replay
+from benchmarks.measures.browser import looking
+from benchmarks.measures.campaign import CampaignPlan
+from benchmarks.measures.long_flight import fly_long, resident_and_peak, resident_of
+from benchmarks.measures.pages import PagesPlan
+from benchmarks.page import (
     ABSENT,
     NAMES,
     check_page,
     write_page,
 )
-from cosim.bench.peers import multirotor, peers
-from cosim.bench.show import print_result
-from cosim.bench.suite import (
+from benchmarks.peers import multirotor, peers
+from benchmarks.show import print_result
+from benchmarks.suite import (
     CAMPAIGN,
+    FULL,
     MEMORY,
     PARTS,
     QUICK,
+    Plan,
+    Result,
+    make_plan,
+    measure,
 )
-from cosim.bench.tables import spread
-from cosim.bench.targets import TargetResult, judge, to_dict
-from cosim.bench.timing import (
+from benchmarks.tables import spread
+from benchmarks.targets import TargetResult, judge, to_dict
+from benchmarks.timing import (
     Clocked,
     Cost,
     Job,
@@ -63,6 +60,7 @@ from cosim.bench.timing import (
     Spread,
     interleave,
 )
+from cosim.base.errors import FlightError, InputError
 from cosim.cli.main import cli
 from cosim.results.run import open_run
 from cosim.simulation.build import build
@@ -593,7 +591,7 @@ def test_a_page_without_whole_marks_is_left_alone(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str, complaint: str
 ) -> None:
     """And that is said before anything is measured."""
-    monkeypatch.setattr("cosim.bench.measure", lambda *_: pytest.fail("measured"))
+    monkeypatch.setattr("benchmarks.suite.measure", lambda *_: pytest.fail("measured"))
     page = tmp_path / "page.md"
     page.write_text(text)
     with pytest.raises(InputError, match=rf"page\.md: .*{complaint}"):
@@ -628,7 +626,7 @@ def test_options_make_the_plan(
         plans.append(plan)
         return measured
 
-    monkeypatch.setattr("cosim.bench.measure", note)
+    monkeypatch.setattr("benchmarks.suite.measure", note)
     monkeypatch.chdir(tmp_path)
     answer = CliRunner().invoke(cli, ["bench", *arguments, "--json", "--page", "page.md"])
     assert answer.exit_code == 0, answer.output
@@ -646,11 +644,11 @@ def test_a_part_that_fails_leaves_the_others(
     def fails(*_: object) -> None:
         raise FlightError("the disk | is full")
 
-    monkeypatch.setattr("cosim.bench.suite.measure_log_rates", fails)
-    monkeypatch.setattr("cosim.bench.suite.measure_startup", lambda *_: None)
+    monkeypatch.setattr("benchmarks.suite.measure_log_rates", fails)
+    monkeypatch.setattr("benchmarks.suite.measure_startup", lambda *_: None)
     found = measure(Plan(parts=("log", "start"), folder=str(tmp_path)))
     assert found.failed == {"log": "the disk | is full"}
-    monkeypatch.setattr("cosim.bench.measure", lambda *_: found)
+    monkeypatch.setattr("benchmarks.suite.measure", lambda *_: found)
     page = tmp_path / "page.md"
     answer = CliRunner().invoke(cli, ["bench", "--page", str(page)], standalone_mode=False)
     assert answer.return_value == 1

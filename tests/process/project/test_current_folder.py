@@ -12,10 +12,10 @@ from campaign_tools import study
 from patience import PATIENCE
 from places import ROOT
 
+from benchmarks.measures.process import start_python
 from cosim.autopilots.lockstep import Program
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
-from cosim.bench.measures.process import start_python
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.design import survey

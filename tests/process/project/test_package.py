@@ -235,9 +235,9 @@ def test_an_aircraft_from_an_empty_folder_as_its_page_has_it(installed: Path, tm
 
 # ---- what is installed with it
 
-# asked for where the rest can do without: at the build, in `hexjet bench`, on a cluster, on a serial line, by one law
+# asked for where the rest can do without: at the build, on a cluster, on a serial line, by one law
 OPTIONAL = {
-    "pymavlink", "cmake", "ecos_py", "libcosimpy", "rotorpy", "distributed", "gymnasium", "osqp", "pandas", "plotly", "pyulog",
+    "pymavlink", "cmake", "distributed", "gymnasium", "osqp", "pandas", "plotly", "pyulog",
     "serial", "setuptools", "foxglove_schemas_protobuf", "google", "mcap", "mcap_protobuf",
 }  # fmt: skip
 

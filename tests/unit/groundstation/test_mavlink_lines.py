@@ -8,7 +8,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from importlib.util import module_from_spec, spec_from_file_location
 from itertools import pairwise
 from typing import Any
 
@@ -19,6 +18,7 @@ from patience import PATIENCE
 from places import ROOT
 from terminal import Terminal
 
+from benchmarks import ground_station
 from cosim.control.autopilot.requests import (
     Answer,
     LinkBack,
@@ -543,18 +543,13 @@ def test_a_port_opens_and_closes_twice() -> None:
 def test_docs_ground_station_md_states_what_a_line_carries() -> None:
     """A row of the table in docs/ground-station.md, made again: the clock is counted, so it is the same everywhere."""
     root = ROOT
-    made = spec_from_file_location("ground_station", root / "benchmarks" / "ground_station.py")
-    assert made is not None
-    assert made.loader is not None
-    bench = module_from_spec(made)
-    made.loader.exec_module(bench)
     page = parts_of((root / "docs" / "ground-station.md").read_text(encoding="utf-8"), "docs/ground-station.md")
     (row,) = [line for line in page["lines"].splitlines() if line.startswith("| 57600 |")]
     told = [float(cell) for cell in row.strip("| ").split(" | ")]
-    rates, carried, late = bench.line(57600)
+    rates, carried, late = ground_station.line(57600)
     assert told[1] == 5760
     assert told[2] == pytest.approx(carried, abs=0.5)
     # two digits are written
-    assert told[3:8] == pytest.approx([rates[name] for name in bench.SHOWN], rel=0.05)
+    assert told[3:8] == pytest.approx([rates[name] for name in ground_station.SHOWN], rel=0.05)
     assert told[8] == pytest.approx(max(late), abs=0.006)
     assert max(late) < 0.2

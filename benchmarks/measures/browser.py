@@ -17,8 +17,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from benchmarks.timing import Spread
 from cosim.base.errors import FlightError
-from cosim.bench.timing import Spread
 
 PACKAGE = "playwright"
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")

@@ -10,18 +10,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from cosim.base.errors import FlightError, InputError, nearest
-from cosim.base.storage.scratch import scratch
-from cosim.bench.machine import (
+from benchmarks.machine import (
     Machine,
     compilers,
     load,
     look_around,
     package_versions,
 )
-from cosim.bench.measures.blocks import Breakdown, measure_blocks
-from cosim.bench.measures.campaign import CampaignCost, CampaignPlan, measure_campaign
-from cosim.bench.measures.growth import (
+from benchmarks.measures.blocks import Breakdown, measure_blocks
+from benchmarks.measures.campaign import CampaignCost, CampaignPlan, measure_campaign
+from benchmarks.measures.growth import (
     EngineCounts,
     Lengths,
     LogRates,
@@ -29,19 +27,21 @@ from cosim.bench.measures.growth import (
     measure_lengths,
     measure_log_rates,
 )
-from cosim.bench.measures.others import Others, measure_others
-from cosim.bench.measures.own_blocks import OwnBlocks, measure_own_blocks
-from cosim.bench.measures.pages import Pages, PagesPlan, measure_pages
-from cosim.bench.measures.process import (
+from benchmarks.measures.others import Others, measure_others
+from benchmarks.measures.own_blocks import OwnBlocks, measure_own_blocks
+from benchmarks.measures.pages import Pages, PagesPlan, measure_pages
+from benchmarks.measures.process import (
     Memory,
     Startup,
     measure_memory,
     measure_startup,
 )
-from cosim.bench.measures.speed import RECORDED, measure_speed, warm_up
-from cosim.bench.peers.multirotor import Multirotor, measure_multirotor
-from cosim.bench.peers.peers import Peers, measure_peers
-from cosim.bench.timing import Cost
+from benchmarks.measures.speed import RECORDED, measure_speed, warm_up
+from benchmarks.peers.multirotor import Multirotor, measure_multirotor
+from benchmarks.peers.peers import Peers, measure_peers
+from benchmarks.timing import Cost
+from cosim.base.errors import FlightError, InputError, nearest
+from cosim.base.storage.scratch import scratch
 
 STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY = "step", "blocks", "others", "own", "peers", "rotorpy"
 TIME, ENGINES, LOG, PAGES = "time", "engines", "log", "pages"

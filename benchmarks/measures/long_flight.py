@@ -1,4 +1,4 @@
-"""A long flight in a process of its own that says how much memory it holds: see :mod:`cosim.bench.measures.process`."""
+"""A long flight in a process of its own that says how much memory it holds: see :mod:`benchmarks.measures.process`."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
 """A process that does nothing but run JSBSim's airframe when it is told to: see
-:mod:`cosim.bench.measures.campaign`."""
+:mod:`benchmarks.measures.campaign`."""
 
 from __future__ import annotations
 
 import sys
 import time
 
-from cosim.bench.measures.speed import bare, hover
+from benchmarks.measures.speed import bare, hover
 from cosim.simulation.build import build
 
 RUNS = 20_000  # from one reset to the next: 20 s in hover, in which it rises by some metres

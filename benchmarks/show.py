@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from cosim.bench.suite import PARTS, Result
-from cosim.bench.tables import (
+from benchmarks.suite import PARTS, Result
+from benchmarks.tables import (
     ASKED,
     MACHINE,
     Table,

@@ -13,15 +13,15 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from cosim.base.arrays import Array
-from cosim.base.signals import ZERO3, Sample, Unallocated
-from cosim.bench.measures.speed import (
+from benchmarks.measures.speed import (
     RECORDED,
     Flights,
     collect,
     fly_through,
 )
-from cosim.bench.timing import Action, Cost, Job
+from benchmarks.timing import Action, Cost, Job
+from cosim.base.arrays import Array
+from cosim.base.signals import ZERO3, Sample, Unallocated
 from cosim.results.arrow import StreamSink
 from cosim.results.recorder import MemorySink, Recorder
 from cosim.simulation.step import Simulation

@@ -18,16 +18,16 @@ from math import sqrt
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import FlightError
-from cosim.bench.measures.growth import SUBSTEPS, quadrotor
-from cosim.bench.measures.speed import Flights, collect, hover
-from cosim.bench.timing import (
+from benchmarks.measures.growth import SUBSTEPS, quadrotor
+from benchmarks.measures.speed import Flights, collect, hover
+from benchmarks.timing import (
     Action,
     Cost,
     Job,
     Pair,
     Spread,
 )
+from cosim.base.errors import FlightError
 
 PACKAGE = "rotorpy"
 RATES = (250, 400)  # Hz: of the Hex-Jet's control, of our quadrotor's

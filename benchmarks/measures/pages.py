@@ -7,11 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.machine import load
+from benchmarks.measures.browser import Look, Seen, looking
+from benchmarks.measures.campaign import make_study
+from benchmarks.timing import Spread
 from cosim.base.errors import FlightError
-from cosim.bench.machine import load
-from cosim.bench.measures.browser import Look, Seen, looking
-from cosim.bench.measures.campaign import make_study
-from cosim.bench.timing import Spread
 from cosim.flight import fly
 from cosim.results.report.flight import write_report
 from cosim.results.run import LOG

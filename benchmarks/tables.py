@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
-from cosim.bench.measures.blocks import Breakdown
-from cosim.bench.measures.browser import Frames, Seen
-from cosim.bench.measures.campaign import EARLY, PROCESSES, CampaignCost
-from cosim.bench.measures.growth import EngineCounts, Lengths, LogRates
-from cosim.bench.measures.others import Others
-from cosim.bench.measures.own_blocks import BASELINE, OwnBlocks
-from cosim.bench.measures.pages import Pages
-from cosim.bench.measures.process import Memory, Startup
-from cosim.bench.measures.speed import BARE
-from cosim.bench.peers.multirotor import Multirotor
-from cosim.bench.peers.peers import ALONE, EXCHANGE, Peers
-from cosim.bench.suite import (
+from benchmarks.measures.blocks import Breakdown
+from benchmarks.measures.browser import Frames, Seen
+from benchmarks.measures.campaign import EARLY, PROCESSES, CampaignCost
+from benchmarks.measures.growth import EngineCounts, Lengths, LogRates
+from benchmarks.measures.others import Others
+from benchmarks.measures.own_blocks import BASELINE, OwnBlocks
+from benchmarks.measures.pages import Pages
+from benchmarks.measures.process import Memory, Startup
+from benchmarks.measures.speed import BARE
+from benchmarks.peers.multirotor import Multirotor
+from benchmarks.peers.peers import ALONE, EXCHANGE, Peers
+from benchmarks.suite import (
     BLOCKS,
     CAMPAIGN,
     ENGINES,
@@ -32,8 +32,8 @@ from cosim.bench.suite import (
     TIME,
     Result,
 )
-from cosim.bench.targets import judge, runs_a_step
-from cosim.bench.timing import Cost, Spread
+from benchmarks.targets import judge, runs_a_step
+from benchmarks.timing import Cost, Spread
 
 ASKED, MACHINE = "asked", "machine"
 KEYS = (ASKED, STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY, TIME, ENGINES, LOG, PAGES, START, MEMORY, CAMPAIGN, MACHINE)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cosim.bench.measures.speed import SUBSTEPS, Flights, collect
-from cosim.bench.timing import Cost
+from benchmarks.measures.speed import SUBSTEPS, Flights, collect
+from benchmarks.timing import Cost
 from cosim.spec.scenario import Scenario
 
 # by what is shown: the shipped scenario, and what is changed of it

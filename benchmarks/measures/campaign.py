@@ -15,10 +15,10 @@ from pathlib import Path
 from subprocess import Popen
 from typing import TYPE_CHECKING, NamedTuple
 
+from benchmarks.measures.long_flight import resident_of
+from benchmarks.measures.process import start_python
+from benchmarks.timing import Spread
 from cosim.base.errors import FlightError
-from cosim.bench.measures.long_flight import resident_of
-from cosim.bench.measures.process import start_python
-from cosim.bench.timing import Spread
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -33,7 +33,7 @@ WARM = 5  # flights of each worker that are not timed, at the beginning and at t
 EARLY = 50  # flights of a worker after which its memory is first looked at
 SLICES = 10  # of the long study, whose rates are compared
 
-_BARE = "from cosim.bench.measures.bare_runs import main; main()"
+_BARE = "from benchmarks.measures.bare_runs import main; main()"
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
+from benchmarks.measures.speed import Flights, collect
+from benchmarks.timing import Action, Cost, Job
 from cosim.base.errors import FlightError
 from cosim.base.signals import JETS
-from cosim.bench.measures.speed import Flights, collect
-from cosim.bench.timing import Action, Cost, Job
 from cosim.engine import EngineBank, load_engine
 
 ENGINE = "edf-as-flown-fmi2"

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks.measures.speed import Flights, collect, differences
+from benchmarks.timing import Cost
 from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Applied
 from cosim.base.signals import Command, Measured, Vector3
-from cosim.bench.measures.speed import Flights, collect, differences
-from cosim.bench.timing import Cost
 from cosim.codegen.export import export_controller
 from cosim.control.belief import Belief
 from cosim.spec.scenario import Scenario
@@ -28,7 +28,7 @@ PROCESS, FMU, ISOLATED = (
     "engines in a process of their own",
 )
 CLASSES = (PREDICTOR, RATE, CONTROLLER)
-_HERE = "cosim.bench.measures.own_blocks"
+_HERE = "benchmarks.measures.own_blocks"
 
 # the proportional part of the vehicle's rate loop: what a program in Python needs at least
 _PROGRAM = """import json

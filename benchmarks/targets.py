@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from cosim.bench.measures.browser import Seen
-from cosim.bench.measures.own_blocks import CLASSES
-from cosim.bench.measures.speed import ENGINES, OUTSIDE, RECORDED
-from cosim.bench.suite import Result
-from cosim.bench.timing import Spread
+from benchmarks.measures.browser import Seen
+from benchmarks.measures.own_blocks import CLASSES
+from benchmarks.measures.speed import ENGINES, OUTSIDE, RECORDED
+from benchmarks.suite import Result
+from benchmarks.timing import Spread
 
 RUNS = "JSBSim runs"
 OUTSIDE_UNITS = 1.5  # JSBSim runs, a control step of the standard flight

@@ -7,10 +7,10 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from benchmarks.suite import Result
+from benchmarks.tables import KEYS, Table, tables
 from cosim.base.errors import InputError, nearest
 from cosim.base.storage.files import write_whole
-from cosim.bench.suite import Result
-from cosim.bench.tables import KEYS, Table, tables
 from cosim.results.report.marks import (
     cell,
     filled,

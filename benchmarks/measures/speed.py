@@ -12,11 +12,7 @@ from operator import sub
 from pathlib import Path
 from tempfile import mkdtemp
 
-from cosim.base.constants import GRAVITY
-from cosim.base.errors import FlightError
-from cosim.base.protocols import Engines, Observer
-from cosim.base.signals import JETS, ZERO3, Sample, Vector3
-from cosim.bench.timing import (
+from benchmarks.timing import (
     Action,
     Clocked,
     Cost,
@@ -24,6 +20,10 @@ from cosim.bench.timing import (
     Pair,
     interleave,
 )
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import FlightError
+from cosim.base.protocols import Engines, Observer
+from cosim.base.signals import JETS, ZERO3, Sample, Vector3
 from cosim.engine.wrappers import EngineChain
 from cosim.flight import record
 from cosim.results.run import Recording

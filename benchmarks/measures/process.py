@@ -11,15 +11,15 @@ from pathlib import Path
 from shutil import rmtree
 from typing import NamedTuple
 
-from cosim.base.errors import FlightError
-from cosim.base.runtime.processes import python_command
-from cosim.bench.measures.long_flight import (
+from benchmarks.measures.long_flight import (
     MEGABYTE,
     PARTS,
     REPORTED,
     WRITTEN,
 )
-from cosim.bench.timing import Spread
+from benchmarks.timing import Spread
+from cosim.base.errors import FlightError
+from cosim.base.runtime.processes import python_command
 
 # `hexjet fly`, stopped where its log is begun and its first step comes next; stamped against the time of its start.
 _FIRST_STEP = """
@@ -36,7 +36,7 @@ def begun(*arguments, **options):
 cosim.flight.record = begun
 main()
 """
-_LONG_FLIGHT = "from cosim.bench.measures.long_flight import main; main(*sys.argv[1:])"
+_LONG_FLIGHT = "from benchmarks.measures.long_flight import main; main(*sys.argv[1:])"
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from cosim.bench.measures.process import Memory, measure_memory
-from cosim.bench.measures.speed import (
+from benchmarks.measures.process import Memory, measure_memory
+from benchmarks.measures.speed import (
     UNIT_RUNS,
     Flights,
     bare,
@@ -17,7 +17,7 @@ from cosim.bench.measures.speed import (
     hover,
     step_bank,
 )
-from cosim.bench.timing import Cost, Job, Spread
+from benchmarks.timing import Cost, Job, Spread
 from cosim.engine import EngineBank, load_engine
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario

@@ -1,0 +1,218 @@
+"""Options of commands: how one is declared as a field of a command's record, and those that several commands have."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import wraps
+from json import dumps
+from math import isfinite
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar, cast, overload
+
+import click
+
+from cosim.cli.outputs import Out
+
+
+class Number(click.FloatRange):
+    """A finite number; click lets NaN through any range."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        number = float(super().convert(value, param, ctx))
+        if not isfinite(number):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return number
+
+    def _describe_range(self) -> str:
+        """Return the range for the help; click says ``x<=None`` of a number that has no bounds."""
+        return "" if self.min is None and self.max is None else super()._describe_range()
+
+
+class Option(NamedTuple):
+    """An option or an argument of a command, before the command has its record (:func:`takes`)."""
+
+    declare: Callable[..., Callable[[Any], Any]]  # click.option or click.argument
+    names: tuple[str, ...]
+    attributes: dict[str, Any]
+
+
+def option(*names: str, **attributes: Any) -> Any:
+    """Declare a field of a record as an option; ``attributes`` as of ``click.option``."""
+    return Option(click.option, names, attributes)
+
+
+def argument(**attributes: Any) -> Any:
+    """Declare a field of a record as an argument; ``attributes`` as of ``click.argument``."""
+    return Option(click.argument, (), attributes)
+
+
+def flag(name: str, text: str) -> bool:
+    """Declare an option without a value."""
+    return cast(bool, option(name, is_flag=True, help=text))
+
+
+def words(name: str, metavar: str | None, text: str) -> tuple[str, ...]:
+    """Declare an option that may be given several times."""
+    return cast("tuple[str, ...]", option(name, metavar=metavar, multiple=True, help=text))
+
+
+@overload
+def word(name: str, metavar: str | None, text: str) -> str | None: ...
+@overload
+def word(name: str, metavar: str | None, text: str, default: str) -> str: ...
+def word(name: str, metavar: str | None, text: str, default: str | None = None) -> Any:
+    """Declare an option that is a text; its help ends with the default."""
+    return option(name, metavar=metavar, help=text, default=default, show_default=default is not None)
+
+
+def choice(name: str, allowed: Sequence[str], text: str, default: str | None = None) -> Any:
+    """Declare an option that is one of the texts that are allowed."""
+    return option(name, type=click.Choice(allowed), help=text, default=default, show_default=default is not None)
+
+
+def choices(name: str, allowed: Sequence[str], text: str) -> tuple[str, ...]:
+    """Declare an option that is one of the texts that are allowed, and may be given several times."""
+    return cast("tuple[str, ...]", option(name, type=click.Choice(allowed), multiple=True, help=text))
+
+
+def path(name: str, metavar: str | None, text: str, **limits: Any) -> Path | None:
+    """Declare an option that is a path; ``limits`` as of ``click.Path``."""
+    return cast("Path | None", option(name, type=click.Path(path_type=Path, **limits), metavar=metavar, help=text))
+
+
+def out(text: str, metavar: str = "DIR", kind: Out | None = None) -> Path | None:
+    """Declare ``--out``: a folder, or what ``kind`` says."""
+    return cast("Path | None", option("--out", type=kind or Out(), metavar=metavar, help=text))
+
+
+@overload
+def whole(name: str, metavar: str | None, text: str, *, default: int, **limits: int) -> int: ...
+@overload
+def whole(name: str, metavar: str | None, text: str, **limits: int) -> int | None: ...
+def whole(name: str, metavar: str | None, text: str, *, default: int | None = None, **limits: Any) -> Any:
+    """Declare an option that is a whole number; ``limits`` as of ``click.IntRange``."""
+    kind = click.IntRange(**limits) if limits else int
+    return option(name, type=kind, metavar=metavar, help=text, default=default, show_default=default is not None)
+
+
+@overload
+def number(name: str, metavar: str | None, text: str | None, *, default: float, **limits: float) -> float: ...
+@overload
+def number(name: str, metavar: str | None, text: str | None, **limits: float) -> float | None: ...
+def number(name: str, metavar: str | None, text: str | None, *, default: float | None = None, **limits: Any) -> Any:
+    """Declare an option that is a finite number; ``limits`` as of ``click.FloatRange``."""
+    kind = Number(**limits)
+    return option(name, type=kind, metavar=metavar, help=text, default=default, show_default=default is not None)
+
+
+@overload
+def positive(name: str, metavar: str | None, text: str, *, default: float) -> float: ...
+@overload
+def positive(name: str, metavar: str | None, text: str) -> float | None: ...
+def positive(name: str, metavar: str | None, text: str, *, default: Any = None) -> Any:
+    """Declare an option that is a number above 0."""
+    return number(name, metavar, text, default=default, min=0.0, min_open=True)
+
+
+class Record:
+    """Typed values of a command's options: a subclass declares each as a field, in the order of the help.
+
+    A field that a base class declares is the command's option too, before the others; one that it only has a value
+    for keeps that value in every command that does not declare it.
+    """
+
+    def __init__(self, **values: Any) -> None:
+        vars(self).update(values)
+
+    def chosen(self, *fields: str) -> dict[str, Any]:
+        """Return the values of these fields, as keywords."""
+        return {field: getattr(self, field) for field in fields}
+
+    @classmethod
+    def options(cls) -> dict[str, Option]:
+        """Return the options by their fields, those of base classes first."""
+        return {
+            name: value
+            for base in reversed(cls.__mro__)
+            for name, value in vars(base).items()
+            if isinstance(value, Option)
+        }
+
+
+R = TypeVar("R", bound=Record)
+
+
+def takes(record: type[R]) -> Callable[[Callable[[R], int]], Callable[..., int]]:
+    """Give a command the options of a record, which it is called with."""
+
+    def with_options(command: Callable[[R], int]) -> Callable[..., int]:
+        @wraps(command)
+        def call(**values: Any) -> int:
+            return command(record(**values))
+
+        for field, declared in reversed(record.options().items()):
+            call = declared.declare(field, *declared.names, **declared.attributes)(call)
+        return call
+
+    return with_options
+
+
+class Output(Record):
+    """Where a command writes, and how it answers."""
+
+    out: Path | None = None
+    as_json: bool = False
+
+    def run_folder(self, name: str) -> Path:
+        """Return the folder that is named with --out, or a new one in ``runs/``."""
+        from cosim.flight import new_folder
+
+        return self.out if self.out is not None else new_folder(Path("runs"), name)
+
+    def answer(self, data: Callable[[], Any], show: Callable[[], None], *, nan: bool = False) -> None:
+        """Print ``data`` as one JSON object where that is asked for, ``nan``: which may hold NaN; else ``show`` it."""
+        if self.as_json:
+            click.echo(dumps(data(), allow_nan=nan))
+        else:
+            show()
+
+
+def json(text: str = "Print one JSON object and nothing else.") -> bool:
+    """Declare ``--json``."""
+    return flag("--json", text)
+
+
+JSON = json()
+OUT = out("[default: a new one in runs/]")
+SETTINGS = words("--set", "KEY=VALUE", "As in hexjet fly.")
+ENGINES = words("--engine", "[N=]NAME|FILE", "As in hexjet fly.")
+WORKERS = whole("--workers", None, "Processes.", min=1, max=64, default=2)
+METRICS = words(
+    "--metric", "NAME", "One of yours beside the built-in ones: FILE.py:Name, package.module:Name, an entry."
+)
+OBSERVERS = words("--observer", "NAME", "One of yours, the same way.")
+SENSORS = word("--sensors", "NAME", "Yours behind the built-in ones, the same way, or a profile of these: measured.")
+WIND = word("--wind", "NAME|FILE.csv", "Yours over time and place, the same way, or a table over time.")
+
+
+LOG_PART = (
+    word("--time", "NAME", "A table's column of time.  [default: the one called so]"),
+    word("--time-unit", None, "Of that column: s, ms, us or ns.  [default: as the column says, or s]"),
+    number("--from", "S", "Use the log from here on, in its own time."),
+    number("--to", "S", "And to here."),
+)
+
+
+class LogPart(Record):
+    """What of a flight's log is read: its time, where it is a table, and from when to when; see ``LOG_PART``."""
+
+    time_column: str | None = None
+    time_unit: str | None = None
+    begin: float | None = None
+    end: float | None = None
+
+
+SHARED_ASSETS = flag(
+    "--shared-assets",
+    "What draws the page goes into one folder beside DIR, assets-..., for all runs there; move them together.",
+)
