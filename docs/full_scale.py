@@ -1,8 +1,9 @@
 """Flies and computes what docs/full-scale.md says: its tables, between their marks, and its picture.
 
-    python docs/full_scale.py [--out runs/full-scale] [--workers 2] [--only two-engines ecu]
+    OPENBLAS_CORETYPE=Haswell python docs/full_scale.py [--out runs/full-scale] [--workers 2] [--only two-engines ecu]
 
-A part that is already in the folder is taken up, so that an interrupted call goes on where it ended.
+A part that is already in the folder is taken up, so that an interrupted call goes on where it ended.  The kernels are
+those that the command hexjet takes: numpy is loaded before they could be chosen.
 """
 
 from __future__ import annotations

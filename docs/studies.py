@@ -1,8 +1,9 @@
 """Flies the shipped studies, and the searches beside them, and writes what docs/campaigns.md says of them.
 
-    python docs/studies.py [--out runs/studies] [--workers 2] [--only predictor-robustness full-scale]
+    OPENBLAS_CORETYPE=Haswell python docs/studies.py [--out runs/studies] [--workers 2] [--only full-scale]
 
-What is finished in the folder is taken up and not flown again: after a change of the program take another folder.
+What is finished in the folder is taken up and not flown again: after a change of the program take another folder.  The
+kernels are those that the command hexjet takes: numpy is loaded before they could be chosen.
 """
 
 from __future__ import annotations
