@@ -26,13 +26,14 @@ BEFORE_MB = 863.0  # a fresh installation of commit 2f44bdb, with pymavlink, plo
 COMPILER = "cmake"  # what FMPy asks for to compile with, and nothing else needs
 WHAT = {  # every package that pyproject.toml names for those who fly, and why it is needed
     "click": "the command line",
-    "fastcrc": "checksums of MAVLink frames",
+    "fastcrc": "checksums of MAVLink frames: a lockstep's, a log's",
     "fmpy": "FMUs: descriptions, binaries of this machine",
     "jinja2": "reports",
     "jsbsim": "the airframe",
     "numpy": "arrays",
     "pyarrow": "logs as Parquet, the stream that survives a kill, campaigns' tables",
     "pydantic": "scenarios, vehicles, studies: reading and refusing",
+    "pymavlink": "MAVLink: the messages, and what packs, signs and reads them",
     "rich": "tables and progress in the terminal",
     "scipy": "allocation around a lost engine, design, identification, statistics",
     "tomli-w": "scenarios and designs written back",

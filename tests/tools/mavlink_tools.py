@@ -225,6 +225,13 @@ class Desk:
         return [message for message in self.got if message.get_type() == name]
 
 
+def message_of(kind: Any, payload: bytes) -> Any:
+    """A message of this kind, as pymavlink reads it out of a frame with this payload."""
+    body = mav.MAVLink_header(kind.id, mlen=len(payload)).pack() + payload
+    crc = mav.x25crc(body[1:] + bytes((kind.crc_extra,))).crc
+    return mav.MAVLink(None).decode(bytearray(body + crc.to_bytes(2, "little")))
+
+
 def command(number: int, *p: float, target: int = 1, component: int = 1, confirmation: int = 0) -> Any:
     """COMMAND_LONG; what is not given is NaN."""
     values = [*p, *[nan] * (7 - len(p))]

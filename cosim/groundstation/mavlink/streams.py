@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from math import ceil, floor, inf, log, sqrt
 
 from cosim.groundstation.mavlink.telemetry import STREAMS, Stream
-from cosim.groundstation.mavlink.wire.dialect import BY_NAME, CHECKSUM, HEADER_2, Packed
+from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message, frame_size
 from cosim.groundstation.mavlink.wire.peer import Peer
 
 FASTEST = 0.004  # s: a control step; nothing is new more often
@@ -22,7 +22,6 @@ HEARTBEAT = BY_NAME["HEARTBEAT"].id
 _STRETCH = 1.1  # by which intervals are stretched, so that they do not change all the time; chosen by us
 _MOST = 256.0  # chosen by us: what is so rare is no telemetry any more
 _LOOK = 1.0  # s between two looks at what a line carries
-_OVERHEAD = HEADER_2 + CHECKSUM
 # where in its interval each message has its slots: steps of the golden ratio are never close together
 _PHASE = {number: index * (sqrt(5.0) - 1.0) / 2.0 % 1.0 for index, number in enumerate(BY_ID)}
 
@@ -45,10 +44,10 @@ class Streams:
         self._at = start
         self._sizes: dict[int, tuple[int, int]] = {}  # of all that belong to one message, as it was last: bytes, frames
 
-    def sized(self, stream: Stream, packets: Sequence[Packed]) -> None:
+    def sized(self, stream: Stream, packets: Sequence[Message]) -> None:
         """What a message came to."""
         number = BY_NAME[stream.name].id
-        self._sizes[number] = sum(_OVERHEAD + len(packed.payload) for packed in packets), len(packets)
+        self._sizes[number] = sum(map(frame_size, packets)), len(packets)
 
     def demand(self, peer: Peer, numbers: Iterable[int] = BY_ID) -> float:
         """Bytes a second that a station has asked for, as far as the messages have been made already."""

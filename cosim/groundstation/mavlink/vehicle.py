@@ -30,7 +30,7 @@ from cosim.groundstation.mavlink.telemetry import (
     statustext,
 )
 from cosim.groundstation.mavlink.view import Since, View
-from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message, Packed, mav, pack
+from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message, mav, pack
 from cosim.groundstation.mavlink.wire.frames import Frame
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import Kind, Peer
@@ -182,7 +182,7 @@ class Vehicle:
         if view is None:
             return now + 0.01
         for stream, peers in self._streams.due(now, self.link.peers):
-            packets: list[Packed] = []
+            packets: list[Message] = []
             for message in stream.build(view):
                 packed = self._pack(message)
                 if packed is None:
@@ -216,7 +216,7 @@ class Vehicle:
         component = getattr(message, "target_component", 0)
         return system in (0, self.about.system) and component in (0, self.about.component)
 
-    def _pack(self, message: Message) -> Packed | None:
+    def _pack(self, message: Message) -> Message | None:
         try:
             return pack(message)
         except (struct.error, OverflowError, ValueError) as error:

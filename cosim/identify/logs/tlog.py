@@ -1,7 +1,7 @@
 """Telemetry logs of ground stations, ``.tlog``: MAVLink frames of version 1 and 2, each behind the time it was taken.
 
 The time is of 8 bytes, big-endian, in microseconds since 1970.  What the messages are the MAVLink module of the project
-says, which the build makes, and pymavlink's dialects where that is installed: ArduPilot's own messages are there.
+says, which the build makes, and pymavlink's dialect of all: ArduPilot's own messages are there.
 """
 
 from __future__ import annotations

@@ -237,7 +237,7 @@ def test_an_aircraft_from_an_empty_folder_as_its_page_has_it(installed: Path, tm
 
 # asked for where the rest can do without: at the build, on a cluster, on a serial line, by one law
 OPTIONAL = {
-    "pymavlink", "cmake", "distributed", "gymnasium", "osqp", "pandas", "plotly", "pyulog",
+    "cmake", "distributed", "gymnasium", "osqp", "pandas", "plotly", "pyulog",
     "serial", "setuptools", "foxglove_schemas_protobuf", "google", "mcap", "mcap_protobuf",
 }  # fmt: skip
 
@@ -311,7 +311,7 @@ def test_a_command_says_which_extra_it_lacks(
 
 def test_a_flight_needs_nothing_but_the_core(tmp_path: Path) -> None:
     """Flown and reported, and the ground station's messages read, where everything else is out of sight."""
-    hidden = ("pymavlink", "control", "matplotlib", "distributed", "dask", "serial", "psutil", "hypothesis")
+    hidden = ("control", "matplotlib", "distributed", "dask", "serial", "psutil", "hypothesis")
     code = f"""
 import sys
 sys.modules.update(dict.fromkeys({hidden!r}))

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import random
 import struct
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -257,3 +260,13 @@ def test_the_log_is_read_by_pymavlink(tmp_path: Path) -> None:
 def test_a_log_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="telemetry log"):
         Log(tmp_path / "no" / "telemetry.tlog")
+
+
+def test_the_environment_lets_no_damaged_frame_in() -> None:
+    """pymavlink looks at MAV_IGNORE_CRC when its module is imported."""
+    script = (
+        "from collections import Counter; from cosim.groundstation.mavlink.wire.frames import Parser, mav;"
+        "raw = bytearray(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(mav.MAVLink(None))); raw[-1] ^= 1;"
+        "assert not Parser(Counter()).feed(bytes(raw))"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, env=os.environ | {"MAV_IGNORE_CRC": "1"})

@@ -14,7 +14,7 @@ from math import isfinite, nan
 from typing import Any
 
 import pytest
-from mavlink_tools import ABOUT, Bench, Desk, command
+from mavlink_tools import ABOUT, Bench, Desk, command, message_of
 
 from cosim.control.autopilot.requests import from_dict, to_dict
 from cosim.groundstation.mavlink.services.commands import KNOWN
@@ -22,7 +22,6 @@ from cosim.groundstation.mavlink.wire.dialect import (
     BY_NAME,
     KINDS,
     mav,
-    unpack,
 )
 from cosim.groundstation.mavlink.wire.signing import EPOCH, Signing
 
@@ -131,7 +130,7 @@ def test_frames_for_others_and_from_itself(rig: Rig) -> None:
     taken = 0
     for i in range(SHARE):
         kind = BY_NAME[chance.choice(names)]
-        message = unpack(kind.id, chance.randbytes(kind.unpacker.size))
+        message = message_of(kind, chance.randbytes(kind.unpacker.size))
         field = "target" if kind.msgname == "MANUAL_CONTROL" else "target_system"
         own = i % 4 == 0
         setattr(message, field, 1 if own else chance.randrange(2, 256))
@@ -192,7 +191,7 @@ def _strange(kind: Any, chance: random.Random) -> Any:
             raw[place : place + 4] = struct.pack(
                 "<f", chance.choice([nan, float("inf"), -float("inf"), 0.0, 1.0, 3e38])
             )
-    message = unpack(kind.id, bytes(raw))
+    message = message_of(kind, bytes(raw))
     for field, value in (("target_system", 1), ("target_component", 1), ("target", 1)):
         if field in kind.fieldnames:
             setattr(message, field, value)

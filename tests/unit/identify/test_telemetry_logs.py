@@ -131,7 +131,7 @@ def test_frames_of_no_message_that_is_known_are_no_log(tmp_path: Path, monkeypat
         read(tmp_path, 5 * frame)
     log = read(tmp_path, 5 * frame + flown())
     assert "messages of unknown numbers were left out: 15658734" in log.remarks
-    monkeypatch.setattr(tlog, "DIALECTS", tlog.DIALECTS[:1])  # an installation without pymavlink
+    monkeypatch.setattr(tlog, "DIALECTS", tlog.DIALECTS[:1])  # without that of ArduPilot's messages
     tlog._kinds.cache_clear()
     try:
         log = read(tmp_path, flown())

@@ -1,30 +1,20 @@
-"""Bytes to messages and back: MAVLink 2 out, MAVLink 1 and 2 in, every refusal counted by its reason."""
+"""Bytes to messages and back: MAVLink 2 out, MAVLink 1 and 2 in, every refusal counted by its reason.
+
+A frame is packed, signed and read by pymavlink's class.  Where frames begin is found here and not by its parser, which
+tells no reason of a refusal, keeps the rest of a datagram, and passes over all that a damaged length claims.
+"""
 
 from __future__ import annotations
 
-import struct
 from collections import Counter
 from typing import NamedTuple
 
-from cosim.groundstation.mavlink.wire.dialect import (
-    BY_NAME,
-    CHECKSUM,
-    HEADER_1,
-    HEADER_2,
-    KINDS,
-    MAGIC_1,
-    MAGIC_2,
-    SIGNATURE,
-    SIGNED,
-    Message,
-    Packed,
-    checksum,
-    unpack,
-)
+from cosim.groundstation.mavlink.wire.dialect import BY_NAME, CHECKSUM, Message, mav
 from cosim.groundstation.mavlink.wire.signing import Signing
 
 RADIO_STATUS = BY_NAME["RADIO_STATUS"].id
-_HEAD_2 = struct.Struct("<BBBBBBBHB")
+MAGIC_1, MAGIC_2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2
+SIGNED = mav.MAVLINK_IFLAG_SIGNED  # the only incompatibility flag that there is
 
 
 class Frame(NamedTuple):
@@ -50,6 +40,7 @@ class Parser:
         self._refused = refused
         self._signing = signing
         self._whole = whole
+        self._mav = mav.MAVLink(None)
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[Frame]:
@@ -86,60 +77,45 @@ class Parser:
         return frames
 
     def _read(self, raw: bytes) -> tuple[str, Frame | None]:
-        second = raw[0] == MAGIC_2
-        if second:
-            _, size, flags, _, sequence, system, component, low, high = _HEAD_2.unpack_from(raw)
-            message_id, start = low | high << 16, HEADER_2
-        else:
-            _, size, sequence, system, component, message_id = raw[:HEADER_1]
-            flags, start = 0, HEADER_1
+        flags = raw[2] if raw[0] == MAGIC_2 else 0
         if flags & ~SIGNED:
             return "flags", None
-        kind = KINDS.get(message_id)
-        if kind is None:
-            return "unknown", None
-        stop = start + size
-        if checksum(raw[1:stop], kind.crc_extra) != raw[stop] | raw[stop + 1] << 8:
+        try:
+            message = self._mav.decode(bytearray(raw))
+        except mav.MAVError:  # its length is right, so its checksum is not
             return "crc", None
+        if isinstance(message, mav.MAVLink_unknown):
+            return "unknown", None
+        system, component = message.get_srcSystem(), message.get_srcComponent()
         signed = bool(flags & SIGNED)
         if self._signing is not None:
             # a radio at the vehicle's end of a cable puts its own word in, and has no key
-            of_radio = message_id == RADIO_STATUS and not self._whole
+            of_radio = message.id == RADIO_STATUS and not self._whole
             reason = self._signing.refuse(raw, system, component) if signed else "" if of_radio else "unsigned"
             if reason:
                 return reason, None
-        message = unpack(message_id, raw[start:stop])
-        return "", Frame(raw, system, component, sequence, signed, message)
+        return "", Frame(raw, system, component, message.get_seq(), signed, message)
 
 
 class Sender:
     """Frames to one receiver: its sequence and its link's id."""
 
     def __init__(self, system: int, component: int, link: int = 0, signing: Signing | None = None) -> None:
-        self._system, self._component = system, component
-        self._link = link
+        self._mav = mav.MAVLink(None, srcSystem=system)
+        self._component = component
         self._signing = signing
-        self._sequence = 0
-        self.signature = 0 if signing is None else SIGNATURE  # bytes of it
+        if signing is not None:
+            signing.sign_all_of(self._mav, link)
+        self.signature = 0 if signing is None else mav.MAVLINK_SIGNATURE_BLOCK_LEN  # bytes of it
 
-    def frame(self, packed: Packed, component: int | None = None) -> bytes:
-        """The next frame."""
-        flags = 0 if self._signing is None else SIGNED
-        head = _HEAD_2.pack(
-            MAGIC_2,
-            len(packed.payload),
-            flags,
-            0,
-            self._sequence,
-            self._system,
-            self._component if component is None else component,
-            packed.message_id & 0xFFFF,
-            packed.message_id >> 16,
-        )
-        self._sequence = (self._sequence + 1) & 0xFF
-        body = head + packed.payload
-        frame = body + checksum(body[1:], packed.crc_extra).to_bytes(2, "little")
-        return frame if self._signing is None else frame + self._signing.sign(frame, self._link)
+    def frame(self, message: Message, component: int | None = None) -> bytes:
+        """Return the next frame."""
+        self._mav.srcComponent = self._component if component is None else component
+        if self._signing is not None:
+            self._mav.signing.timestamp = self._signing.next_stamp()
+        raw: bytes = message.pack(self._mav)
+        self._mav.seq = (self._mav.seq + 1) & 0xFF
+        return raw
 
 
 def _next_magic(buffer: bytes, at: int) -> int:
@@ -154,5 +130,6 @@ def _length(buffer: bytes, at: int) -> int | None:
         return None
     size = buffer[at + 1]
     if buffer[at] == MAGIC_1:
-        return HEADER_1 + size + CHECKSUM
-    return HEADER_2 + size + CHECKSUM + (SIGNATURE if buffer[at + 2] & SIGNED else 0)
+        return int(mav.HEADER_LEN_V1) + size + CHECKSUM
+    signature = mav.MAVLINK_SIGNATURE_BLOCK_LEN if buffer[at + 2] & SIGNED else 0
+    return int(mav.HEADER_LEN_V2) + size + CHECKSUM + int(signature)

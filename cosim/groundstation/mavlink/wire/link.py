@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from math import inf
 from typing import Any, Protocol
 
-from cosim.groundstation.mavlink.wire.dialect import Packed
+from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.frames import Frame, Parser, Sender
 from cosim.groundstation.mavlink.wire.peer import Kind, Peer
 from cosim.groundstation.mavlink.wire.signing import Signing
@@ -130,18 +130,18 @@ class Link:
         self.news.append(text)
         self.tell(f"link: {text}")
 
-    def broadcast(self, packed: Packed, kind: Kind = Kind.ANSWER) -> None:
+    def broadcast(self, packed: Message, kind: Kind = Kind.ANSWER) -> None:
         """To every ground station."""
         for peer in self.peers:
             peer.send(packed, kind)
         self.logged(packed)
 
-    def send(self, peer: Peer, packed: Packed, kind: Kind = Kind.ANSWER) -> None:
+    def send(self, peer: Peer, packed: Message, kind: Kind = Kind.ANSWER) -> None:
         """An answer to one ground station."""
         peer.send(packed, kind)
         self.logged(packed)
 
-    def logged(self, packed: Packed) -> None:
+    def logged(self, packed: Message) -> None:
         if self.log is not None:
             self.log.sent(packed)
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from enum import Enum
 from math import inf
 
-from cosim.groundstation.mavlink.wire.dialect import CHECKSUM, HEADER_2, Packed
+from cosim.groundstation.mavlink.wire.dialect import Message, frame_size
 from cosim.groundstation.mavlink.wire.frames import Frame, Parser, Sender
 
 # Chosen by us.
@@ -29,7 +29,7 @@ SHARE = 0.5
 _SLOWER, _FASTER, _SLOWEST = 0.75, 0.05, 0.05
 _RADIO_LOW = 25  # % free in a radio's buffer, below which it is slowed down
 
-_Item = tuple[Packed, int | None]
+_Item = tuple[Message, int | None]
 
 
 class Kind(Enum):
@@ -122,7 +122,7 @@ class Peer:
         self._refused = refused
         self._answers: deque[_Item] = deque()
         self._bulk: deque[_Item] = deque()
-        self._telemetry: dict[tuple[int, int], Packed] = {}
+        self._telemetry: dict[tuple[int, int], Message] = {}
         self._frame = b""  # what is left of the frame that is being handed over
         self._waiting = 0  # bytes of answers and bulk
         self._balance = 0  # bytes by which bulk is ahead of telemetry while both wait
@@ -159,7 +159,7 @@ class Peer:
 
     # --- out -----------------------------------------------------------------------------------------------------
 
-    def send(self, packed: Packed, kind: Kind = Kind.ANSWER, component: int | None = None) -> bool:
+    def send(self, packed: Message, kind: Kind = Kind.ANSWER, component: int | None = None) -> bool:
         """Queue a message that must arrive.  False: there is no room."""
         if self._waiting > self._limit:
             self.stuck = True
@@ -170,9 +170,9 @@ class Peer:
         self.flush()
         return True
 
-    def stream(self, packed: Packed, place: int = 0) -> None:
+    def stream(self, packed: Message, place: int = 0) -> None:
         """Telemetry: in place of the one before that still waits; ``place``: which, of several of the same message."""
-        key = (packed.message_id, place)
+        key = (packed.id, place)
         if key in self._telemetry:
             self.dropped += 1
         self._telemetry[key] = packed
@@ -237,9 +237,9 @@ class Peer:
     def _limit(self) -> float:
         return LIMIT if self.line is None else min(LIMIT, max(BULK, _LIMIT_S * self.line.full_rate))
 
-    def _size(self, packed: Packed) -> int:
+    def _size(self, packed: Message) -> int:
         """Bytes of its frame."""
-        return HEADER_2 + len(packed.payload) + CHECKSUM + self.signature
+        return frame_size(packed) + self.signature
 
     def blocked(self, now: float) -> float:
         """Seconds for which nothing has been taken though something waits."""

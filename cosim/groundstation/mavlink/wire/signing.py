@@ -11,6 +11,7 @@ import hmac
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from cosim.base.errors import InputError
 
@@ -57,18 +58,22 @@ class Signing:
         self._last = 0  # the highest time stamp sent or accepted
         self._streams: dict[tuple[int, int, int], int] = {}
 
-    def sign(self, frame: bytes, link: int) -> bytes:
-        """The 13 bytes to put behind a frame with its checksum."""
+    def sign_all_of(self, sender: Any, link: int) -> None:
+        """Let a MAVLink object of pymavlink sign what it packs, as the link of this number."""
+        sender.signing.secret_key, sender.signing.link_id, sender.signing.sign_outgoing = self._key, link, True
+
+    def next_stamp(self) -> int:
+        """Return the time stamp of the next frame."""
         self._last = max(self._last + 1, self._now())
-        head = bytes((link,)) + self._last.to_bytes(6, "little")
-        return head + self._digest(frame + head)
+        return self._last
 
     def refuse(self, frame: bytes, system: int, component: int) -> str:
         """Why a signed frame (whole, with its signature) is not believed; empty if it is.
 
-        The time stamp counts only once the signature has proved right, so nobody without the key moves it.
+        The time stamp counts only once the signature has proved right, so nobody without the key moves it.  pymavlink's
+        check remembers the time stamp first, so that a forged one would lock out those who have the key.
         """
-        if not hmac.compare_digest(self._digest(frame[:-6]), frame[-6:]):
+        if not hmac.compare_digest(hashlib.sha256(self._key + frame[:-6]).digest()[:6], frame[-6:]):
             return "signature"
         stamp = int.from_bytes(frame[-12:-6], "little")
         stream = (frame[-13], system, component)
@@ -81,6 +86,3 @@ class Signing:
 
     def _now(self) -> int:
         return int((self._clock() - EPOCH) * _TICKS)
-
-    def _digest(self, data: bytes) -> bytes:
-        return hashlib.sha256(self._key + data).digest()[:6]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from cosim.base.errors import InputError
-from cosim.groundstation.mavlink.wire.dialect import Packed
+from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.frames import Sender
 
 _STAMP = struct.Struct(">Q")
@@ -32,7 +32,7 @@ class Log:
         self.frames = 0
         self.failed = ""  # why there is no more of it
 
-    def sent(self, packed: Packed) -> None:
+    def sent(self, packed: Message) -> None:
         """A message that went out."""
         if self._file is not None:
             self._write(self._sender.frame(packed))
