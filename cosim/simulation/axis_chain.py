@@ -78,9 +78,24 @@ def axis_shares(vehicle: Vehicle, allocator: Allocator, index: int) -> AxisShare
     whole = sum(abs(arm) for arm in arms)
     if not whole:
         return AxisShares([0.0] * jets, [0.0] * len(servos_of(vehicle)), [])
-    per_newton = vehicle.inertia_kg_m2[index] / whole
-    moves = [] if vehicle.servo else [per_newton * ((arm > 0.0) - (arm < 0.0)) for arm in arms]
+    moves = [] if vehicle.servo else thrust_moves(vehicle, index)
     return AxisShares([abs(arm) / whole for arm in arms], [0.0] * len(servos_of(vehicle)), moves)
+
+
+def thrust_moves(vehicle: Vehicle, index: int) -> list[float]:
+    """Return by how much each thrust moves per rad/s^2 about an axis, N, where thrusts alone give it and alike."""
+    arms = levers(vehicle, index)
+    per_newton = vehicle.inertia_kg_m2[index] / sum(abs(arm) for arm in arms)
+    return [per_newton * ((arm > 0.0) - (arm < 0.0)) for arm in arms]
+
+
+def thrust_lead(vehicle: Vehicle, engine: EngineSpec, index: int, step: float) -> float:
+    """Return :func:`rotor_lead` about an axis that thrusts alone give, of one engine everywhere; 0 with banks."""
+    jets = len(vehicle.jets)
+    if vehicle.servo is not None or not any(levers(vehicle, index)):
+        return 0.0
+    hover = [vehicle.mass_kg * GRAVITY / jets] * jets
+    return rotor_lead(vehicle, [engine] * jets, hover, thrust_moves(vehicle, index), step)[index]
 
 
 def servos_of(vehicle: Vehicle) -> list[Servo | Hinge | Surface]:

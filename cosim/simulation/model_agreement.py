@@ -45,6 +45,7 @@ from cosim.simulation.axis_chain import (
     hinged_parts,
     measuring,
     rate_response,
+    thrust_lead,
     turning,
 )
 from cosim.simulation.build import effectiveness_of
@@ -256,7 +257,7 @@ def _parts(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, index: int,
     if vehicle.allocation == "effectiveness":
         return hinged_parts(vehicle, effectiveness_of(scenario, vehicle, engine), index, engine, step)
     if by_throttle(vehicle, index) or vehicle.servo is None:
-        return [AxisPart((), (), 1.0)]
+        return [AxisPart((), (), 1.0, lead_s=thrust_lead(vehicle, engine, index, step) * step)]
     kick = bank_reaction(vehicle, index, axis_moment(vehicle, index, span), step) * step * step
     return [AxisPart((vehicle.servo,), (1.0,), 1.0, kick)]
 

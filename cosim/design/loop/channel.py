@@ -7,6 +7,8 @@ For roll: share of thrust ``u`` -> engine -> moment -> rate -> gyro.  In steps o
     gyro     (1 - c) z / (z - c), then its latency
     angle    T / 2 (z + 1) / (z - 1) of the rate, without the gyro
 
+What tilts pushes back, and rotors that are turned or sped up lead: :attr:`Channel.shape`.
+
 ``p = exp(-D T)`` with the damping ``D``, and ``f = (1 - p) / (D T)``.  With one or two runs a step JSBSim's method
 shows: see :attr:`Channel.turning`.  The delay ledger lists the same elements.
 """
@@ -38,6 +40,7 @@ from cosim.simulation.axis_chain import (
     hinged_parts,
     measuring,
     rate_response,
+    thrust_lead,
     turning,
 )
 from cosim.simulation.build import effectiveness_of
@@ -285,6 +288,7 @@ def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, d
     inertia, span = vehicle.inertia_kg_m2[index], thrust_span(engine)
     thrusts, moment = by_throttle(vehicle, index), axis_moment(vehicle, index, span)
     kick = bank_reaction(vehicle, index, moment, scenario.step_s)
+    early = thrust_lead(vehicle, engine, index, scenario.step_s)
     room = _room(vehicle, engine) if thrusts else _servo_room(vehicle.servo)
     return Channel(
         axis,
@@ -297,7 +301,7 @@ def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, d
         room,
         **_gyro(vehicle.sensors),  # type: ignore[arg-type]
         added_delay=scenario.added_delay_samples if axis == "roll" else 0,
-        shape=(1.0 + kick, -2.0 * kick, kick),
+        shape=(1.0 + early + kick, -early - 2.0 * kick, kick),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from math import exp
+from pathlib import Path
 
 import control
 import numpy as np
@@ -27,11 +28,12 @@ from cosim.design.design import (
 from cosim.design.loop.actuator import SERVO, Actuator
 from cosim.design.loop.channel import Channel, channels, engine_lead
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid, steps_by_response
+from cosim.design.loop.dynamics import lags
 from cosim.design.tune import settle
 from cosim.engine import EngineSpec, load_engine, make_bank
 from cosim.flight import fly
 from cosim.simulation.axis_chain import hinge_kicks, hinged_parts
-from cosim.simulation.build import effectiveness_of
+from cosim.simulation.build import build, effectiveness_of
 from cosim.simulation.controllers.controller_file import Requirements, read_controller, with_controller
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, engine_of, load_vehicle
@@ -127,6 +129,20 @@ def test_rotors_that_hinges_turn_lead_by_their_momentum() -> None:
     quadjet, spec, _ = plants("quadjet")  # what its hinges turn is a nozzle, and no spool
     parts = hinged_parts(quadjet, effectiveness_of(*_hover("quadjet")), 0, spec, T)
     assert max(abs(part.lead_s) for part in parts) < 1e-9
+
+
+def test_rotors_that_thrust_speeds_up_lead_by_what_the_ledger_has() -> None:
+    """A quadrotor's yaw by turbojets of 24 N with spools of their own; its other axes have none of it."""
+    table = {"name": "x", "duration_s": 1.0, "aircraft": "quadrotor", "engine": "turbine-20", "controller": "baseline"}
+    scenario = Scenario.from_table({**table, "step_s": T, "vehicle": {"mass_kg": 6.0}}, Path(), "x")
+    with build(scenario) as simulation:
+        vehicle, engine, ledger = simulation.vehicle, simulation.engine, simulation.ledger
+    of = channels(scenario, vehicle, engine, Actuator.of("engine", lags([0.2], 0.0, T)))
+    (row,) = [row for row in ledger if row.kind == "lead"]
+    assert (row.axis, row.samples) == ("yaw", pytest.approx(-29.7, abs=0.05))
+    assert of["yaw"].shape == pytest.approx((1.0 - row.samples, row.samples, 0.0), rel=1e-9)
+    for axis in ("roll", "pitch", "altitude"):
+        assert of[axis].shape == (1.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(("aircraft", "axis"), [("trijet", "roll"), ("trijet", "yaw"), ("jetwing", "pitch")])
