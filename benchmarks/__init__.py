@@ -4,3 +4,5 @@
 were taken on, ratios travel better.  What the project asks of itself is reported beside what was found, and nothing
 fails.
 """
+
+import cosim  # noqa: F401 - before numpy, whose kernels it chooses

@@ -6,8 +6,7 @@ import shlex
 
 import click
 
-from cosim.cli import opt
-from cosim.cli.options import DONE, FLIGHT_FAILED, example, is_given
+from cosim.commands import DONE, FLIGHT_FAILED, example, is_given, opt
 
 
 class Bench(opt.Output):

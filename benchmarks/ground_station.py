@@ -29,19 +29,19 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from benchmarks.measures.long_flight import resident_of
-from cosim.base.storage.scratch import scratch
+from cosim import Scenario
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.parameters import Parameters
+from cosim.files import scratch
 from cosim.groundstation.exchange import Exchange, Port
 from cosim.groundstation.links import Links, about_of
 from cosim.groundstation.mavlink.vehicle import Vehicle
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.session import Session, scripted_status, session_info, snapshot_of
-from cosim.results.report.marks import table, write_marks
+from cosim.pages import table, write_marks
 from cosim.simulation.build import build
 from cosim.simulation.pacing import PaceReport
-from cosim.spec.scenario import Scenario
 
 ATTITUDE = 30
 HEARTBEAT_EVERY = 1.0

@@ -22,14 +22,14 @@ from statistics import median
 from tempfile import TemporaryDirectory
 
 from benchmarks.timing import Clocked, Job, clock
+from cosim import Scenario
 from cosim.autopilots.ardupilot import ArduPilot, Launch
 from cosim.autopilots.lockstep import Autopilot, Frame, Sticks
 from cosim.autopilots.px4 import Px4
 from cosim.base.frames import from_euler
 from cosim.base.geodesy import Geodesy
-from cosim.base.storage.scratch import scratch
-from cosim.results.report.marks import table, write_marks
-from cosim.spec.scenario import Scenario
+from cosim.files import scratch
+from cosim.pages import table, write_marks
 
 MARK = "lockstep"
 HOVER = Scenario.load("hover").replace(engine="edf")

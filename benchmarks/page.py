@@ -9,14 +9,10 @@ from pathlib import Path
 
 from benchmarks.suite import Result
 from benchmarks.tables import KEYS, Table, tables
-from cosim.base.errors import InputError, nearest
-from cosim.base.storage.files import write_whole
-from cosim.results.report.marks import (
-    cell,
-    filled,
-    parts_of,
-    row,
-)
+from cosim import InputError
+from cosim.commands import nearest
+from cosim.files import write_whole
+from cosim.pages import cell, filled, parts_of, row
 
 COMMAND = "command"
 NAMES = (COMMAND, *KEYS)

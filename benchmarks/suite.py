@@ -40,8 +40,9 @@ from benchmarks.measures.speed import RECORDED, measure_speed, warm_up
 from benchmarks.peers.multirotor import Multirotor, measure_multirotor
 from benchmarks.peers.peers import Peers, measure_peers
 from benchmarks.timing import Cost
-from cosim.base.errors import FlightError, InputError, nearest
-from cosim.base.storage.scratch import scratch
+from cosim import FlightError, InputError
+from cosim.commands import nearest
+from cosim.files import scratch
 
 STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY = "step", "blocks", "others", "own", "peers", "rotorpy"
 TIME, ENGINES, LOG, PAGES = "time", "engines", "log", "pages"

@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from cosim.base.trust import trust
     from cosim.flight import fly
     from cosim.results.report.flight_figures import plot
-    from cosim.results.run import Run, open_run
+    from cosim.results.run import Run, open_run, versions
     from cosim.spec.scenario import Scenario
+    from cosim.spec.vehicle import load_vehicle
     from cosim.stepper import Snapshot, Stepper
 
 __all__ = [
@@ -36,9 +37,11 @@ __all__ = [
     "Snapshot",
     "Stepper",
     "fly",
+    "load_vehicle",
     "open_run",
     "plot",
     "trust",
+    "versions",
 ]
 
 _WHERE = {
@@ -47,10 +50,12 @@ _WHERE = {
     "Stepper": "cosim.stepper",
     "Scenario": "cosim.spec.scenario",
     "fly": "cosim.flight",
+    "load_vehicle": "cosim.spec.vehicle",
     "Run": "cosim.results.run",
     "open_run": "cosim.results.run",
     "plot": "cosim.results.report.flight_figures",
     "trust": "cosim.base.trust",
+    "versions": "cosim.results.run",
 }
 
 choose()  # before any module that may be compiled is imported

@@ -1,8 +1,8 @@
 """Writes docs/api.md from the docstrings: ``python docs/api.py``.
 
-In it is what a program calls, the exports of ``cosim``; what it may write for a flight, the protocols with what they
-are told; and the records that travel between them.  Docstrings have the sections of numpydoc; a field's comment is
-its meaning.
+In it is what a program calls, the exports of ``cosim`` and of its public modules; what it may write for a flight, the
+protocols with what they are told; and the records that travel between them.  Docstrings of the first and second have
+the sections of numpydoc; a field's comment is its meaning.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import ast
 import inspect
 import re
 from collections.abc import Iterator, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,12 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "api.md"
 SECTION = re.compile(r"^(\w+)\n-{3,}\n", re.MULTILINE)
 ENTRY = re.compile(r"^(\S[^\n]*)\n((?:    [^\n]*\n?|\n(?=    ))+)", re.MULTILINE)
+MODULES = ("campaign", "commands", "files", "identify", "loops", "pages")
 RECORDS = ("cosim/base/signals.py", "cosim/base/protocols.py")
 
 
 def parts() -> dict[str, str]:
-    """The page's three parts."""
+    """Return the page's parts: the exports, those of each public module, the protocols, the records."""
     exports = {name: getattr(cosim, name) for name in cosim.__all__}
     blocks = {name: each for name, each in vars(protocols).items() if getattr(each, "_is_protocol", False)}
     del exports["Command"], blocks["Protocol"]  # a record; and typing's
@@ -36,7 +38,29 @@ def parts() -> dict[str, str]:
         "protocols": [_about(name, each) for name, each in (blocks | {"Belief": Belief}).items()],
         "records": [_record(each, lines) for module in RECORDS for each, lines in _records(ROOT / module)],
     }
+    text |= {name: list(_module(import_module(f"cosim.{name}"))) for name in MODULES}
     return {f"api: {name}": "\n".join(each).rstrip() + "\n" for name, each in text.items()}
+
+
+def _module(module: Any) -> Iterator[str]:
+    """What a public module has: what it is about, its constants, then functions and classes."""
+    yield _body(module)
+    exports = {name: getattr(module, name) for name in module.__all__}
+    constants = [f"`{name} = {each!r}`" for name, each in exports.items() if isinstance(each, (int, str))]
+    if constants:
+        yield f"Constants: {', '.join(constants)}.\n"
+    for name, each in exports.items():
+        if inspect.isclass(each):
+            yield f"### `{name}`\n\n{_body(each)}"
+        elif inspect.ismodule(each):
+            own = (
+                (key, value) for key, value in vars(each).items() if inspect.isclass(value) or inspect.isroutine(value)
+            )
+            docs = ((key, inspect.getdoc(value)) for key, value in own if value.__module__ == each.__name__)
+            lines = [f"- `{name}.{key}`: {_prose(doc.splitlines()[0])}\n" for key, doc in docs if doc]
+            yield f"### `{name}`\n\n{_body(each)}\n{''.join(lines)}"
+        elif inspect.isroutine(each):
+            yield _about(name, each)
 
 
 def _about(name: str, each: Any) -> str:
@@ -64,6 +88,7 @@ def _signature(name: str, each: Any) -> str:
     ]
     plain = str(found.replace(parameters=told, return_annotation=inspect.Signature.empty))
     plain = re.sub(r"<function (\w+) at [^>]*>", r"\1", plain)
+    plain = re.sub(r"\w+Path\('([^']*)'\)", r'Path("\1")', plain)
     plain = re.sub(r"'(\w*)'", r'"\1"', plain)  # as the formatter of pages has it
     return f"```python\n{name}{plain}\n```\n\n"
 

@@ -37,16 +37,18 @@ DUTY = {
     "shelf": "the folder of runs as a page",
     "cli": "one file a command",
 }
+PUBLIC = {"commands", "files", "loops", "pages"}  # names handed on to programs outside
 BLUE, GREY, INK = "#2a78d6", "#8a939b", "#1c2733"
 
 
 def rooms() -> dict[str, set[str]]:
     """Each room with the rooms that it imports, anywhere in its text."""
     graph = grimp.build_graph("cosim")
-    names = {module.split(".")[1] for module in graph.modules if "." in module}
+    names = {module.split(".")[1] for module in graph.modules if "." in module} - PUBLIC
     found: dict[str, set[str]] = {name: set() for name in names}
-    for module in graph.modules - {"cosim"}:
-        for other in graph.find_modules_directly_imported_by(module) - {"cosim"}:
+    inner = {module for module in graph.modules if module.partition(".")[2].partition(".")[0] in names}
+    for module in inner:
+        for other in graph.find_modules_directly_imported_by(module) & inner:
             found[module.split(".")[1]].add(other.split(".")[1])
     return {name: others - {name} for name, others in found.items()}
 

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import tomli_w
 
-from cosim.base.storage.toml import toml_text
-from cosim.design.loop.frequency import margins
+from cosim.loops import margins
 from hexjet_paper import numbers
 from hexjet_paper.experiments import (
     Experiment,
@@ -237,4 +237,4 @@ def _digits(value: float, digits: int) -> float:
 def write(frozen: Frozen, path: Path = FILE) -> None:
     """Freeze a calibration."""
     head = "# Made by hexjet_paper.calibration.calibrate(); do not edit.  Units are in the class Calibration.\n\n"
-    path.write_text(head + toml_text(frozen.model_dump()), encoding="utf-8")
+    path.write_text(head + tomli_w.dumps(frozen.model_dump()), encoding="utf-8")

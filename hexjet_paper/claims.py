@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from cosim.design.loop.frequency import Margins
+from cosim.loops import Margins
 from hexjet_paper import numbers
 from hexjet_paper.experiments import (
     Metrics,

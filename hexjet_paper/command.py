@@ -8,10 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cosim.cli import opt
-from cosim.cli.console import cell, part_progress, say, show_table
-from cosim.cli.options import DONE, example
-from cosim.cli.outputs import Out
+from cosim.commands import DONE, Out, example, opt, part_progress, say, show_table
 
 if TYPE_CHECKING:
     from hexjet_paper.report.result import Reproduction
@@ -63,6 +60,10 @@ def paper(options: Paper) -> int:
     return DONE
 
 
+def _cell(value: float | None, form: str) -> str:
+    return "-" if value is None else form.format(value)
+
+
 def print_paper(reproduction: Reproduction, report: Path) -> None:
     """Print claims and numbers of the paper beside ours, how many claims follow, and where the report is."""
     from hexjet_paper.report.page import compared, counts_in_words
@@ -70,8 +71,8 @@ def print_paper(reproduction: Reproduction, report: Path) -> None:
     rows = []
     for row in compared(reproduction.rows):
         name = f"{row.quantity} ({row.note})" if ".state" in row.key else row.quantity
-        linear = cell(row.linear, "{:.4g}"), cell(row.linear_deviation, "{:+.1f} %")
-        flight = cell(row.flight, "{:.4g}"), cell(row.flight_deviation, "{:+.1f} %")
+        linear = _cell(row.linear, "{:.4g}"), _cell(row.linear_deviation, "{:+.1f} %")
+        flight = _cell(row.flight, "{:.4g}"), _cell(row.flight_deviation, "{:+.1f} %")
         rows.append((name, row.unit, f"{row.paper:.4g}", *linear, *flight, row.origin))
     show_table(("quantity", "unit", "paper", "linear", "", "flight", "", "origin"), rows, range(2, 7))
     claims = [

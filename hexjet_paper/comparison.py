@@ -16,8 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict
 
-from cosim.base.signals import AXES
-from cosim.design.loop.frequency import margins
+from cosim.loops import margins
 from hexjet_paper import extensions, numbers
 from hexjet_paper.claims import ClaimRow, Evidence
 from hexjet_paper.conditions import Condition, conditions
@@ -167,7 +166,7 @@ _NOTES = {
     "hexjet-doublet.smith.rmse": "gains, and length of doublet and record, not printed: chosen; see the conditions",
     "hexjet-doublet.smith.max": f"{radians(2.0 * numbers.value('hexjet.amplitude')):.4f} rad is the height of the "
     "middle step: the largest error of any loop that has settled before it",
-    **{f"hexjet-manual.{axis}.{what}": _STICKS for axis in AXES for what in ("rmse", "rate_rmse")},
+    **{f"hexjet-manual.{axis}.{what}": _STICKS for axis in ("roll", "pitch", "yaw") for what in ("rmse", "rate_rmse")},
     **{f"hexjet-manual.{axis}.rmse": _STICKS + _TWO for axis in ("pitch", "yaw")},
     "step.time_constant": "63.2 % of the first step, mean of baseline and Smith",
     "hexjet.thrust": "six times the EDF's gain at rest",

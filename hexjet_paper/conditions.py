@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from cosim.design.loop.frequency import Margins, margins
+from cosim.loops import Margins, margins
 from hexjet_paper import numbers
 from hexjet_paper.claims import growth_percent
 from hexjet_paper.experiments import (

@@ -15,13 +15,13 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from cosim.base.arrays import Array
-from cosim.results.metrics import overshoot, settling_time
-from cosim.spec.vehicle import PredictorTuning, RateGains, load_vehicle
+from cosim import load_vehicle
+from cosim.loops import PredictorTuning, RateGains, overshoot, settling_time
 from hexjet_paper import numbers
 from hexjet_paper.frozen import Calibration
 from hexjet_paper.linear import (
     STATE_AS_PRINTED,
+    Array,
     Axis,
     Plant,
     Signal,

@@ -12,16 +12,14 @@ from math import exp, inf, log, pi
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from cosim.base.arrays import Complex
-from cosim.control.predictors.linear import model_response
-from cosim.design.loop.frequency import grid
-from cosim.spec.vehicle import PredictorTuning, RateModel
+from cosim.loops import PredictorTuning, RateModel, grid, model_response
 from hexjet_paper import numbers
 from hexjet_paper.experiments import hexjet_axis, quadrotor_axis
 from hexjet_paper.frozen import Calibration
 from hexjet_paper.linear import (
     STATE_AS_PRINTED,
     Axis,
+    Complex,
     Plant,
     doublet,
     predictor,

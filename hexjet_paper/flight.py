@@ -9,10 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from cosim.flight import fly
-from cosim.results.run import Run
-from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import load_vehicle
+from cosim import Run, Scenario, fly, load_vehicle
 from hexjet_paper import numbers
 from hexjet_paper.experiments import (
     PAYLOAD_PLACE,

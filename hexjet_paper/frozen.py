@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from cosim.base.storage.toml import Model, read_toml, validate
+from cosim.files import read_toml, validate
 
 FILE = Path(__file__).with_name("calibration.toml")
 
@@ -40,8 +40,10 @@ class Calibration(BaseModel):
     disturbance_observer_rad_s: float = 40.0
 
 
-class FittedNumber(Model):
+class FittedNumber(BaseModel):
     """A printed number that the calibration was fitted to, and what came of it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
     key: str
     paper: float
@@ -50,13 +52,15 @@ class FittedNumber(Model):
     stage: str
 
 
-class Frozen(Model):
+class Frozen(BaseModel):
     """The file: unknowns, the numbers that were used, and how they were met."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
     parameters: Calibration
     used: list[FittedNumber]
 
 
 def load(path: Path = FILE) -> Frozen:
-    """The frozen calibration.  Raises InputError for a file that does not fit."""
+    """Return the frozen calibration.  Raises InputError for a file that does not fit."""
     return validate(Frozen, read_toml(path), str(path))

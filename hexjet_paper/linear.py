@@ -8,23 +8,37 @@ milliseconds and every claim can be compared with a computed one.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import inf
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cosim.base.errors import InputError
-from cosim.base.limits import clamp
+from cosim import InputError
 from cosim.base.protocols import Predictor
-from cosim.control.predictors.registry import PREDICTORS, STATE, Own, PredictorSpec
-from cosim.control.predictors.smith import DelayedModel, DelayLine, rate_model
-from cosim.control.predictors.state import DoubleIntegratorObserver, StateModel, StatePredictor
-from cosim.control.rate import RateAxis
-from cosim.spec.vehicle import PredictorTuning, RateGains, RateModel
+from cosim.loops import (
+    PREDICTORS,
+    DelayedModel,
+    DelayLine,
+    DoubleIntegratorObserver,
+    PredictorSpec,
+    PredictorTuning,
+    RateAxis,
+    RateGains,
+    RateModel,
+    StateModel,
+    StatePredictor,
+    rate_model,
+)
 from hexjet_paper import numbers
 
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Response = Callable[[Complex], Complex]  # of ``z``, points of the upper half of the unit circle
+Pair = tuple[Complex, Complex]
+PairResponse = Callable[[Complex], Pair]  # ``P_y`` and ``P_u`` of ``z``: see :mod:`hexjet_paper.loops`
 Signal = Callable[[int], float]
 LARGEST = 1e6  # rad/s: a loop that grows beyond this is unstable
 
@@ -34,6 +48,11 @@ STATE_AS_PRINTED = "state-as-printed"  # the state predictor run with the printe
 def nothing(k: int) -> float:
     """A signal that is 0."""
     return 0.0
+
+
+def clamp(value: float, most: float) -> float:
+    """Return ``value``, at most ``most`` either way."""
+    return most if value > most else (-most if value < -most else value)
 
 
 @dataclass(frozen=True)
@@ -94,7 +113,7 @@ class Record:
     disturbance: array[float] = field(default_factory=lambda: array("d"))
 
 
-def _as_printed(model: RateModel, own: Own) -> Predictor:
+def _as_printed(model: RateModel, own: Mapping[str, float]) -> Predictor:
     observer = DoubleIntegratorObserver(own["observer_rad_s"], model.sample_time_s)
     state = StateModel(model)
     state.A, state.B = np.array(numbers.A_D), np.array(numbers.B_D)
@@ -107,7 +126,7 @@ def predictor(controller: str) -> PredictorSpec:
     Raises InputError for an unknown name.
     """
     if controller == STATE_AS_PRINTED:
-        return replace(STATE, name=STATE_AS_PRINTED, make=_as_printed)
+        return replace(PREDICTORS["state"], name=STATE_AS_PRINTED, make=_as_printed)
     if controller not in PREDICTORS:
         raise InputError(f"unknown controller {controller!r}; allowed: {', '.join([*PREDICTORS, STATE_AS_PRINTED])}")
     return PREDICTORS[controller]

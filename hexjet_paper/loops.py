@@ -16,22 +16,26 @@ from math import cos, inf, pi
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from cosim.base.arrays import Array, Complex
-from cosim.base.errors import InputError
-from cosim.control.predictors.linear import Pair, PairResponse, delayed_response, model_response
-from cosim.design.loop.frequency import (
+from cosim import InputError
+from cosim.loops import (
     Margins,
-    Response,
+    PredictorTuning,
+    RateModel,
+    delayed_response,
     grid,
     impulse_response,
+    model_response,
     pid_response,
-    wrapped,
     zeros_outside,
 )
-from cosim.spec.vehicle import PredictorTuning, RateModel
 from hexjet_paper.linear import (
+    Array,
     Axis,
+    Complex,
+    Pair,
+    PairResponse,
     Plant,
+    Response,
     predictor,
     simulate,
 )
@@ -158,8 +162,13 @@ def _margins_of_points(frequency: Array, gain: Array, phase: Array) -> Margins:
     return Margins(
         cutoff=next((float(np.exp(at)) for at, k in cuts if gain[k] > 0.0), None),
         gain_margin=min((-float(np.interp(at, x, gain)) for at in turns), key=abs, default=None),
-        phase_margin=min((wrapped(float(np.interp(at, x, phase)) + 180.0) for at, _ in cuts), key=abs, default=None),
+        phase_margin=min((_wrap(float(np.interp(at, x, phase)) + 180.0) for at, _ in cuts), key=abs, default=None),
     )
+
+
+def _wrap(degrees: float) -> float:
+    """Return an angle between -180 and 180 degrees."""
+    return (degrees + 180.0) % 360.0 - 180.0
 
 
 class LoopMap:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import sqrt
 from typing import Literal, NamedTuple
 
-from cosim.spec.vehicle import RateModel
+from cosim.loops import RateModel
 
 SOURCE = (
     "J. Liang, H. Zheng, Y. Zhang, Y. Gao, W. Dong, X. Lyu, “Predictor-Based Time Delay Control of A Hex-Jet "

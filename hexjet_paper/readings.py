@@ -14,11 +14,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict
+from scipy import constants
 
-from cosim.base.constants import GRAVITY
-from cosim.flight import fly
-from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import RateModel, load_vehicle
+from cosim import Scenario, fly, load_vehicle
+from cosim.loops import RateModel
 from hexjet_paper import numbers
 from hexjet_paper.experiments import Experiment, Metrics, Result, hexjet_axis, linear_run
 from hexjet_paper.extensions import integrating_gain
@@ -247,7 +246,7 @@ def fly_reading(key: str) -> ReadingResult:
         key=key,
         title=reading.title,
         engine=reading.engine,
-        thrust_n=reading.thrust_kgf * GRAVITY,
+        thrust_n=reading.thrust_kgf * constants.g,
         inertia_kg_m2=reading.inertia,
         slope=reading.gain * integrating_gain(numbers.roll_model()),
         fast_pole=max(pole for pole in reading.model.poles if pole != numbers.value("roll.pole_slow")),

@@ -14,22 +14,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 import numpy as np
+import tomli_w
 from pydantic import TypeAdapter
+from scipy import constants
 
 import cosim
-from cosim.base.constants import GRAVITY
-from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import write_whole
-from cosim.base.storage.paths import data_folder
-from cosim.base.storage.toml import toml_text
-from cosim.campaign.workers.tasks import as_finished
-from cosim.flight import fly
-from cosim.identify.sweep import identify_axis, identify_engine
-from cosim.identify.sweep.fit import fit
-from cosim.results.recorder import Log
-from cosim.results.run import versions
-from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import load_vehicle
+from cosim import FlightError, InputError, Run, Scenario, fly, load_vehicle, versions
+from cosim.campaign import as_finished
+from cosim.files import data_folder, write_whole
+from cosim.identify import fit, identify_axis, identify_engine
 from hexjet_paper import numbers
 from hexjet_paper.claims import CONSISTENCY, Evidence, claim_rows
 from hexjet_paper.comparison import (
@@ -71,7 +64,7 @@ from hexjet_paper.report.result import (
 )
 
 if TYPE_CHECKING:
-    from cosim.identify.sweep import FrequencyResponse
+    from cosim.identify import FrequencyResponse
 
 FLIGHT_LOOPS = ("baseline", "smith", "state")
 OFFSET_CONTROLLERS = tuple(c for c in CONTROLLERS if c not in ("baseline", STATE_AS_PRINTED))
@@ -171,7 +164,7 @@ def write_scenarios(folder: Path) -> None:
     frozen = load().parameters
     for experiment in flight_experiments():
         made = scenario(experiment, frozen)
-        text = toml_text(made.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
+        text = tomli_w.dumps(made.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
         write_whole(folder / f"{experiment.name}.toml", text)
 
 
@@ -221,13 +214,13 @@ def fly_manual() -> Manual:
         assert metrics.rate_rmse_rad_s is not None
         correlations[f"hexjet-manual.{axis}.rmse"] = metrics.rmse_rad
         correlations[f"hexjet-manual.{axis}.rate_rmse"] = metrics.rate_rmse_rad_s
-        angle[axis] = _thin(run.log, f"{axis}_setpoint_rad", f"{axis}_rad")
-        rate[axis] = _thin(run.log, f"rate_{letter}_setpoint_rad_s", f"rate_{letter}_measured_rad_s")
+        angle[axis] = _thin(run, f"{axis}_setpoint_rad", f"{axis}_rad")
+        rate[axis] = _thin(run, f"rate_{letter}_setpoint_rad_s", f"rate_{letter}_measured_rad_s")
     return Manual(correlations, run.log["time_s"][::10].tolist(), angle, rate)
 
 
-def _thin(log: Log, *names: str) -> tuple[list[float], list[float]]:
-    command, response = (log[name][::10].tolist() for name in names)
+def _thin(run: Run, *names: str) -> tuple[list[float], list[float]]:
+    command, response = (run.log[name][::10].tolist() for name in names)
     return command, response
 
 
@@ -258,8 +251,8 @@ def identify() -> Identified:
     for engine in ("turbojet", "edf"):
         identified = identify_engine(engine)
         model = identified.model
-        responses[engine] = _response(identified.response, GRAVITY)
-        values[f"{engine}.gain"] = model.gain / GRAVITY
+        responses[engine] = _response(identified.response, constants.g)
+        values[f"{engine}.gain"] = model.gain / constants.g
         values[f"{engine}.pole"] = model.poles[0]
         values[f"{engine}.time_constant"] = -model.sample_time_s / float(np.log(model.poles[0]))
         if engine == "turbojet":

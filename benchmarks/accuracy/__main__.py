@@ -16,8 +16,8 @@ from pathlib import Path
 from benchmarks.accuracy.bare_jsbsim import measure
 from benchmarks.accuracy.check_cases import CASES, Compared, compare, fly_case, read_simulators
 from benchmarks.accuracy.flights import CLOSED, FLOWN_RUNS, RUNS, SCHEMES, closed_loop, courses, error, exact, fly_again
-from cosim.base.errors import InputError
-from cosim.results.report.marks import check_marks, table, write_marks
+from cosim import InputError
+from cosim.pages import check_marks, table, write_marks
 from cosim.vehicle.executive import VERSION
 
 BESIDE = (SCHEMES["flown"], SCHEMES["masses"])  # of flights that are no study of methods

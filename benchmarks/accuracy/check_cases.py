@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.base.errors import InputError
+from cosim import InputError, Scenario, load_vehicle
 from cosim.base.signals import ZERO3, Disturbance, Vector3
-from cosim.spec.scenario import Environment, Initial, Scenario
-from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.spec.scenario import Environment, Initial
+from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.airframe import Airframe
 from cosim.vehicle.jsbsim_units import FOOT, POUND_FOOT, POUND_FORCE, SLUG, SLUG_FT2
 

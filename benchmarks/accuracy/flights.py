@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.exact import NO_PAYLOAD, Air, Array, Held, Motion, integrate, start
+from cosim import Scenario, fly, load_vehicle
 from cosim.base.frames import from_euler, jet_axis, rotate
 from cosim.base.signals import (
     Disturbance,
@@ -21,12 +22,11 @@ from cosim.base.signals import (
     State,
     Vector3,
 )
-from cosim.flight import fly
 from cosim.results.recorder import Log
 from cosim.simulation.build import build
 from cosim.simulation.step import Simulation
-from cosim.spec.scenario import Environment, Initial, Scenario
-from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.spec.scenario import Environment, Initial
+from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.airframe import (
     ADAMS_BASHFORTH_2,
     ADAMS_BASHFORTH_3,

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.timing import Spread
-from cosim.base.errors import FlightError
+from cosim import FlightError
 
 PACKAGE = "playwright"
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from benchmarks.measures.long_flight import resident_of
 from benchmarks.measures.process import start_python
 from benchmarks.timing import Spread
-from cosim.base.errors import FlightError
+from cosim import FlightError
 
 if TYPE_CHECKING:
     from types import TracebackType

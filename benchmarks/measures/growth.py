@@ -18,9 +18,9 @@ from benchmarks.measures.speed import (
     step_bank,
 )
 from benchmarks.timing import Cost, Job, Spread
+from cosim import Scenario
 from cosim.engine import EngineBank, load_engine
 from cosim.simulation.build import build
-from cosim.spec.scenario import Scenario
 
 SUBSTEPS = 4  # as the shipped scenarios have it
 ENGINE = "edf-as-flown"

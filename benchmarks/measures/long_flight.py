@@ -7,11 +7,9 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from cosim.base.errors import FlightError
+from cosim import FlightError, Scenario, fly
 from cosim.base.signals import Sample
-from cosim.flight import fly
 from cosim.results.run import REPORT
-from cosim.spec.scenario import Scenario
 
 MEGABYTE = 1e6
 PARTS = 4  # of the flight, at whose ends memory is looked at

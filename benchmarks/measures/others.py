@@ -9,7 +9,7 @@ from typing import Any
 
 from benchmarks.measures.speed import SUBSTEPS, Flights, collect
 from benchmarks.timing import Cost
-from cosim.spec.scenario import Scenario
+from cosim import Scenario
 
 # by what is shown: the shipped scenario, and what is changed of it
 FLIGHTS: dict[str, tuple[str, dict[str, Any]]] = {

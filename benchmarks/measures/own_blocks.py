@@ -12,12 +12,12 @@ from typing import Any
 
 from benchmarks.measures.speed import Flights, collect, differences
 from benchmarks.timing import Cost
+from cosim import Scenario
 from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Applied
 from cosim.base.signals import Command, Measured, Vector3
 from cosim.codegen.export import export_controller
 from cosim.control.belief import Belief
-from cosim.spec.scenario import Scenario
 
 SUBSTEPS = 1  # what they cost is the same with more
 BASELINE = "ours: no predictor, engines in this process"

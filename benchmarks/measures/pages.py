@@ -11,11 +11,9 @@ from benchmarks.machine import load
 from benchmarks.measures.browser import Look, Seen, looking
 from benchmarks.measures.campaign import make_study
 from benchmarks.timing import Spread
-from cosim.base.errors import FlightError
-from cosim.flight import fly
+from cosim import FlightError, Scenario, fly
 from cosim.results.report.flight import write_report
 from cosim.results.run import LOG
-from cosim.spec.scenario import Scenario
 
 FLIGHT = "roll-doublet"  # noisy sensors and all; after its script it hovers
 MB = 1e-6

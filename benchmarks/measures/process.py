@@ -18,7 +18,7 @@ from benchmarks.measures.long_flight import (
     WRITTEN,
 )
 from benchmarks.timing import Spread
-from cosim.base.errors import FlightError
+from cosim import FlightError
 from cosim.base.runtime.processes import python_command
 
 # `hexjet fly`, stopped where its log is begun and its first step comes next; stamped against the time of its start.

@@ -20,8 +20,8 @@ from benchmarks.timing import (
     Pair,
     interleave,
 )
+from cosim import FlightError, Scenario
 from cosim.base.constants import GRAVITY
-from cosim.base.errors import FlightError
 from cosim.base.protocols import Engines, Observer
 from cosim.base.signals import JETS, ZERO3, Sample, Vector3
 from cosim.engine.wrappers import EngineChain
@@ -29,7 +29,6 @@ from cosim.flight import record
 from cosim.results.run import Recording
 from cosim.simulation.build import build
 from cosim.simulation.step import Simulation
-from cosim.spec.scenario import Scenario
 from cosim.vehicle.airframe import ADAMS_BASHFORTH_2, ADAMS_BASHFORTH_3, IN_THE_AIR, MAKE_UP, RECTANGULAR
 
 SUBSTEPS = (1, 4)

@@ -27,7 +27,7 @@ from benchmarks.timing import (
     Pair,
     Spread,
 )
-from cosim.base.errors import FlightError
+from cosim import FlightError
 
 PACKAGE = "rotorpy"
 RATES = (250, 400)  # Hz: of the Hex-Jet's control, of our quadrotor's

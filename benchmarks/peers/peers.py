@@ -21,7 +21,7 @@ from xml.etree import ElementTree
 
 from benchmarks.measures.speed import Flights, collect
 from benchmarks.timing import Action, Cost, Job
-from cosim.base.errors import FlightError
+from cosim import FlightError
 from cosim.base.signals import JETS
 from cosim.engine import EngineBank, load_engine
 

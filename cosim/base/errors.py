@@ -32,7 +32,7 @@ class EngineError(FlightError):
 
 
 def nearest(name: str, allowed: Iterable[str]) -> str:
-    """A clause that lists what is allowed, with the likeliest name first when there is a near miss."""
+    """Return a clause that lists what is allowed, with the likeliest name first when there is a near miss."""
     names = sorted(allowed)
     close = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean {close[0]!r}? " if close else ""

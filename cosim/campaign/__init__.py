@@ -17,18 +17,29 @@ if TYPE_CHECKING:
     from cosim.campaign.study.options import open_study
     from cosim.campaign.study.study import Study
     from cosim.campaign.workers.local import LocalWorkers
+    from cosim.campaign.workers.tasks import as_finished
 
 _WHERE = {
     "Campaign": "store",
     "LocalWorkers": "workers.local",
     "Study": "study.study",
+    "as_finished": "workers.tasks",
     "fly_again": "run",
     "open_campaign": "store",
     "open_study": "study.options",
     "run_campaign": "run",
 }
 
-__all__ = ["Campaign", "LocalWorkers", "Study", "fly_again", "open_campaign", "open_study", "run_campaign"]
+__all__ = [
+    "Campaign",
+    "LocalWorkers",
+    "Study",
+    "as_finished",
+    "fly_again",
+    "open_campaign",
+    "open_study",
+    "run_campaign",
+]
 
 
 def __getattr__(name: str) -> Any:

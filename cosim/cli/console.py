@@ -62,7 +62,7 @@ def output_to_stderr(active: bool) -> Iterator[None]:
 
 @contextmanager
 def part_progress(title: str, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
-    """A function that is told the part that is done, how many are, and of how many; shown on a terminal."""
+    """Give a function that is told the part that is done, how many are, and of how many; shown on a terminal."""
     if quiet or not sys.stderr.isatty():
         yield lambda part, done, of: None
         return
@@ -126,7 +126,7 @@ def cell(value: float | None, form: str) -> str:
 
 
 def terminal() -> Any:
-    """Where tables go: as wide as the terminal, or as COLUMNS says, also in a pipe."""
+    """Return where tables go: as wide as the terminal, or as COLUMNS says, also in a pipe."""
     import os
     from io import StringIO
 

@@ -89,7 +89,7 @@ def cli() -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """The command ``hexjet``: exits with 0, 1 (the flight failed) or 2 (wrong input, one line)."""
+    """Run the command ``hexjet``: exits with 0, 1 (the flight failed) or 2 (wrong input, one line)."""
     for stream in (sys.stdout, sys.stderr):  # a sign that a terminal has not is no reason to fail
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")

@@ -49,6 +49,7 @@ def terminated_as_interrupted() -> Iterator[None]:
 
 
 def example(text: str) -> str:
+    """Return what click shows of an example below a command's options."""
     return f"\b\nExample:\n  {text}"
 
 

@@ -227,13 +227,16 @@ def find_steps(setpoint: Array, angle: Array, step_s: float) -> list[Step]:
 
 
 def overshoot(error: Array, size: float) -> float | None:
-    """How far a response runs past its target, in percent of the step's size; ``error`` is target minus response."""
+    """Return how far a response runs past its target, in percent of the step's size; None without a number.
+
+    ``error`` is target minus response, one value a row; ``size`` is the step's, in the same unit.
+    """
     past = _largest(-error * np.sign(size))
     return None if past is None else max(0.0, 100.0 * past / abs(size))
 
 
 def settling_time(error: Array, size: float, step_s: float) -> float | None:
-    """Time from a step's first row to the first row from which the error stays within 5 % of the step's size.
+    """Return the time [s] from a step's first row to the one from which the error stays within 5 % of its size.
 
     None if the last row is outside.
     """

@@ -609,7 +609,7 @@ def _own(metrics: Sequence[OwnMetric], log: Log, step_s: float) -> tuple[dict[st
 
 
 def versions() -> dict[str, str]:
-    """What a run depends on: Python and the packages that make its numbers."""
+    """Return the versions that a run depends on, by name: Python and the packages that make its numbers."""
     return dict(_versions())
 
 

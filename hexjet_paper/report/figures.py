@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.control.predictors.linear import model_response
-from cosim.results.report.plot import BLUE, GREEN, GREY, MAGENTA, ORANGE, RED, axis_name, layout, share
+from cosim.loops import model_response
+from cosim.pages import BLUE, GREEN, GREY, MAGENTA, ORANGE, RED, axis_name, layout, share
 from hexjet_paper import numbers
 from hexjet_paper.comparison import TITLES
 from hexjet_paper.experiments import COMPARED, Result

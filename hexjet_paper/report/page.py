@@ -9,8 +9,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from cosim.results.report.page import render
-from cosim.results.run import versions
+from cosim import versions
+from cosim.pages import render
 from hexjet_paper import numbers
 from hexjet_paper.claims import ClaimRow, Judgement
 from hexjet_paper.comparison import Row

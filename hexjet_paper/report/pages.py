@@ -7,8 +7,8 @@ from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cosim.base.errors import InputError
-from cosim.results.report.marks import check_marks, parts_of, table, write_marks
+from cosim import InputError
+from cosim.pages import check_marks, parts_of, table, write_marks
 from hexjet_paper import numbers
 from hexjet_paper.claims import ClaimRow, Evidence, Judgement
 from hexjet_paper.experiments import Metrics, Result

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import log
 from typing import Literal, NamedTuple
 
-from cosim.results.report.marks import table
+from cosim.pages import table
 from hexjet_paper import numbers
 from hexjet_paper.claims import CLAIMS, ClaimRow, Evidence, claim_rows
 from hexjet_paper.experiments import Metrics, hexjet_ratios

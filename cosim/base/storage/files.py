@@ -37,7 +37,7 @@ def own_file(path: str | Path, flags: int) -> int:
 
 
 def write_whole(path: Path, content: str | bytes, failure: type[Exception] | None = None) -> None:
-    """A file with this content, or as it was before.  Raises OSError, or ``failure`` with file and reason in a line."""
+    """Write a whole file, or leave it as it was.  Raises OSError, or ``failure`` with file and reason in a line."""
     try:
         with replacing(path) as temporary:
             temporary.write_bytes(content.encode() if isinstance(content, str) else content)

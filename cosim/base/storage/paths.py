@@ -9,7 +9,7 @@ _ROOT = _PACKAGE / "data" if (_PACKAGE / "data").is_dir() else _PACKAGE.parent
 
 
 def data_folder(name: str) -> Path:
-    """The folder ``aircraft``, ``engines``, ``fmus``, ``scenarios`` or ``studies``."""
+    """Return the folder ``aircraft``, ``engines``, ``fmus``, ``scenarios`` or ``studies``."""
     return _ROOT / name
 
 

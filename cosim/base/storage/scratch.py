@@ -24,7 +24,7 @@ _made: dict[int, Path] = {}  # by process: one that was forked has its own
 
 
 def scratch() -> Path:
-    """The folder of this process.  Raises InputError where there is no place for one."""
+    """Return this process's folder for temporary files.  Raises InputError where there is no place for one."""
     folder = _made.get(os.getpid())
     if folder is None or not folder.is_dir():
         try:

@@ -113,7 +113,7 @@ def toml_text(table: Mapping[str, Any], multiline: bool = False) -> str:
 
 
 def validate(model: type[M], data: Mapping[str, Any], where: str) -> M:
-    """Turn a TOML table into ``model``; ``where`` names its source in the error.
+    """Turn a TOML table into ``model``, one of pydantic's; ``where`` names its source in the error.
 
     Raises InputError: one line with the key, the value and what is allowed.
     """

@@ -22,9 +22,10 @@ class _Task:
 
 
 def as_finished(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> Iterator[tuple[int, R]]:
-    """``act`` of every argument in processes that import it by its name: place and answer, in the order of the ends.
+    """Yield place and answer of ``act`` for every argument, in the order in which processes finish them.
 
-    Raises what ``act`` raises, and FlightError for an argument with which three processes were lost.
+    The processes import ``act`` by its name.  Raises what ``act`` raises, and FlightError for an argument with which
+    three processes were lost.
     """
     tasks: Any = [_Task(number, argument) for number, argument in enumerate(arguments)]
     study: Any = act

@@ -24,14 +24,14 @@ PairResponse = Callable[[Complex], Pair]  # ``P_y`` and ``P_u`` of ``z``
 
 
 def model_response(model: RateModel, z: Complex) -> Complex:
-    """The identified response without its delay."""
+    """Return the identified response at ``z`` without its delay."""
     zeros = prod((z - zero for zero in model.all_zeros), start=np.ones_like(z))
     poles = prod((z - pole for pole in model.all_poles), start=np.ones_like(z))
     return np.asarray(model.gain * zeros / poles)
 
 
 def delayed_response(model: RateModel, z: Complex) -> Complex:
-    """The identified response with its delay of ``n + f`` samples: mode by mode, the modified z-transform."""
+    """Return the identified response at ``z`` with its delay of ``n + f`` samples, by the modified z-transform."""
     n = int(model.delay_samples)
     f = model.delay_samples - n
     if not f:

@@ -30,25 +30,30 @@ _ENDED = 1e-13  # an impulse response that stays below this has ended
 
 
 class Margins(BaseModel):
-    """Of an open loop; None where there is no crossing.  Of several crossings, the one with the smallest margin."""
+    """The margins of an open loop; of several crossings, those of the one with the smallest margin.
+
+    ``cutoff`` is the first frequency [Hz] at which the gain falls below 1, ``gain_margin`` in dB, ``phase_margin`` in
+    deg; None where there is no crossing.
+    """
 
     model_config = ConfigDict(frozen=True)
 
-    cutoff: float | None  # Hz, the first frequency at which the gain falls below 1
-    gain_margin: float | None  # dB
-    phase_margin: float | None  # deg
+    cutoff: float | None
+    gain_margin: float | None
+    phase_margin: float | None
 
 
 def grid(points: int = 3000, lowest: float = 1e-4) -> Complex:
-    """The upper half of the unit circle, dense at low frequency; ``lowest`` in rad per sample."""
+    """Return points of the upper half of the unit circle, dense at low frequency; ``lowest`` in rad per sample."""
     angles = np.union1d(np.geomspace(lowest, pi, points // 2), np.linspace(pi / points, pi, points // 2))
     return np.asarray(np.exp(1j * angles))
 
 
 def impulse_response(predictor: Callable[[], Predictor], model: RateModel) -> PairResponse:
-    """``P_y`` and ``P_u`` as a function of z, from the impulse responses of the predictor itself, which must end.
+    """Return ``P_y`` and ``P_u`` as a function of z, from the impulse responses of the predictor, which must end.
 
     Those of a state predictor do, being finite sums over past commands and a fast observer; so the transform is exact.
+    Raises InputError for one whose response does not end.
     """
     of_rate = _impulse(predictor(), model, (1.0, 0.0))
     of_command = _impulse(predictor(), model, (0.0, 1.0))
@@ -80,7 +85,7 @@ def _transform(taps: Array, z: Complex) -> Complex:
 
 
 def pid_response(gains: RateGains, step: float, z: Complex) -> Pair:
-    """``C_e`` (set-point and feedback) and ``D`` (feedback alone) of the rate PID."""
+    """Return ``C_e`` (set-point and feedback) and ``D`` (feedback alone) of the rate PID at ``z``; ``step`` in s."""
     share = step / (gains.d_filter_s + step)
     difference = 1.0 - 1.0 / z
     of_slope = gains.d * share * difference / (step * (1.0 - (1.0 - share) / z))
@@ -169,7 +174,7 @@ def _passing(value: Array) -> tuple[NDArray[np.intp], Array]:
 
 
 def zeros_outside(values: Complex) -> int:
-    """Zeros outside the unit circle of a function that is analytic there and goes to a constant at infinity.
+    """Count the zeros outside the unit circle of a function that is analytic there and constant at infinity.
 
     ``values`` along the upper half circle, closely spaced: the function's turns about 0 count its zeros.
     """
@@ -178,7 +183,10 @@ def zeros_outside(values: Complex) -> int:
 
 
 def margins(response: Response, step: float, low: float = 0.05, points: int = 4000) -> Margins:
-    """Margins of a sampled open loop from its response on the unit circle, from ``low`` Hz to half the sample rate."""
+    """Return the margins of a sampled open loop from its response on the unit circle.
+
+    ``step`` is the sample time [s]; from ``low`` Hz to half the sample rate, at ``points`` frequencies.
+    """
     frequencies = np.geomspace(low, 0.5 / step * (1.0 - 1e-9), points)
     values = response(np.exp(2j * pi * frequencies * step))
 

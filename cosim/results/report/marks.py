@@ -19,7 +19,7 @@ _MARK = re.compile(r"^<!-- (?:measured: .*|end) -->$", re.MULTILINE)
 
 
 def parts_of(page: str, where: Path | str) -> dict[str, str]:
-    """What stands between the marks of a page, by name.  Raises InputError where its marks do not come in pairs."""
+    """Return what stands between the marks of a page, by name.  Raises InputError where they do not come in pairs."""
     parts = dict(_PART.findall(page))
     if len(_MARK.findall(page)) != 2 * len(parts):
         raise InputError(
@@ -29,7 +29,7 @@ def parts_of(page: str, where: Path | str) -> dict[str, str]:
 
 
 def filled(page: str, parts: Mapping[str, str], where: Path | str) -> str:
-    """The page with ``parts`` (whole lines) between the marks of their names; other marks stay as they are.
+    """Return the page with ``parts`` (whole lines) between the marks of their names; other marks stay as they are.
 
     Raises InputError for marks that do not come in pairs and for a part that has no mark.
     """
@@ -45,7 +45,7 @@ def filled(page: str, parts: Mapping[str, str], where: Path | str) -> str:
 
 
 def check_marks(path: Path, names: Iterable[str]) -> None:
-    """Before hours of measuring: raises InputError if the page cannot be read or written, or lacks one of the marks."""
+    """Raise InputError if the page cannot be read or written, or lacks one of the marks: before hours of measuring."""
     known = parts_of(_read(path), path)
     for name in names:
         if name not in known:
@@ -61,18 +61,18 @@ def write_marks(path: Path, parts: Mapping[str, str]) -> None:
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
-    """A table in Markdown, its first ``left`` columns to the left and the others to the right."""
+    """Return a table in Markdown, its first ``left`` columns to the left and the others to the right."""
     rules = ["---" if n < left else "---:" for n in range(len(columns))]
     return "".join(f"{line}\n" for line in (row(columns), row(rules), *map(row, rows)))
 
 
 def row(cells: Iterable[str]) -> str:
-    """One row of a table, without the end of the line."""
+    """Return one row of a table, without the end of the line."""
     return f"| {' | '.join(map(cell, cells))} |"
 
 
 def cell(text: str) -> str:
-    """A text that Markdown leaves as it is."""
+    """Return a text as Markdown shows it unchanged."""
     return re.sub(r"([\\`*_|<>])", r"\\\1", text)
 
 

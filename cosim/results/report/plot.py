@@ -22,17 +22,17 @@ def run_colour(number: int) -> str:
 
 
 def layout(height: int, left: int, right: int, top: int, bottom: int, **more: Any) -> Figure:
-    """Of a height and with margins, px."""
+    """Return a figure's layout of a height and with margins, px; ``more`` as Plotly's schema names it."""
     return {"height": height, "margin": {"l": left, "r": right, "t": top, "b": bottom}, **more}
 
 
 def axis_name(letter: str, number: int) -> str:
-    """Plotly's name of the n-th axis, counted from 0: x, x2, x3."""
+    """Return Plotly's name of the n-th axis, counted from 0: x, x2, x3."""
     return letter if number == 0 else f"{letter}{number + 1}"
 
 
 def share(position: int, count: int, gap: float, *, from_top: bool = True) -> tuple[float, float]:
-    """Where the n-th of several panels begins and ends, between 0 and 1."""
+    """Return where the n-th of several panels begins and ends, between 0 and 1; ``gap`` is between two of them."""
     size = (1.0 - gap * (count - 1)) / count
     low = (count - 1 - position if from_top else position) * (size + gap)
     return round(low, 6), round(low + size, 6)

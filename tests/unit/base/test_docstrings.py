@@ -5,11 +5,13 @@ from __future__ import annotations
 import inspect
 import re
 import runpy
+import tomllib
 from collections.abc import Iterator
+from importlib import import_module
 from typing import Any
 
 import pytest
-from places import DOCS
+from places import DOCS, ROOT
 
 import cosim
 from cosim.base import protocols, signals
@@ -91,3 +93,30 @@ def test_the_reference_is_made_of_them() -> None:
         assert f"### `{name}`" in "".join(made.values()), name
     for record in (signals.Measured, signals.Command, signals.Sample, protocols.Applied, protocols.Parameter):
         assert all(f"| `{field}` | `" in made["api: records"] for field in record._fields)
+
+
+PUBLIC = runpy.run_path(str(DOCS / "api.py"))["MODULES"]
+
+
+@pytest.mark.parametrize("module", PUBLIC)
+def test_a_public_module_says_what_each_of_its_names_is(module: str) -> None:
+    found = import_module(f"cosim.{module}")
+    (shown,) = [
+        text
+        for mark, text in parts_of((DOCS / "api.md").read_text(encoding="utf-8"), "docs/api.md").items()
+        if mark == f"api: {module}"
+    ]
+    assert inspect.getdoc(found)
+    for name in found.__all__:
+        assert f"`{name}" in shown, name
+        each = getattr(found, name)
+        if inspect.isclass(each) or inspect.isroutine(each):
+            assert (inspect.getdoc(each) or "").strip(), name
+
+
+def test_the_paper_may_import_what_is_on_the_page_and_nothing_else() -> None:
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        contracts = tomllib.load(file)["tool"]["importlinter"]["contracts"]
+    (paper,) = [each for each in contracts if each["name"] == "the paper imports what is public"]
+    allowed = {line.partition(" -> ")[2] for line in paper["ignore_imports"]}
+    assert allowed == {"cosim", "cosim.base.protocols", *(f"cosim.{name}" for name in PUBLIC)}

@@ -1,0 +1,28 @@
+"""What reports and pages are made of: tables of Markdown between a page's marks, and pages of HTML with figures.
+
+Figures are dicts of Plotly's schema; the colours are those of the reports, ``"#rrggbb"``.
+"""
+
+from cosim.results.report.marks import cell, check_marks, filled, parts_of, row, table, write_marks
+from cosim.results.report.page import render
+from cosim.results.report.plot import BLUE, GREEN, GREY, MAGENTA, ORANGE, RED, axis_name, layout, share
+
+__all__ = [
+    "BLUE",
+    "GREEN",
+    "GREY",
+    "MAGENTA",
+    "ORANGE",
+    "RED",
+    "axis_name",
+    "cell",
+    "check_marks",
+    "filled",
+    "layout",
+    "parts_of",
+    "render",
+    "row",
+    "share",
+    "table",
+    "write_marks",
+]
