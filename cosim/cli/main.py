@@ -8,9 +8,8 @@ import tempfile
 import warnings
 from collections.abc import Callable
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
 from io import TextIOWrapper
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,6 +17,9 @@ from cosim.base.errors import MACHINE_TROUBLE, OUTPUT, FlightError, InputError, 
 from cosim.base.trust import at_a_command
 from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, WRONG_INPUT, Terminated, terminated_as_interrupted
 from cosim.cli.trust import asks, with_trust
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint, EntryPoints
 
 INTERRUPTED, TERMINATED = 130, 143  # as a shell has them
 COMMANDS = {  # where each is, so that none is read for another
@@ -49,7 +51,7 @@ class Commands(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return all names, those of installed packages among them."""
-        return sorted({*COMMANDS, *(entry.name for entry in entry_points(group=ADDED))})
+        return sorted({*COMMANDS, *_added().names})
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return the command, or None; nothing but its own module is imported for it."""
@@ -57,9 +59,16 @@ class Commands(click.Group):
             module, _, name = COMMANDS[cmd_name].partition(":")
             command: click.Command = getattr(import_module(f"cosim.cli.{module}"), name)
             return with_trust(command, cmd_name)
-        for entry in entry_points(group=ADDED, name=cmd_name):
+        for entry in _added().select(name=cmd_name):
             return with_trust(_load_added(entry), cmd_name)
         return None
+
+
+def _added() -> EntryPoints:
+    """Return the commands of installed packages; what reads their metadata is imported for them alone."""
+    from importlib.metadata import entry_points
+
+    return entry_points(group=ADDED)
 
 
 def _load_added(entry: EntryPoint) -> click.Command:
