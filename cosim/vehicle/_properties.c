@@ -1,84 +1,19 @@
-/* Many properties of JSBSim read or written in one call.
- *
- * Each is read or written by the method that JSBSim's Python module has for it, get_double_value and set_double_value.
- * Where that module gives its own functions of the same work away by name (Itanium C++ ABI, as compilers on Linux have
- * it), and a property's pointer stands where Cython puts it, they are called themselves: no float is made and no method
- * looked up.  That is looked at for each property: the object's size, that what the pointer leads to is JSBSim's class
- * by its table of virtual functions, and that both ways read the same bits.  Otherwise the method is called.
+/* Many properties of JSBSim read or written in one call, each by the methods that JSBSim's Python module has for it,
+ * get_double_value and set_double_value.
  */
-#define _GNU_SOURCE
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
 #include <stdbool.h>
-#include <stdint.h>
-#include <string.h>
-
-#ifdef __linux__
-#include <dlfcn.h>
-#endif
-
-typedef double (*Get)(const void *);
-typedef bool (*Set)(void *, double);
-
-/* --- JSBSim's own functions --- */
-
-static struct {
-    Get get;
-    Set set;
-    const char *table; /* of virtual functions: where an object of the class points to */
-} own;
-
-/* How Cython keeps an object that holds one C++ pointer and has methods of C. */
-typedef struct {
-    PyObject_HEAD
-    void *methods;
-    void *held;
-} Holder;
-
-/* use(library): look for JSBSim's own functions in its module's file; whether they are there. */
-static PyObject *use(PyObject *module, PyObject *library)
-{
-    (void)module;
-    memset(&own, 0, sizeof own);
-#ifdef __linux__
-    PyObject *path;
-    if (library == Py_None)
-        Py_RETURN_FALSE;
-    if (!PyUnicode_FSConverter(library, &path))
-        return NULL;
-    void *const loaded = dlopen(PyBytes_AS_STRING(path), RTLD_LAZY | RTLD_NOLOAD);
-    Py_DECREF(path);
-    if (loaded) {
-        void *const get = dlsym(loaded, "_ZNK14SGPropertyNode14getDoubleValueEv");
-        void *const set = dlsym(loaded, "_ZN14SGPropertyNode14setDoubleValueEd");
-        void *const table = dlsym(loaded, "_ZTV14SGPropertyNode");
-        if (get && set && table) {
-            memcpy(&own.get, &get, sizeof get);
-            memcpy(&own.set, &set, sizeof set);
-            own.table = (const char *)table + 2 * sizeof(void *); /* behind offset and type */
-        }
-        dlclose(loaded); /* its module keeps it */
-    }
-#endif
-    return PyBool_FromLong(own.get != NULL);
-}
 
 /* --- one property --- */
 
 typedef struct {
-    PyObject *node, *get, *set; /* the object and its bound methods */
-    void *direct;               /* JSBSim's own, or NULL: call the methods */
-    Get own_get;
-    Set own_set;
+    PyObject *get, *set; /* bound methods */
 } Property;
 
 static bool ask(const Property *p, double *value)
 {
-    if (p->direct) {
-        *value = p->own_get(p->direct);
-        return true;
-    }
     PyObject *const answer = PyObject_CallNoArgs(p->get);
     if (!answer)
         return false;
@@ -89,10 +24,6 @@ static bool ask(const Property *p, double *value)
 
 static bool tell(const Property *p, double value)
 {
-    if (p->direct) {
-        p->own_set(p->direct, value);
-        return true;
-    }
     PyObject *const number = PyFloat_FromDouble(value);
     PyObject *const answer = number ? PyObject_CallOneArg(p->set, number) : NULL;
     Py_XDECREF(number);
@@ -102,25 +33,9 @@ static bool tell(const Property *p, double value)
 
 static bool property(Property *p, PyObject *node)
 {
-    Py_INCREF(node);
-    p->node = node;
     p->get = PyObject_GetAttrString(node, "get_double_value");
     p->set = p->get ? PyObject_GetAttrString(node, "set_double_value") : NULL;
-    double value, straight;
-    if (!p->set || !ask(p, &value))
-        return false;
-    if (!own.get || Py_TYPE(node)->tp_basicsize != sizeof(Holder) || Py_TYPE(node)->tp_itemsize)
-        return true;
-    void *const held = ((Holder *)node)->held;
-    if (!held || (uintptr_t)held % sizeof(void *) || *(const char *const *)held != own.table)
-        return true;
-    straight = own.get(held);
-    if (memcmp(&straight, &value, sizeof value) == 0) {
-        p->direct = held;
-        p->own_get = own.get;
-        p->own_set = own.set;
-    }
-    return true;
+    return p->set != NULL;
 }
 
 /* --- many --- */
@@ -140,7 +55,6 @@ static void properties_dealloc(Properties *self)
         for (int axis = 0; axis < 3; axis++) {
             Py_CLEAR(self->each[i][axis].get);
             Py_CLEAR(self->each[i][axis].set);
-            Py_CLEAR(self->each[i][axis].node);
         }
     PyMem_Free(self->each);
     PyMem_Free(self->unit);
@@ -274,16 +188,6 @@ static PyObject *properties_write(Properties *self, PyObject *const *args, Py_ss
     Py_RETURN_NONE;
 }
 
-static PyObject *properties_direct(Properties *self, void *unused)
-{
-    (void)unused;
-    Py_ssize_t count = 0;
-    for (Py_ssize_t i = 0; i < self->groups; i++)
-        for (int axis = 0; axis < 3; axis++)
-            count += self->each[i][axis].direct != NULL;
-    return PyLong_FromSsize_t(count);
-}
-
 #define CALLED(function) ((PyCFunction)(void (*)(void))(function)) /* as Python keeps functions of several arguments */
 
 static PyMethodDef properties_methods[] = {
@@ -295,18 +199,12 @@ static PyMethodDef properties_methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-static PyGetSetDef properties_values[] = {
-    {"direct", (getter)properties_direct, NULL, "How many of them are reached by JSBSim's own functions.", NULL},
-    {NULL, NULL, NULL, NULL, NULL},
-};
-
 static PyType_Slot properties_slots[] = {
     {Py_tp_doc, "Properties(groups, watched=0): groups of three nodes and their unit, whose sum over the first so many "
                 "is watched."},
     {Py_tp_init, properties_init},
     {Py_tp_dealloc, properties_dealloc},
     {Py_tp_methods, properties_methods},
-    {Py_tp_getset, properties_values},
     {0, NULL},
 };
 
@@ -314,13 +212,8 @@ static PyType_Spec properties_spec = {
     "cosim.vehicle._properties.Properties", sizeof(Properties), 0, Py_TPFLAGS_DEFAULT, properties_slots,
 };
 
-static PyMethodDef methods[] = {
-    {"use", use, METH_O, "use(library): whether JSBSim's module gives its own functions away; None: they are not used."},
-    {NULL, NULL, 0, NULL},
-};
-
 static struct PyModuleDef definition = {
-    PyModuleDef_HEAD_INIT, "cosim.vehicle._properties", "Many properties of JSBSim in one call.", -1, methods,
+    PyModuleDef_HEAD_INIT, "cosim.vehicle._properties", "Many properties of JSBSim in one call.", -1, NULL,
     NULL, NULL, NULL, NULL,
 };
 

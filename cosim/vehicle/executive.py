@@ -9,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import os
 import re
-import sys
 import threading
 import warnings
 import xml.etree.ElementTree as ET
@@ -21,7 +20,6 @@ import jsbsim
 
 from cosim.base.errors import FlightError, InputError, Notice
 from cosim.base.storage.cache import Memory
-from cosim.vehicle._properties import use
 from cosim.vehicle.model_file import ACTING, acting, find_line
 
 Property = jsbsim.FGPropertyNode
@@ -35,8 +33,6 @@ _STEP: Final = r"(?:\.{1,2}|[A-Za-z_][A-Za-z0-9_.-]*(?:\[[0-9]{1,6}\])?)"
 _NAME: Final = re.compile(rf"/?{_STEP}(?:/{_STEP})*")
 _MISSING: Final = re.compile(r"property,? (\S+) (?:does not exist|specified for channel)")
 _read_by: Memory[tuple[str, ...]] = Memory(64)
-
-use(getattr(sys.modules[Property.__module__], "__file__", None))
 
 
 class _Ear(jsbsim.FGLogger):

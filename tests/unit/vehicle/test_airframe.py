@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from contextlib import contextmanager
 from math import cos, nan, pi, radians, sin, sqrt
 from pathlib import Path
 
-import jsbsim
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -20,7 +18,7 @@ from cosim.base.signals import ZERO3, Disturbance, State, Vector3
 from cosim.flight import integration
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
-from cosim.vehicle._properties import Properties, use
+from cosim.vehicle._properties import Properties
 from cosim.vehicle.airframe import (
     METHODS,
     Airframe,
@@ -580,34 +578,18 @@ def test_what_a_model_cannot_have_is_one_line(tmp_path: Path, model: str, said: 
         fall(model, tmp_path)
 
 
-def test_properties_are_the_same_bits_by_jsbsims_functions_and_by_its_modules_methods() -> None:
-    module = sys.modules[jsbsim.FGPropertyNode.__module__]
+def test_properties_in_one_call_are_the_same_bits_one_by_one() -> None:
     names = ["position/geod-alt-ft", "velocities/p-rad_sec", "attitude/phi-rad", "inertia/mass-slugs"]
-    try:
-        flown = []
-        for library in (module.__file__, None):
-            found = use(library)
-            with airframe() as (frame, _):
-                groups = [(*[frame._node(name) for name in names[i : i + 3]], 0.3048) for i in range(2)]
-                read = Properties(groups)
-                frame.reset(Initial(attitude_deg=(3.0, 2.0, 40.0)), OFF, (1.0, -2.0, 0.0))
-                states = []
-                for step in range(10):
-                    forces = [(0.1 * step, 0.2 if step > 5 else 0.0, -14.0 - jet - step / 3.0) for jet in range(6)]
-                    states.append(frame.step(forces, CALM))
-                    fx, fy, fz = [frame._node(f"external_reactions/jet1/{axis}").get_double_value() for axis in "xyz"]
-                    assert (fx * POUND_FORCE, fy * POUND_FORCE, fz * POUND_FORCE) == pytest.approx(forces[0], rel=1e-15)
-                assert read.direct == (6 if found else 0)
-                assert read.read() == tuple(
-                    tuple(node.get_double_value() * 0.3048 for node in group[:3]) for group in groups
-                )
-                flown.append((found, states))
-        assert not flown[1][0]  # without a library nothing is looked for
-        if sys.platform == "linux":
-            assert flown[0][0]
-        assert flown[0][1] == flown[1][1]
-    finally:
-        use(module.__file__)
+    with airframe() as (frame, _):
+        groups = [(*[frame._node(name) for name in names[i : i + 3]], 0.3048) for i in range(2)]
+        read = Properties(groups)
+        frame.reset(Initial(attitude_deg=(3.0, 2.0, 40.0)), OFF, (1.0, -2.0, 0.0))
+        for step in range(10):
+            forces = [(0.1 * step, 0.2 if step > 5 else 0.0, -14.0 - jet - step / 3.0) for jet in range(6)]
+            frame.step(forces, CALM)
+            fx, fy, fz = [frame._node(f"external_reactions/jet1/{axis}").get_double_value() for axis in "xyz"]
+            assert (fx * POUND_FORCE, fy * POUND_FORCE, fz * POUND_FORCE) == pytest.approx(forces[0], rel=1e-15)
+        assert read.read() == tuple(tuple(node.get_double_value() * 0.3048 for node in group[:3]) for group in groups)
 
 
 def test_what_is_no_property_and_forces_of_the_wrong_kind_are_refused() -> None:
