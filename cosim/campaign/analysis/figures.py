@@ -1,4 +1,4 @@
-"""The figures of a campaign's page: plain dicts of Plotly's figure schema.
+"""The figures of a campaign's page: plain dicts of the figure schema that ``report/assets/figures.js`` draws.
 
 As in :mod:`cosim.results.report.flight_figures` no library draws here.  Everything is counted over all flights.
 """

@@ -1,7 +1,7 @@
 """What the pages of flights show at first: strips of one flight, and the figures of several laid over each other.
 
-Strips are drawn by ``assets/strips.js``, figures (dicts of Plotly's schema) by Plotly, both in the page.  Angles are
-shown in degrees, everything else in SI.
+Strips are drawn by ``assets/strips.js`` in the page, figures (dicts of Plotly's schema) by Plotly in notebooks.  Angles
+are shown in degrees, everything else in SI.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Pages that open offline: a template, its figures or flights and the libraries that draw them, in one HTML file.
 
-The only module that touches Plotly: its JavaScript, which goes into the page, and ``plotly``'s figure, for a notebook.
-Whoever has something to show keeps its template, and extends ``base.html`` here.
+Flights over time are drawn by ``assets/strips.js`` with uPlot; every other figure, a dict of the part of Plotly's
+schema that ``assets/figures.js`` knows, by that as SVG.  ``plotly`` itself draws figures in notebooks alone.  Whoever
+has something to show keeps its template, and extends ``base.html`` here.
 """
 
 from __future__ import annotations
@@ -26,12 +27,11 @@ STYLES = ("vendor/uPlot.min.css", "strips.css")
 SCENE = "scene.js"
 SCRIPTS = ("vendor/uPlot.iife.min.js", "strips.js", SCENE, "replay.js")
 THREE = "vendor/three.iife.min.js"
-PLOTLY = "vendor/plotly-cartesian.min.js"
+FIGURES = ("figures.css", "figures.js")
 # The licences of what others wrote, by what a page holds of it: each asks that its text goes with every copy.
 NOTICES = {
     "vendor/uPlot.iife.min.js": ("uPlot",),
     THREE: ("three",),
-    PLOTLY: ("plotly", "d3"),
 }
 SHARED = "assets-"  # and the first of a hash: the folder that pages share
 
@@ -68,17 +68,12 @@ def render(
     )
     page = environment.get_template(template.name).render(
         figures={name: figure_json(figure) for name, figure in figures.items()},
-        plotly_js=plotly_js() if figures else "",
-        notices=notices(*((*SCRIPTS, THREE) if flights is not None else ()), *((PLOTLY,) if figures else ())),
+        drawing=[_asset(name) for name in FIGURES] if figures else None,
+        notices=notices(*((*SCRIPTS, THREE) if flights is not None else ())),
         flights=flight_parts(flights, path, shared) if flights is not None else None,
         **values,
     )
     write_whole(path, page, FlightError)
-
-
-def plotly_js() -> str:
-    """Plotly's library, as far as pages need it: figures with two axes."""
-    return _asset(PLOTLY)
 
 
 def notices(*held: str) -> str:

@@ -577,7 +577,7 @@ def test_the_command_writes_file_and_page(capfd: pytest.CaptureFixture[str], tmp
     assert said["file"]["vehicle"] == tomllib.loads(out.read_text(encoding="utf-8"))["vehicle"]
     page = (tmp_path / "made.html").read_text(encoding="utf-8")
     assert "Nyquist" in page
-    assert "plotly" in page
+    assert 'id="figure-nyquist_roll"' in page
 
 
 @pytest.mark.parametrize(("place", "said"), [(".", "' is a directory"), ("file/made.toml", ": cannot be written to: ")])

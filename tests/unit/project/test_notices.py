@@ -12,7 +12,6 @@ from places import ROOT
 from cosim.results.report.page import (
     ASSETS,
     NOTICES,
-    PLOTLY,
     SCRIPTS,
     STYLES,
     THREE,
@@ -37,11 +36,10 @@ def texts(*parts: str) -> list[str]:
 
 def test_every_file_of_others_is_in_the_notice_with_its_version() -> None:
     files = {path.name for path in VENDOR.iterdir()} - MADE_WITH
-    assert len(files) == 8
+    assert len(files) == 5
     assert {name for name in files if name not in NOTICE} == set()
     for row in re.findall(r"^\| \[(.+?)\]\(.+?\) \| ([0-9.]+)", (VENDOR / "README.md").read_text(), re.M):
-        name = "plotly.js" if row[0] == "Plotly" else row[0]
-        assert f"{name} {row[1]}" in NOTICE
+        assert f"{row[0]} {row[1]}" in NOTICE
 
 
 def test_every_script_of_others_has_a_licence_that_goes_with_it() -> None:
@@ -68,7 +66,7 @@ def test_every_dependency_is_in_the_notice() -> None:
 def test_notice_and_licences_go_into_the_packages() -> None:
     held = {path.relative_to(ROOT).as_posix() for name in PROJECT["license-files"] for path in ROOT.glob(name)}
     assert {"LICENSE", "NOTICE"} <= held
-    assert {f"cosim/results/report/assets/{licence_file(part)}" for part in ("uPlot", "three", "plotly", "d3")} <= held
+    assert {f"cosim/results/report/assets/{licence_file(part)}" for part in ("uPlot", "three")} <= held
     assert "NOTICE" in (ROOT / "MANIFEST.in").read_text().splitlines()[0].split()
 
 
@@ -76,8 +74,8 @@ def test_notice_and_licences_go_into_the_packages() -> None:
     ("flights", "figures", "parts"),
     [
         (FLIGHTS, {}, ("uPlot", "three")),
-        (None, FIGURES, ("plotly", "d3")),
-        (FLIGHTS, FIGURES, ("uPlot", "three", "plotly", "d3")),
+        (None, FIGURES, ()),
+        (FLIGHTS, FIGURES, ("uPlot", "three")),
         (None, {}, ()),
     ],
 )
@@ -92,11 +90,10 @@ def test_a_page_holds_the_notices_of_what_it_holds(
     assert len(comments) == bool(parts)
     for part, text in zip(parts, texts(*parts), strict=True):
         assert f"{part}: {text}" in comments[0]
-    others = {"uPlot", "three", "plotly", "d3"} - set(parts)
+    others = {"uPlot", "three"} - set(parts)
     assert not any(text in page for text in texts(*others))
 
 
 def test_what_pages_share_has_the_licences_beside_it(tmp_path: Path) -> None:
     held = {path.name for path in shared_assets(tmp_path).iterdir()}
     assert held == {Path(name).name for name in (*STYLES, *SCRIPTS, THREE)} | {"uPlot-LICENSE.txt", "three-LICENSE.txt"}
-    assert Path(PLOTLY).name not in held

@@ -1,0 +1,591 @@
+// Figures that are no flight over time: lines, points, bars, heat maps and one contour in panels, drawn as SVG from the
+// part of Plotly's schema that report/plot.py and its users write. Colours of text and grid are the page's.
+"use strict";
+(() => {
+  const DASHES = { dash: "7 4", dot: "2 3", dashdot: "7 3 2 3" };
+  const PAPER = { width: 690, share: 0.78 };  // on paper: the width of a page, and two figures a page
+  const LINE = 15;  // px from one line of text to the next
+  const CHARACTER = 6.4;  // px of a character, on average
+  const escaped = (text) => String(text).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;").replace(/"/g, "&quot;");
+  const bare = (text) => String(text).replace(/<\/?b>/g, "");
+  const lines = (text) => bare(text).split("<br>");
+  const finite = (value) => typeof value === "number" && Number.isFinite(value);
+  const element = (kind, attributes, ...children) => {
+    const made = document.createElement(kind);
+    for (const [key, value] of Object.entries(attributes)) key.startsWith("on") ? made.addEventListener(key.slice(2), value) : made.setAttribute(key, value);
+    made.append(...children);
+    return made;
+  };
+
+  // ---- values
+
+  const KINDS = { f4: Float32Array, f8: Float64Array };
+  const list = (values) => {
+    if (values === undefined || Array.isArray(values)) return values || [];
+    const bytes = Uint8Array.from(atob(values.bdata), (each) => each.charCodeAt(0));
+    return Array.from(new KINDS[values.dtype](bytes.buffer), (value) => Number.isNaN(value) ? null : value);
+  };
+
+  // d3's formats as far as templates use them: sign, digits, ~ without zeros at the end, and g, f or d
+  const format = (value, how) => {
+    if (!finite(value) || !how) return String(finite(value) ? Number(value.toPrecision(6)) : value);
+    const [, sign, digits, trimmed, kind] = /^(\+?)(?:\.(\d+))?(~?)([gfd]?)$/.exec(how) || [null, "", "6", "~", "g"];
+    let text = kind === "d" ? value.toFixed(0) : kind === "f" ? value.toFixed(Number(digits)) : value.toPrecision(Math.max(1, Number(digits || 6)));
+    if (kind !== "f" && kind !== "d" && Math.abs(value) >= 1e-4 && Math.abs(value) < 1e9 && text.includes("e")) text = String(Number(text));
+    if (trimmed) text = text.replace(/(\.\d*?)0+(?=e|$)/, "$1").replace(/\.(?=e|$)/, "");
+    return (sign && value > 0 ? "+" : "") + text;
+  };
+  const filled = (template, point) => template.replace("<extra></extra>", "")
+    .replace(/%\{(\w+)(?::([^}]*))?\}/g, (_, name, how) => format(point[name], how));
+
+  const channels = (colour) => [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
+  const shade = (scale, place) => {
+    const at = Math.min(1, Math.max(0, place));
+    const next = Math.max(1, scale.findIndex(([end]) => end >= at));
+    const [[from, first], [to, second]] = [scale[next - 1], scale[next]];
+    if (first === second) return first;
+    const part = (at - from) / (to - from), [a, b] = [channels(first), channels(second)];
+    return `rgb(${a.map((value, n) => Math.round(value + part * (b[n] - value))).join(",")})`;
+  };
+
+  // ---- axes
+
+  const nice = (span, most) => {
+    const raw = span / Math.max(1, most), power = 10 ** Math.floor(Math.log10(raw));
+    return power * ([1, 2, 5].find((each) => each * power >= raw * 0.999) || 10);
+  };
+  const tickText = (value, step) => {
+    if (value === 0) return "0";
+    if (Math.abs(value) >= 1e6 || Math.abs(value) < 1e-4) return value.toExponential().replace(/(\.\d{4})\d+/, "$1").replace("e+", "e").replace("-", "−");
+    const text = step ? value.toFixed(Math.max(0, Math.min(10, -Math.floor(Math.log10(step) + 1e-9)))) : String(Number(value.toPrecision(6)));
+    return text.replace("-", "−");
+  };
+
+  class Axis {
+    constructor(name, about, traces) {
+      Object.assign(this, { name, about, letter: name[0], id: name[0] + name.slice(5) });
+      const own = traces.filter((trace) => (trace[this.letter + "axis"] || this.letter) === this.id);
+      this.own = own;
+      const texts = about.categoryarray || [...new Set(own.flatMap((trace) => trace.values[this.letter]).filter((value) => typeof value === "string"))];
+      this.categories = about.type === "category" || (!about.type && texts.length) ? [...new Set(own.length && !about.categoryarray ? own.flatMap((trace) => trace.values[this.letter]).map(String) : texts)] : null;
+      this.log = about.type === "log";
+    }
+
+    // a value in the axis' own measure, in which it is even: its logarithm, or the number of a category
+    even(value) {
+      if (value === null || value === undefined) return NaN;
+      if (this.categories) return typeof value === "number" ? value : this.categories.indexOf(String(value));
+      return this.log ? Math.log10(value) : value;
+    }
+
+    value(even) { return this.log ? 10 ** even : even; }
+
+    px(value) { return this.at(this.even(value)); }
+
+    at(even) { return this.from + (even - this.range[0]) / (this.range[1] - this.range[0]) * (this.to - this.from); }
+
+    back(px) { return this.range[0] + (px - this.from) / (this.to - this.from) * (this.range[1] - this.range[0]); }
+
+    // around everything that is drawn
+    ends(shown, stacked) {
+      const { letter, about } = this;
+      if (about.range) return [...about.range];
+      let [low, high] = [Infinity, -Infinity], padded = letter === "y";
+      const take = (value) => { const even = this.even(value); if (finite(even)) { low = Math.min(low, even); high = Math.max(high, even); } };
+      for (const trace of shown.filter((each) => this.own.includes(each))) {
+        const along = trace.type === "bar" && (trace.orientation === "h") === (letter === "x");
+        if (trace.type === "heatmap" || trace.type === "contour") { trace.edges(this).forEach((even) => { low = Math.min(low, even); high = Math.max(high, even); }); padded = false; continue; }
+        trace.values[letter].forEach((value, n) => {
+          take(along && stacked ? (trace.base ? trace.base[n] : 0) + value : value);
+          const error = trace["error_" + letter];
+          if (error && finite(value)) { take(value + (error.array[n] || 0)); take(value - ((error.arrayminus || error.array)[n] || 0)); }
+        });
+        if (along) { take(0); padded = true; }
+        if ((trace.mode || "").includes("markers")) padded = true;
+      }
+      if (this.categories) [low, high] = [-0.5, this.categories.length - 0.5];
+      else {
+        if (about.rangemode === "tozero") { low = Math.min(low, 0); high = Math.max(high, 0); }
+        if (low > high) [low, high] = this.log ? [-1, 1] : [0, 1];
+        const margin = low === high ? (this.log ? 0.5 : Math.abs(low) / 2 || 1) : padded ? 0.055 * (high - low) : 0;
+        if (!(about.rangemode === "tozero" && low === 0)) low -= margin;
+        high += margin;
+      }
+      return about.autorange === "reversed" ? [high, low] : [low, high];
+    }
+
+    ticks() {
+      const [low, high] = [Math.min(...this.range), Math.max(...this.range)], { about } = this, length = Math.abs(this.to - this.from);
+      const inside = (tick) => tick.even >= low - 1e-9 * Math.abs(high - low) && tick.even <= high + 1e-9 * Math.abs(high - low);
+      const made = (value, text) => ({ even: this.even(value), text });
+      if (about.tickvals) return about.tickvals.map((value, n) => made(value, about.ticktext ? about.ticktext[n] : tickText(value))).filter(inside);
+      if (this.categories) return this.categories.map((name, n) => ({ even: n, text: name })).filter(inside);
+      const most = Math.min(about.nticks || 99, Math.max(2, length / (this.letter === "x" ? 70 : 30)));
+      if (this.log && high - low > 0.7) {
+        const found = [], every = Math.max(1, Math.ceil((high - low) / most));
+        const steps = about.dtick || (high - low) * 3 > most * 1.4 ? [1] : [1, 2, 5];
+        for (let power = Math.floor(low); power <= Math.ceil(high); power++) for (const step of steps) if (power % every === 0) found.push(made(step * 10 ** power, tickText(step * 10 ** power)));
+        return found.filter(inside);
+      }
+      const [from, to] = [this.value(low), this.value(high)], step = nice(to - from, most), found = [];
+      for (let n = Math.ceil(from / step - 1e-9); n * step <= to + 1e-9 * step; n++) found.push(made(n * step, tickText(n * step, step)));
+      return found;
+    }
+  }
+
+  // ---- a figure
+
+  const prepared = (trace) => {
+    const made = { ...trace, type: trace.type || "scatter", values: { x: list(trace.x), y: list(trace.y) } };
+    // edges of cells in an axis' own measure: given, or halfway between their middles
+    made.edges = (axis) => {
+      const even = made.values[axis.letter].map((value) => axis.even(value));
+      const count = axis.letter === "x" ? made.z[0].length : made.z.length;
+      if (even.length > count) return even;
+      const middle = even.slice(1).map((value, n) => (value + even[n]) / 2);
+      if (!middle.length) return [even[0] - 0.5, even[0] + 0.5];
+      return [2 * even[0] - middle[0], ...middle, 2 * even[even.length - 1] - middle[middle.length - 1]];
+    };
+    return made;
+  };
+  const group = (trace) => trace.legendgroup || trace.name;
+
+  class Figure {
+    constructor(place) {
+      this.place = place;
+      this.hidden = new Set();
+      this.zoom = {};
+      this.legend = element("div", { class: "figure-legend" });
+      this.body = element("div", { class: "figure-body" });
+      this.said = element("div", { class: "figure-said", hidden: "" });
+      const item = (text, act) => element("button", { type: "button", onclick: () => { act(); menu.open = false; } }, text);
+      const menu = element("details", { class: "figure-menu" }, element("summary", { "aria-label": "what to do with this figure", title: "save, whole range" }, "⋯"),
+        element("div", {}, item("whole range", () => this.view({})), item("save PNG", () => this.savePng()), item("save SVG", () => this.saveSvg()), item("save CSV", () => this.saveCsv())));
+      place.classList.add("figure");
+      place.replaceChildren(element("div", { class: "figure-head" }, this.legend, menu), this.body, this.said);
+      this.listen();
+    }
+
+    set(data, layout) {
+      Object.assign(this.place, { data, layout });
+      this.layout = layout;
+      this.traces = data.map(prepared);
+      this.zoom = {};
+      this.heading();
+      this.draw();
+    }
+
+    // names of traces that hide and show them, and the scale of colours
+    heading() {
+      const seen = new Set(), { layout } = this, made = [];
+      if (layout.showlegend !== false) for (const trace of this.traces) {
+        if (!trace.name || trace.showlegend === false || seen.has(group(trace))) continue;
+        seen.add(group(trace));
+        const [first, other] = trace.type === "bar" || trace.mode === "markers" ? [trace.marker, trace.line] : [trace.line, trace.marker];
+        const colour = (first || {}).color || (other || {}).color || "currentColor";
+        const line = (trace.mode || "lines").includes("lines") && trace.type === "scatter";
+        const mark = element("i", { style: line ? `border-top: 3px ${DASHES[(trace.line || {}).dash] ? "dashed" : "solid"} ${colour}` : `background: ${colour}; height: 9px; border-radius: 2px; vertical-align: 0` });
+        const chip = element("button", { type: "button", "aria-pressed": "true", title: "hide or show",
+          onclick: () => { this.hidden.has(group(trace)) ? this.hidden.delete(group(trace)) : this.hidden.add(group(trace)); chip.setAttribute("aria-pressed", String(!this.hidden.has(group(trace)))); this.draw(); } }, mark, bare(trace.name));
+        made.push(chip);
+      }
+      if ((layout.legend || {}).traceorder === "reversed") made.reverse();
+      const scaled = this.traces.find((trace) => trace.showscale && trace.colorbar);
+      if (scaled) {
+        const stops = scaled.colorscale.map(([at, colour]) => `${colour} ${100 * at}%`).join(", ");
+        made.push(element("span", {}, `${scaled.colorbar.title.text} ${scaled.zmin} `, element("i", { style: `background: linear-gradient(90deg, ${stops}); width: 90px; height: 9px; vertical-align: 0` }), `${scaled.zmax}`));
+      }
+      this.legend.replaceChildren(...made);
+    }
+
+    view(zoom) {
+      this.zoom = zoom;
+      this.draw();
+    }
+
+    // one horizontal axis for figures over the same quantity: what is zoomed in one is zoomed in all
+    zoomed(zoom) {
+      this.view(zoom);
+      const title = (figure) => ((figure.layout.xaxis || {}).title || {}).text;
+      if (this.place.dataset.alone !== undefined) return;
+      for (const figure of figures.values()) if (figure !== this && figure.place.dataset.alone === undefined && title(figure) === title(this)) figure.view(zoom.x ? { x: zoom.x } : {});
+    }
+
+    // where everything is: axes with their ranges and places
+    arrange() {
+      const { layout } = this, printing = this.printing;
+      this.width = printing ? PAPER.width : Math.max(160, this.body.clientWidth || 800);
+      this.height = Math.round((layout.height || 360) * (printing ? PAPER.share : 1)) - ((layout.margin || {}).t || 0) + ((layout.annotations || []).length ? 26 : 12);
+      const names = new Set(["xaxis", "yaxis", ...Object.keys(layout).filter((key) => /^[xy]axis\d*$/.test(key))]);
+      this.axes = {};
+      for (const name of names) { const axis = new Axis(name, layout[name] || {}, this.traces); this.axes[axis.id] = axis; }
+      this.shown = this.traces.filter((trace) => !this.hidden.has(group(trace)));
+      this.pairs = [...new Set(this.traces.map((trace) => `${trace.xaxis || "x"} ${trace.yaxis || "y"}`))].map((pair) => pair.split(" ").map((id) => this.axes[id]));
+      const stacked = layout.barmode === "stack";
+      const sums = new Map();
+      for (const trace of this.shown.filter((each) => each.type === "bar" && stacked)) {
+        const [name, along] = trace.orientation === "h" ? ["y", "x"] : ["x", "y"];
+        trace.base = trace.values[name].map((key, n) => { const before = sums.get(key) || 0; sums.set(key, before + (trace.values[along][n] || 0)); return before; });
+      }
+      const together = (axis) => axis.about.matches ? axis.about.matches : axis.id;
+      const ends = {};
+      for (const axis of Object.values(this.axes)) {
+        const [low, high] = axis.ends(this.shown.length ? this.shown : this.traces, stacked), root = together(axis), before = ends[root];
+        ends[root] = !before || axis.about.range ? [low, high] : [Math.min(before[0], low), Math.max(before[1], high)];
+      }
+      const margin = { l: 64, r: 12, b: 44, ...(layout.margin || {}), t: 12 };
+      if ((layout.annotations || []).length) margin.t = 26;
+      for (const axis of Object.values(this.axes)) axis.range = this.zoom[together(axis)] || [...ends[together(axis)]];
+      for (const axis of Object.values(this.axes)) {
+        if (axis.letter !== "y" || !axis.categories && !axis.about.automargin) continue;
+        const most = Math.max(0, ...axis.categories ? axis.categories.flatMap(lines).map((text) => text.length) : [6]);
+        margin.l = Math.max(axis.about.title ? 64 : 20, Math.min(0.45 * this.width, 16 + CHARACTER * most));
+      }
+      this.margin = margin;
+      const inner = { x: this.width - margin.l - margin.r, y: this.height - margin.t - margin.b };
+      for (const axis of Object.values(this.axes)) {
+        const [low, high] = axis.about.domain || [0, 1];
+        if (axis.letter === "x") [axis.from, axis.to] = [margin.l + low * inner.x, margin.l + high * inner.x];
+        else [axis.from, axis.to] = [margin.t + (1 - low) * inner.y, margin.t + (1 - high) * inner.y];
+      }
+      for (const axis of Object.values(this.axes)) {  // one scale both ways
+        const other = this.axes[axis.about.scaleanchor];
+        if (!other) continue;
+        const scale = Math.min(...[axis, other].map((each) => Math.abs(each.to - each.from) / Math.abs(each.range[1] - each.range[0])));
+        for (const each of [axis, other]) { const middle = (each.range[0] + each.range[1]) / 2, half = Math.abs(each.to - each.from) / scale / 2; each.range = [middle - half, middle + half]; }
+      }
+    }
+
+    draw() {
+      this.arrange();
+      const parts = [], { axes, layout } = this;
+      const text = (x, y, words, anchor = "middle", more = "") => {
+        const rows = lines(words);
+        parts.push(`<text x="${x.toFixed(1)}" y="${y.toFixed(1)}" text-anchor="${anchor}" ${more}>${rows.map((row, n) => n ? `<tspan x="${x.toFixed(1)}" dy="${LINE}">${escaped(row)}</tspan>` : escaped(row)).join("")}</text>`);
+      };
+      const line = (kind, x0, y0, x1, y1) => parts.push(`<path class="${kind}" d="M${x0.toFixed(1)} ${y0.toFixed(1)}L${x1.toFixed(1)} ${y1.toFixed(1)}"/>`);
+      const id = `clip-${this.place.dataset.figure || this.place.id}`;
+      this.pairs.forEach(([x, y], n) => parts.push(`<clipPath id="${id}-${n}"><rect x="${x.from}" y="${y.to}" width="${Math.max(0, x.to - x.from)}" height="${Math.max(0, y.from - y.to)}"/></clipPath>`));
+      const under = (layout.shapes || []).filter((shape) => shape.layer === "below"), over = (layout.shapes || []).filter((shape) => shape.layer !== "below");
+      under.forEach((shape) => parts.push(this.shape(shape)));
+      this.pairs.forEach(([x, y]) => {
+        for (const tick of x.ticks()) if (x.about.showgrid !== false && !(x.categories && !x.about.tickvals)) line(tick.even === 0 && !x.log && x.about.zeroline !== false && !x.categories ? "zero" : "grid", x.at(tick.even), y.from, x.at(tick.even), y.to);
+        for (const tick of y.ticks()) if (y.about.showgrid !== false) line(tick.even === 0 && !y.log && y.about.zeroline !== false && !y.categories ? "zero" : "grid", x.from, y.at(tick.even), x.to, y.at(tick.even));
+      });
+      for (const axis of Object.values(axes)) {
+        const used = this.pairs.filter((pair) => pair.includes(axis));
+        if (!used.length) continue;
+        const other = axes[axis.about.anchor] || used[0][axis.letter === "x" ? 1 : 0], ticks = axis.ticks(), named = (axis.about.title || {}).text;
+        const labelled = axis.about.showticklabels !== false;
+        if (axis.letter === "x") {
+          let end = -Infinity, deep = 1;
+          if (labelled) for (const tick of ticks) {
+            const rows = lines(tick.text), half = CHARACTER * Math.max(...rows.map((row) => row.length)) / 2, at = axis.at(tick.even);
+            if (at - half < end) continue;
+            end = at + half + 4;
+            deep = Math.max(deep, rows.length);
+            text(at, other.from + 15, tick.text);
+          }
+          if (named) text((axis.from + axis.to) / 2, other.from + 21 + LINE * (labelled ? deep : 0), named, "middle", 'class="title"');
+        } else {
+          if (labelled) for (const tick of ticks) text(other.from - 6, axis.at(tick.even) + 4 - LINE * (lines(tick.text).length - 1) / 2, tick.text, "end");
+          if (named) { const at = [other.from - 50, (axis.from + axis.to) / 2]; text(...at, named, "middle", `class="title" transform="rotate(-90 ${at[0].toFixed(1)} ${at[1].toFixed(1)})"`); }
+        }
+      }
+      this.pairs.forEach((pair, n) => {
+        const own = this.shown.filter((trace) => axes[trace.xaxis || "x"] === pair[0] && axes[trace.yaxis || "y"] === pair[1]);
+        parts.push(`<g clip-path="url(#${id}-${n})">${own.map((trace) => this.trace(trace, ...pair)).join("")}</g>`);
+      });
+      over.forEach((shape) => parts.push(this.shape(shape)));
+      for (const note of layout.annotations || []) {
+        const [x, y] = [this.place_of(note.xref, note.x, "x"), this.place_of(note.yref, note.y, "y")];
+        const anchor = { left: "start", right: "end" }[note.xanchor] || "middle";
+        text(x, y - (note.yshift || 0) - (note.yanchor === "bottom" ? 6 : -4), note.text, anchor, /<b>/.test(note.text) ? 'class="heading"' : "");
+      }
+      this.body.innerHTML = `<svg xmlns="http://www.w3.org/2000/svg" width="${this.width}" height="${this.height}" fill="none" role="img" aria-label="${escaped(this.place.dataset.figure || this.place.id || "figure")}">${parts.join("")}<path class="pointer"/><rect class="chosen" width="0" height="0"/></svg>`;
+      this.svg = this.body.firstChild;
+      this.said.hidden = true;
+    }
+
+    // px of a place that is said in data, in parts of a panel ("x2 domain") or of the figure ("paper")
+    place_of(of, value, letter) {
+      const { margin } = this, [id, domain] = (of || letter).split(" ");
+      if (id === "paper") return letter === "x" ? margin.l + value * (this.width - margin.l - margin.r) : margin.t + (1 - value) * (this.height - margin.t - margin.b);
+      const axis = this.axes[id];
+      if (domain) return axis.from + value * (axis.to - axis.from);
+      return axis.categories && typeof value === "string" ? axis.px(value) : axis.at(axis.log ? value : axis.even(value));
+    }
+
+    shape(shape) {
+      const at = (end, letter) => { const of = shape[letter + "ref"] || letter, axis = this.axes[of]; return axis && !axis.categories ? axis.px(shape[letter + end]) : this.place_of(of, shape[letter + end], letter); };
+      const [x0, x1, y0, y1] = [at(0, "x"), at(1, "x"), at(0, "y"), at(1, "y")];
+      if (![x0, x1, y0, y1].every(Number.isFinite)) return "";
+      const { line = {} } = shape;
+      if (shape.type === "rect") return `<rect x="${Math.min(x0, x1)}" y="${Math.min(y0, y1)}" width="${Math.abs(x1 - x0)}" height="${Math.abs(y1 - y0)}" fill="${shape.fillcolor}" opacity="${shape.opacity ?? 1}"/>`;
+      return `<path d="M${x0} ${y0}L${x1} ${y1}" stroke="${line.color}" stroke-width="${line.width || 1}" stroke-dasharray="${DASHES[line.dash] || ""}"/>`;
+    }
+
+    trace(trace, x, y) {
+      if (trace.type === "bar") return this.bars(trace, x, y);
+      if (trace.type === "heatmap") return this.cells(trace, x, y);
+      if (trace.type === "contour") return this.contour(trace, x, y);
+      const parts = [], { line = {}, marker = {}, mode = "lines" } = trace, colour = line.color || marker.color;
+      const points = trace.values.x.map((value, n) => [x.px(value), y.px(trace.values.y[n])]);
+      if (mode.includes("lines")) {
+        let d = "", pen = false;
+        for (const [px, py] of points) {
+          if (!Number.isFinite(px) || !Number.isFinite(py)) { pen = false; continue; }
+          const [a, b] = [px.toFixed(1), Math.max(-1e5, Math.min(1e5, py)).toFixed(1)];
+          d += pen ? (line.shape === "hv" ? `H${a}V${b}` : `L${a} ${b}`) : `M${a} ${b}`;
+          pen = true;
+        }
+        parts.push(`<path d="${d}" stroke="${colour}" stroke-width="${line.width || 1.8}" stroke-dasharray="${DASHES[line.dash] || ""}" opacity="${trace.opacity ?? 1}" stroke-linejoin="round"/>`);
+      }
+      for (const letter of ["x", "y"]) this.errors(trace, letter, x, y, points, colour, parts);
+      if (mode.includes("markers")) for (const [px, py] of points) if (Number.isFinite(px) && Number.isFinite(py)) parts.push(symbol(px, py, marker, colour));
+      return parts.join("");
+    }
+
+    errors(trace, letter, x, y, points, colour, parts) {
+      const error = trace["error_" + letter];
+      if (!error) return;
+      const axis = letter === "x" ? x : y;
+      trace.values[letter].forEach((value, n) => {
+        if (!finite(value)) return;
+        const ends = [value - ((error.arrayminus || error.array)[n] || 0), value + (error.array[n] || 0)].map((end) => axis.px(end)), [px, py] = points[n], w = error.width || 2;
+        const d = letter === "y" ? `M${px} ${ends[0]}V${ends[1]}M${px - w} ${ends[0]}h${2 * w}M${px - w} ${ends[1]}h${2 * w}` : `M${ends[0]} ${py}H${ends[1]}M${ends[0]} ${py - w}v${2 * w}M${ends[1]} ${py - w}v${2 * w}`;
+        if (ends.every(Number.isFinite)) parts.push(`<path d="${d}" stroke="${error.color || colour}" stroke-width="${error.thickness || 1}"/>`);
+      });
+    }
+
+    // where each bar of a trace is: across [from, to] and along [from, to], px
+    rectangles(trace, x, y) {
+      const flat = trace.orientation === "h", [across, along] = flat ? [y, x] : [x, y], stacked = this.layout.barmode === "stack";
+      const beside = stacked ? [trace] : this.shown.filter((each) => each.type === "bar" && (each.xaxis || "x") === x.id && (each.yaxis || "y") === y.id);
+      const wide = 1 - (this.layout.bargap ?? 0.2), each = wide / beside.length, first = -wide / 2 + each * beside.indexOf(trace);
+      return trace.values[flat ? "y" : "x"].map((key, n) => {
+        const middle = across.even(key), base = stacked && trace.base ? trace.base[n] : 0, value = trace.values[flat ? "x" : "y"][n];
+        return { across: [across.at(middle + first), across.at(middle + first + each)], along: [along.px(base), along.px(base + value)] };
+      });
+    }
+
+    bars(trace, x, y) {
+      const flat = trace.orientation === "h", marker = trace.marker || {}, parts = [];
+      const boxes = this.rectangles(trace, x, y);
+      boxes.forEach(({ across, along }, n) => {
+        const [a, b, c, d] = [Math.min(...across), Math.max(...across), Math.min(...along), Math.max(...along)], opacity = Array.isArray(marker.opacity) ? marker.opacity[n] : marker.opacity ?? 1;
+        if ([a, b, c, d].every(Number.isFinite)) parts.push(flat ? `<rect x="${c}" y="${a}" width="${d - c}" height="${b - a}" fill="${marker.color}" opacity="${opacity}"/>` : `<rect x="${a}" y="${c}" width="${b - a}" height="${d - c}" fill="${marker.color}" opacity="${opacity}"/>`);
+      });
+      const middles = boxes.map(({ across, along }) => { const half = (across[0] + across[1]) / 2; return flat ? [along[1], half] : [half, along[1]]; });
+      for (const letter of ["x", "y"]) this.errors(trace, letter, x, y, middles, marker.color, parts);
+      return parts.join("");
+    }
+
+    cells(trace, x, y) {
+      const [ex, ey] = [trace.edges(x).map((even) => x.at(even)), trace.edges(y).map((even) => y.at(even))];
+      const scale = trace.coloraxis ? this.layout.coloraxis : null;
+      const [low, high, colours] = scale ? [scale.cmin, scale.cmax, scale.colorscale] : [trace.zmin ?? 0, trace.zmax ?? 1, trace.colorscale];
+      const parts = [];
+      trace.z.forEach((row, j) => row.forEach((value, i) => {
+        if (!finite(value)) return;
+        const [a, b, c, d] = [Math.min(ex[i], ex[i + 1]), Math.max(ex[i], ex[i + 1]), Math.min(ey[j], ey[j + 1]), Math.max(ey[j], ey[j + 1])];
+        parts.push(`<rect x="${a.toFixed(2)}" y="${c.toFixed(2)}" width="${(b - a).toFixed(2)}" height="${(d - c).toFixed(2)}" fill="${shade(colours, high > low ? (value - low) / (high - low) : 0)}"/>`);
+      }));
+      return `<g shape-rendering="crispEdges">${parts.join("")}</g>`;
+    }
+
+    // where the values between the middles of cells cross the level
+    contour(trace, x, y) {
+      const level = trace.contours.start, px = trace.values.x.map((value) => x.px(value)), py = trace.values.y.map((value) => y.px(value)), { z } = trace;
+      let d = "";
+      for (let j = 0; j + 1 < z.length; j++) for (let i = 0; i + 1 < z[j].length; i++) {
+        const corners = [[i, j], [i + 1, j], [i + 1, j + 1], [i, j + 1]].map(([a, b]) => [px[a], py[b], z[b][a]]);
+        if (!corners.every(([, , value]) => finite(value))) continue;
+        const crossed = corners.map((from, n) => [from, corners[(n + 1) % 4]]).filter(([from, to]) => (from[2] < level) !== (to[2] < level)).map(([from, to]) => { const part = (level - from[2]) / (to[2] - from[2]); return [from[0] + part * (to[0] - from[0]), from[1] + part * (to[1] - from[1])]; });
+        for (let n = 0; n + 1 < crossed.length; n += 2) d += `M${crossed[n].map((value) => value.toFixed(1))}L${crossed[n + 1].map((value) => value.toFixed(1))}`;
+      }
+      return `<path d="${d}" stroke="${trace.line.color}" stroke-width="${trace.line.width}"/>`;
+    }
+
+    // ---- pointer: values, zoom
+
+    panel(px, py) { return this.pairs.find(([x, y]) => px >= x.from && px <= x.to && py <= y.from && py >= y.to); }
+
+    // the nearest point of a trace, for the pointer's place; its distance both ways
+    nearest(trace, x, y, px, py) {
+      let best = null;
+      const say = (point, far) => { if (!best || far < best.far) best = { trace, far, ...point }; };
+      if (trace.hoverinfo === "skip" || trace.type === "contour") return null;
+      if (trace.type === "heatmap") {
+        const within = (edges, at) => edges.findIndex((edge, n) => n + 1 < edges.length && (at - edge) * (at - edges[n + 1]) <= 0);
+        const i = within(trace.edges(x).map((even) => x.at(even)), px), j = within(trace.edges(y).map((even) => y.at(even)), py);
+        if (i >= 0 && j >= 0 && finite(trace.z[j][i])) say({ px, py, x: trace.values.x[i], y: trace.values.y[j], z: trace.z[j][i], text: trace.text && trace.text[j][i] }, 1);
+        return best;
+      }
+      const point = (n) => ({ x: trace.values.x[n], y: trace.values.y[n], text: Array.isArray(trace.text) ? trace.text[n] : trace.text, customdata: trace.customdata && trace.customdata[n] });
+      if (trace.type === "bar") {
+        this.rectangles(trace, x, y).forEach(({ across, along }, n) => {
+          const [a, b] = trace.orientation === "h" ? [py, px] : [px, py], inside = (at, [from, to]) => (at - from) * (at - to) <= 0;
+          if (inside(a, across) && inside(b, along)) say({ px, py, ...point(n) }, 0);
+        });
+        return best;
+      }
+      trace.values.x.forEach((value, n) => {
+        const [a, b] = [x.px(value), y.px(trace.values.y[n])];
+        if (Number.isFinite(a) && Number.isFinite(b)) say({ px: a, py: b, ...point(n) }, this.unified ? Math.abs(a - px) : Math.hypot(a - px, b - py));
+      });
+      return best;
+    }
+
+    get unified() { return this.layout.hovermode === "x unified"; }
+
+    point(event) {
+      const box = this.svg.getBoundingClientRect(), px = event.clientX - box.left, py = event.clientY - box.top, panel = this.panel(px, py), pointer = this.svg.querySelector(".pointer");
+      pointer.setAttribute("d", "");
+      this.said.hidden = true;
+      if (!panel) return;
+      const [x, y] = panel;
+      const axesOf = (trace) => [this.axes[trace.xaxis || "x"], this.axes[trace.yaxis || "y"]];
+      const across = this.shown.filter((trace) => { const [tx, ty] = axesOf(trace); return this.unified ? tx.from === x.from : tx === x && ty === y; });
+      const found = across.map((trace) => this.nearest(trace, ...axesOf(trace), px, py)).filter(Boolean).sort((a, b) => this.unified ? 0 : a.far - b.far);
+      const near = this.unified ? found.filter((each) => each.far < 40) : found.filter((each) => each.far < 24).slice(0, 1);
+      if (!near.length) return;
+      const words = near.map((each) => filled(each.trace.hovertemplate || `${each.trace.name ? `${escaped(each.trace.name)}: ` : ""}${this.unified ? "" : "%{x:.4~g}, "}%{y:.4~g}`, each));
+      const title = (x.about.title || {}).text || "";
+      const head = this.unified ? [`${escaped(title)} ${format(near.reduce((best, each) => each.far < best.far ? each : best).x, x.about.hoverformat || ".5~g")}`] : [];
+      this.said.replaceChildren(...[...head, ...words].flatMap((text) => text.split("<br>")).map((text, n) => { const row = element("div", {}); row.textContent = bare(text).replace(/&lt;/g, "<").replace(/&gt;/g, ">").replace(/&amp;/g, "&"); return row; }));
+      this.said.hidden = false;
+      if (this.unified) pointer.setAttribute("d", `M${px} ${this.margin.t}V${this.height - this.margin.b}`);
+      const room = this.place.clientWidth, left = px > room / 2 ? px - this.said.offsetWidth - 14 : px + 14;
+      this.said.style.left = `${Math.max(0, Math.min(room - this.said.offsetWidth, left))}px`;
+      this.said.style.top = `${this.body.offsetTop + Math.max(0, py - this.said.offsetHeight / 2)}px`;
+    }
+
+    listen() {
+      let start = null;
+      const at = (event) => { const box = this.svg.getBoundingClientRect(); return [event.clientX - box.left, event.clientY - box.top]; };
+      const chosen = (event) => {
+        const { px, py, x, y } = start, [qx, qy] = at(event), wide = Math.abs(qx - px), high = Math.abs(qy - py);
+        const both = wide > 8 && high > 8 && Math.min(wide, high) > 0.25 * Math.max(wide, high);
+        return { wide, high, qx, qy, x: both || wide >= high, y: both || high > wide, axes: [x, y] };
+      };
+      this.body.addEventListener("pointerdown", (event) => {
+        const [px, py] = at(event), panel = this.panel(px, py);
+        if (!panel || event.button || event.pointerType === "touch") return;
+        start = { px, py, x: panel[0], y: panel[1], ranges: panel.map((axis) => [...axis.range]) };
+        this.body.setPointerCapture(event.pointerId);
+        event.preventDefault();
+      });
+      this.body.addEventListener("pointermove", (event) => {
+        if (!start) return this.point(event);
+        const { px, py, x, y } = start, what = chosen(event);
+        if (event.shiftKey) return this.move(start, what);
+        const box = this.svg.querySelector(".chosen"), [left, right] = what.x ? [px, what.qx] : [x.from, x.to], [top, bottom] = what.y ? [py, what.qy] : [y.from, y.to];
+        for (const [key, value] of Object.entries({ x: Math.min(left, right), y: Math.min(top, bottom), width: Math.abs(right - left), height: Math.abs(bottom - top) })) box.setAttribute(key, value);
+      });
+      this.body.addEventListener("pointerup", (event) => {
+        if (!start) return;
+        const { px, py, x, y } = start, what = chosen(event);
+        start = null;
+        this.svg.querySelector(".chosen").setAttribute("width", 0);
+        if (event.shiftKey || Math.max(what.wide, what.high) < 8) return;
+        const zoom = { ...this.zoom }, inside = (axis, from, to) => {
+          const ends = [from, to].map((each) => axis.back(Math.max(Math.min(axis.from, axis.to), Math.min(Math.max(axis.from, axis.to), each))));
+          return (ends[0] < ends[1]) === (axis.range[0] < axis.range[1]) ? ends : ends.reverse();
+        };
+        if (what.x) zoom[x.about.matches || x.id] = inside(x, px, what.qx);
+        if (what.y) zoom[y.about.matches || y.id] = inside(y, py, what.qy);
+        this.zoomed(zoom);
+      });
+      this.body.addEventListener("pointerleave", () => { this.said.hidden = true; if (this.svg) this.svg.querySelector(".pointer").setAttribute("d", ""); });
+      this.body.addEventListener("dblclick", () => this.zoomed({}));
+    }
+
+    move(start, what) {
+      const zoom = { ...this.zoom };
+      [[start.x, what.qx - start.px, 0], [start.y, what.qy - start.py, 1]].forEach(([axis, by, n]) => {
+        const each = by / (axis.to - axis.from) * (start.ranges[n][1] - start.ranges[n][0]);
+        zoom[axis.about.matches || axis.id] = start.ranges[n].map((end) => end - each);
+      });
+      this.view(zoom);
+    }
+
+    // ---- out
+
+    source() {
+      const copy = this.svg.cloneNode(true), style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(name).trim();
+      copy.querySelectorAll(".pointer, .chosen").forEach((each) => each.remove());
+      const names = [...this.legend.querySelectorAll("button")].map((each) => `<tspan fill="${each.firstChild.style.borderTopColor || each.firstChild.style.backgroundColor}">■ </tspan>${escaped(each.textContent)}`).join("  ");
+      const head = `<style>text{font:12px sans-serif;fill:${colour("--ink")}}.heading{font-weight:700}.grid{stroke:${colour("--grid")}}.zero{stroke:${colour("--zero")}}</style><rect width="100%" height="100%" fill="${colour("--card")}"/><text x="8" y="15">${names}</text>`;
+      return `<svg xmlns="http://www.w3.org/2000/svg" width="${this.width}" height="${this.height + 24}" fill="none">${head}<g transform="translate(0 24)">${copy.innerHTML}</g></svg>`;
+    }
+
+    save(blob, ending) {
+      const link = element("a", { href: URL.createObjectURL(blob), download: `${this.place.dataset.figure || this.place.id}.${ending}` });
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+    }
+
+    saveSvg() { this.save(new Blob([this.source()], { type: "image/svg+xml" }), "svg"); }
+
+    savePng() {
+      const image = new Image(), ratio = 2;
+      image.onload = () => {
+        const canvas = element("canvas", { width: ratio * this.width, height: ratio * (this.height + 24) }), context = canvas.getContext("2d");
+        context.scale(ratio, ratio);
+        context.drawImage(image, 0, 0);
+        canvas.toBlob((blob) => this.save(blob, "png"));
+      };
+      image.src = `data:image/svg+xml;charset=utf-8,${encodeURIComponent(this.source())}`;
+    }
+
+    csv() {
+      const quoted = (value) => value === null || value === undefined ? "" : /[",\n]/.test(value) ? `"${String(value).replace(/"/g, '""')}"` : String(value);
+      const rows = ["name,x,y,value"];
+      for (const trace of this.traces) {
+        const name = bare(trace.name || ""), { x, y } = trace.values;
+        if (trace.z) trace.z.forEach((row, j) => row.forEach((value, i) => { if (finite(value)) rows.push([name, x[i], y[j], value].map(quoted).join(",")); }));
+        else x.forEach((value, n) => rows.push([name, value, y[n], ""].map(quoted).join(",")));
+      }
+      return rows.join("\n") + "\n";
+    }
+
+    saveCsv() { this.save(new Blob([this.csv()], { type: "text/csv" }), "csv"); }
+  }
+
+  const symbol = (x, y, marker, colour) => {
+    const kind = marker.symbol || "circle", open = kind.endsWith("-open"), fill = marker.color || colour, r = (marker.size || 6) / 2, edge = marker.line || {};
+    const stroke = open || kind.includes("thin") ? `stroke="${edge.color || fill}" stroke-width="${edge.width || 1.5}"` : edge.width ? `stroke="${edge.color}" stroke-width="${edge.width}"` : "";
+    const paint = `fill="${open || kind.includes("thin") ? "none" : fill}" ${stroke} opacity="${marker.opacity ?? 1}"`;
+    const [a, b] = [x.toFixed(1), y.toFixed(1)], shape = kind.replace("-open", "");
+    if (shape === "circle") return `<circle cx="${a}" cy="${b}" r="${r}" ${paint}/>`;
+    const t = r / 2.6, paths = {
+      square: `M${-r} ${-r}H${r}V${r}H${-r}Z`, diamond: `M0 ${-1.25 * r}L${1.25 * r} 0L0 ${1.25 * r}L${-1.25 * r} 0Z`,
+      "triangle-up": `M0 ${-1.2 * r}L${1.1 * r} ${0.8 * r}H${-1.1 * r}Z`, "triangle-down": `M0 ${1.2 * r}L${1.1 * r} ${-0.8 * r}H${-1.1 * r}Z`,
+      cross: `M${-r} ${-t}H${-t}V${-r}H${t}V${-t}H${r}V${t}H${t}V${r}H${-t}V${t}H${-r}Z`, x: `M${-r} ${-t}H${-t}V${-r}H${t}V${-t}H${r}V${t}H${t}V${r}H${-t}V${t}H${-r}Z`,
+      "x-thin": `M${-r} ${-r}L${r} ${r}M${r} ${-r}L${-r} ${r}`,
+    };
+    return `<path d="${paths[shape] || paths.square}" transform="translate(${a} ${b})${shape === "x" ? " rotate(45)" : ""}" ${paint}/>`;
+  };
+
+  // ---- begin
+
+  const figures = new Map();
+  // also for the page's own scripts: figures that follow what is chosen
+  window.draw = (place, data, layout) => {
+    if (!figures.has(place)) { figures.set(place, new Figure(place)); sized.observe(place); }
+    figures.get(place).set(data, layout);
+  };
+  const sized = new ResizeObserver((entries) => {
+    for (const { target } of entries) { const figure = figures.get(target); if (figure && !figure.printing && figure.body.clientWidth && figure.body.clientWidth !== figure.width) figure.draw(); }
+  });
+  for (const place of document.querySelectorAll(".plot")) {
+    const text = document.getElementById("figure-" + place.dataset.figure);
+    if (!text) continue;
+    const figure = JSON.parse(text.textContent);
+    window.draw(place, figure.data, figure.layout);
+  }
+  const paper = (on) => () => figures.forEach((figure) => { figure.printing = on; figure.draw(); });
+  addEventListener("beforeprint", paper(true));
+  addEventListener("afterprint", paper(false));
+})();
