@@ -8,6 +8,5 @@ GRAVITY: Final = 9.80665  # m/s^2, the standard acceleration of free fall: exact
 
 Side = Literal["left", "right"]  # of a tilt servo, seen by the pilot
 Sensor = Literal["gyro", "attitude", "gnss", "barometer"]  # those that can fail
-Outcome = Literal["completed", "crashed", "diverged", "failed"]  # how a flight ends
 SERVOS: Final[tuple[Side, ...]] = get_args(Side)
 SENSORS: Final[tuple[Sensor, ...]] = get_args(Sensor)

@@ -12,7 +12,7 @@ from cosim.cli.console import output_to_stderr, say, show_table
 from cosim.cli.options import DONE, FLIGHT_FAILED, example
 
 if TYPE_CHECKING:
-    from cosim.campaign.aircraft_check import AircraftCheck
+    from cosim.campaign.surveys.aircraft_check import AircraftCheck
 
 NOT_EXACT = (
     "Two numbers are what is attained and what nothing exceeds; one with at least, or none found: what lies beyond is "
@@ -71,7 +71,7 @@ def aircraft_check(options: Check) -> int:
 
     Draws it in three views, and the moments that it can make in hover.  Status 1: something is not as it must be.
     """
-    from cosim.campaign.aircraft_check import check_aircraft
+    from cosim.campaign.surveys.aircraft_check import check_aircraft
     from cosim.spec.vehicle import aircraft_name
 
     folder = options.out or Path("runs") / f"check-{aircraft_name(options.aircraft)}"

@@ -21,8 +21,8 @@ from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
-from cosim.base.constants import Outcome
 from cosim.base.errors import FlightError, InputError
+from cosim.base.outcomes import Outcome, RunVerdict
 from cosim.base.protocols import Column
 from cosim.base.storage.files import locked, write_whole
 from cosim.base.storage.toml import Vector, toml_text
@@ -59,7 +59,7 @@ from cosim.results.recorder import (
     MemorySink,
     Recorder,
 )
-from cosim.results.verdict import Verdict, describe_end, judge, read_verdict
+from cosim.results.verdict import describe_end, judge, read_verdict
 from cosim.simulation.brought import OwnMetric, unmeasured
 from cosim.simulation.pacing import PaceReport
 from cosim.spec.controller_name import SHORT, controller_words
@@ -237,7 +237,7 @@ class Summary(Setup):
 
     outcome: Outcome
     reason: str
-    verdict: Verdict | None = None  # None: flown before there were any
+    verdict: RunVerdict | None = None  # None: flown before there were any
     steps: int
     duration_s: float  # flown
     wall_s: float | None = None  # spent on the steps; None if the process did not live to say so

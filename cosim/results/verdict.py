@@ -8,35 +8,27 @@ default limits held, and nobody said what the flight was to come to.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
 
-from cosim.base.constants import Outcome
-
-Verdict = Literal["as planned", "completed, nothing checked", "not as expected", "beyond limits", "not completed"]
-AS_PLANNED: Verdict = "as planned"
-NOTHING_CHECKED: Verdict = "completed, nothing checked"
-BEYOND_LIMITS: Verdict = "beyond limits"
-UNMET: Verdict = "not as expected"
-NOT_COMPLETED: Verdict = "not completed"
+from cosim.base.outcomes import Outcome, RunVerdict, Verdict
 
 # How each is shown on a page: the class of its badge.
-BADGES: dict[Verdict, str] = {
-    AS_PLANNED: "met",
-    NOTHING_CHECKED: "none",
-    UNMET: "unmet",
-    BEYOND_LIMITS: "unmet",
+BADGES: dict[RunVerdict, str] = {
+    Verdict.AS_PLANNED: "met",
+    Verdict.NOTHING_CHECKED: "none",
+    Verdict.UNMET: "unmet",
+    Verdict.BEYOND_LIMITS: "unmet",
 }
 
 
-def judge(outcome: Outcome, beyond: Sequence[str], expectations_met: bool | None) -> Verdict:
+def judge(outcome: Outcome, beyond: Sequence[str], expectations_met: bool | None) -> RunVerdict:
     """Return the verdict of a flight; ``expectations_met`` is None where nothing is expected of it."""
     if outcome != "completed":
-        return NOT_COMPLETED
+        return Verdict.NOT_COMPLETED
     if beyond:
-        return BEYOND_LIMITS
+        return Verdict.BEYOND_LIMITS
     if expectations_met is None:
-        return NOTHING_CHECKED
-    return AS_PLANNED if expectations_met else UNMET
+        return Verdict.NOTHING_CHECKED
+    return Verdict.AS_PLANNED if expectations_met else Verdict.UNMET
 
 
 def read_verdict(verdict: str, expectations_met: bool | None) -> str:
@@ -44,12 +36,12 @@ def read_verdict(verdict: str, expectations_met: bool | None) -> str:
 
     Runs from before there was a verdict for flights of which nothing is expected call such a flight ``as planned``.
     """
-    return NOTHING_CHECKED if verdict == AS_PLANNED and expectations_met is None else verdict
+    return Verdict.NOTHING_CHECKED if verdict == Verdict.AS_PLANNED and expectations_met is None else verdict
 
 
-def describe_end(outcome: Outcome, reason: str, verdict: Verdict | None) -> str:
+def describe_end(outcome: Outcome, reason: str, verdict: RunVerdict | None) -> str:
     """Return how a flight ended and what that is worth, such as ``completed, flew 3000 steps; as planned``."""
-    if verdict == NOTHING_CHECKED:
+    if verdict == Verdict.NOTHING_CHECKED:
         return f"{verdict}; {reason}"
     text = f"{outcome}, {reason}"
-    return text if verdict in (None, NOT_COMPLETED) else f"{text}; {verdict}"
+    return text if verdict in (None, Verdict.NOT_COMPLETED) else f"{text}; {verdict}"

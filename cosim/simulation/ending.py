@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import cos, degrees, radians
 
-from cosim.base.constants import Outcome
+from cosim.base.outcomes import Outcome
 from cosim.base.signals import AXES, State
 from cosim.spec.vehicle import Limits
 

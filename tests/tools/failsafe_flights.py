@@ -7,9 +7,9 @@ from typing import Any
 
 from pilot_flights import Asked
 
-from cosim.campaign import failsafe_survey as table
-from cosim.campaign import failsafe_table as tables
-from cosim.campaign.fault_survey import controllers_for, step_of
+from cosim.campaign.surveys import failsafe_table as tables
+from cosim.campaign.surveys import failsafes as table
+from cosim.campaign.surveys.survey import subject_of
 from cosim.control.autopilot import requests as rq
 from cosim.flight import fly
 from cosim.results.autopilot.request_log import Entry
@@ -20,7 +20,6 @@ from cosim.results.run import Run
 from cosim.simulation.build import build
 from cosim.simulation.with_autopilot import with_autopilot
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import load_vehicle
 
 
 def again(scenario: Path, digest: str) -> Run:
@@ -46,11 +45,8 @@ class Flight(Asked):
     def __init__(
         self, aircraft: str = "hexjet", height: float = 3.0, *, recorded: bool = False, **changes: Any
     ) -> None:
-        vehicle = load_vehicle(aircraft)[0]
-        engine = vehicle.engine or "edf-as-flown"
-        step = step_of(aircraft)
-        controller = "smith" if "smith" in controllers_for(aircraft, engine, step) else "baseline"
-        scenario = table.scenario_of(aircraft, engine, controller, step, height, 0.0).replace(**changes)
+        subject = subject_of(aircraft)
+        scenario = table.scenario_of(subject, table.default_controller(subject), height, 0.0).replace(**changes)
         self.simulation = build(scenario)
         self.pilot = with_autopilot(self.simulation, airborne=not scenario.initial.on_ground)
         self._entries: list[Entry] = []

@@ -148,7 +148,7 @@ def run_search(
             result = search(plan, prober)
             shutil.rmtree(out / CASES, ignore_errors=True)  # of a search that was stopped while it flew them
             cases = tuple(_cases(result, prober, out / CASES))
-            looked = [(point, prober.verdict(point).breaks) for point in prober.points]
+            looked = [(point, prober.result(point).breaks) for point in prober.points]
             searched = SavedSearch(out, result, cases, looked)
             _write(searched)
     except OSError as error:
@@ -186,7 +186,7 @@ def _begin(out: Path, frozen: Frozen, plan: Plan) -> None:
 def _cases(result: SearchResult, prober: Prober, folder: Path) -> Iterator[Case]:
     """Fly what breaks and what just holds once more, recorded in full."""
     for name, point, breaks in _shown(result):
-        verdict = prober.verdict(point)
+        verdict = prober.result(point)
         row = verdict.worst if breaks else _held(result, prober, point)
         seed = int(row["seed"] or 0)
         try:

@@ -33,7 +33,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class PointResult:
     """What became of a point's flights."""
 
     broken: int
@@ -90,13 +90,13 @@ class Prober:
     def look(self, points: Sequence[Point]) -> list[bool]:
         """Whether each of them breaks.  Raises SpentError if that takes more flights than are allowed."""
         self._fly(points)
-        return [self.verdict(point).breaks for point in points]
+        return [self.result(point).breaks for point in points]
 
-    def verdict(self, point: Point) -> Verdict:
+    def result(self, point: Point) -> PointResult:
         """What is known of a point that was looked at."""
         rows = [self._known[point, seed] for seed in self.seeds]
         broken = [row for row in rows if not row["success"]]
-        return Verdict(len(broken), len(rows), len(broken) >= self.needed, (broken or rows)[0])
+        return PointResult(len(broken), len(rows), len(broken) >= self.needed, (broken or rows)[0])
 
     def row(self, point: Point, seed: int) -> Row:
         """The flight of a point that was looked at."""

@@ -217,7 +217,7 @@ def _edge(plan: Plan, prober: Prober, line: _Line, scan: Scan) -> Edge:
     def at(place: float | None) -> Value | None:
         return None if place is None else span.at(side * place)
 
-    shown = prober.verdict(line.point(plan, scan.places[-1] if broken is None else broken))
+    shown = prober.result(line.point(plan, scan.places[-1] if broken is None else broken))
     value = at(broken)
     return Edge(
         controller=line.controller,
@@ -358,7 +358,7 @@ def together(plan: Plan, prober: Prober, controller: str, edges: Sequence[Edge])
     rays.refine()
     if rays.best is not None and (single is None or rays.best.distance < single):
         breaks, holds = rays.best.breaks, rays.best.holds
-    shown = prober.verdict(plan.point(controller, breaks)).worst if breaks else {}
+    shown = prober.result(plan.point(controller, breaks)).worst if breaks else {}
     return Joint(
         controller=controller,
         distance=distance(plan, breaks) if breaks else None,

@@ -14,9 +14,9 @@ from cosim.cli.console import output_to_stderr, part_progress, say, show_table
 from cosim.cli.options import DONE, example, is_given, refuse_others
 
 if TYPE_CHECKING:
-    from cosim.campaign.engine_out import EngineOut
-    from cosim.campaign.failsafe_survey import Failsafes
-    from cosim.campaign.fault_survey import Survival
+    from cosim.campaign.surveys.engine_out import EngineOut
+    from cosim.campaign.surveys.failsafes import Failsafes
+    from cosim.campaign.surveys.faults import Survival
 
 
 class Faults(opt.Output):
@@ -59,7 +59,8 @@ def faults(options: Faults) -> int:
 
     Leaves survival.csv and survival.html in DIR; with --engine-out, engine-out.csv.
     """
-    from cosim.campaign.fault_survey import PARTS, survival, write, write_page
+    from cosim.campaign.surveys.fault_page import PARTS, write, write_page
+    from cosim.campaign.surveys.faults import survival
     from cosim.results.report.marks import check_marks
     from cosim.spec.controller_name import seen_from
 
@@ -87,7 +88,7 @@ def faults(options: Faults) -> int:
 
 
 def _engine_out(options: Faults) -> int:
-    from cosim.campaign.engine_out import check_pages, engine_out, write, write_pages
+    from cosim.campaign.surveys.engine_out import check_pages, engine_out, write, write_pages
 
     own = ("aircraft", "engine", "engine_out", "designs", "docs", "workers", "out", "as_json")
     refuse_others("does not go with --engine-out", *own)
@@ -160,9 +161,9 @@ def failsafes(options: FailsafeOptions) -> int:
     failsafes.csv in DIR, and in DIR/flights every flight as a scenario with its requests: hexjet fly flies it again.
     With several aircraft each has a folder of its name in DIR.
     """
-    from cosim.campaign.failsafe_survey import TABLED, WINDS_M_S, Conditions
-    from cosim.campaign.failsafe_survey import failsafes as fly_all
-    from cosim.campaign.failsafe_table import mark, markdown, write
+    from cosim.campaign.surveys.failsafe_table import mark, markdown, write
+    from cosim.campaign.surveys.failsafes import TABLED, WINDS_M_S, Conditions
+    from cosim.campaign.surveys.failsafes import failsafes as fly_all
     from cosim.results.report.marks import check_marks, write_marks
     from cosim.spec.vehicle import aircraft_name
 
@@ -201,7 +202,7 @@ def failsafes(options: FailsafeOptions) -> int:
 
 def print_survival(result: Survival, report: Path) -> None:
     """Print how many places of each fault are held, by controller, what explains it, and where the report is."""
-    from cosim.campaign.fault_survey import summary
+    from cosim.campaign.surveys.faults import summary
     from cosim.spec.controller_name import label
 
     controllers, survived = summary(result)
@@ -237,7 +238,7 @@ def print_survival(result: Survival, report: Path) -> None:
 
 def print_engine_out(result: EngineOut, paths: Sequence[Path]) -> None:
     """Print what became of every vehicle with one engine out, its bounds, and where it stands."""
-    from cosim.campaign.engine_out import TABLES, rows
+    from cosim.campaign.surveys.engine_out import TABLES, rows
 
     aircraft = [flight.aircraft for flight in result.flights] + [flight.aircraft for flight in result.left]
     for name, lines in rows(result, aircraft).items():
@@ -254,7 +255,7 @@ def print_engine_out(result: EngineOut, paths: Sequence[Path]) -> None:
 
 def print_failsafes(result: Failsafes, table: Path) -> None:
     """Print what became of each failsafe from each start, and where the flights are."""
-    from cosim.campaign.failsafe_table import grid, summary
+    from cosim.campaign.surveys.failsafe_table import grid, summary
 
     if result.airborne:
         titles = ("failsafe", "wind, m/s", "moving, m/s", "ended", "down, m/s", "sideways, m/s", "thrust 10 s later, N")

@@ -11,13 +11,13 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
+from cosim.base.outcomes import Verdict
 from cosim.base.protocols import Column
 from cosim.base.storage.files import one_line, replacing
 from cosim.results.columns import COLUMNS
 from cosim.results.events import events_of
 from cosim.results.export import ulog_autopilot
 from cosim.results.run import RUN_FILES, Run, Summary
-from cosim.results.verdict import NOT_COMPLETED
 from cosim.spec.scenario import Scenario
 
 Block = dict[str, Array]
@@ -45,7 +45,7 @@ def log_lines(run: Run, lines: Sequence[ulog_autopilot.Line]) -> list[LogLine]:
     texts += [LogLine(k, k * step, INFO, "pilot", text) for k, text in ulog_autopilot.mode_changes(lines)]
     level = INFO if summary.outcome == "completed" else ERROR
     end, last = summary.steps, summary.duration_s
-    worth = "" if summary.verdict in (None, NOT_COMPLETED) else f"; {summary.verdict}"
+    worth = "" if summary.verdict in (None, Verdict.NOT_COMPLETED) else f"; {summary.verdict}"
     texts.append(LogLine(end, last, level, "outcome", f"{summary.outcome}: {summary.reason}{worth}"))
     texts += [LogLine(end, last, ERROR, "limit", f"beyond its limit: {text}") for text in summary.exceeded]
     for event in events_of(run):

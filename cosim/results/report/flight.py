@@ -8,6 +8,7 @@ from math import degrees
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from cosim.base.outcomes import Verdict
 from cosim.results.columns import own_columns
 from cosim.results.events import Event, events_of
 from cosim.results.metrics import AxisMetrics
@@ -22,7 +23,7 @@ from cosim.results.run import (
     Run,
     Summary,
 )
-from cosim.results.verdict import BADGES, NOT_COMPLETED, NOTHING_CHECKED
+from cosim.results.verdict import BADGES
 from cosim.results.wording import (
     AXIS_ROWS,
     NONE,
@@ -102,7 +103,7 @@ def write_report(run: Run, path: Path, shared_assets: bool = False) -> None:
 
 def verdict_badge(summary: Summary) -> tuple[str, str]:
     """Return the class and the text of the badge with the verdict; a flight without one shows its outcome."""
-    if summary.verdict is None or summary.verdict == NOT_COMPLETED:
+    if summary.verdict is None or summary.verdict == Verdict.NOT_COMPLETED:
         return summary.outcome, summary.outcome
     return BADGES[summary.verdict], summary.verdict
 
@@ -115,7 +116,7 @@ def verdict(summary: Summary) -> str:
     else:
         parts = [f"{summary.outcome.capitalize()} after {flown} of {summary.planned_s:g} s: {summary.reason}."]
     parts += [f"{text[0].upper()}{text[1:]}." for text in summary.exceeded]
-    if summary.verdict == NOTHING_CHECKED:
+    if summary.verdict == Verdict.NOTHING_CHECKED:
         parts.append("Nothing was expected of it, so that nothing but its limits was checked.")
     commanded = [_axis_verdict(axis, metrics) for axis, metrics in summary.metrics.items() if metrics.commanded]
     parts += commanded or [_worst_error(summary)]

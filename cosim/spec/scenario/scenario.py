@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
-from cosim.base.constants import Outcome
 from cosim.base.errors import InputError
+from cosim.base.outcomes import Outcome
 from cosim.base.storage.toml import (
     Duration,
     Model,

@@ -19,10 +19,11 @@ from stated_figures import stated
 
 from cosim.base.constants import GRAVITY
 from cosim.base.protocols import EngineState
-from cosim.campaign import failsafe_survey as table
-from cosim.campaign import failsafe_table as tables
-from cosim.campaign.fault_survey import controllers_for, step_of
-from cosim.campaign.tipping import tip_speed
+from cosim.campaign.surveys import failsafe_flight
+from cosim.campaign.surveys import failsafe_table as tables
+from cosim.campaign.surveys import failsafes as table
+from cosim.campaign.surveys.survey import subject_of
+from cosim.campaign.surveys.tipping import tip_speed
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.results.report import marks
@@ -40,10 +41,8 @@ def case(name: str) -> table.Case:
 def flown(
     name: str, aircraft: str = "hexjet", height: float = 3.0, wind: float = 0.0, speed: float = 0.0
 ) -> table.FailsafeFlight:
-    vehicle = load_vehicle(aircraft)[0]
-    engine, step = vehicle.engine or "edf-as-flown", step_of(aircraft)
-    controller = "smith" if "smith" in controllers_for(aircraft, engine, step) else "baseline"
-    scenario = table.scenario_of(aircraft, engine, controller, step, height, wind)
+    subject = subject_of(aircraft)
+    scenario = table.scenario_of(subject, table.default_controller(subject), height, wind)
     return table.fly_case(table.Task(case(name), table.Start(height, wind, speed), scenario))
 
 
@@ -149,7 +148,7 @@ def test_turbines_that_still_carry_it_let_a_vehicle_tip_much_sooner() -> None:
 
 
 def test_what_touches_faster_sideways_has_not_landed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(table, "tip_speed", lambda aircraft, engine: 0.0)
+    monkeypatch.setattr(failsafe_flight, "tip_speed", lambda aircraft, engine: 0.0)
     row = flown("GNSS lost").row
     assert row.verdict == "slid"
     assert 0.0 < row.sideways_m_s < 0.3
@@ -320,7 +319,7 @@ def test_what_is_left_of_a_jet_ten_seconds_later_is_its_rotor_running_down() -> 
     with Flight("hexjet-p220", initial={"on_ground": True}) as flight:
         law = flight.simulation.engine.flame_out
         assert law is not None
-        left = law.left * (1.0 + table.LATER_S / law.run_down) ** -law.exponent
+        left = law.left * (1.0 + failsafe_flight.LATER_S / law.run_down) ** -law.exponent
         stated("docs/failsafes.md", "{} % of what they gave when they were shut off", 100.0 * left)
         flight.fly(1.1)
         flight.ok(rq.Arm())
@@ -328,7 +327,7 @@ def test_what_is_left_of_a_jet_ten_seconds_later_is_its_rotor_running_down() -> 
         assert idle > 50.0
         flight.ok(rq.Disarm())
         # a step may lie between the request and the fire
-        assert flight.fly(table.LATER_S) == pytest.approx(left * idle, rel=0.005)
+        assert flight.fly(failsafe_flight.LATER_S) == pytest.approx(left * idle, rel=0.005)
 
 
 @pytest.mark.parametrize(
@@ -415,10 +414,10 @@ def test_a_full_scale_vehicle_holds_in_wind(wind: float, turbulence: int, furthe
         for _ in range(300):
             flight.fly(0.1)
             away.append(hypot(*flight.simulation.state.position[:2]))
-            assert abs(flight.simulation.state.altitude - 10.0) < table.HELD_HEIGHT_M
+            assert abs(flight.simulation.state.altitude - 10.0) < failsafe_flight.HELD_HEIGHT_M
         flight.again(tmp_path)
     assert max(away) < furthest
-    assert max(away[200:]) < table.HELD_M
+    assert max(away[200:]) < failsafe_flight.HELD_M
 
 
 @pytest.mark.parametrize("aircraft", HEXJETS)
@@ -525,15 +524,15 @@ def test_who_holds_is_where_and_as_high_as_it_was_to_hold(aircraft: str, wind: f
     row = flown("set-points lost", aircraft, 10.0, wind).row
     assert row.verdict == "holds"
     # it held at north 0, east 0; the place and the height are the set-point's, measured through the sensors
-    assert row.off_m < table.HELD_M
-    assert abs(row.height_off_m) < table.HELD_HEIGHT_M
+    assert row.off_m < failsafe_flight.HELD_M
+    assert abs(row.height_off_m) < failsafe_flight.HELD_HEIGHT_M
 
 
 @pytest.mark.parametrize("moved", [rq.Goto(4.0, 0.0), rq.Goto(altitude=4.0)])
 def test_who_is_in_hold_elsewhere_does_not_hold(moved: rq.Goto, monkeypatch: pytest.MonkeyPatch) -> None:
     """A place or a height that jumps when HOLD begins: the mode alone would say that all is well."""
-    monkeypatch.setattr(table, "LONGEST_HOLD_S", 12.0)
-    scenario = table.scenario_of("hexjet", "edf-as-flown", "smith", step_of("hexjet"), 3.0, 0.0)
+    monkeypatch.setattr(failsafe_flight, "LONGEST_HOLD_S", 12.0)
+    scenario = table.scenario_of(subject_of("hexjet"), "smith", 3.0, 0.0)
     elsewhere = table.Case("elsewhere", (), (moved,), True)
     row = table.fly_case(table.Task(elsewhere, table.Start(3.0, 0.0), scenario)).row
     assert row.verdict == "flies on"
@@ -621,7 +620,7 @@ def test_what_is_drawn_is_the_same_again_and_other_for_every_flight() -> None:
     assert tall == [3.0, 3.0, 10.0, 10.0, 30.0, 30.0, 100.0, 300.0]
     stated("docs/failsafes.md", "What takes long, from {} and {} m, is one flight", *table.TALL_M)
     stated("docs/failsafes.md", "A flight takes off, hovers for {} to {} s, and then something fails", *table.HOVER_S)
-    scenario = table.scenario_of("hexjet-p220", "p220", "smith", step_of("hexjet-p220"), 30.0, 0.0)
+    scenario = table.scenario_of(subject_of("hexjet-p220", "p220"), "smith", 30.0, 0.0)
     with Flight("hexjet-p220") as flight:
         energy = flight.pilot.energy
 
@@ -721,7 +720,7 @@ def test_after_a_take_off_what_does_not_land_is_what_the_page_explains(aircraft:
                 assert float(down[1]) < vehicle.limits.touchdown_m_s
             off = re.search(r"([\d.]+) m off", cell)
             if off is not None and verdicts == {"holds"}:
-                assert float(off[1]) <= table.HELD_M
+                assert float(off[1]) <= failsafe_flight.HELD_M
 
 
 @pytest.mark.parametrize(

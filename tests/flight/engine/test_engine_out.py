@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from math import acos, cos, degrees, radians
+from math import acos, cos, degrees, inf, radians
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -20,27 +20,23 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.frames import to_euler
 from cosim.base.signals import Disturbance
-from cosim.campaign.engine_out import (
+from cosim.campaign.surveys.engine_out import (
     MEANS,
     NOT_A_JET,
     OPPOSITE,
     PAGES,
     PLANNED,
     SOONER,
-    STEP_S,
     TABLES,
-    RollAxis,
-    ThrustCourses,
     _fly,
     _scenario,
-    courses_of,
     engine_out,
-    opposite_of,
-    roller,
     rows,
     unfit,
     write_pages,
 )
+from cosim.campaign.surveys.lean_bound import STEP_S, RollAxis, ThrustCourses, courses_of, opposite_of, roller
+from cosim.campaign.surveys.survey import subject_of
 from cosim.control.autopilot import requests as rq
 from cosim.engine import EngineBank, engine_names, load_engine
 from cosim.flight import fly
@@ -63,7 +59,7 @@ HOME = {
 
 
 def flight(engine: str, jet: int, means: Any) -> Scenario:
-    return _scenario(HOME[engine], engine, read_controller(DESIGNS / f"{engine}.toml"), jet, means)
+    return _scenario(subject_of(HOME[engine], engine), read_controller(DESIGNS / f"{engine}.toml"), jet, means)
 
 
 # ---- the bound
@@ -204,6 +200,37 @@ def test_a_vehicle_that_spins_leans_less_than_the_bound_with_tilts() -> None:
     assert 20.0 < lean < found.least_lean(5, tilting=True).lean_deg - 5.0
 
 
+class Fall(NamedTuple):
+    """The least height that is lost, m; the fastest sinking; that at which a given height was fallen, 0: it was not."""
+
+    lost_m: float
+    sink_m_s: float
+    touch_m_s: float
+
+
+def least_fall(axis: RollAxis, after: int = 0, height: float = inf) -> Fall:
+    """What no throttles avoid of a fall with one jet out and another, the opposite one, shut off with it.
+
+    ``m v' = m g - sum T_i`` with the four others at full throttle from that instant on, or from step ``after``,
+    before which no throttle moves, and nothing of their thrust lost to lean or to holding the attitude.
+    """
+    courses = axis.courses
+    up = [axis.hover] * after + courses.up
+    falling = [axis.hover] * after + courses.shut(0)
+    sink = lost = fastest = touch = 0.0
+    for k in range(len(courses.up)):
+        thrust = courses.out[k] + falling[k] + (len(axis.vehicle.jets) - 2) * up[k]
+        before = sink
+        sink += STEP_S * (GRAVITY - thrust / axis.vehicle.mass_kg)
+        if sink < 0.0:
+            return Fall(lost, fastest, touch)
+        above = lost < height
+        lost += 0.5 * STEP_S * (before + sink)
+        fastest = max(fastest, sink)
+        touch = sink if above and lost >= height else touch
+    raise ValueError("the engines were not followed for long enough to stop the fall")
+
+
 def test_the_least_fall_is_what_the_failsafes_page_says() -> None:
     """Told at once, level, all four at full throttle; then as late as the monitor tells; then as it is flown."""
     page, height = "docs/failsafes.md", 3.0
@@ -214,7 +241,7 @@ def test_the_least_fall_is_what_the_failsafes_page_says() -> None:
         with build(scenario) as one:
             turning = roller(one, 4.0)
         legs.append(height - max(each.position_m[2] for each in vehicle.contacts if each.kind == "leg"))
-        lost.append(turning.least_fall().lost_m)
+        lost.append(least_fall(turning).lost_m)
         with Hover(aircraft, height) as flight:
             flight.fly(5.0)
             flight.ok(rq.InjectFault("flame_out", (jet,)))
@@ -225,7 +252,7 @@ def test_the_least_fall_is_what_the_failsafes_page_says() -> None:
             while not state.on_ground:
                 flight.simulation.step()
                 before, state = state, flight.simulation.state
-        late = turning.least_fall(after, legs[-1])
+        late = least_fall(turning, after, legs[-1])
         assert lost[-1] < late.lost_m
         assert legs[-1] < late.lost_m
         assert late.touch_m_s < before.velocity[2]
@@ -247,7 +274,7 @@ def test_a_fall_under_engines_that_jump_is_the_closed_form() -> None:
     courses = SimpleNamespace(
         up=[0.0] * n + [3.0 * hover] * (count - n), out=[0.0] * count, shut=lambda at: [0.0] * count
     )
-    found = RollAxis(vehicle, courses, hover).least_fall(height=0.08)  # type: ignore[arg-type]
+    found = least_fall(RollAxis(vehicle, courses, hover), height=0.08)  # type: ignore[arg-type]
     sink = GRAVITY * n * STEP_S
     assert found.touch_m_s == pytest.approx((2.0 * GRAVITY * (2.0 * sink**2 / 2.0 / GRAVITY - 0.08)) ** 0.5, rel=0.05)
     assert found.sink_m_s == pytest.approx(sink, rel=1e-9)
@@ -346,10 +373,10 @@ def test_a_vehicle_without_opposite_jets_is_refused() -> None:
 
 
 def test_what_cannot_be_flown_says_why() -> None:
-    assert unfit("hexjet-p220", "edf") == "cannot lift it: 120 N at most for 608 N of weight"
-    assert unfit("hexjet", "p220") == "cannot stay down: 90 N at idle for 54 N of weight"
-    assert unfit("hexjet", "turbine-100") == "too strong: it would hover at 7 % of its range"
-    assert all(unfit(aircraft, engine) == "" for engine, aircraft in HOME.items())
+    assert unfit(subject_of("hexjet-p220", "edf")) == "cannot lift it: 120 N at most for 608 N of weight"
+    assert unfit(subject_of("hexjet", "p220")) == "cannot stay down: 90 N at idle for 54 N of weight"
+    assert unfit(subject_of("hexjet", "turbine-100")) == "too strong: it would hover at 7 % of its range"
+    assert all(unfit(subject_of(aircraft, engine)) == "" for engine, aircraft in HOME.items())
 
 
 # ---- the command and the pages

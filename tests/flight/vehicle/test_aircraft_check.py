@@ -14,8 +14,8 @@ from places import DOCS, ROOT
 
 from cosim import InputError, Scenario, fly
 from cosim.base.signals import MOST_JETS
-from cosim.campaign import aircraft_check
-from cosim.campaign.aircraft_check import AircraftCheck, check_aircraft
+from cosim.campaign.surveys import aircraft_check
+from cosim.campaign.surveys.aircraft_check import AircraftCheck, check_aircraft
 from cosim.control.allocation.authority import Authority, Reach, reach_of
 from cosim.results.digest import log_digest
 from cosim.simulation.build import build
@@ -91,7 +91,7 @@ def altered(*changes: tuple[str, str]) -> dict[str, str]:
 
 
 def test_what_is_wrong_is_found(hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cosim.campaign.aircraft_check.FLIGHT_S", 0.5)
+    monkeypatch.setattr("cosim.campaign.surveys.aircraft_check.FLIGHT_S", 0.5)
     hexjet("aircraft", "new", "mine", "--from", "quadrotor")
     original = Path("mine/vehicle.toml").read_text()
     mass = next(line for line in original.splitlines() if line.startswith("mass_kg"))

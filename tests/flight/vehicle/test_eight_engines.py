@@ -15,10 +15,10 @@ from pyulog import ULog
 from cosim.base.errors import InputError
 from cosim.base.signals import MOST_JETS
 from cosim.base.storage.paths import data_folder
-from cosim.campaign.fault_survey import judge
 from cosim.campaign.study.keys import find_key
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
+from cosim.campaign.surveys.survey import judge
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.flight import fly
 from cosim.results.events import events_of

@@ -12,9 +12,9 @@ from command_tools import Hexjet
 from places import DOCS
 
 from cosim import Scenario, fly
-from cosim.campaign.aircraft_check import check_aircraft
 from cosim.campaign.study.model_notes import model_notes
 from cosim.campaign.study.options import open_study
+from cosim.campaign.surveys.aircraft_check import check_aircraft
 from cosim.simulation.build import build, engines_of
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.simulation.delay_ledger import total_samples
@@ -261,7 +261,7 @@ def test_a_study_says_it_once() -> None:
 
 
 def test_an_edit_after_new_is_not_fit_to_fly(hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cosim.campaign.aircraft_check.FLIGHT_S", 0.3)
+    monkeypatch.setattr("cosim.campaign.surveys.aircraft_check.FLIGHT_S", 0.3)
     made = hexjet("aircraft", "new", "mine")
     assert "its identified models are those of hexjet" in made.err
     assert "hexjet aircraft check ./mine compares them" in made.err

@@ -25,13 +25,13 @@ from places import ROOT
 from cosim import InputError, Scenario, fly, open_run
 from cosim.base.protocols import Column, Parameter
 from cosim.base.signals import UNKNOWN3, Actuation, Unallocated
-from cosim.campaign.fault_survey import survival
-from cosim.campaign.fault_survey import write as write_survey
 from cosim.campaign.run import fly_again, run_campaign, workers_at
 from cosim.campaign.search.folder import opened, run_search
 from cosim.campaign.study.keys import find_key
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
+from cosim.campaign.surveys.fault_page import write as write_survey
+from cosim.campaign.surveys.faults import survival
 from cosim.campaign.workers.cluster import DaskWorkers
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.control.attitude import AttitudeController

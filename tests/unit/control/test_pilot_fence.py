@@ -15,7 +15,7 @@ from pilot_flights import Flight
 from stated_figures import stated
 
 from cosim.base.signals import State
-from cosim.campaign.failsafe_survey import TABLED
+from cosim.campaign.surveys.failsafes import TABLED
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.fence import beyond, depth
 from cosim.control.autopilot.geometry import wrap

@@ -26,12 +26,12 @@ from stated_figures import NUMBER, defined, figures, last_digit, numbers, row_st
 
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import read_toml
-from cosim.campaign import engine_out
-from cosim.campaign import fault_survey as survival
 from cosim.campaign.analysis.statistics import wilson
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
 from cosim.campaign.study.study import Study
+from cosim.campaign.surveys import engine_out, survey
+from cosim.campaign.surveys import faults as survival
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.control.allocation import reallocation as replan
 from cosim.engine import build, build_engines, load_engine, response
@@ -887,17 +887,17 @@ def test_what_faults_are_flown_with() -> None:
     stated(FAULTS, "out at every station from a calm hover at {} m, ten seconds flown", survival.HEIGHT_M)
     assert engine_out.AFTER_S == 10.0
     stated(FAULTS, "*held* is within {} deg of level over the last second and not sinking by more than {} m/s at its end, "
-           "*lost* past {} deg", survival.LEVEL_DEG, engine_out.SINK_M_S, lost)  # fmt: skip
+           "*lost* past {} deg", survey.LEVEL_DEG, engine_out.SINK_M_S, lost)  # fmt: skip
     stated(FAULTS, "A bound past {} deg for throttles says", lost)
     stated(FAULTS, "told after {} s; the same engines on half the mass and inertia; by how much J_xx would have to grow, "
            "at the same lever, for a bound of {} deg; the opposite engine shut off at the same instant; and how long that "
            "may take for a bound of {} deg", engine_out.LATE_S, lost, lost)  # fmt: skip
     stated(FAULTS, "one seed, {} m, {} s from the fault on; *roll* is a commanded lean of {} deg", survival.HEIGHT_M,
            survival.AFTER_S, survival.ROLL_DEG)  # fmt: skip
-    stated(FAULTS, "the vehicle is *held*, within {} deg of what is asked on every axis", survival.LEVEL_DEG)
+    stated(FAULTS, "the vehicle is *held*, within {} deg of what is asked on every axis", survey.LEVEL_DEG)
     stated(FAULTS, "With engines that answer {} s late the baseline loses the vehicle in a roll of {} deg",
            delay("edf-as-flown") * STEP, survival.ROLL_DEG)  # fmt: skip
-    stated(FAULTS, "it leans on by more than {} deg", survival.LEVEL_DEG)
+    stated(FAULTS, "it leans on by more than {} deg", survey.LEVEL_DEG)
     jammed = {case.fault["angle_deg"] for case in survival.cases(vehicle) if case.fault and "angle_deg" in case.fault}
     stated(FAULTS, "A servo that jams {} deg off loses", *jammed)
 

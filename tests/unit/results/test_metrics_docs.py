@@ -9,9 +9,9 @@ from typing import get_args
 import pytest
 from places import DOCS
 
+from cosim.base.outcomes import RunVerdict
 from cosim.results import limits, steadiness
 from cosim.results.metrics import REVERSAL, SETTLING_BAND, metric_names
-from cosim.results.run import Verdict
 from cosim.spec.scenario import FlightLimits
 from cosim.spec.vehicle import load_vehicle
 
@@ -65,5 +65,5 @@ def test_the_figures_of_the_axes_limits(sentence: str, figures: list[float]) -> 
 
 
 def test_every_verdict_is_there() -> None:
-    for verdict in get_args(Verdict):
+    for verdict in get_args(RunVerdict):
         assert f"| `{verdict}` |" in PAGE

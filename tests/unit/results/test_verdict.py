@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 from places import TESTS
 
+from cosim.base.outcomes import RunVerdict
 from cosim.results.run import open_run
-from cosim.results.verdict import Verdict, describe_end, judge, read_verdict
+from cosim.results.verdict import describe_end, judge, read_verdict
 
 OLD = TESTS / "older" / "0.1.0-a" / "run"
 
@@ -42,7 +43,7 @@ def test_a_verdict_follows_from_outcome_limits_and_expectations(
         (None, "completed, flew 5 steps"),
     ],
 )
-def test_the_end_in_words(verdict: Verdict | None, said: str) -> None:
+def test_the_end_in_words(verdict: RunVerdict | None, said: str) -> None:
     assert describe_end("completed", "flew 5 steps", verdict) == said
     assert describe_end("diverged", "leaned past 80 deg", "not completed") == "diverged, leaned past 80 deg"
 

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import toml_text
-from cosim.campaign.failsafe_survey import HOVER_S, Failsafes, Row
+from cosim.campaign.surveys.failsafe_flight import Row
+from cosim.campaign.surveys.failsafes import HOVER_S, Failsafes
 from cosim.control.autopilot.requests import to_dict
 from cosim.results.autopilot.request_log import Entry
 from cosim.results.report import marks

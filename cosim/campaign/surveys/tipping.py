@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from functools import cache
 from math import acos, cos, inf, radians, sin
-from pathlib import Path
 from typing import Any
 
 from cosim.base.signals import Actuation
-from cosim.campaign.fault_survey import step_of
+from cosim.campaign.surveys.survey import Subject
 from cosim.control.predictors.registry import BASELINE
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
@@ -54,25 +53,18 @@ def tip_speed(aircraft: str, engine: str) -> float:
     not tip it.  ``aircraft`` is a name or the path of a folder, ``engine`` a name or a file.  Raises InputError as
     :func:`build`.
     """
-    vehicle, _ = load_vehicle(aircraft)
-    contacts = [contact.model_dump() for contact in vehicle.contacts]
+    subject = Subject(aircraft, load_vehicle(aircraft)[0], engine)
+    contacts = [contact.model_dump() for contact in subject.vehicle.contacts]
     legs = [contact for contact in contacts if contact["kind"] == "leg"]
     for leg in legs:
         leg |= {"friction_static": FRICTION, "friction_dynamic": FRICTION}
-    scenario = Scenario.from_table(
-        {
-            "name": "tipping",
-            "aircraft": aircraft,
-            "engine": engine,
-            "controller": BASELINE.name,
-            "step_s": step_of(aircraft),
-            "duration_s": LONGEST_S,
-            "sensor_noise": False,
-            "vehicle": {"contacts": contacts},
-            "initial": {"altitude_m": max(leg["position_m"][2] for leg in legs) + ABOVE_M},
-        },
-        Path(),
+    scenario = subject.scenario(
         "tipping",
+        controller=BASELINE.name,
+        duration_s=LONGEST_S,
+        sensor_noise=False,
+        vehicle={"contacts": contacts},
+        initial={"altitude_m": max(leg["position_m"][2] for leg in legs) + ABOVE_M},
     )
     least = FASTEST_M_S
     for heading in HEADINGS_DEG:

@@ -20,7 +20,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES, ZERO3, Disturbance, Vector3
 from cosim.base.storage.files import write_files
-from cosim.campaign.authority_drawing import attainable_moments
+from cosim.campaign.surveys.authority_drawing import attainable_moments
 from cosim.control.allocation.authority import Authority, Range, Reach, reach_of
 from cosim.engine import engine_names
 from cosim.flight import fly

@@ -1,0 +1,41 @@
+"""How a flight ends, and what that comes to: the words that scenarios, runs, surveys and their files share."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Literal
+
+Outcome = Literal["completed", "crashed", "diverged", "failed"]
+
+
+class Verdict(StrEnum):
+    """What a flight is worth.  Its value is the word in files and on pages."""
+
+    # of a run, by its limits and by what its scenario expects
+    AS_PLANNED = "as planned"
+    NOTHING_CHECKED = "completed, nothing checked"
+    UNMET = "not as expected"
+    BEYOND_LIMITS = "beyond limits"
+    NOT_COMPLETED = "not completed"
+    # of a flight with a fault: level to a few degrees, or neither crashed nor diverged and no more than that
+    HELD = "held"
+    AIRBORNE = "airborne"
+    # of a flight with a failsafe: on the ground, in the air, or not begun
+    LANDED = "landed"
+    SLID = "slid"
+    STANDS_ARMED = "stands armed"
+    HOLDS = "holds"
+    FLIES_ON = "flies on"
+    REFUSED = "refused"
+    # of both
+    CRASHED = "crashed"
+    LOST = "lost"
+
+    def __repr__(self) -> str:
+        """Return the word in quotes, as errors about files show it."""
+        return repr(self.value)
+
+
+RunVerdict = Literal[
+    Verdict.AS_PLANNED, Verdict.NOTHING_CHECKED, Verdict.UNMET, Verdict.BEYOND_LIMITS, Verdict.NOT_COMPLETED
+]

@@ -1,0 +1,345 @@
+"""Which single faults a vehicle survives, with which controller, and what decides it.
+
+Every fault is flown at every place where it can happen, from hover and from a commanded roll, with every controller
+that the vehicle has a model for.  A flight is judged by where it ends: *held* (level to a few degrees), *airborne*
+(neither crashed nor diverged, and no more than that) or *lost*.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from cosim.base.constants import GRAVITY
+from cosim.base.outcomes import Verdict
+from cosim.base.storage.toml import merge
+from cosim.campaign.surveys.survey import (
+    Say,
+    Subject,
+    choose,
+    fly_all,
+    judge,
+    subject_of,
+    verdict_of,
+)
+from cosim.control.allocation.reallocation import Attainable, attainable_sets
+from cosim.control.predictors.registry import BASELINE
+from cosim.flight import fly
+from cosim.simulation.build import build
+from cosim.simulation.controllers.controller_file import differences, read_controller
+from cosim.spec.controller_name import is_design, label
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from cosim.simulation.controllers.source import Source
+
+WHOLE_CONTROLLER = "controller"  # a level: all of the cascade, the engine monitor with it
+STARTS = ("hover", "roll")
+ROLL_DEG = 10.0
+HEIGHT_M = 30.0
+SETTLED_S = {"hover": 1.0, "roll": 3.0}  # before the fault: in the roll, a step at 0.5 s has settled by then
+DROPOUTS = ("gyro", "attitude", "barometer", "gnss")
+AFTER_S = 6.0  # flown with the fault
+LOSS, CONFIRMATION = "thrust loss, share", "confirmation of a flame-out, s"
+SCANS: dict[str, list[float]] = {
+    LOSS: [k / 10 for k in range(1, 11)],
+    CONFIRMATION: [0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.16, 0.2, 0.3],
+}
+
+
+class Case(NamedTuple):
+    """One fault at one place, as a scenario states it without its start; None is a flight without a fault."""
+
+    kind: str
+    place: str
+    fault: dict[str, Any] | None
+
+
+@dataclass(frozen=True)
+class Row:
+    """What became of one flight."""
+
+    kind: str
+    place: str
+    start: str
+    controller: str
+    verdict: Verdict
+    lean_deg: float  # largest, from upright, from the fault on
+    lost_m: float  # of height, from the fault on
+    detected_s: float | None  # from the fault to the monitor's first verdict
+    reason: str
+    controller_sha256: str | None = None  # of one from outside
+    case: str = ""  # its scenario, as seen from the folder of the result
+
+
+@dataclass(frozen=True)
+class Moments:
+    """What one lost engine does before anything can be done about it, about roll."""
+
+    thrust: float  # N, of one jet in hover
+    moment: float  # N m
+    acceleration: float  # rad/s^2
+    late: float  # s, until the counter-moment acts: confirmation and the engines' delay
+    rate: float  # rad/s, by then, had the engine gone out at once
+    angle: float  # rad, by then
+
+
+@dataclass(frozen=True)
+class Limit:
+    """How far a quantity may grow, on a grid, before the vehicle is lost."""
+
+    quantity: str
+    start: str
+    controller: str
+    held: list[float]  # held level there
+    airborne: list[float]  # not lost there, and no more
+    lost_at: float | None  # the first point where it is lost; None: nowhere on the grid
+
+
+@dataclass(frozen=True)
+class Survival:
+    """The whole table, and what explains it."""
+
+    aircraft: str
+    engine: str
+    rows: list[Row]
+    attainable: list[Attainable]
+    moments: Moments | None  # of a vehicle whose engines have a known delay
+    limits: list[Limit]  # empty if they were not asked for
+    own: tuple[Source, ...] = ()  # the controllers from outside
+    warnings: tuple[str, ...] = ()  # where a design is not flown as what it was made for
+    scenarios: tuple[Scenario, ...] = ()  # of the rows
+
+    @property
+    def unwatched(self) -> list[str]:
+        """The controllers with which no monitor watches the engines: they have to see to it themselves."""
+        return [own.label for own in self.own if own.level == WHOLE_CONTROLLER]
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "aircraft": self.aircraft,
+            "engine": self.engine,
+            "warnings": list(self.warnings),
+            "own_controllers": [
+                {"name": own.name, "level": own.level, "sha256": own.sha256}
+                | {"engine_monitor": own.level != WHOLE_CONTROLLER}
+                for own in self.own
+            ],
+            "rows": [asdict(row) for row in self.rows],
+            "attainable": [attainable._asdict() for attainable in self.attainable],
+            "moments": None if self.moments is None else asdict(self.moments),
+            "limits": [asdict(limit) for limit in self.limits],
+        }
+
+
+def cases(vehicle: Vehicle) -> list[Case]:
+    """Return every single fault at every place; its size is chosen by us: large enough to matter, not hopeless."""
+    jets = [f"jet {jet}" for jet in range(1, len(vehicle.jets) + 1)]
+    turning = vehicle.actuators[: len(vehicle.actuators) - len(vehicle.surfaces)]
+    servos = (vehicle.actuators, turning) if vehicle.ranges else ((), ())
+    kinds: list[tuple[str, Sequence[str], dict[str, Any]]] = [
+        ("flame-out", jets, {"kind": "flame_out"}),
+        ("stuck where it is", jets, {"kind": "stuck_throttle"}),
+        ("stuck at 70 %", jets, {"kind": "stuck_throttle", "throttle": 0.7}),
+        ("thrust loss 50 %", jets, {"kind": "thrust_loss", "share": 0.5}),
+        ("slow spool, +0.3 s", jets, {"kind": "slow_spool", "lag_s": 0.3}),
+        ("delay, +0.1 s", jets, {"kind": "delay_growth", "delay_s": 0.1}),
+        ("servo jam where it is", servos[0], {"kind": "servo_jam"}),
+        ("servo jam at 5 deg", servos[1], {"kind": "servo_jam", "angle_deg": 5.0}),
+        ("gyro bias 3 deg/s", ("gyro",), {"kind": "sensor_bias", "bias": [0.0524, 0.0, 0.0]}),
+        ("attitude bias 3 deg", ("attitude",), {"kind": "sensor_bias", "bias": [0.0524, 0.0, 0.0]}),
+        ("barometer bias 1 m", ("barometer",), {"kind": "sensor_bias", "bias": [1.0]}),
+        ("gnss bias 0.5 m/s down", ("gnss",), {"kind": "sensor_bias", "velocity_bias": [0.0, 0.0, 0.5]}),
+        *((f"dropout, {name}", (name,), {"kind": "sensor_dropout"}) for name in DROPOUTS),
+    ]
+    return [Case("none", "", None)] + [
+        Case(title, place, fault | _location(fault["kind"], place))
+        for title, places, fault in kinds
+        for place in places
+    ]
+
+
+def _location(kind: str, place: str) -> dict[str, Any]:
+    """Return where a fault is, as a scenario has it."""
+    if place.startswith("jet "):
+        return {"jet": int(place.removeprefix("jet "))}
+    return {"servo" if kind == "servo_jam" else "sensor": place}
+
+
+class _Flight(NamedTuple):
+    case: Case
+    start: str
+    controller: str
+    scenario: Scenario
+
+
+def survival(
+    aircraft: str,
+    engine: str | None = None,
+    controllers: Sequence[str] = (),
+    kinds: Sequence[str] = (),
+    workers: int = 2,
+    say: Say = lambda what, done, of: None,
+    limits: bool = False,
+) -> Survival:
+    """Fly every case; ``kinds`` are the beginnings of those to be flown, all if there are none.
+
+    ``limits`` asks for more: how large a loss of thrust, and how long a confirmation of a flame-out, may be.
+    ``engine`` None is the one that the aircraft is made for; ``say`` is told what was flown, how many are, of how many.
+    Raises InputError for an unknown kind, aircraft, engine or controller.
+    """
+    subject = subject_of(aircraft, engine)
+    vehicle = subject.vehicle
+    chosen = choose(cases(vehicle), kinds, "fault", lambda case: case.kind)
+    controllers = controllers or subject.controllers()
+    flights = [
+        _Flight(case, start, controller, scenario_of(subject, case, start, controller))
+        for case in chosen
+        for start in STARTS
+        for controller in controllers
+    ]
+    first = flights[: len(controllers)]
+    own = _own_controllers(first)
+    warnings = tuple(
+        f"{label(flight.controller)}: {text}"
+        for flight in first
+        if is_design(flight.controller)
+        for text in differences(flight.scenario, Path(flight.controller))
+    )
+    flights = [flight._replace(scenario=_pinned(flight, own)) for flight in flights]
+    with build(flights[0].scenario.replace(controller=BASELINE.name)) as simulation:
+        hover, idle = simulation.cascade.allocator.hover, simulation.cascade.thrust_map.idle
+        moments = _moments(vehicle, simulation.stations[0].delay)
+    rows = list(fly_all(_fly, flights, workers, say, lambda row: f"{row.kind}, {row.place}"))
+    scans = [(subject, name, start, controller) for name in SCANS for start in STARTS for controller in controllers]
+    reached = list(fly_all(_scan, scans, workers, say, lambda limit: limit.quantity)) if limits else []
+    sets = attainable_sets(vehicle.jets, vehicle.control.allocation, hover, idle)
+    scenarios = tuple(flight.scenario for flight in flights)
+    return Survival(
+        vehicle.name, subject.engine, rows, sets, moments, reached, tuple(own.values()), warnings, scenarios
+    )
+
+
+def _own_controllers(flights: Sequence[_Flight]) -> dict[str, Source]:
+    """Return the controllers from outside, by name; wrong input is found here, before anything is spent on it."""
+    own: dict[str, Source] = {}
+    for flight in flights:
+        with build(flight.scenario) as simulation:
+            if simulation.own is not None:
+                own[flight.controller] = simulation.own
+    return own
+
+
+def _pinned(flight: _Flight, own: dict[str, Source]) -> Scenario:
+    """Return the scenario with the hash of its controller: another file than that is refused by whoever flies it."""
+    source = own.get(flight.controller)
+    return flight.scenario if source is None else flight.scenario.replace(controller_sha256=source.sha256)
+
+
+def scenario_of(subject: Subject, case: Case, start: str, controller: str, step: float | None = None) -> Scenario:
+    """Return the flight of one cell of the table.  Raises InputError for a design of another control step."""
+    step, begin = step or subject.vehicle.control_step, SETTLED_S[start]
+    gains: dict[str, Any] = {}
+    if is_design(controller):
+        path = Path(controller)
+        file = read_controller(path, subject.aircraft)
+        file.check_step(path, step)
+        controller, gains = file.controller, file.vehicle
+    roll = {"kind": "step", "signal": "roll_deg", "start_s": 0.5, "amplitude": ROLL_DEG}
+    return subject.scenario(
+        "survival",
+        controller=controller,
+        vehicle=gains,
+        step_s=step,
+        duration_s=begin + AFTER_S,
+        initial={"altitude_m": HEIGHT_M},
+        command=[roll] if start == "roll" else [],
+        fault=[] if case.fault is None else [case.fault | {"start_s": begin}],
+    )
+
+
+def _fly(flight: _Flight) -> Row:
+    case, start, controller, scenario = flight
+    run = fly(scenario)
+    begin = scenario.count(SETTLED_S[start], "start_s")
+    lean, lost, detected = judge(run.log, begin)
+    return Row(
+        case.kind,
+        case.place,
+        start,
+        controller,
+        verdict_of(run.outcome, run.log, scenario.step_s),
+        lean,
+        lost,
+        None if detected is None or case.fault is None else (detected - begin + 1) * scenario.step_s,
+        run.reason,
+        scenario.controller_sha256,
+    )
+
+
+def _scan(task: tuple[Subject, str, str, str]) -> Limit:
+    """Fly along a grid until the vehicle is lost; the fault is jet 1's."""
+    subject, quantity, start, controller = task
+    reached: dict[Verdict, list[float]] = {Verdict.HELD: [], Verdict.AIRBORNE: []}
+    lost_at = None
+    for value in SCANS[quantity]:
+        kind = {"kind": "thrust_loss", "share": value} if quantity == LOSS else {"kind": "flame_out"}
+        scenario = scenario_of(subject, Case("", "", kind | {"jet": 1}), start, controller)
+        if quantity != LOSS:
+            scenario = scenario.replace(vehicle=merge(scenario.vehicle, {"control": {"monitor": {"confirm_s": value}}}))
+        run = fly(scenario)
+        verdict = verdict_of(run.outcome, run.log, scenario.step_s)
+        if verdict is Verdict.LOST:
+            lost_at = value
+            break
+        reached[verdict].append(value)
+    return Limit(quantity, start, controller, reached[Verdict.HELD], reached[Verdict.AIRBORNE], lost_at)
+
+
+def _moments(vehicle: Vehicle, delay: float | None) -> Moments | None:
+    settings = vehicle.control.monitor
+    if delay is None or settings is None:
+        return None
+    thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
+    moment = thrust * max(abs(jet.position_m[1]) for jet in vehicle.jets)
+    acceleration = moment / vehicle.inertia_kg_m2[0]
+    late = settings.confirm_s + delay
+    return Moments(thrust, moment, acceleration, late, acceleration * late, 0.5 * acceleration * late**2)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """All places of one kind of fault from one start with one controller."""
+
+    held: int
+    airborne: int
+    flights: int
+    lean_deg: float  # the largest
+    lost_m: float
+    detected_s: tuple[float, float] | None  # first and last
+
+
+def summary(result: Survival) -> tuple[list[str], list[tuple[str, str, list[Cell]]]]:
+    """The controllers, and for each kind and start what became of all its places with each of them."""
+    controllers = list(dict.fromkeys(row.controller for row in result.rows))
+    lines = []
+    for kind, start in dict.fromkeys((row.kind, row.start) for row in result.rows):
+        rows = [row for row in result.rows if (row.kind, row.start) == (kind, start)]
+        lines.append((kind, start, [_cell([row for row in rows if row.controller == name]) for name in controllers]))
+    return controllers, lines
+
+
+def _cell(rows: Sequence[Row]) -> Cell:
+    times = [row.detected_s for row in rows if row.detected_s is not None]
+    return Cell(
+        held=sum(row.verdict == "held" for row in rows),
+        airborne=sum(row.verdict == "airborne" for row in rows),
+        flights=len(rows),
+        lean_deg=max(row.lean_deg for row in rows),
+        lost_m=max(row.lost_m for row in rows),
+        detected_s=(min(times), max(times)) if times else None,
+    )

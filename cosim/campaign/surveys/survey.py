@@ -1,0 +1,102 @@
+"""What all surveys share: the vehicle, the cases chosen, the flights in worker processes, and how they are judged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from math import degrees, nan
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from cosim.base.errors import InputError
+from cosim.base.outcomes import Verdict
+from cosim.base.signals import AXES
+from cosim.campaign.workers.tasks import in_order
+from cosim.control.predictors.registry import PREDICTORS
+from cosim.engine import load_engine
+from cosim.results.columns import jets_in
+from cosim.results.metrics import wrap
+from cosim.results.recorder import Log
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, load_vehicle
+
+Say = Callable[[str, int, int], None]  # is told what was flown, how many are, and of how many
+T = TypeVar("T")
+R = TypeVar("R")
+
+LEVEL_DEG = 5.0  # chosen by us: within this of what is asked, on every axis over the last second, the vehicle is held
+
+
+class Subject(NamedTuple):
+    """The vehicle that is surveyed, with its engine."""
+
+    aircraft: str
+    vehicle: Vehicle
+    engine: str
+
+    def scenario(self, name: str, **table: Any) -> Scenario:
+        """Return a flight of it at its control step.  Raises InputError."""
+        table |= {"name": name, "aircraft": self.aircraft, "engine": self.engine}
+        return Scenario.from_table({"step_s": self.vehicle.control_step} | table, Path(), name)
+
+    def controllers(self) -> list[str]:
+        """Return those of the compared controllers whose model the vehicle has with this engine."""
+        family = load_engine(self.engine, {}, self.vehicle.control_step).family
+        modelled = bool(self.vehicle.identified.get(family))
+        return [name for name, spec in PREDICTORS.items() if spec.compared and (modelled or not spec.needs_model)]
+
+
+def subject_of(aircraft: str, engine: str | None = None) -> Subject:
+    """Return an aircraft with an engine, None: the one that it is made for.  Raises InputError for unknown names."""
+    aircraft = aircraft_seen_from(aircraft, Path())
+    vehicle, _ = load_vehicle(aircraft)
+    return Subject(aircraft, vehicle, engine or engine_of(aircraft) or Scenario.model_fields["engine"].default)
+
+
+def choose(cases: Sequence[T], kinds: Sequence[str], what: str, name: Callable[[T], str]) -> list[T]:
+    """Return the cases that begin as one of ``kinds``, all if there are none.  Raises InputError if none does."""
+    chosen = [case for case in cases if not kinds or name(case).startswith(tuple(kinds))]
+    if not chosen:
+        names = ", ".join(dict.fromkeys(map(name, cases)))
+        raise InputError(f"no {what} begins with {' or '.join(map(repr, kinds))}; there are: {names}")
+    return chosen
+
+
+def fly_all(
+    act: Callable[[T], R],
+    tasks: Sequence[T],
+    workers: int,
+    say: Say,
+    describe: Callable[[R], str],
+    done: int = 0,
+    of: int = 0,
+) -> Iterator[R]:
+    """Yield what becomes of every task, in order; ``done`` of all ``of`` were flown before them."""
+    for count, result in enumerate(in_order(act, tasks, workers), done + 1):
+        say(describe(result), count, of or len(tasks))
+        yield result
+
+
+def judge(log: Log, begin: int) -> tuple[float, float, int | None]:
+    """Return the largest lean [deg], the height lost [m] and the row of the first detection, from row ``begin`` on."""
+    roll, pitch, height = (log[name][begin:] for name in ("roll_rad", "pitch_rad", "altitude_m"))
+    if not roll.size:
+        return nan, nan, None
+    upright = np.cos(roll) * np.cos(pitch)
+    # A column is NaN where a vehicle has no such jet.
+    health = np.nanmin([log[f"health_{jet}"] for jet in range(1, jets_in(log.columns) + 1)], 0)
+    ill = np.flatnonzero(health < 1.0)
+    lean = degrees(float(np.arccos(np.clip(upright.min(), -1.0, 1.0))))
+    return lean, max(0.0, float(height[0] - height.min())), int(ill[0]) if ill.size else None
+
+
+def verdict_of(outcome: str, log: Log, step: float) -> Verdict:
+    """Return whether a vehicle is held (level to a few degrees), airborne and no more than that, or lost."""
+    if outcome != "completed":
+        return Verdict.LOST
+    rows = round(1.0 / step)
+    worst = max(
+        float(np.max(np.abs(wrap(log[f"{axis}_setpoint_rad"][-rows:] - log[f"{axis}_rad"][-rows:])))) for axis in AXES
+    )
+    return Verdict.HELD if degrees(worst) <= LEVEL_DEG else Verdict.AIRBORNE
