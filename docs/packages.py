@@ -31,6 +31,7 @@ WHAT = {  # every package that pyproject.toml names for those who fly, and why i
     "jinja2": "reports",
     "jsbsim": "the airframe",
     "numpy": "arrays",
+    "portalocker": "locks of files, on every system",
     "pyarrow": "logs as Parquet, the stream that survives a kill, campaigns' tables",
     "pydantic": "scenarios, vehicles, studies: reading and refusing",
     "pymavlink": "MAVLink: the messages, and what packs, signs and reads them",

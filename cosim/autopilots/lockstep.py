@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -153,10 +152,7 @@ class Program:
     @property
     def ended(self) -> str:
         """How it ended, in words; empty while it runs."""
-        code = self.process.poll()
-        if code is None:
-            return ""
-        return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
+        return self.process.describe_end(0.0, "was ended by {}", "ended with status {}")
 
     def close(self) -> None:
         """End it; may be called twice."""

@@ -406,7 +406,7 @@ def _journal(folder: Path, of: int) -> Iterator[Row]:
 def _open_journal(folder: Path, how: int) -> int:
     """Open the journal and take its lock.  Raises InputError if another process has it, OSError."""
     file = own_file(folder / JOURNAL, os.O_RDWR | os.O_APPEND | how)
-    if not lock(file):
+    if lock(file) is False:
         os.close(file)
         raise InputError(f"{folder}: in use by another process; wait until it ends")
     return file

@@ -38,7 +38,7 @@ def terminated_as_interrupted() -> Iterator[None]:
 
     kept = {}
     if threading.current_thread() is threading.main_thread():  # no other may say what a signal does
-        for number in (signal.SIGTERM, signal.SIGHUP):
+        for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):  # not every system has the second
             if signal.getsignal(number) is not signal.SIG_IGN:
                 kept[number] = signal.signal(number, end)
     try:

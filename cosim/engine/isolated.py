@@ -10,19 +10,15 @@ from __future__ import annotations
 import json
 import os
 import pickle
-import signal
-import socket
 import struct
-import subprocess
 from collections.abc import Sequence
-from contextlib import suppress
 from itertools import chain
 from multiprocessing.connection import Connection
 from typing import Any
 
 from cosim.base.errors import EngineError, InputError
 from cosim.base.protocols import Column
-from cosim.base.runtime.processes import Child, python_command
+from cosim.base.runtime.processes import Child, die_with_parent, measure_megabytes
 from cosim.base.signals import Ambient, EngineOutput, PerJet
 from cosim.engine.bank import EngineBank, logged_columns
 from cosim.engine.fmu.port_kinds import AMBIENT
@@ -51,16 +47,7 @@ class IsolatedBank:
         self._in_flight = in_flight
         self.starting: tuple[int, ...] = ()  # as the bank's; asked for as long as there are any
         self._row, self._answer = _frames(self._count)
-        ours, theirs = socket.socketpair()
-        with theirs:
-            self._child = Child(
-                python_command(_SERVE, str(theirs.fileno())),
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                pass_fds=[theirs.fileno()],
-            )
-        self._pipe = Connection(ours.detach())
+        self._child, self._pipe = Child.connect(_SERVE)
         try:
             self._ask(("make", tuple(specs), step, in_flight), START_S, "when it was loaded")
         except BaseException:
@@ -114,9 +101,7 @@ class IsolatedBank:
     def close(self) -> None:
         """End the child, by force if it takes long.  May be called again."""
         self._pipe.close()
-        with suppress(subprocess.TimeoutExpired):
-            self._child.wait(CLOSE_S)
-        self._child.end()
+        self._child.end(CLOSE_S)
 
     def __enter__(self) -> IsolatedBank:
         return self
@@ -165,18 +150,11 @@ class IsolatedBank:
             if self._pipe.poll(limit):
                 return self._pipe.recv_bytes(MOST_ANSWERED)
         except (EOFError, OSError):
-            raise EngineError(f"engines ({self._names}): {self._ended()} {moment}") from None
+            crashed, left = "its process crashed ({})", "its process ended by itself (exit status {})"
+            end = self._child.describe_end(CLOSE_S, crashed, left) or "its process no longer answers"
+            raise EngineError(f"engines ({self._names}): {end} {moment}") from None
         self._child.end()
         raise EngineError(f"engines ({self._names}): no answer within {limit:g} s {moment}: a call to the FMU hangs")
-
-    def _ended(self) -> str:
-        try:
-            status = self._child.wait(CLOSE_S)
-        except subprocess.TimeoutExpired:
-            return "its process no longer answers"
-        if status < 0:
-            return f"its process crashed ({signal.Signals(-status).name})"
-        return f"its process ended by itself (exit status {status})"
 
 
 def make_bank(specs: Sequence[EngineSpec], step: float, in_flight: bool = False) -> EngineBank | IsolatedBank:
@@ -221,9 +199,6 @@ def _packed(values: Sequence[float]) -> bytes:
 
 def serve(number: int) -> None:
     """The child: make a bank and do with it what is asked for, until nobody asks any more."""
-    from cosim.engine.qualify.child import die_with_parent
-    from cosim.engine.qualify.supervisor import megabytes
-
     die_with_parent()
     pipe = Connection(number)
     bank: EngineBank | None = None
@@ -242,7 +217,7 @@ def serve(number: int) -> None:
                 ambient = Ambient(air[1], air[2], air[3:]) if air[0] else None
                 k = struct.unpack("<q", data[1:9])[0]
                 output = bank.step(k, values[:count], ambient)
-                if k % LOOKED_AT == 0 and (size := megabytes(os.getpid())) > MOST_MB:
+                if k % LOOKED_AT == 0 and (size := measure_megabytes(os.getpid())) > MOST_MB:
                     much = f"takes {size:.0f} MB of memory at step {k}, {MOST_MB:g} MB at most: it leaks"
                     raise EngineError(f"engines: their process {much}")
                 pipe.send_bytes(_packed(list(chain(*output))))

@@ -22,7 +22,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Column
-from cosim.base.storage.files import lock, one_line, replacing
+from cosim.base.storage.files import lock, one_line, own_file, replacing
 from cosim.results.columns import COLUMNS, known
 from cosim.results.tables import Columnar
 
@@ -45,7 +45,7 @@ class StreamSink:
     def __init__(self, path: Path, note: str, columns: Sequence[Column] = COLUMNS) -> None:
         self.path = path
         try:
-            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o666)
+            self._file = own_file(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND)
         except OSError as error:
             raise InputError(f"{path}: {one_line(error)}") from error
         lock(self._file)
@@ -70,7 +70,7 @@ class StreamSink:
     def _append(self, *parts: bytes | memoryview) -> None:
         size = sum(map(len, parts))
         try:
-            written = os.writev(self._file, parts)
+            written = os.writev(self._file, parts) if hasattr(os, "writev") else 0
             if written < size:
                 rest = memoryview(b"".join(parts))[written:]
                 while rest:

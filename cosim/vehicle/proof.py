@@ -5,7 +5,6 @@ A file is tried once for what it says and each version of JSBSim; what is shippe
 
 from __future__ import annotations
 
-import resource
 import signal
 import subprocess
 import xml.etree.ElementTree as ET
@@ -49,14 +48,7 @@ def prove(xml: bytes, model: Path, text: bytes) -> None:
 
 
 def try_model(file: str) -> None:
-    """Load a model and run it a little, within limits, in this process; what is said of it is not this one's to say."""
-    for limit, most in (
-        (resource.RLIMIT_CPU, CPU_S),
-        (resource.RLIMIT_AS, MEGABYTES * 2**20),
-        (resource.RLIMIT_CORE, 0),
-    ):
-        with suppress(ValueError, OSError):  # a lower one is there, or the system has none
-            resource.setrlimit(limit, (most, resource.getrlimit(limit)[1]))
+    """Load a model and run it a little in this process; what is said of it is not this one's to say."""
     with suppress(InputError, Complaint, MemoryError):  # the same comes in the process that flies it, which says so
         executive = Executive(Path(file), None, "model", 0.001)
         executive.start()
@@ -69,7 +61,7 @@ def _end_with(xml: bytes) -> str:
     file = scratch() / "tried.xml"
     file.write_bytes(xml)
     try:
-        done = run_child(python_command(_CODE, str(file)), WALL_S)
+        done = run_child(python_command(_CODE, str(file), seconds=CPU_S, megabytes=MEGABYTES), WALL_S)
     except subprocess.TimeoutExpired:
         return f"was not done with it within {WALL_S:g} s"
     finally:

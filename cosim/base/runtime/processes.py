@@ -1,7 +1,10 @@
-"""How a process is started so that it sees no stranger's modules, and ended with everything that it started itself."""
+"""Processes that work for this one: started so that they see no stranger's modules, held to limits, asked how they
+ended, and ended with everything that they have started themselves.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -10,15 +13,35 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from secrets import token_hex
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cosim.base.compiled import PACKAGE, environment
 
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
 _MARK = "HEXJET_PROCESS"  # environment variable: which of our processes a process comes from, each behind its parent
+_SILENT = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+_PR_SET_PDEATHSIG = 1  # of linux/prctl.h
+# A lower limit may be there, or the system has none.
+_LIMIT = """
+try:
+    import resource
+    for what, most in ((resource.RLIMIT_CPU, {seconds}), (resource.RLIMIT_AS, {size}), (resource.RLIMIT_CORE, 0)):
+        try:
+            most is None or resource.setrlimit(what, (most, resource.getrlimit(what)[1]))
+        except (ValueError, OSError):
+            pass
+except ImportError:
+    pass
+"""
 
 
-def python_command(code: str, *arguments: str) -> list[str]:
+def python_command(code: str, *arguments: str, seconds: int | None = None, megabytes: float | None = None) -> list[str]:
     """Return the command that runs ``code`` in this interpreter; it finds ``arguments`` behind ``sys.argv[0]``.
+
+    Where ``seconds`` are stated, it may take so much CPU, and ``megabytes`` of address space, and leaves no core file;
+    beyond the first the system ends it by SIGXCPU.
 
     It imports what this process would import, from the same places (``PYTHONPATH`` included), but never from the
     current folder: whatever lies beside a scenario, ``numpy.py`` for one, is not ours to run.
@@ -26,7 +49,9 @@ def python_command(code: str, *arguments: str) -> list[str]:
     places = [os.path.abspath(place) for place in sys.path if place]  # the empty one is the current folder
     home = str(PACKAGE.parent)
     places += [] if home in places else [home]
-    return [sys.executable, "-P", "-c", f"import sys; sys.path[:] = {places!r}\n{code}", *arguments]
+    size = None if megabytes is None else int(megabytes * 2**20)
+    limit = "" if seconds is None else _LIMIT.format(seconds=seconds, size=size)
+    return [sys.executable, "-P", "-c", f"import sys; sys.path[:] = {places!r}\n{limit}{code}", *arguments]
 
 
 class Child(subprocess.Popen[bytes]):
@@ -40,8 +65,58 @@ class Child(subprocess.Popen[bytes]):
         inherited = environment() if environ is None else environ
         super().__init__(command, env={**inherited, _MARK: self._mark}, process_group=0, **how)
 
-    def end(self) -> None:
-        """Kill the process and all that came from it, in whatever session, and wait until it is gone."""
+    @classmethod
+    def connect(
+        cls, code: str, *arguments: str, environ: Mapping[str, str] | None = None
+    ) -> tuple[Child, Connection[Any, Any]]:
+        """Start Python code with nothing to read or print; return the process and the connection to it.
+
+        The code finds the file descriptor of its end of the connection in ``sys.argv[1]``, and ``arguments`` behind.
+        Raises OSError where it cannot be started.
+        """
+        from multiprocessing.connection import Pipe
+
+        ours, theirs = Pipe()
+        with theirs:
+            number = theirs.fileno()
+            try:
+                command = python_command(code, str(number), *arguments)
+                return cls(command, environ, pass_fds=[number], **_SILENT), ours
+            except BaseException:
+                ours.close()
+                raise
+
+    def finish(self, limit: float) -> tuple[bytes, bytes]:
+        """Return what it prints until its end, and leave nothing of it behind.
+
+        Raises subprocess.TimeoutExpired where it has not ended within ``limit`` s of the clock.
+        """
+        try:
+            return self.communicate(timeout=limit)
+        finally:
+            self.end()
+            for stream in (self.stdout, self.stderr):
+                if stream is not None:
+                    stream.close()
+
+    def describe_end(self, patience: float, signalled: str, left: str) -> str:
+        """Return how it ended: ``signalled`` with the signal's name, or ``left`` with its status, in place of ``{}``.
+
+        Empty where it has not ended within ``patience`` s.
+        """
+        with suppress(subprocess.TimeoutExpired):
+            status = self.wait(patience)
+            return signalled.format(signal.Signals(-status).name) if status < 0 else left.format(status)
+        return ""
+
+    def end(self, patience: float = 0.0) -> None:
+        """Kill the process and all that came from it, in whatever session, and wait until it is gone.
+
+        It may end by itself within ``patience`` s first.
+        """
+        if patience:
+            with suppress(subprocess.TimeoutExpired):
+                self.wait(patience)
         end_group(self)
         if sys.platform == "linux":
             _kill_marked(f"{_MARK}={self._mark}".encode())
@@ -54,14 +129,7 @@ def run_child(command: Sequence[str], limit: float, **how: Any) -> subprocess.Co
     not ended within ``limit`` s of the clock.
     """
     child = Child(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **how)
-    try:
-        said = child.communicate(timeout=limit)
-    finally:
-        child.end()
-        for stream in (child.stdout, child.stderr):
-            if stream is not None:
-                stream.close()
-    out, error = (text.decode(errors="replace") for text in said)
+    out, error = (text.decode(errors="replace") for text in child.finish(limit))
     return subprocess.CompletedProcess(command, child.returncode, out, error)
 
 
@@ -99,3 +167,21 @@ def reap(process: subprocess.Popen[Any]) -> None:
             process.returncode = os.waitstatus_to_exitcode(os.waitpid(process.pid, 0)[1])
         except ChildProcessError:
             process.returncode = 0  # as poll() has it where somebody else took the status
+
+
+def die_with_parent(number: int = 9) -> None:
+    """Have the system send this process a signal, by default SIGKILL, when the thread that started it goes.
+
+    Only Linux does that.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number, 0, 0, 0)
+
+
+def measure_megabytes(process: int) -> float:
+    """Return the resident memory of a process [MB of 2**20 bytes]; 0 where there is no ``/proc`` to tell."""
+    try:
+        pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0.0
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import fcntl
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -33,7 +32,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def own_file(path: str | Path, flags: int) -> int:
     """Open a file to be written, never what a link in a folder from elsewhere leads to; an opener for ``open``."""
-    return os.open(path, flags | os.O_NOFOLLOW, 0o666)
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0), 0o666)
 
 
 def write_whole(path: Path, content: str | bytes, failure: type[Exception] | None = None) -> None:
@@ -81,21 +80,28 @@ def locked(path: Path, busy: str) -> Iterator[None]:
     except OSError as error:
         raise InputError(f"{path}: {one_line(error)}") from error
     try:
-        if not lock(file):
+        if lock(file) is False:
             raise InputError(busy)
         yield
     finally:
         os.close(file)
 
 
-def lock(file: int) -> bool:
-    """Try to take the file's lock, which goes when the process goes; False if another holds it."""
+def lock(file: int) -> bool | None:
+    """Try to take the file's lock, which goes when the process goes.
+
+    Return False if another holds it, None where there are no locks: on a file system or a machine without them.
+    """
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+        import portalocker
+    except ImportError:
+        return None
+    try:
+        portalocker.lock(file, portalocker.LockFlags.EXCLUSIVE | portalocker.LockFlags.NON_BLOCKING)
+    except portalocker.AlreadyLocked:
         return False
-    except OSError:
-        return True  # a file system without locks
+    except portalocker.LockException:
+        return None
     return True
 
 

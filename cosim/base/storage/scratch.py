@@ -7,7 +7,6 @@ process that is killed leaves its folder, which the next one removes: nobody hol
 from __future__ import annotations
 
 import atexit
-import fcntl
 import os
 import shutil
 import tempfile
@@ -16,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from cosim.base.errors import InputError
-from cosim.base.storage.files import one_line
+from cosim.base.storage.files import lock, one_line
 
 _PREFIX = "hexjet-scratch-"
 _LOCK = "lock"
@@ -52,8 +51,7 @@ def _make() -> Path:
     while True:
         folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
         file = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o600)  # held as long as the process lives
-        _lock(file, fcntl.LOCK_EX)
-        if (folder / _LOCK).exists():
+        if lock(file) is not False and (folder / _LOCK).exists():
             atexit.register(_remove, os.getpid(), folder)
             return folder
         os.close(file)  # another process took it for one that was left, a moment ago
@@ -65,19 +63,10 @@ def _remove_left() -> None:
         with suppress(OSError):  # somebody else's
             held = os.open(file, os.O_RDWR)
             try:
-                if _lock(held, fcntl.LOCK_EX | fcntl.LOCK_NB):
+                if lock(held):
                     shutil.rmtree(file.parent, ignore_errors=True)
             finally:
                 os.close(held)
-
-
-def _lock(file: int, how: int) -> bool:
-    """Take the file's lock, which goes when the process goes; False if another holds it, or nobody can."""
-    try:
-        fcntl.flock(file, how)
-    except OSError:
-        return False
-    return True
 
 
 def _remove(process: int, folder: Path) -> None:

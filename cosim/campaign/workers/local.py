@@ -13,7 +13,6 @@ import os
 import pickle
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -21,7 +20,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from math import ceil
-from multiprocessing.connection import Connection, Pipe, wait
+from multiprocessing.connection import Connection, wait
 from select import poll
 from threading import Thread
 from types import TracebackType
@@ -29,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.base.compiled import environment
 from cosim.base.errors import FlightError, InputError
-from cosim.base.runtime.processes import Child, python_command
+from cosim.base.runtime.processes import Child, die_with_parent
 from cosim.base.runtime.threads import ONE_THREAD
 from cosim.base.storage.scratch import scratch
 from cosim.base.trust import decision, inherit
@@ -55,7 +54,6 @@ BACKSTOP_S = 10.0  # after its limit a flight ends its process by itself, should
 START_LIMIT_S = 60.0  # chosen by us: until a process is ready, which takes half a second
 STARTS = 8  # processes in a row that end before they are ready: then something else is wrong
 READY = "ready"
-_PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 _COMMAND = "from cosim.campaign.workers.local import serve; serve(int(sys.argv[1]), sys.argv[2])"
 
 
@@ -227,23 +225,12 @@ class _Process:
             raise FlightError(f"no process could be started: {error}") from error
         except OSError as error:
             raise FlightError(f"no process could be started: {tempfile.gettempdir()}: {error.strerror}") from error
-        self.connection, theirs = Pipe()
         inherited = environment() | ONE_THREAD | {"TMPDIR": self._folder}
-        try:
-            self._process = Child(  # in a group: Ctrl-C is answered by the process that waits
-                python_command(_COMMAND, str(theirs.fileno()), self._folder),
-                inherited,
-                pass_fds=[theirs.fileno()],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            )
+        try:  # in a group: Ctrl-C is answered by the process that waits
+            self._process, self.connection = Child.connect(_COMMAND, self._folder, environ=inherited)
         except OSError as error:
-            self.connection.close()
             shutil.rmtree(self._folder, ignore_errors=True)
             raise FlightError(f"no process could be started: {error.strerror or error}") from error
-        finally:
-            theirs.close()
         self._send(sys.path)
         self._send(fly)
 
@@ -281,12 +268,9 @@ class _Process:
         return bool(begun) and time.monotonic() > (self.since or 0.0) + limit and not self.connection.poll()
 
     def how_it_ended(self) -> str:
-        with suppress(subprocess.TimeoutExpired):
-            code = self._process.wait(1.0)
-            return f"ended by {signal.Signals(-code).name}" if code < 0 else f"left with status {code}"
-        if self.since is None:
-            return f"was not ready after {START_LIMIT_S:g} s, as on a machine with too much to do"
-        return "closed its connection"
+        late = f"was not ready after {START_LIMIT_S:g} s, as on a machine with too much to do"
+        open_yet = "closed its connection" if self.since is not None else late
+        return self._process.describe_end(1.0, "ended by {}", "left with status {}") or open_yet
 
     def mark(self, wall_s: float | None = None) -> Row:
         """What a row says of who flew it."""
@@ -347,10 +331,10 @@ def _have_it_ended() -> None:
 
     It sends SIGHUP, number 1, and what answers that is ``alarm`` itself: ``alarm(1)``.
     """
-    libc = ctypes.CDLL(None)
-    if hasattr(libc, "prctl"):  # on Linux alone
+    if sys.platform == "linux":
+        libc = ctypes.CDLL(None)
         libc.signal(int(signal.SIGHUP), libc.alarm)
-        libc.prctl(_PR_SET_PDEATHSIG, int(signal.SIGHUP))
+        die_with_parent(signal.SIGHUP)
 
 
 def _leave(folder: str) -> None:

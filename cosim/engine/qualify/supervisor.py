@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.base.runtime.processes import Child, python_command
+from cosim.base.runtime.processes import Child, measure_megabytes, python_command
 from cosim.base.storage.scratch import temporary
 from cosim.engine.fmu.container import one_line
 
@@ -30,6 +30,7 @@ HANGS = "hangs"
 STARTED, READ = "while its process started", "while its archive was read"  # before the FMU is called
 TO_VANISH_S = 0.3  # for the processes of a child that has ended
 BACKSTOP_S = 10.0  # after the parent's limit the child's own alarm ends it, should the parent be gone
+_MAIN = "from cosim.engine.qualify.child import main; main(int(sys.argv[1]))"
 BUSIEST = 10.0  # times its limit that a child may take by the clock, on a machine that is busy with something else
 
 
@@ -88,10 +89,11 @@ def run_apart(task: Mapping[str, Any], limits: Limits) -> Apart:
 
 @contextlib.contextmanager
 def _child(task: Mapping[str, Any], limits: Limits, folder: Path) -> Iterator[tuple[Child, int]]:
+    most = BUSIEST * limits.seconds + BACKSTOP_S
     read, write = os.pipe()
     try:
         child = Child(
-            python_command("from cosim.engine.qualify.child import main; main(int(sys.argv[1]))", str(write)),
+            python_command(_MAIN, str(write), seconds=int(most) + 1),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -103,9 +105,7 @@ def _child(task: Mapping[str, Any], limits: Limits, folder: Path) -> Iterator[tu
     try:
         assert child.stdin is not None
         with contextlib.suppress(BrokenPipeError):
-            child.stdin.write(
-                json.dumps({"seconds": BUSIEST * limits.seconds + BACKSTOP_S, "task": dict(task)}).encode()
-            )
+            child.stdin.write(json.dumps({"seconds": most, "task": dict(task)}).encode())
         with contextlib.suppress(BrokenPipeError):
             child.stdin.close()
         yield child, read
@@ -177,7 +177,7 @@ def _watch(
             had.look()
             if late := had.beyond(limits):
                 return late
-            if megabytes(child.pid) > limits.megabytes:
+            if measure_megabytes(child.pid) > limits.megabytes:
                 return f"took more than {limits.megabytes:g} MB of memory {{moment}}"
     return None
 
@@ -233,15 +233,6 @@ def _ended(code: int | None) -> str:
         except ValueError:
             return f"crashed {{moment}} (signal {-code})"
     return f"ended its process {{moment}} (exit status {code})"
-
-
-def megabytes(process: int) -> float:
-    """Resident memory; 0 where there is no ``/proc`` to tell."""
-    try:
-        pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
-    except (OSError, ValueError, IndexError):
-        return 0.0
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def _lives(group: int) -> bool:

@@ -7,7 +7,6 @@ import hashlib
 import locale
 import os
 import re
-import resource
 import struct
 import sys
 import time
@@ -20,6 +19,7 @@ from typing import Any, NamedTuple
 
 import cosim.engine._bank as _bank
 from cosim.base.errors import FlightError, InputError
+from cosim.base.runtime.processes import measure_megabytes
 from cosim.base.signals import EngineOutput
 from cosim.engine.bank import EngineBank
 from cosim.engine.fmu.air import STANDARD_AIR, Air
@@ -505,10 +505,11 @@ def _grow(trial: Trial) -> Findings:
 
 def _resident() -> float:
     """Bytes of memory in use; where there is no ``/proc``, the most there ever were."""
-    try:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * float(os.sysconf("SC_PAGE_SIZE"))
-    except OSError:
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1.0 if sys.platform == "darwin" else 1024.0)
+    if size := measure_megabytes(os.getpid()):
+        return size * 2**20
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1.0 if sys.platform == "darwin" else 1024.0)
 
 
 PARTS: Mapping[str, Callable[[Trial], Findings]] = {

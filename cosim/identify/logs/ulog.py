@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -10,15 +12,18 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.base.compiled import environment
 from cosim.base.errors import InputError
-from cosim.identify.logs import apart
+from cosim.base.runtime.processes import Child, python_command
 from cosim.identify.logs.flight_log import SEARCHED, Channel, FlightLog, numbers
 
 MAGIC = b"ULog\x01\x12\x35"
 HEAD_BYTES = 16
 MOST_S, MOST_S_A_MB = 20.0, 3.0  # of CPU, to begin with and for every MB: some ten times what pyulog takes
 MOST_MB, MOST_MB_A_MB = 2048.0, 40.0  # of address space; what is resident is ten times the file
+MOST_SILENT = 30.0  # times its limit of CPU that it may take by the clock: on a machine that is busy, or asleep
 _PROGRAM = Path(__file__).with_name("ulog_child.py")
+_RUN = 'import runpy; del sys.argv[0]; runpy.run_path(sys.argv[0], run_name="__main__")'
 
 
 def recognises(head: bytes) -> bool:
@@ -36,11 +41,9 @@ def read(path: Path) -> FlightLog:
         raise InputError("a ULog needs pyulog, which is not installed: pip install 'hexjet-cosim[logs]'")
     data = path.read_bytes()
     begin, size = max(data[:SEARCHED].find(MAGIC), 0), len(data) / 2**20
-    limits = MOST_S + MOST_S_A_MB * size, MOST_MB + MOST_MB_A_MB * size
-    try:
-        answer = apart.run_apart(_PROGRAM, [str(path), str(begin)], *limits)
-    except apart.EndedError as error:
-        raise InputError(f"{path}: cannot be read as ULog: it is damaged; the reader {error}") from None
+    answer, end = _read_apart(path, begin, MOST_S + MOST_S_A_MB * size, MOST_MB + MOST_MB_A_MB * size)
+    if end:
+        raise InputError(f"{path}: cannot be read as ULog: it is damaged; the reader {end}")
     head, _, doubles = answer.partition(b"\n")
     said = json.loads(head)
     if "error" in said:
@@ -57,6 +60,27 @@ def read(path: Path) -> FlightLog:
         remarks.append(f"{len(lost)} times the logger lost data, {1e-3 * sum(lost):.1f} s together")
     events = [(1e-6 * at, text) for at, text in said["events"]]
     return FlightLog(path, "ULog", channels, tuple(remarks), events)
+
+
+def _read_apart(path: Path, begin: int, seconds: float, megabytes: float) -> tuple[bytes, str]:
+    """Return what the reader says of a log, and why it came to no end, in words: damaged, it may run or grow for ever.
+
+    It may take ``seconds`` of CPU and ``megabytes`` of address space.
+    """
+    child = Child(
+        python_command(_RUN, str(_PROGRAM), str(path), str(begin), seconds=int(seconds) + 1, megabytes=megabytes),
+        {**environment(), "OPENBLAS_NUM_THREADS": "1"},  # each of its threads would ask for address space
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        answer, _ = child.finish(MOST_SILENT * seconds)
+    except subprocess.TimeoutExpired:
+        return b"", f"was not done within {MOST_SILENT * seconds:.3g} s"
+    if child.returncode == -signal.SIGXCPU:
+        return b"", f"was not done within {seconds:.3g} s of processor time"
+    return answer, f"ended its process (status {child.returncode})" if child.returncode else ""
 
 
 def _channels(said: dict[str, Any], columns: Array) -> dict[str, Channel]:

@@ -11,7 +11,6 @@ import json
 import os
 import select
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -89,11 +88,7 @@ class Connection:
         return data
 
     def _how_it_ended(self) -> str:
-        try:
-            code = self._process.wait(END_S)
-        except subprocess.TimeoutExpired:
-            return "closed its output"
-        return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
+        return self._process.describe_end(END_S, "was ended by {}", "ended with status {}") or "closed its output"
 
     def close(self) -> None:
         """End it; may be called twice."""
@@ -101,9 +96,7 @@ class Connection:
             with suppress(OSError):
                 if stream is not None:
                     stream.close()
-        with suppress(subprocess.TimeoutExpired):
-            self._process.wait(END_S)
-        self._process.end()
+        self._process.end(END_S)
 
 
 def describe(command: Command, folder: Path, label: str) -> dict[str, Any]:

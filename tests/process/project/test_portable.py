@@ -1,0 +1,27 @@
+"""A system without POSIX's locks and limits flies: their modules are blocked in a process of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from patience import PATIENCE
+
+from cosim import open_run
+from cosim.base.runtime.processes import python_command, run_child
+
+FLIGHT = """
+sys.modules |= dict.fromkeys(("fcntl", "resource"))  # an import of one of them raises ImportError
+from cosim.cli.main import main
+
+sys.argv[1:] = ["fly", "hover", "--set", "duration_s=0.1", "--out", sys.argv[1]]
+try:
+    main()
+finally:
+    assert sys.modules["fcntl"] is None and sys.modules["resource"] is None
+"""
+
+
+def test_a_flight_needs_no_locks_and_no_limits(tmp_path: Path) -> None:
+    done = run_child(python_command(FLIGHT, str(tmp_path / "run")), PATIENCE)
+    assert done.returncode == 0, done.stderr
+    assert open_run(tmp_path / "run").summary.steps == 25
