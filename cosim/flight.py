@@ -28,11 +28,11 @@ from cosim.results.run import (
     AUTOPILOT,
     REPORT,
     RUN_FILES,
-    BroughtBlock,
     DelayRow,
     Integration,
     OwnController,
     ParametersRecord,
+    PluginRecord,
     Recording,
     Run,
     Setup,
@@ -41,7 +41,6 @@ from cosim.results.run import (
     now,
     versions,
 )
-from cosim.simulation.brought import Brought, metrics_of
 from cosim.simulation.build import build
 from cosim.simulation.code import need_trust_of
 from cosim.simulation.controllers.controller_file import with_controller
@@ -51,6 +50,7 @@ from cosim.simulation.ending import Ending
 from cosim.simulation.model_agreement import flight_notes
 from cosim.simulation.notes import idle_notes
 from cosim.simulation.pacing import Pace
+from cosim.simulation.plugins import Plugins, metrics_of
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_autopilot import with_autopilot
 from cosim.spec.controller_name import FileName, file_name, is_design, label, seen_from
@@ -138,14 +138,14 @@ def fly(
         recording = record(simulation, folder, sink=sink)
         noting = PilotRecord(pilot, folder / AUTOPILOT, simulation.dt) if pilot is not None and folder else None
         pace = Pace(simulation.dt, realtime_factor)
-        watching = [*simulation.brought.observers, *observers, *([noting] if noting else [])]
+        watching = [*simulation.plugins.observers, *observers, *([noting] if noting else [])]
         watching += [watch(simulation, pace, folder, realtime_factor)] if watch else []
         begin = time.perf_counter()
         try:
             ending = simulation.run([recording, *watching], pace if realtime_factor or watch else None, replay)
             if noting is not None:
                 noting.close()
-            simulation.brought.over()
+            simulation.plugins.close()
         except FlightError as error:  # the log cannot be written: the disk is full, say
             ending = Ending("failed", str(error))
         except KeyboardInterrupt:
@@ -207,7 +207,7 @@ def record(
     resolved, files = resolve(simulation)
     columns = log_columns(logged_vehicle(simulation.vehicle), simulation.columns)
     files |= dict(contents or {})
-    metrics = simulation.brought.metrics
+    metrics = simulation.plugins.metrics
     setup = _setup(simulation, resolved)
     if folder is None:  # nothing is copied: its parameter files are where they were
         scenario = simulation.scenario
@@ -231,7 +231,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
         commands.append(entry)
     parameters = flown_parameters(simulation.scenario)
     own = simulation.own
-    controller: dict[str, Any] = _brought(simulation.brought, files)
+    controller: dict[str, Any] = _plugin_names(simulation.plugins, files)
     if own is not None:
         controller |= {"controller": copied_controller(own, files), "controller_sha256": own.sha256 or None}
         told = own.values(scenario.controller_parameters, "controller_parameters")
@@ -345,11 +345,11 @@ def _written(table: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _brought(brought: Brought, files: dict[str, Path | bytes]) -> dict[str, Any]:
-    """What is brought beside the controller, by what it is called beside a resolved scenario, and its hashes."""
+def _plugin_names(plugins: Plugins, files: dict[str, Path | bytes]) -> dict[str, Any]:
+    """Return the blocks beside the controller, by what they are called beside a resolved scenario, and their hashes."""
     stated: dict[str, Any] = {}
     hashes: dict[str, str] = {}
-    for key, sources in brought.sources.items():
+    for key, sources in plugins.sources.items():
         names = [copied_controller(source, files) for source in sources]
         stated[key] = names if key in ("metrics", "observers") else names[0]
         hashes |= {name: source.sha256 for name, source in zip(names, sources, strict=True)}
@@ -438,8 +438,8 @@ def _setup(simulation: Simulation, resolved: Scenario) -> Setup:
         controller=label(scenario.controller),
         own_controller=_own_controller(simulation),
         brought=[
-            BroughtBlock(key=key, name=source.label, sha256=source.sha256, files=source.hashes, version=source.version)
-            for key, sources in simulation.brought.sources.items()
+            PluginRecord(key=key, name=source.label, sha256=source.sha256, files=source.hashes, version=source.version)
+            for key, sources in simulation.plugins.sources.items()
             for source in sources
         ],
         seed=scenario.seed,
@@ -469,7 +469,7 @@ def _setup(simulation: Simulation, resolved: Scenario) -> Setup:
             **(simulation.own.hashes if simulation.own is not None else {}),
             **{
                 n: h
-                for sources in simulation.brought.sources.values()
+                for sources in simulation.plugins.sources.values()
                 for source in sources
                 for n, h in source.hashes.items()
             },

@@ -140,7 +140,7 @@ class Stepper:
         self.ending: Ending | None = None
         self._given: list[Given] = []
         self._by_hand = 0
-        self._watching = self.simulation.brought.observers
+        self._watching = self.simulation.plugins.observers
         self._recording = record(self.simulation, None) if self._log else None
 
     @property
@@ -251,7 +251,7 @@ class Stepper:
         if self._recording is not None:
             self._recording.observe(sample)
         try:
-            for observer in self.simulation.brought.observers:
+            for observer in self.simulation.plugins.observers:
                 observer.observe(sample)
         except FlightError as error:
             self.ending = Ending("failed", str(error))
@@ -372,7 +372,7 @@ class Stepper:
             simulation.airframe.sha256,
             *[spec.sha256 for spec in simulation.stations],
             "" if own is None else own.sha256,
-            *[source.sha256 for sources in simulation.brought.sources.values() for source in sources],
+            *[source.sha256 for sources in simulation.plugins.sources.values() for source in sources],
         )
         return sha256("\n".join(parts).encode()).hexdigest()
 

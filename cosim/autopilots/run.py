@@ -154,9 +154,9 @@ def fly_autopilot(
             try:
                 block.begin(simulation.measured)
                 begin = time.perf_counter()
-                watching: list[Observer] = [recording, writer, *simulation.brought.observers, *observers]
+                watching: list[Observer] = [recording, writer, *simulation.plugins.observers, *observers]
                 ending = simulation.run(watching, pace if realtime_factor else None)
-                simulation.brought.over()
+                simulation.plugins.close()
             except FlightError as error:
                 ending = Ending("failed", f"{error}, before the flight" if simulation.k == 0 else str(error))
             except KeyboardInterrupt:

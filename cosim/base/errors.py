@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import difflib
 import errno
+import traceback
 from collections.abc import Iterable
+from pathlib import Path
 
 # Of a failed system call: the machine has no more to give, and nobody's input is wrong.
 MACHINE_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EMFILE, errno.ENFILE)
@@ -29,6 +31,13 @@ class Notice(UserWarning):
 
 class EngineError(FlightError):
     """An engine returned an error or a value that is not finite; the message names engine, step and time."""
+
+
+def describe_error(error: Exception) -> str:
+    """Return an error in one line, with the file and the line where code of the user's raised it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if len(frames) > 1 else ""
+    return ": ".join([type(error).__name__, *str(error).splitlines()[:1]]) + place
 
 
 def nearest(name: str, allowed: Iterable[str]) -> str:

@@ -18,7 +18,7 @@ from cosim.campaign.folder import COLUMNS
 from cosim.campaign.study.keys import Key
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Kinds, kinds, own_names
-from cosim.simulation.brought import PREFIX
+from cosim.simulation.plugins import PREFIX
 
 
 def write_columns(folder: Path, study: Study) -> None:

@@ -207,9 +207,9 @@ class Session:
             begin = time.perf_counter()
             try:
                 observers: list[Observer] = [recording, flight.noting, _Publisher(flight)]
-                observers += simulation.brought.observers
+                observers += simulation.plugins.observers
                 ending = simulation.run(observers, flight.pace, lambda k: self._between(flight, k))
-                simulation.brought.over()
+                simulation.plugins.close()
             except FlightError as error:  # a log cannot be written: the disk is full, say
                 ending = Ending("failed", str(error))
             wall = time.perf_counter() - begin

@@ -60,8 +60,8 @@ from cosim.results.recorder import (
     Recorder,
 )
 from cosim.results.verdict import describe_end, judge, read_verdict
-from cosim.simulation.brought import OwnMetric, unmeasured
 from cosim.simulation.pacing import PaceReport
+from cosim.simulation.plugins import OwnMetric, unmeasured
 from cosim.spec.controller_name import SHORT, controller_words
 from cosim.spec.scenario import Expectation, Scenario
 
@@ -149,7 +149,7 @@ class ParametersRecord(Record):
     changed: tuple[str, ...] = ()  # keys with another value in the flight than in the file
 
 
-class BroughtBlock(Record):
+class PluginRecord(Record):
     """A metric, an observer, sensors or a wind of the user's, as it flew."""
 
     key: str  # of the scenario
@@ -173,7 +173,7 @@ class Setup(BaseModel):
     own_controller: OwnController | None = None  # None: a built-in one
     parameter_files: list[ParametersRecord] = []
     changed: list[str] = []  # what was written over the scenario's own file, key = value
-    brought: list[BroughtBlock] = []  # what else is the user's
+    brought: list[PluginRecord] = []  # what else is the user's
     seed: int
     sensors: str = ""  # the profile over the aircraft's sensors, with its file's hash; empty: none, or not known
     step_s: float

@@ -43,7 +43,6 @@ from cosim.engine import (
 )
 from cosim.engine.fmu.port_kinds import ASIDE
 from cosim.engine.wrappers import EngineChain
-from cosim.simulation.brought import bring
 from cosim.simulation.code import need_trust_of
 from cosim.simulation.controllers.deadline import Deadline
 from cosim.simulation.controllers.guard import (
@@ -58,6 +57,7 @@ from cosim.simulation.controllers.source import Source, find
 from cosim.simulation.delay_ledger import delay_ledger
 from cosim.simulation.ending import Judge
 from cosim.simulation.engine_reference import engine_reference
+from cosim.simulation.plugins import load_plugins
 from cosim.simulation.script.commander import Commander
 from cosim.simulation.script.disturber import Disturber
 from cosim.simulation.script.fault_schedule import FaultSchedule
@@ -95,7 +95,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
     kernels.warn_of_others()
     own = own or find_controller(scenario)
     told = own_parameters(scenario, own)
-    brought = bring(scenario)
+    plugins = load_plugins(scenario)
     scenario.count(scenario.duration_s, "duration_s")
     vehicle, folder = scenario.resolved_vehicle()
     _need_tank(scenario, vehicle)
@@ -149,7 +149,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             aside,
         )
         suite: Sensors = SensorSuite(vehicle.sensors, step, scenario.seed, scenario.sensor_noise)
-        sensors = FaultySensors(suite if brought.sensors is None else brought.sensors(suite))
+        sensors = FaultySensors(suite if plugins.sensors is None else plugins.sensors(suite))
         height = start_height(flown, initial)
         commander = Commander(scenario, height)
         if "ahead_m_s" in commander.signals and vehicle.control.wing is None:
@@ -177,8 +177,8 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             end,
             None if plugged is None else plugged.repeats,
             None if plugged is None or plugged.whole is None else controller,
-            brought,
-            None if brought.wind is None else brought.wind(flown, step, height),
+            plugins,
+            None if plugins.wind is None else plugins.wind(flown, step, height),
         )
         made.pop_all()
         return simulation

@@ -6,11 +6,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from cosim.base.errors import InputError
+from cosim.base.plugins.execute import program_code, python_code
 from cosim.base.storage.toml import read_toml
 from cosim.base.trust import Code, code_of, need_trust
 from cosim.engine.make.controller_fmu import MAPPING
 from cosim.engine.spec import find_source
-from cosim.simulation.controllers.execute import program_code, python_code
 from cosim.spec.controller_name import file_name
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import is_file, is_own, load_vehicle

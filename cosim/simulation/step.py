@@ -29,11 +29,11 @@ from cosim.base.signals import (
 )
 from cosim.control.cascade import Cascade
 from cosim.engine import EngineSpec
-from cosim.simulation.brought import Brought
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.delay_ledger import LedgerRow
 from cosim.simulation.ending import Ending, Judge
 from cosim.simulation.pacing import Pace
+from cosim.simulation.plugins import Plugins
 from cosim.simulation.script.commander import Commander
 from cosim.simulation.script.disturber import Disturber
 from cosim.simulation.script.fault_schedule import FaultSchedule
@@ -79,13 +79,13 @@ class Simulation:
         end: Callable[[], None] | None = None,
         repeats: Callable[[], bool | None] | None = None,
         beside: Cascade | None = None,
-        brought: Brought | None = None,
+        plugins: Plugins | None = None,
         wind: FieldWind | None = None,
     ) -> None:
         self._repeats = repeats
         self.beside = beside  # the built-in one that a whole controller from outside flies in place of
         self.own = own  # where a controller from outside comes from
-        self.brought = brought or Brought()  # what the scenario brings of the user's beside the controller
+        self.plugins = plugins or Plugins()  # the user's blocks beside the controller
         self._field = wind
         self._end = end  # what a controller from outside holds is given free by it
         self.scenario = scenario

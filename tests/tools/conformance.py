@@ -23,8 +23,8 @@ from cosim.results import metrics
 from cosim.results.autopilot.autopilot_record import PilotRecord
 from cosim.results.recorder import Recorder
 from cosim.results.run import Recording
-from cosim.simulation.brought import Watching, WindTable
 from cosim.simulation.controllers.guard import GuardedController, GuardedPredictor
+from cosim.simulation.plugins import Watching, WindTable
 from cosim.simulation.script.disturber import Disturber
 from cosim.simulation.with_places import PlacePilot
 from cosim.vehicle.sensors import FaultySensors, SensorSuite

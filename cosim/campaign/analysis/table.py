@@ -15,7 +15,7 @@ from cosim.campaign.analysis.statistics import Counts
 from cosim.campaign.study.plan import controllers as controllers_of
 from cosim.results.metrics import metric_names
 from cosim.results.wording import Metric, metric
-from cosim.simulation.brought import PREFIX
+from cosim.simulation.plugins import PREFIX
 from cosim.spec.controller_name import short_name
 
 if TYPE_CHECKING:

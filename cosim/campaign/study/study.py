@@ -31,10 +31,10 @@ from cosim.campaign.study.keys import (
 )
 from cosim.campaign.study.values import check_vary
 from cosim.results.metrics import metric_names
-from cosim.simulation.brought import metrics_of
 from cosim.simulation.code import aircraft_code, block_code, engine_code, scenario_code
 from cosim.simulation.controllers.source import find
 from cosim.simulation.notes import varied_turbulence_notes
+from cosim.simulation.plugins import metrics_of
 from cosim.spec.controller_name import is_design, seen_from
 from cosim.spec.scenario import Range, Scenario, find_scenario
 

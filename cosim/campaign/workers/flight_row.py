@@ -26,7 +26,7 @@ from cosim.results import metrics
 from cosim.results.columns import logged_vehicle
 from cosim.results.digest import DigestSink, log_digest
 from cosim.results.metrics import check_expectations, metric_names
-from cosim.simulation.brought import metrics_of
+from cosim.simulation.plugins import metrics_of
 from cosim.spec.scenario import WaypointsCommand
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def kinds(study: Study, own: Sequence[str] | None = None) -> Kinds:
     varied = {vary.key: _kind(study, vary.key) for vary in study.vary}
     measured = dict.fromkeys([*_metrics(), *(own_names(study) if own is None else own)], float)
     lockstep = _LOCKSTEP if study.autopilot is not None else {}
-    return _FIRST | varied | _OUTCOME | measured | _LAST | _brought(study) | lockstep
+    return _FIRST | varied | _OUTCOME | measured | _LAST | _plugin_kinds(study) | lockstep
 
 
 def fly_one(study: Study, flight: Flight) -> Row:
@@ -128,7 +128,7 @@ def own_names(study: Study) -> list[str]:
     return [name for metric in metrics_of(study.base()) for name in metric.names]
 
 
-def _brought(study: Study) -> Kinds:
+def _plugin_kinds(study: Study) -> Kinds:
     """A column where a study brings anything beside its controllers."""
     base = study.base()
     return {"brought_sha256": str} if base.metrics or base.observers or base.sensor_plugin or base.wind else {}
@@ -182,11 +182,11 @@ def _outcome_row(study: Study, run: Run, digest: str) -> Row:
         "log_sha256": digest,
         "inputs_sha256": inputs_sha256(run),
         "inputs": inputs(run),
-        **({"brought_sha256": _brought_sha256(run)} if summary.brought else {}),
+        **({"brought_sha256": _plugin_hashes(run)} if summary.brought else {}),
     }
 
 
-def _brought_sha256(run: Run) -> str:
+def _plugin_hashes(run: Run) -> str:
     """One line for every block of the user's beside the controller."""
     return "; ".join(f"{block.key} {block.name} {block.sha256}" for block in run.summary.brought)
 

@@ -5,8 +5,8 @@ and rate loop.  Whoever flies, tunes, designs, offers or compares them asks :dat
 made known with a :class:`PredictorSpec`, by :meth:`Registry.register` in a program, or by an installed package, in
 whose processes and in those of a campaign it is then found by its name::
 
-    [project.entry-points."hexjet.predictors"]
-    my-predictor = "my_package.my_module:SPEC"
+    [project.entry-points."hexjet.plugins"]
+    "predictor.my-predictor" = "my_package.my_module:SPEC"
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from zlib import crc32
 
 from cosim.base.errors import InputError, nearest
 from cosim.base.protocols import Predictor
-from cosim.base.runtime.plugins import installed
+from cosim.base.trust import CodeRefusedError, is_looking
 from cosim.control.predictors.smith import (
     FilteredSmithPredictor,
     NoPredictor,
@@ -29,9 +29,10 @@ from cosim.control.predictors.smith import (
 from cosim.spec.vehicle import PredictorTuning, RateModel
 
 if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
     from cosim.control.predictors.linear import PairResponse, PredictorSpace
 
-GROUP = "hexjet.predictors"  # of entry points
 OTHERS, PLACES = 1000, 60000  # numbers of predictors that state none begin here, and so many there are
 _NAME = re.compile(r"[a-z][a-z0-9-]*")
 _MAVLINK = re.compile(r"HJ_PRED_[A-Z0-9_]{1,8}")
@@ -123,7 +124,7 @@ class Registry(Mapping[str, PredictorSpec]):
 
     def __init__(self, specs: Iterable[PredictorSpec]) -> None:
         self._specs: dict[str, PredictorSpec] = {}
-        self._complete = False
+        self._waiting: dict[str, EntryPoint] | None = None  # None: not looked for yet
         for spec in specs:
             self.register(spec)
 
@@ -205,12 +206,22 @@ class Registry(Mapping[str, PredictorSpec]):
 
     def _look(self) -> None:
         """Register what installed packages bring, the first time that it is asked for."""
-        if self._complete:
+        if self._waiting == {}:
             return
-        self._complete = True
-        for name, spec in installed(GROUP):
+        from cosim.base.plugins.entry_points import describe_entry, find_entries, load_entry
+
+        waiting = find_entries("predictor") if self._waiting is None else self._waiting
+        self._waiting = {}
+        for name, entry in waiting.items():
+            try:
+                spec, _ = load_entry(entry)
+            except CodeRefusedError:
+                if not is_looking():
+                    raise
+                self._waiting[name] = entry  # only what is installed runs while something is looked at
+                continue
             if not isinstance(spec, PredictorSpec) or spec.name != name:
-                raise InputError(f"entry point {name!r} of {GROUP}: must be a PredictorSpec of this name, not {spec!r}")
+                raise InputError(f"{describe_entry(entry)}: must be a PredictorSpec of this name, not {spec!r}")
             self.register(spec)
 
 

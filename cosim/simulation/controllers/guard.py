@@ -7,16 +7,14 @@ flight as a :class:`FlightError`.
 from __future__ import annotations
 
 import sys
-import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import isfinite
-from pathlib import Path
 from typing import Any, Final
 
 from cosim.base._records import within
 from cosim.base.constants import GRAVITY
-from cosim.base.errors import FlightError, InputError
+from cosim.base.errors import FlightError, InputError, describe_error
 from cosim.base.limits import clamp, clip
 from cosim.base.protocols import Applied, Column, Diagnostics, EngineState
 from cosim.base.signals import (
@@ -48,35 +46,33 @@ _FLY: Final = EngineState.FLY
 
 @dataclass(frozen=True)
 class Named:
-    """What the messages call a controller, and the time that each of its calls may take."""
+    """What the messages call a block, and the time that each of its calls may take; None: any."""
 
     label: str
-    deadline: Deadline
+    deadline: Deadline | None = None
+    kind: str = "controller"
 
     def error(self, text: str) -> FlightError:
-        return FlightError(f"controller {self.label}: {text}")
+        return FlightError(f"{self.kind} {self.label}: {text}")
 
     def call(self, what: str, method: Callable[..., Any], *told: Any) -> Any:
         """Call a method of the user's.  Raises FlightError for whatever it raises, and if it takes too long."""
-        begun = self.deadline.begin()
+        deadline = self.deadline
+        begun = 0.0 if deadline is None else deadline.begin()
         try:
             answer = method(*told)
-            self.deadline.done(begun)
-        except LateError:
-            self.deadline.drop()
-            raise self.error(f"{what} took longer than {self.deadline.limit:g} s") from None
-        except FlightError as error:
-            self.deadline.drop()
-            raise self.error(str(error)) from error
-        except InputError:
-            self.deadline.drop()
-            raise
-        except Exception as error:
-            self.deadline.drop()
-            raise self.error(f"{what} raised {described(error)}") from error
-        except BaseException:  # Ctrl-C: nothing is on that could be late
-            self.deadline.drop()
-            raise
+            if deadline is not None:
+                deadline.done(begun)
+        except BaseException as error:  # Ctrl-C too: nothing is on that could be late
+            if deadline is not None:
+                deadline.drop()
+                if isinstance(error, LateError):
+                    raise self.error(f"{what} took longer than {deadline.limit:g} s") from None
+            if isinstance(error, FlightError):
+                raise self.error(str(error)) from error
+            if not isinstance(error, Exception) or (self.kind == "controller" and isinstance(error, InputError)):
+                raise
+            raise self.error(f"{what} raised {describe_error(error)}") from error
         return answer
 
     def numbers(self, answer: Any, names: Sequence[str], what: str = "update") -> tuple[float, ...]:
@@ -100,14 +96,7 @@ class Named:
         try:
             return tuple([float(value) for value in block.shown])
         except Exception as error:
-            raise self.error(f"shown raised {described(error)}") from error
-
-
-def described(error: Exception) -> str:
-    """An error in one line, with the file and the line of the user's where it was raised."""
-    frames = traceback.extract_tb(error.__traceback__)
-    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if len(frames) > 1 else ""
-    return ": ".join([type(error).__name__, *str(error).splitlines()[:1]]) + place
+            raise self.error(f"shown raised {describe_error(error)}") from error
 
 
 def _short(value: Any) -> str:

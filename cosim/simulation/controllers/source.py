@@ -1,10 +1,8 @@
-"""Where a controller from outside comes from: its name, what it states of itself, and the files that it is.
+"""Where a block of the user's comes from: its name, what it states of itself, and the files that it is.
 
-A name is ``FILE.py:Class``, ``package.module:Class``, ``FILE.fmu``, ``process:FILE ARGUMENTS``, ``FILE.csv`` (what was
-recorded of actuators), or that of an entry point of an installed package::
-
-    [project.entry-points."hexjet.controllers"]
-    my-controller = "my_package.my_module:MyController"
+A name is ``FILE.py:Name``, ``package.module:Name``, or that of an entry point of an installed package
+(:mod:`cosim.base.plugins.entry_points`); of a controller also ``FILE.fmu``, ``process:FILE ARGUMENTS``, ``FILE.csv``
+(what was recorded of actuators).
 """
 
 from __future__ import annotations
@@ -19,36 +17,43 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, packages_distributions, version
+from importlib.metadata import EntryPoint, PackageNotFoundError, packages_distributions, version
 from math import isfinite
 from pathlib import Path
 from types import CodeType, ModuleType, SimpleNamespace
 from typing import Any
 
 from cosim.base.controller_wire import EXTRAS
-from cosim.base.errors import InputError, nearest
+from cosim.base.errors import InputError, describe_error, nearest
+from cosim.base.plugins.entry_points import describe_entry, find_entries, load_entry
+from cosim.base.plugins.execute import executed, imported, program_code
 from cosim.base.protocols import Column, Parameter
 from cosim.base.storage.cache import Memory
 from cosim.base.trust import Code, CodeRefusedError, code_of, need_trust
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.simulation.controllers import recorded
-from cosim.simulation.controllers.execute import executed, import_trusted, imported, program_code
-from cosim.simulation.controllers.guard import columns_from, described
+from cosim.simulation.controllers.guard import columns_from
 from cosim.simulation.controllers.process import Command, ProcessBlock, describe, program
 from cosim.spec.controller_name import file_name, is_design
 from cosim.spec.controller_name import label as label_of
 
-GROUP = "hexjet.controllers"  # of entry points
-# Levels, and what the update of each is told.
+# Levels of a controller, and what the update of each is told.
 LEVELS: dict[str, tuple[str, ...]] = {
     "predictor": ("measured", "applied"),
     "rate": ("setpoint", "measured", "applied"),
     "attitude": ("command", "measured"),
     "controller": ("command", "measured", "applied"),
 }
+# The methods that a block of another kind must have, and what each is told; a metric is called itself.
+METHODS: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
+    "metric": (("__call__", ("log", "step_s")),),
+    "observer": (("observe", ("sample",)),),
+    "sensors": (("reset", ("state", "measured")), ("sample", ("state", "measured"))),
+    "wind": (("velocity", ("time", "north", "east", "height")),),
+}
 OBJECT = "python:"  # before the name of one that a program handed over, and that no file can make again
 _MODULE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
-_NAME = re.compile(r"[A-Za-z_]\w*")
+NAME = re.compile(r"[A-Za-z_]\w*")
 
 
 def _sha256(path: Path) -> str:
@@ -57,7 +62,7 @@ def _sha256(path: Path) -> str:
 
 @dataclass(frozen=True)
 class Source:
-    """A controller from outside before it flies.
+    """A block of the user's before it flies: a controller of a level, or a block of another kind.
 
     ``files``: what it is made of, the first being the one that its name names, under the names that they have in a
     run's folder.  ``make`` makes a block, at rest.
@@ -123,15 +128,13 @@ def find(controller: str, folder: Path, complaint: str) -> Source | None:
     Raises InputError: ``complaint`` and what there is, or what is wrong with it.
     """
     named = file_name(controller)
-    if named is not None and not is_design(controller):
+    if named is not None and not is_design(controller) and (named.before or not named.after):
         path = Path(named.seen_from(folder).file)
         if not path.is_file():
             raise InputError(f"controller {controller}: {path}: no such file")
         if named.before:
             return _of_process(controller, path, named.after)
-        if not named.after:
-            return _of_record(controller, path) if path.suffix.lower() == ".csv" else _of_fmu(controller, path)
-        return _of_file(controller, path, named.after[1:])
+        return _of_record(controller, path) if path.suffix.lower() == ".csv" else _of_fmu(controller, path)
     if named is None and controller in PREDICTORS:
         return None
     if controller.startswith(OBJECT):
@@ -139,15 +142,29 @@ def find(controller: str, folder: Path, complaint: str) -> Source | None:
             f"controller {controller.removeprefix(OBJECT)!r} was an object of a program, which no file can make again: "
             "give it anew, cosim.fly(scenario, controller=...)"
         )
-    if named is None and _MODULE.fullmatch(controller):
-        return _of_module(controller)
-    for entry in entry_points(group=GROUP):
-        if entry.name == controller:
-            return _of_entry(entry)
+    entries = find_entries("controller")
+    source = find_python("controller", controller, folder, entries)
+    if source is not None:
+        return source
     if controller.lower().endswith(".py"):
         raise InputError(f"controller {controller}: a file alone is none; name its class too: {controller}:Mine")
-    names = [*PREDICTORS, *(entry.name for entry in entry_points(group=GROUP))]
-    raise InputError(f"{complaint}; {nearest(controller, names)}")
+    raise InputError(f"{complaint}; {nearest(controller, [*PREDICTORS, *entries])}")
+
+
+def find_python(kind: str, name: str, folder: Path, entries: Mapping[str, EntryPoint]) -> Source | None:
+    """Return the Python block of that name, a file seen from ``folder``; None where none is named so.
+
+    ``entries``: those of its kind.  Raises InputError.
+    """
+    named, where = file_name(name), f"{kind} {name}"
+    if named is not None and named.after and not named.before:
+        return _of_file(kind, name, Path(named.seen_from(folder).file), named.after[1:])
+    if named is None and _MODULE.fullmatch(name):
+        module_name, _, attribute = name.partition(":")
+        module, path, files = imported(module_name, where)
+        block = _attribute(module, attribute, kind, where, path)
+        return _stated(kind, name, block, None, files, version_of(module_name), copied=False)
+    return _of_entry(kind, name, entries[name]) if name in entries else None
 
 
 def names() -> Iterator[tuple[str, str]]:
@@ -155,14 +172,14 @@ def names() -> Iterator[tuple[str, str]]:
 
     One that only says that it is installed is not run for that.
     """
-    for entry in entry_points(group=GROUP):
+    for name, entry in find_entries("controller").items():
         try:
-            level = _of_entry(entry).level
+            level = _of_entry("controller", name, entry).level
         except CodeRefusedError:
-            yield entry.name, f"{entry.value} (not where packages are installed, and not run to look at it)"
+            yield name, f"{entry.value} (not where packages are installed, and not run to look at it)"
             continue
         said = (entry.load().__doc__ or "").strip().partition("\n")[0].rstrip(".")
-        yield entry.name, f"{said or entry.value} ({level})"
+        yield name, f"{said or entry.value} ({level})"
 
 
 def of_object(given: Any) -> Source:
@@ -178,9 +195,13 @@ def of_object(given: Any) -> Source:
     make = None if isinstance(given, type) else _copies(given)
     again = path is not None and path.suffix == ".py" and made.__qualname__.isidentifier()
     if again and (isinstance(given, type) or _as_made(given, made)):
-        return _stated(f"{path}:{made.__name__}", given, make, files)
-    source = _stated(f"{OBJECT}{label}", given, make, files, copied=False)
+        return _stated("controller", f"{path}:{made.__name__}", given, make, files)
+    source = _stated("controller", f"{OBJECT}{label}", given, make, files, copied=False)
     return source if files else replace(source, text=_text_of(made))
+
+
+def _always(made: Any) -> Callable[[], Any]:
+    return lambda: made
 
 
 def _copies(given: Any) -> Callable[[], Any]:
@@ -231,20 +252,11 @@ def _text_of(made: type) -> str:
 _known: Memory[Source] = Memory(32)
 
 
-def _of_file(controller: str, path: Path, name: str) -> Source:
-    def stated(module: ModuleType, files: dict[str, Path]) -> Source:
-        return _stated(controller, _class(module, name, controller, path), None, files)
-
-    return from_file((controller,), path, f"controller {controller}", stated)
-
-
-def from_file(
-    key: tuple[str, ...], path: Path, where: str, stated: Callable[[ModuleType, dict[str, Path]], Source]
-) -> Source:
-    """What is ``stated`` of the module of a file and of its files by name, anew where one of those has changed.
-
-    ``key``: what is stated of it.  Raises InputError.
-    """
+def _of_file(kind: str, name: str, path: Path, attribute: str) -> Source:
+    """Return the block of a file, anew where the file has changed, or one that it imports from beside it."""
+    where = f"{kind} {name}"
+    if not path.is_file():
+        raise InputError(f"{where}: {path}: no such file")
     held = [(file, _sha256(file)) for file in _last_files.get(path, [path]) if file.is_file()]
     if path in _last_files:  # else it is run now, and what it imports is not known before
         need_trust([Code(file, sha256, (path,)) for file, sha256 in held], where)
@@ -252,9 +264,10 @@ def from_file(
     def load() -> Source:
         module, neighbours = executed(path, where)
         _last_files[path] = [path, *neighbours]
-        return stated(module, {file.name: file for file in (path, *neighbours)})
+        files = {file.name: file for file in (path, *neighbours)}
+        return _stated(kind, name, _attribute(module, attribute, kind, where, path), None, files)
 
-    return _known.get((*key, str(path), tuple(held)), load)
+    return _known.get((kind, name, str(path), tuple(held)), load)
 
 
 _last_files: dict[Path, list[Path]] = {}  # by path what it was made of when it was last read
@@ -327,33 +340,12 @@ def _described(
     return source
 
 
-def _of_module(controller: str) -> Source:
-    module_name, _, name = controller.partition(":")
-    module, path, files = imported(module_name, f"controller {controller}")
-    kind = _class(module, name, controller, path)
-    return _stated(controller, kind, None, files, version_of(module_name), copied=False)
-
-
-def _of_entry(entry: EntryPoint) -> Source:
-    where = f"entry point {entry.name!r} of {GROUP}"
-    if entry.name in PREDICTORS:
-        raise InputError(f"{where}: there is a predictor of this name already")
-    member, package = loaded(entry, where)
-    path = file_of(member) if isinstance(member, type) else None
-    files = {} if path is None else {path.name: path}
-    return _stated(entry.name, member, None, files, package, copied=False)
-
-
-def loaded(entry: EntryPoint, where: str) -> tuple[Any, str]:
-    """What an entry point names, and name and version of its package.  Raises InputError."""
-    try:
-        import_trusted(entry.module, where, entry.name)
-        member = entry.load()
-    except CodeRefusedError:
-        raise
-    except Exception as error:
-        raise InputError(f"{where}: {entry.value} cannot be loaded: {described(error)}") from error
-    return member, "" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"
+def _of_entry(kind: str, name: str, entry: EntryPoint) -> Source:
+    if kind == "controller" and name in PREDICTORS:
+        raise InputError(f"{describe_entry(entry)}: there is a predictor of this name already")
+    member, package = load_entry(entry)
+    path = file_of(member)
+    return _stated(kind, name, member, None, {} if path is None else {path.name: path}, package, copied=False)
 
 
 def version_of(module: str) -> str:
@@ -367,36 +359,46 @@ def version_of(module: str) -> str:
     return ""
 
 
-def _class(module: ModuleType, name: str, controller: str, path: Path) -> type:
-    member = getattr(module, name, None)
-    if not isinstance(member, type):
-        classes = [
-            member_class
-            for member_class, value in vars(module).items()
-            if isinstance(value, type) and hasattr(value, "level")
-        ]
-        said = nearest(name, classes) if classes else "there is no class with a level in it"
-        raise InputError(f"controller {controller}: {path.name} has no class {name!r}; {said}")
+def _attribute(module: ModuleType, name: str, kind: str, where: str, path: Path) -> Any:
+    """Return what a module has by a name: a class of a controller, anything of another kind.  Raises InputError."""
+    member, every = getattr(module, name, None), vars(module).items()
+    if kind != "controller":
+        if member is None:
+            there = [other for other, value in every if callable(value) and not other.startswith("_")]
+            raise InputError(f"{where}: {path.name} has no {name!r}; {nearest(name, there)}")
+    elif not isinstance(member, type):
+        there = [other for other, value in every if isinstance(value, type) and hasattr(value, "level")]
+        said = nearest(name, there) if there else "there is no class with a level in it"
+        raise InputError(f"{where}: {path.name} has no class {name!r}; {said}")
     return member
 
 
 def _stated(
-    controller: str,
+    kind: str,
+    name: str,
     block: Any,
     make: Callable[[], Any] | None,
     files: Mapping[str, Path],
     package: str = "",
     copied: bool = True,
 ) -> Source:
-    """What a class states of itself.  Raises InputError for what does not fit."""
-    where = f"controller {label_of(controller)}"
-    level, predictor, columns, parameters = _states(block, where, "Column(name, unit, frame, meaning)")
-    for method, told in (("reset", ()), ("update", LEVELS[level])):
+    """Return what a block states of itself.  Raises InputError for what does not fit."""
+    if kind == "controller":
+        where = f"controller {label_of(name)}"
+        level, predictor, columns, parameters = _states(block, where, "Column(name, unit, frame, meaning)")
+        methods: Any = [("reset", ()), ("update", LEVELS[level])]
+        methods += [("prepare", ("belief",))] if hasattr(block, "prepare") else []
+        make = make or _maker(block, where)
+        source = Source(name, level, make, files, package, predictor, parameters, columns, copied)
+    else:
+        where, methods = f"{kind} {name}", METHODS[kind]
+        if kind == "metric" and callable(block) and not isinstance(block, type):
+            make, block = _always(block), SimpleNamespace(__call__=block)
+        elif not isinstance(block, type):
+            raise InputError(f"{where}: must be a class{' or a function' if kind == 'metric' else ''}")
+        source = Source(name, kind, make or _maker(block, where), files, package, copied=copied)
+    for method, told in methods:
         check_method(block, method, told, where)
-    if hasattr(block, "prepare"):
-        check_method(block, "prepare", ("belief",), where)
-    make = make or _maker(block, where)
-    source = Source(controller, level, make, files, package, predictor, parameters, columns, copied)
     source.hashes  # noqa: B018  of what was read just now
     return source
 
@@ -424,7 +426,7 @@ def _maker(made: Callable[[], Any], where: str) -> Callable[[], Any]:
         try:
             return made()
         except Exception as error:
-            raise InputError(f"{where}: cannot be made without arguments: {described(error)}") from error
+            raise InputError(f"{where}: cannot be made without arguments: {describe_error(error)}") from error
 
     return make
 
@@ -458,7 +460,7 @@ def parameters_of(block: Any, where: str) -> tuple[Parameter, ...]:
             raise InputError(
                 f"{where}: parameters: {item!r}: must be Parameter(name, default, ...): {error}"
             ) from error
-        if not _NAME.fullmatch(str(one.name)):
+        if not NAME.fullmatch(str(one.name)):
             raise InputError(f"{where}: parameter {one.name!r}: a name is of letters, digits and _, no digit first")
         if not isfinite(numbers[0]) or not numbers[1] <= numbers[0] <= numbers[2]:
             raise InputError(f"{where}: parameter {one.name}: default = {one.default}: must be from least to most")

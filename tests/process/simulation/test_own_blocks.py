@@ -14,14 +14,16 @@ from places import ROOT
 
 from cosim import InputError, Scenario, fly
 from cosim.base.frames import conjugate, jet_axis, rotate
+from cosim.base.plugins.entry_points import GROUP, GROUPS
 from cosim.campaign.run import run_campaign
 from cosim.campaign.search.search import why
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.results.report.comparison import comparison_rows
-from cosim.simulation.brought import GROUPS, METHODS, WindTable, find_block
 from cosim.simulation.build import build
+from cosim.simulation.controllers.source import METHODS
+from cosim.simulation.plugins import WindTable, find_block
 
 PAGE = ROOT / "docs" / "own-blocks.md"
 SHORT = Scenario.load("roll-doublet").replace(duration_s=0.2, expect=[])
@@ -285,11 +287,14 @@ def test_the_command_takes_them_from_here(
     assert "did you mean" in done.err
 
 
-def test_an_entry_point_brings_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mine: str) -> None:
+@pytest.mark.parametrize(
+    "text", ["[hexjet.winds]\nshear = mine:Shear\n", "[hexjet.plugins]\nwind.shear = mine:Shear\n"]
+)
+def test_an_entry_point_brings_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mine: str, text: str) -> None:
     info = tmp_path / "my_blocks-1.2.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-blocks\nVersion: 1.2\n")
-    (info / "entry_points.txt").write_text("[hexjet.winds]\nshear = mine:Shear\n")
+    (info / "entry_points.txt").write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
     found = find_block("wind", "shear", tmp_path)
     assert (found.version, list(found.files), found.copied) == ("my-blocks 1.2", ["mine.py"], False)
@@ -297,5 +302,6 @@ def test_an_entry_point_brings_one(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 def test_the_page_names_what_there_is() -> None:
     page = PAGE.read_text(encoding="utf-8")
-    assert all(f"`{group}`" in page for group in GROUPS.values())
-    assert set(METHODS) == set(GROUPS)
+    assert f"`{GROUP}`" in page
+    assert all(f"`{GROUPS[kind]}`" in page for kind in METHODS)
+    assert set(METHODS) == set(GROUPS) - {"predictor", "controller"}

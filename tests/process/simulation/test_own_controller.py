@@ -608,10 +608,12 @@ def test_records_of_the_protocol_are_what_the_page_says() -> None:
     assert Column("a", "1", "", "b").source == ""
     assert Actuation._fields[:2] == ("throttle", "tilt")
     page = PAGE.read_text(encoding="utf-8")
-    from cosim.simulation.controllers.source import GROUP, LEVELS
+    from cosim.base.plugins.entry_points import GROUP, GROUPS
+    from cosim.simulation.controllers.source import LEVELS
 
     assert all(f'`"{level}"`' in page for level in LEVELS)
     assert f"`{GROUP}`" in page
+    assert f"`{GROUPS['controller']}`" in page
 
 
 @pytest.mark.parametrize("name", ["predictor", "cascade"])

@@ -14,10 +14,11 @@ import pytest
 
 from cosim.base import trust
 from cosim.base.errors import InputError
+from cosim.base.plugins import execute
+from cosim.base.plugins.entry_points import load_entry
+from cosim.base.plugins.execute import imported
 from cosim.base.storage.user import settings_folder
-from cosim.simulation.controllers import execute
-from cosim.simulation.controllers.execute import imported
-from cosim.simulation.controllers.source import find, loaded, names
+from cosim.simulation.controllers.source import find, names
 
 REFUSED = "is code that you have not flown before"
 
@@ -92,7 +93,7 @@ def test_metadata_beside_it_are_not_believed(mark: Path) -> None:
     (facts / "direct_url.json").write_text(json.dumps(place))
     refused("theirs", file)
     with pytest.raises(trust.CodeRefusedError, match=REFUSED):
-        loaded(EntryPoint("theirs", "theirs:Mine", "hexjet.controllers"), "test")
+        load_entry(EntryPoint("theirs", "theirs:Mine", "hexjet.controllers"))
     (facts / "entry_points.txt").write_text("[hexjet.controllers]\nstrange = theirs:Mine\n")
     assert dict(names())["strange"] == "theirs:Mine (not where packages are installed, and not run to look at it)"
     assert not mark.exists()

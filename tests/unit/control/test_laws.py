@@ -58,7 +58,8 @@ STEP = 0.004
 DOUBLET = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude": 10.0, "width_s": 0.3}
 ROLL = Scenario.load("roll-doublet").replace(duration_s=0.6, command=[DOUBLET], expect=[])
 with (ROOT / "pyproject.toml").open("rb") as file:
-    LAWS: dict[str, str] = tomllib.load(file)["project"]["entry-points"]["hexjet.controllers"]
+    ENTRIES: dict[str, str] = tomllib.load(file)["project"]["entry-points"]["hexjet.plugins"]
+LAWS = {name.removeprefix("controller."): value for name, value in ENTRIES.items()}
 
 
 class BuiltIn:

@@ -33,12 +33,11 @@ from types import CodeType, ModuleType
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
-from cosim.base.errors import InputError
+from cosim.base.compiled import PACKAGE
+from cosim.base.errors import InputError, describe_error
 from cosim.base.trust import Code, CodeRefusedError, code_of, is_looking, need_trust, process_name
-from cosim.simulation.controllers.guard import described
 
 _OURS = "hexjet_controller_"  # modules that were made of files here
-_US = Path(__file__).resolve().parents[2]  # the package, wherever it is run from
 _RUNNABLE = tuple(all_suffixes())
 
 
@@ -57,7 +56,7 @@ def executed(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
         raise
     except Exception as error:
         line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
-        raise InputError(f"{where}: {path}{line}: {described(error)}") from error
+        raise InputError(f"{where}: {path}{line}: {describe_error(error)}") from error
     deep = [file for file in imported if file.parent != folder]
     if deep:
         raise InputError(
@@ -218,7 +217,7 @@ def imported(module_name: str, where: str) -> tuple[ModuleType, Path, dict[str, 
     except CodeRefusedError:
         raise
     except Exception as error:
-        raise InputError(f"{where}: {module_name} cannot be imported: {described(error)}") from error
+        raise InputError(f"{where}: {module_name} cannot be imported: {describe_error(error)}") from error
     path = Path(getattr(module, "__file__", None) or "")
     return module, path, {path.name: path} if path.is_file() else {}
 
@@ -286,7 +285,9 @@ def _is_installed(path: Path, top: str) -> bool:
     What says of itself that it is installed, by metadata that lie beside it, is not believed.
     """
     whole = Path(os.path.abspath(path))
-    if any(each.is_relative_to(place) for each in (whole, whole.resolve()) for place in (*_installed_places(), _US)):
+    if any(
+        each.is_relative_to(place) for each in (whole, whole.resolve()) for place in (*_installed_places(), PACKAGE)
+    ):
         return True
     starts = [place / inner / top for place in _editable_places(top) for inner in ("", "src")]
     return any(whole.resolve().is_relative_to(start) or whole.resolve() == start.with_suffix(".py") for start in starts)

@@ -1,7 +1,6 @@
 """Blocks of the user's beside the controller: metrics, observers, sensors and a wind, found by their names.
 
-A name is ``FILE.py:Name``, ``package.module:Name`` or that of an entry point of an installed package, in the groups
-``hexjet.metrics``, ``hexjet.observers``, ``hexjet.sensors`` and ``hexjet.winds``; a wind may be a table, ``FILE.csv``.
+A wind may also be a table, ``FILE.csv``.
 Whatever one of them raises or gives back wrongly ends the flight as a :class:`FlightError` that names it; a metric's
 error is the metric's, the flight is over by then.
 """
@@ -9,32 +8,21 @@ error is the metric's, the flight is over by then.
 from __future__ import annotations
 
 import csv
-import re
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import entry_points
 from io import StringIO
 from math import isfinite
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.errors import FlightError, InputError, nearest
+from cosim.base.errors import FlightError, InputError, describe_error, nearest
+from cosim.base.plugins.entry_points import GROUPS, find_entries
 from cosim.base.protocols import Column, Columns, Sensors
 from cosim.base.signals import Measured, Sample, State, Vector3
-from cosim.simulation.controllers.execute import imported
-from cosim.simulation.controllers.guard import columns_from, described
-from cosim.simulation.controllers.source import (
-    Source,
-    check_method,
-    file_of,
-    from_file,
-    loaded,
-    version_of,
-)
+from cosim.simulation.controllers.guard import Named, columns_from
+from cosim.simulation.controllers.source import NAME, Source, check_method, find_python
 from cosim.simulation.script.wind import FieldWind
-from cosim.spec.controller_name import file_name
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from cosim.spec.vehicle.sensor_profile import profile_names
@@ -42,24 +30,9 @@ from cosim.spec.vehicle.sensor_profile import profile_names
 if TYPE_CHECKING:
     import numpy as np
 
-GROUPS = {
-    "metric": "hexjet.metrics",
-    "observer": "hexjet.observers",
-    "sensors": "hexjet.sensors",
-    "wind": "hexjet.winds",
-}
-# The methods that a block must have, and what each is told; a metric is called itself.
-METHODS: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
-    "metric": (("__call__", ("log", "step_s")),),
-    "observer": (("observe", ("sample",)),),
-    "sensors": (("reset", ("state", "measured")), ("sample", ("state", "measured"))),
-    "wind": (("velocity", ("time", "north", "east", "height")),),
-}
 PREFIX = "own."  # of a metric of one's own, before its name
 TABLE = ("time_s", "north_m_s", "east_m_s", "down_m_s")
 _KEYS = {"observer": 2, "sensors": 3, "wind": 4}  # of the random numbers of each; 0 and 1 are the built-in sensors'
-_MODULE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
-_NAME = re.compile(r"[A-Za-z_]\w*")
 
 
 @dataclass(frozen=True)
@@ -94,7 +67,7 @@ class OwnMetric:
         except (FlightError, InputError) as error:
             raise FlightError(f"{where}: {error}") from error
         except Exception as error:
-            raise FlightError(f"{where}: raised {described(error)}") from error
+            raise FlightError(f"{where}: raised {describe_error(error)}") from error
         own = [name.removeprefix(PREFIX) for name in self.names]
         if not isinstance(answer, Mapping):
             if len(own) != 1:
@@ -114,8 +87,8 @@ class OwnMetric:
 
 
 @dataclass(frozen=True)
-class Brought:
-    """What a scenario brings beside its controller, ready to fly."""
+class Plugins:
+    """The user's blocks that a scenario names beside its controller, ready to fly."""
 
     metrics: tuple[OwnMetric, ...] = ()
     observers: tuple[Watching, ...] = ()
@@ -123,80 +96,26 @@ class Brought:
     wind: Callable[[Vehicle, float, float], FieldWind] | None = None
     sources: Mapping[str, Sequence[Source]] = field(default_factory=dict)  # by the scenario's key
 
-    def over(self) -> None:
-        """The flight is over: its observers are told.  Raises FlightError."""
+    def close(self) -> None:
+        """Tell the observers that the flight is over.  Raises FlightError."""
         for observer in self.observers:
             observer.close()
 
 
 def find_block(kind: str, name: str, folder: Path) -> Source:
-    """A block of that name, a file seen from ``folder``.  Raises InputError."""
-    named = file_name(name)
-    if named is not None and named.after and not named.before:
-        return _of_file(kind, name, Path(named.seen_from(folder).file), named.after[1:])
-    where = f"{kind} {name}"
-    if _MODULE.fullmatch(name):
-        module_name, _, attribute = name.partition(":")
-        module, path, files = imported(module_name, where)
-        block = _attribute(module, attribute, where, path)
-        return _stated(kind, name, block, files, version_of(module_name), copied=False)
-    entries = {entry.name: entry for entry in entry_points(group=GROUPS[kind])}
-    if name not in entries:
+    """Return the block of that name, a file seen from ``folder``.  Raises InputError."""
+    entries = find_entries(kind)
+    source = find_python(kind, name, folder, entries)
+    if source is None:
         ways = f"FILE.py:Name, package.module:Name or an entry point of {GROUPS[kind]}"
         more = f" ({nearest(name, entries)})" if entries else ""
         first = {"wind": "FILE.csv, ", "sensors": "".join(f"{profile}, " for profile in profile_names())}
-        raise InputError(f"{where}: must be {first.get(kind, '')}{ways}{more}")
-    block, package = loaded(entries[name], where)
-    path_of = file_of(block)
-    return _stated(kind, name, block, {} if path_of is None else {path_of.name: path_of}, package, copied=False)
-
-
-def _of_file(kind: str, name: str, path: Path, attribute: str) -> Source:
-    where = f"{kind} {name}"
-    if not path.is_file():
-        raise InputError(f"{where}: {path}: no such file")
-
-    def stated(module: ModuleType, files: dict[str, Path]) -> Source:
-        return _stated(kind, name, _attribute(module, attribute, where, path), files)
-
-    return from_file((kind, name), path, where, stated)
-
-
-def _attribute(module: Any, name: str, where: str, path: Path) -> Any:
-    found = getattr(module, name, None)
-    if found is None:
-        there = [
-            attribute for attribute, value in vars(module).items() if callable(value) and not attribute.startswith("_")
-        ]
-        raise InputError(f"{where}: {path.name} has no {name!r}; {nearest(name, there)}")
-    return found
-
-
-def _stated(
-    kind: str, name: str, block: Any, files: Mapping[str, Path], package: str = "", copied: bool = True
-) -> Source:
-    where = f"{kind} {name}"
-    function = kind == "metric" and callable(block) and not isinstance(block, type)
-    if not function and not isinstance(block, type):
-        raise InputError(f"{where}: must be a class{' or a function' if kind == 'metric' else ''}")
-    for method, told in METHODS[kind]:
-        check_method(SimpleNamespace(__call__=block) if function else block, method, told, where)
-
-    def make() -> Any:
-        if function:
-            return block
-        try:
-            return block()
-        except Exception as error:
-            raise InputError(f"{where}: cannot be made without arguments: {described(error)}") from error
-
-    source = Source(name, kind, make, files, package, copied=copied)
-    source.hashes  # noqa: B018  of what was read just now
+        raise InputError(f"{kind} {name}: must be {first.get(kind, '')}{ways}{more}")
     return source
 
 
-def bring(scenario: Scenario) -> Brought:
-    """Everything that a scenario brings beside its controller.
+def load_plugins(scenario: Scenario) -> Plugins:
+    """Return the blocks of the user's that a scenario names beside its controller, ready to fly.
 
     Raises InputError for a name, a file or a table that does not do, and for another file than the one that flew.
     """
@@ -207,7 +126,7 @@ def bring(scenario: Scenario) -> Brought:
         key: [_source(kinds.get(key, key), name, scenario) for name in names] for key, names in asked.items() if names
     }
     vehicle = scenario.resolved_vehicle()[0] if sources else None
-    brought: dict[str, Any] = {}
+    plugins: dict[str, Any] = {}
     if vehicle is not None:
         taken: set[str] = set()
         metrics = []
@@ -217,16 +136,16 @@ def bring(scenario: Scenario) -> Brought:
                 if each in taken:
                     raise InputError(f"metric {source.label}: {each} is said by another one already")
                 taken.add(each)
-        brought["metrics"] = tuple(metrics)
-        brought["observers"] = tuple(
+        plugins["metrics"] = tuple(metrics)
+        plugins["observers"] = tuple(
             [Watching(s, _made(s, scenario, vehicle, n)) for n, s in enumerate(sources.get("observers", []))]
         )
         for source in sources.get("sensors", []):
             block = _made(source, scenario, vehicle, 0)
-            brought["sensors"] = lambda inner: OwnSensors(source, block, inner)  # noqa: B023  there is one
+            plugins["sensors"] = lambda inner: OwnSensors(source, block, inner)  # noqa: B023  there is one
         for source in sources.get("wind", []):
-            brought["wind"] = _wind(source, scenario, vehicle)
-    return Brought(sources=sources, **brought)
+            plugins["wind"] = _wind(source, scenario, vehicle)
+    return Plugins(sources=sources, **plugins)
 
 
 def _source(kind: str, name: str, scenario: Scenario) -> Source:
@@ -252,7 +171,7 @@ def own_metric(source: Source) -> OwnMetric:
     where, block = f"metric {source.label}", source.make()
     plain = getattr(block, "__name__", type(block).__name__).lower()
     names = getattr(block, "names", (plain,))
-    if isinstance(names, str) or not names or not all(isinstance(n, str) and _NAME.fullmatch(n) for n in names):
+    if isinstance(names, str) or not names or not all(isinstance(n, str) and NAME.fullmatch(n) for n in names):
         raise InputError(f"{where}: names = {names!r}: must be names of letters, digits and _, no digit first")
     if len({*names}) < len(names):
         raise InputError(f"{where}: names = {names!r}: one is there twice")
@@ -289,12 +208,7 @@ def _made(source: Source, scenario: Scenario, vehicle: Vehicle, number: int) -> 
 
 
 def _called(source: Source, what: str, method: Callable[..., Any], *told: Any) -> Any:
-    try:
-        return method(*told)
-    except FlightError as error:
-        raise FlightError(f"{source.level} {source.label}: {error}") from error
-    except Exception as error:
-        raise FlightError(f"{source.level} {source.label}: {what} raised {described(error)}") from error
+    return Named(source.label, kind=source.level).call(what, method, *told)
 
 
 class Watching:

@@ -1,0 +1,61 @@
+"""What packages of others add, as their metadata state it: entry points of one group, the kind before the name.
+
+[project.entry-points."hexjet.plugins"]
+"controller.my-controller" = "my_package.my_module:MyController"
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint, entry_points
+from itertools import chain
+from typing import Any
+
+from cosim.base.errors import InputError, describe_error
+from cosim.base.plugins.execute import import_trusted
+from cosim.base.trust import CodeRefusedError
+
+GROUP = "hexjet.plugins"
+GROUPS = {  # by kind, groups of one kind each, which may be stated instead
+    "predictor": "hexjet.predictors",
+    "controller": "hexjet.controllers",
+    "metric": "hexjet.metrics",
+    "observer": "hexjet.observers",
+    "sensors": "hexjet.sensors",
+    "wind": "hexjet.winds",
+}
+
+
+def find_entries(kind: str) -> dict[str, EntryPoint]:
+    """Return the entry points of a kind that can be imported from here, by the names that a user has for them."""
+    every = entry_points()
+    found: dict[str, EntryPoint] = {}
+    for entry in chain(every.select(group=GROUP), every.select(group=GROUPS[kind])):
+        if entry.group != GROUP or entry.name.startswith(f"{kind}."):
+            found.setdefault(name_of(entry), entry)
+    return found
+
+
+def name_of(entry: EntryPoint) -> str:
+    """Return the name that a user has for an entry point."""
+    return entry.name.partition(".")[2] if entry.group == GROUP else entry.name
+
+
+def describe_entry(entry: EntryPoint) -> str:
+    """Return what messages call an entry point."""
+    return f"entry point {entry.name!r} of {entry.group}"
+
+
+def load_entry(entry: EntryPoint) -> tuple[Any, str]:
+    """Return what an entry point names, and name and version of its package.
+
+    Raises InputError for one that cannot be loaded, CodeRefusedError where it is not trusted.
+    """
+    where = describe_entry(entry)
+    try:
+        import_trusted(entry.module, where, name_of(entry))
+        member = entry.load()
+    except CodeRefusedError:
+        raise
+    except Exception as error:  # whatever the module of somebody else does
+        raise InputError(f"{where}: {entry.value} cannot be loaded: {describe_error(error)}") from error
+    return member, "" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"
