@@ -104,9 +104,9 @@ class Plugins:
 
 def find_block(kind: str, name: str, folder: Path) -> Source:
     """Return the block of that name, a file seen from ``folder``.  Raises InputError."""
-    entries = find_entries(kind)
-    source = find_python(kind, name, folder, entries)
+    source = find_python(kind, name, folder)
     if source is None:
+        entries = find_entries(kind)
         ways = f"FILE.py:Name, package.module:Name or an entry point of {GROUPS[kind]}"
         more = f" ({nearest(name, entries)})" if entries else ""
         first = {"wind": "FILE.csv, ", "sensors": "".join(f"{profile}, " for profile in profile_names())}

@@ -142,20 +142,16 @@ def find(controller: str, folder: Path, complaint: str) -> Source | None:
             f"controller {controller.removeprefix(OBJECT)!r} was an object of a program, which no file can make again: "
             "give it anew, cosim.fly(scenario, controller=...)"
         )
-    entries = find_entries("controller")
-    source = find_python("controller", controller, folder, entries)
+    source = find_python("controller", controller, folder)
     if source is not None:
         return source
     if controller.lower().endswith(".py"):
         raise InputError(f"controller {controller}: a file alone is none; name its class too: {controller}:Mine")
-    raise InputError(f"{complaint}; {nearest(controller, [*PREDICTORS, *entries])}")
+    raise InputError(f"{complaint}; {nearest(controller, [*PREDICTORS, *find_entries('controller')])}")
 
 
-def find_python(kind: str, name: str, folder: Path, entries: Mapping[str, EntryPoint]) -> Source | None:
-    """Return the Python block of that name, a file seen from ``folder``; None where none is named so.
-
-    ``entries``: those of its kind.  Raises InputError.
-    """
+def find_python(kind: str, name: str, folder: Path) -> Source | None:
+    """Return the Python block of that name, a file seen from ``folder``; None for another name.  Raises InputError."""
     named, where = file_name(name), f"{kind} {name}"
     if named is not None and named.after and not named.before:
         return _of_file(kind, name, Path(named.seen_from(folder).file), named.after[1:])
@@ -164,7 +160,8 @@ def find_python(kind: str, name: str, folder: Path, entries: Mapping[str, EntryP
         module, path, files = imported(module_name, where)
         block = _attribute(module, attribute, kind, where, path)
         return _stated(kind, name, block, None, files, version_of(module_name), copied=False)
-    return _of_entry(kind, name, entries[name]) if name in entries else None
+    entry = find_entries(kind).get(name)
+    return None if entry is None else _of_entry(kind, name, entry)
 
 
 def names() -> Iterator[tuple[str, str]]:
