@@ -29,8 +29,6 @@ from cosim.control.predictors.smith import (
 from cosim.spec.vehicle import PredictorTuning, RateModel
 
 if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
-
     from cosim.control.predictors.linear import PairResponse, PredictorSpace
 
 OTHERS, PLACES = 1000, 60000  # numbers of predictors that state none begin here, and so many there are
@@ -124,7 +122,7 @@ class Registry(Mapping[str, PredictorSpec]):
 
     def __init__(self, specs: Iterable[PredictorSpec]) -> None:
         self._specs: dict[str, PredictorSpec] = {}
-        self._waiting: dict[str, EntryPoint] | None = None  # None: not looked for yet
+        self._waiting: dict[str, Any] | None = None  # None: not looked for yet
         for spec in specs:
             self.register(spec)
 
