@@ -209,18 +209,18 @@ class Registry(Mapping[str, PredictorSpec]):
         from cosim.base.plugins.entry_points import describe_entry, find_entries, load_entry
 
         waiting = find_entries("predictor") if self._waiting is None else self._waiting
-        self._waiting = {}
+        self._waiting, refused = {}, None
         for name, entry in waiting.items():
             try:
                 spec, _ = load_entry(entry)
-            except CodeRefusedError:
-                if not is_looking():
-                    raise
-                self._waiting[name] = entry  # only what is installed runs while something is looked at
+            except CodeRefusedError as error:
+                self._waiting[name], refused = entry, error
                 continue
             if not isinstance(spec, PredictorSpec) or spec.name != name:
                 raise InputError(f"{describe_entry(entry)}: must be a PredictorSpec of this name, not {spec!r}")
             self.register(spec)
+        if refused is not None and not is_looking():  # which goes without what is not installed
+            raise refused
 
 
 def _state(model: RateModel, own: Own) -> Predictor:

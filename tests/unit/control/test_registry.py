@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 import re
+import site
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -251,26 +252,25 @@ def test_a_study_varies_what_it_is_tuned_with(mine: PredictorSpec) -> None:
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """A package that states a predictor among its entry points, where Python finds packages."""
-    (tmp_path / "my_predictors.py").write_text(
+    """A folder of installed packages, below ``tmp_path`` as the prefix; one states a predictor among its entry points."""
+    place = Path(site.getsitepackages([str(tmp_path)])[-1])
+    info = place / "my_predictors-1.0.dist-info"
+    info.mkdir(parents=True)
+    (place / "my_predictors.py").write_text(
         "from dataclasses import replace\n"
         "from cosim.control.predictors.registry import SMITH\n"
         "SPEC = replace(SMITH, name='my-smith', title='Smith, from a package', number=None)\n"
     )
-    info = tmp_path / "my_predictors-1.0.dist-info"
-    info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-predictors\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[hexjet.predictors]\nmy-smith = my_predictors:SPEC\n")
-    return tmp_path
+    return place
 
 
 def hexjet(package: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [
-        sys.executable,
-        "-c",
-        f"import sys; sys.path.insert(0, {str(package)!r}); from cosim.cli.main import main; main()",
-        *arguments,
-    ]
+    installed = (
+        f"import site, sys; site.PREFIXES.append({str(package.parents[2])!r}); sys.path.insert(0, {str(package)!r})"
+    )
+    command = [sys.executable, "-c", f"{installed}; from cosim.cli.main import main; main()", *arguments]
     return subprocess.run(command, capture_output=True, text=True, cwd=package, check=False)
 
 
@@ -289,6 +289,28 @@ def test_a_package_brings_one(package: Path) -> None:
     )  # fmt: skip
     assert searched.returncode in (0, 1), searched.stderr
     assert "my-smith" in searched.stdout
+
+
+def test_one_that_is_not_installed_is_asked_for(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As any other code of the user's: naming it is enough.  What only looks goes without it."""
+    with (package / "my_predictors.py").open("a") as file:
+        file.write("# nobody has flown this one\n")
+    monkeypatch.delenv("HEXJET_TRUST", raising=False)
+    script = f"import sys; sys.path.insert(0, {str(package)!r}); from cosim.cli.main import main; main()"
+    listed, misspelt, named = (
+        subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, cwd=package, check=False)
+        for words in (
+            ["list", "controllers"],
+            ["fly", "hover", "--controller", "my-smit"],
+            ["fly", "hover", "--controller", "my-smith", "--set", "duration_s=0.1"],
+        )
+    )
+    assert listed.returncode == 0, listed.stderr
+    assert "my-smith" not in listed.stdout
+    assert misspelt.returncode == 2
+    assert "entry point 'my-smith' of hexjet.predictors" in misspelt.stderr
+    assert "is code that you have not flown before" in misspelt.stderr
+    assert named.returncode == 0, named.stderr
 
 
 @pytest.mark.parametrize(
