@@ -29,7 +29,7 @@ from cosim.design.measured.computed import plants_of  # noqa: E402
 from cosim.identify.sweep import identify_axis  # noqa: E402
 from cosim.identify.sweep.fit import fit  # noqa: E402
 from cosim.identify.sweep.response import FrequencyResponse  # noqa: E402
-from cosim.identify.sweep.result import fit_rows, low_frequency_delay  # noqa: E402
+from cosim.identify.sweep.result import LEDGER_SAMPLES, agrees_with_ledger, fit_rows, low_frequency_delay  # noqa: E402
 from cosim.identify.sweep.verdict import MISFIT, all_delay_is_determined, why_refused  # noqa: E402
 from cosim.results.report.marks import table, write_marks  # noqa: E402
 from cosim.simulation.build import build  # noqa: E402
@@ -38,7 +38,6 @@ from cosim.spec.scenario import Scenario  # noqa: E402
 from cosim.spec.vehicle import aircraft_names, engine_of, load_vehicle  # noqa: E402
 
 PAGE = Path(__file__).parent / "identification.md"
-ALLOWED, LEAST_SAMPLES = 0.1, 1.0  # what a sum of delays may be off the ledger: this share, or so many samples
 OFF = {"phase_deg": 0.1, "gain_db": 0.15}  # what measured margins may be off the computed, as a share; of gains factors
 NOISY = 0.9  # coherence below which noise shows in a misfit
 POINTS = 35  # of a computed response, in a band
@@ -68,11 +67,11 @@ def swept(aircraft: str, axis: str) -> Cells:
         why += [f"coherence at least {least:.2f} alone: the axis is not still beside the sweep"] * (least < NOISY)
         return [band, "refused: " + "; ".join(why), *[""] * 6]
     cells = {row[0].partition(",")[0]: row[1] for row in fit_rows(found)}
-    total, ledger = low_frequency_delay(found.chosen), found.ledger_samples
+    ledger = found.ledger_samples
     numbers = [cells[name] for name in ("gain", "lag", "delay", "misfit", "all delay")]
     if ledger is None:
         return [band, *numbers, f"none: {found.no_ledger}", ""]
-    return [band, *numbers, f"{ledger:.2f}", _agree(abs(total - ledger) <= max(ALLOWED * ledger, LEAST_SAMPLES))]
+    return [band, *numbers, f"{ledger:.2f}", _agree(agrees_with_ledger(found.chosen, ledger))]
 
 
 def why_not(aircraft: str, axis: str, cells: Cells) -> Cells:
@@ -94,7 +93,7 @@ def why_not(aircraft: str, axis: str, cells: Cells) -> Cells:
         reasons.append(f"the misfit is worth {worth:.1f} samples at {lowest} Hz")
     with build(scenario) as simulation:
         vehicle, engine, ledger = simulation.vehicle, simulation.engine, rows_of(simulation.ledger, axis)
-    leads = [row.samples for row in ledger if row.kind == "lead" and row.samples and -row.samples > LEAST_SAMPLES]
+    leads = [row.samples for row in ledger if row.kind == "lead" and row.samples and -row.samples > LEDGER_SAMPLES]
     reasons += [f"the rotors' momentum leads by {-lead:.1f} samples: a zero, which the form lacks" for lead in leads]
     plants = plants_of(scenario, vehicle, engine)
     if isinstance(plants, str):

@@ -23,6 +23,7 @@ from cosim.identify.sweep.result import (
     Sweep,
     check_band,
     need_coherence,
+    note_off_ledger,
     suitable_duration,
 )
 from cosim.identify.sweep.verdict import why_refused
@@ -113,7 +114,7 @@ def identify_axis(
         no_ledger=flight.no_ledger,
         engine_sha256=flight.engine.fingerprint,
         reference=flight.vehicle.identified.get(family, {}).get(axis),  # type: ignore[call-overload]
-        notes=tuple(notes),
+        notes=(*notes, *note_off_ledger(fits[0], flight.ledger_samples, low)),
     )
 
 

@@ -27,6 +27,7 @@ LONGEST_SWEEP_S = 3600.0
 CYCLES = 20.0  # of the lowest frequency, in a sweep of automatic duration
 USABLE = 0.5  # share of the points that must have coherence
 SLOW_POLE = 20.0  # 1/s: a slow pole that may be faster is not known at all
+LEDGER_SHARE, LEDGER_SAMPLES = 0.1, 1.0  # that a sum of delays may be off the ledger's, the more of the two; chosen
 
 
 @dataclass(frozen=True)
@@ -189,6 +190,22 @@ def need_coherence(response: FrequencyResponse, what: str, amplitude: float) -> 
             f"({first.min():.2g} to {first.max():.2g} Hz)"
         ]
     return []
+
+
+def agrees_with_ledger(fit: Fit, ledger_samples: float) -> bool:
+    """Return whether the sum of all delay of a fit is the delay ledger's (samples)."""
+    return abs(low_frequency_delay(fit) - ledger_samples) <= max(LEDGER_SHARE * ledger_samples, LEDGER_SAMPLES)
+
+
+def note_off_ledger(fit: Fit, ledger_samples: float | None, from_hz: float) -> list[str]:
+    """Return a note where the sum of delays of a fit that may be used is not the ledger's, none where it is."""
+    if ledger_samples is None or why_refused(fit, engine=False) or agrees_with_ledger(fit, ledger_samples):
+        return []
+    worth = fit.misfit / (2.0 * np.pi * from_hz * fit.model.step)
+    return [
+        f"all delay of the model is {low_frequency_delay(fit):.2f} samples, of the delay ledger {ledger_samples:.2f}: "
+        f"they do not agree, and must not be mixed (the misfit is worth {worth:.1f} samples at {from_hz:g} Hz)"
+    ]
 
 
 # ---- words

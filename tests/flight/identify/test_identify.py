@@ -32,7 +32,7 @@ from cosim.identify.sweep import (
 from cosim.identify.sweep import axis as sweeping
 from cosim.identify.sweep.fit import counts
 from cosim.identify.sweep.response import FrequencyResponse
-from cosim.identify.sweep.result import equation, fit_rows, low_frequency_delay, rate_response
+from cosim.identify.sweep.result import equation, fit_rows, low_frequency_delay, note_off_ledger, rate_response
 from cosim.identify.sweep.verdict import MISFIT, why_refused
 from cosim.simulation.build import models_of
 from cosim.simulation.script.commander import sweep
@@ -282,6 +282,20 @@ def test_bounds_above_the_value_are_refused_and_not_printed(tmp_path: Path) -> N
     assert not (tmp_path / "model.toml").exists()
     assert json.loads(paths["json"].read_text())["found"] is False
     assert "no model: not determined" in paths["report"].read_text()
+
+
+def test_a_sum_that_is_not_the_ledgers_is_noted() -> None:
+    """By a tenth of the ledger or a sample, whichever is more: the two stand in neighbouring lines."""
+    found = fit(response_of(Model(100.0, 0.2, (0.04,), 9.0, STEP), 0.3, 6.0, 30, 0.001), 1, "1 lag")
+    total = low_frequency_delay(found)
+    assert total == pytest.approx(19.5, abs=0.1)
+    assert note_off_ledger(found, total / 1.09, 0.3) == note_off_ledger(found, total + 0.9, 0.3) == []
+    assert note_off_ledger(found, None, 0.3) == []
+    (said,) = note_off_ledger(found, total / 1.12, 0.3)
+    assert said.startswith(f"all delay of the model is {total:.2f} samples, of the delay ledger {total / 1.12:.2f}: ")
+    assert "must not be mixed" in said
+    refused = fit(response_of(Model(100.0, 3.0, (2.0,), 10.0, STEP), 5.0, 9.0, 20, 0.05), 1, "1 lag")
+    assert note_off_ledger(refused, 30.0, 5.0) == []
 
 
 def test_a_lag_that_is_not_there_is_none() -> None:
