@@ -22,8 +22,8 @@ from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.engine import EngineSpec
 from cosim.simulation.engine_reference import around_trim
 from cosim.spec.vehicle import Hinge, Servo, Surface, Vehicle
-from cosim.vehicle.parts.hinges import HingeReactions
-from cosim.vehicle.parts.rotors import RotorDynamics
+from cosim.vehicle.effects.hinges import HingeReactions
+from cosim.vehicle.effects.rotors import RotorDynamics
 
 SMALL = 1e-6  # rad/s^2, by which the rotors' momentum is seen to change
 
@@ -234,7 +234,7 @@ def hinge_kicks(vehicle: Vehicle, step: float) -> Array:
     for number in range(len(vehicle.hinges)):
         reactions.reset()
         angles = [hinge.rest_rad + small * (k == number) for k, hinge in enumerate(vehicle.hinges)]
-        push, moment = reactions.act(tuple(angles), ZERO3)
+        push, moment = reactions.reaction(tuple(angles), ZERO3)
         whole = np.array(moment) + np.cross(vehicle.jets[0].position_m, push)
         rows.append(np.linalg.solve(np.array(vehicle.tensor), whole) / (small / step**2))
     return np.array(rows).reshape(-1, 3)

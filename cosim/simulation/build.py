@@ -68,16 +68,14 @@ from cosim.spec.scenario import Environment, Scenario, Station, TorqueCommandDis
 from cosim.spec.vehicle import EngineLead, RateModel, Vehicle, aircraft_seen_from, file_seen_from, is_file
 from cosim.vehicle.airframe import Airframe, standing_height, start_height
 from cosim.vehicle.atmosphere import standard_air
+from cosim.vehicle.effects.ground_effect import GroundJets
+from cosim.vehicle.effects.make import make_effects
+from cosim.vehicle.effects.rotors import RotorDynamics
 from cosim.vehicle.model_file import read_model
-from cosim.vehicle.parts.banks import Banks
-from cosim.vehicle.parts.ground_effect import GroundJets
-from cosim.vehicle.parts.hinges import HingeReactions
-from cosim.vehicle.parts.intakes import IntakeDrag
-from cosim.vehicle.parts.rotors import RotorDynamics
-from cosim.vehicle.parts.servo import TiltServo
-from cosim.vehicle.parts.tank import Tank
 from cosim.vehicle.propulsion import Propulsion
 from cosim.vehicle.sensors import FaultySensors, SensorSuite
+from cosim.vehicle.servo import TiltServo
+from cosim.vehicle.tank import Tank
 
 # How finely the corridor of a wing is asked of its model, and at which speed: as surfaces are; chosen by us
 WING_ROWS = 16
@@ -105,7 +103,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
     laws = [spec.flame_out for spec in stations]
     step, initial = scenario.step_s, scenario.initial
     flown = as_flown(vehicle, scenario.mismatch)
-    rotors = RotorDynamics(flown.jets, stations, step, flown.hinges)
+    effects = make_effects(vehicle, flown, stations, step)
     with ExitStack() as made:
         plugged = end = None
         if own is not None:
@@ -113,11 +111,17 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             end = made.callback(plugged.close)
             plugged.make()
         controller = _cascade(scenario, vehicle, engine, stations, plugged)
-        airframe = Airframe(flown, folder, scenario.environment, step, scenario.substeps, scenario.seed, rotors.any)
+        airframe = Airframe(
+            flown,
+            folder,
+            scenario.environment,
+            step,
+            scenario.substeps,
+            scenario.seed,
+            any(isinstance(effect, RotorDynamics) for effect in effects),
+        )
         made.callback(airframe.close)
         in_flight = _starts_in_flight(scenario, stations)
-        aside = [{port for port in ASIDE if spec.has(port)} for spec in stations]
-        aside = aside if any(aside) else []
         bank = make_bank(stations, step, in_flight)
         made.callback(bank.close)
         engines = EngineChain(
@@ -126,27 +130,21 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             lambda jet: engine_reference(stations[jet], step).lag,
             step,
             *engines_as_flown(scenario.mismatch, len(stations)),
-            aside=bool(aside),
+            aside=any(spec.has(port) for spec in stations for port in ASIDE),
         )
         servos = [TiltServo(vehicle.servo, step) for _ in SERVOS] if vehicle.servo else []
         servos += [TiltServo(hinge, step) for hinge in vehicle.hinges]
         servos += [TiltServo(surface, step) for surface in vehicle.surfaces]
-        reactions = HingeReactions(flown.hinges, flown.jets, step)
-        intakes = IntakeDrag(vehicle.airflow, flown.jets, flown.hinges)
-        banks = Banks(vehicle.servo, flown.jets, step) if vehicle.servo else None
+        ground = vehicle.ground_effect
         propulsion = Propulsion(
             flown.jets,
             engines,
             servos,
-            rotors if rotors.any else None,
+            effects,
             Tank(vehicle.fuel.mass_kg, step, initial.fuel) if vehicle.fuel else None,
-            banks if banks and banks.any else None,
-            intakes if intakes.any else None,
-            GroundJets(vehicle.ground_effect, flown.jets) if vehicle.ground_effect else None,
             airframe.air,
             flown.hinges,
-            reactions if reactions.any else None,
-            aside,
+            GroundJets(ground, flown.jets) if ground and ground.hot_gas else None,
         )
         suite: Sensors = SensorSuite(vehicle.sensors, step, scenario.seed, scenario.sensor_noise)
         sensors = FaultySensors(suite if plugins.sensors is None else plugins.sensors(suite))

@@ -1,26 +1,18 @@
 """Propulsion: from throttles and tilts to forces and moments on the airframe.
 
-Engines with all that stands around them (:mod:`cosim.engine.wrappers`), the servos that tilt them, their rotors, their
-intakes, the tank, the banks' reaction and what the ground does to the jets.
+Engines with all that stands around them (:mod:`cosim.engine.wrappers`), the servos that tilt them, the tank, and what
+acts beside thrust (:mod:`cosim.vehicle.effects`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from collections.abc import Set as AbstractSet
 from math import nan
-from operator import mul
 from typing import Any
 
-from cosim.base.frames import (
-    conjugate,
-    cross,
-    rotate,
-)
-from cosim.base.layout import UP
+from cosim.base.frames import conjugate, cross, rotate
 from cosim.base.signals import (
     NO_JETS,
-    UNKNOWN3,
     ZERO3,
     Actuation,
     Ambient,
@@ -32,21 +24,17 @@ from cosim.base.signals import (
 )
 from cosim.engine.wrappers import EngineChain
 from cosim.spec.vehicle import Hinge, Jet, layout_of
-from cosim.vehicle.parts.banks import Banks
-from cosim.vehicle.parts.ground_effect import GroundJets
-from cosim.vehicle.parts.hinges import HingeReactions
-from cosim.vehicle.parts.intakes import IntakeDrag
-from cosim.vehicle.parts.rotors import RotorDynamics
-from cosim.vehicle.parts.servo import TiltServo
-from cosim.vehicle.parts.tank import Tank
+from cosim.vehicle.effects.effect import NO_OUTPUT, Effect, Load
+from cosim.vehicle.effects.ground_effect import GroundJets
+from cosim.vehicle.servo import TiltServo
+from cosim.vehicle.tank import Tank
 
 
 class Propulsion:
-    """Everything between the actuators' commands and the airframe; a part that the vehicle has not is None.
+    """Everything between the actuators' commands and the airframe.
 
-    ``jets`` as they stand on the vehicle that flies; ``air()``: static pressure [Pa] and temperature [K] where it is.
-    ``aside``: of each engine what it gives beside its thrust, of ``ASIDE`` in :mod:`cosim.engine.fmu.port_kinds`.
-    An engine that gives a torque has no other reaction: ``reaction_m`` of its jet does not act.
+    ``jets`` as they stand on the vehicle that flies; ``effects``: what acts beside thrust, in order, of a vehicle that
+    has any; ``air()``: static pressure [Pa] and temperature [K] where it is; ``hot_gas`` that engines swallow.
     After a step ``output``, ``tilt``, ``fuel`` and ``spool_moment`` say what the parts did over it; ``momentum`` of the
     rotors (kg m^2/s, body) and ``burnt`` (kg, of a full tank) are the airframe's to carry.
     """
@@ -56,35 +44,20 @@ class Propulsion:
         jets: Sequence[Jet],
         engines: EngineChain,
         servos: Sequence[TiltServo],
-        rotors: RotorDynamics | None,
+        effects: Sequence[Effect],
         tank: Tank | None,
-        banks: Banks | None,
-        streams: IntakeDrag | None,
-        ground: GroundJets | None,
         air: Callable[[], tuple[float, float]],
         hinges: Sequence[Hinge] = (),
-        reactions: HingeReactions | None = None,
-        aside: Sequence[AbstractSet[str]] = (),
+        hot_gas: GroundJets | None = None,
     ) -> None:
         self.engines = engines
         self.servos = list(servos)
-        self.rotors, self.tank, self.banks, self.streams = rotors, tank, banks, streams
-        self._suckdown = ground if ground is not None and ground.suckdown else None
-        self._hot_gas = ground if ground is not None and ground.hot_gas else None
-        self._air = air
+        self.effects = list(effects)
+        self.tank = tank
+        self._hot_gas, self._air = hot_gas, air
         self._layout = layout_of(jets, hinges)
         self._jets = len(self._layout.stations)
-        self._places: list[Vector3] = [jet.position_m for jet in jets]
-        self._aside = bool(aside)
-        self._gives: list[tuple[bool, bool, bool]] = [
-            ("force_forward" in outputs, "force_right" in outputs, "torque" in outputs) for outputs in aside
-        ]
-        self._reactions = tuple(
-            0.0 if aside and "torque" in aside[index] else jet.reaction_m for index, jet in enumerate(jets)
-        )
-        self._reacting = any(self._reactions)
-        self._straight_up = not self._layout.turns and all(station.axis == UP for station in self._layout.stations)
-        self._hinges = reactions
+        self._load = Load()
         self._rest = tuple([servo.angle for servo in servos]) or (0.0, 0.0)
         self._wind = ZERO3
         self.gusts: list[Vector3] = []  # m/s NED, of the wind at each jet beyond that at the vehicle; none: it is one
@@ -92,16 +65,25 @@ class Propulsion:
 
     def _forget(self) -> None:
         self.tilt = self._rest  # where the servos stand
-        self.output = EngineOutput((), (), (), ())
+        self.output = NO_OUTPUT
         self.fuel = nan  # kg on board at the step's beginning
-        self.momentum = ZERO3
-        self.spool_moment: Any = UNKNOWN3  # a vector, kept as the object that goes into the log
+        self._load.forget()
         self._off = NO_JETS  # as last asked for
 
     @property
     def wants_ambient(self) -> bool:
         """The air around the engines changes what they give: :meth:`reset` is to be told where the vehicle stands."""
         return self.engines.wants_ambient
+
+    @property
+    def momentum(self) -> Vector3:
+        """Angular momentum of the rotors at the step's end, kg m^2/s, body."""
+        return self._load.momentum
+
+    @property
+    def spool_moment(self) -> Any:
+        """What the rotors act on the airframe with, N m, body; NaN without rotors."""
+        return self._load.spool_moment
 
     @property
     def burnt(self) -> float:
@@ -127,23 +109,16 @@ class Propulsion:
         self._wind = wind  # JSBSim knows of none before its first run
         for servo in self.servos:
             servo.reset()
-        if self.banks is not None:
-            self.banks.reset()
-        if self._hinges is not None:
-            self._hinges.reset()
         ambient = self.ambient(state, wind) if state is not None else None
         self.output = self.engines.reset(throttle, ambient)
         if off:
             self._off = frozenset(range(self._jets))
             self.output = self.engines.stop()
-        if self.rotors is not None:
-            self.rotors.reset(self.output.spool_speed)
-            self.momentum = self.rotors.momentum
-        forces = self.forces(self.output.thrust, self.tilt)
-        if self._aside:
-            across, _ = self.beside(self.output, self.tilt)
-            forces = [_plus(force, more) for force, more in zip(forces, across, strict=True)]
-        return forces
+        load = self._load
+        load.begin(self.output, self.tilt, self.forces(self.output.thrust, self.tilt))
+        for effect in self.effects:
+            effect.start(load)
+        return load.forces
 
     def step(self, k: int, actuation: Actuation, state: State) -> tuple[list[Vector3], Vector3]:
         """Over step ``k`` from ``state``: a force at each jet's station [N, body] and a moment beside them [N m, body].
@@ -157,73 +132,23 @@ class Propulsion:
         if self.servos:
             commanded = actuation.tilt
             self.tilt = tuple([servo.update(commanded[i]) for i, servo in enumerate(self.servos)])
-        tilt = self.tilt
         if self.tank is not None:
             self._burn(self.tank, output.fuel_flow)
-        moment = ZERO3
-        if self._reacting:
-            moment = self._reaction(output.thrust, tilt)
-        if self.rotors is not None:
-            change = self.rotors.update(output.spool_speed, tilt)
-            self.momentum = self.rotors.momentum
-            self.spool_moment = self.rotors.moment(change, state.rate)
-            moment = _plus(change, moment)
-        forces = self.forces(output.thrust, tilt)
-        if self._aside:
-            # across a jet as it stands; where the ground's suction is of the thrust alone, it is so of what is along it
-            across, torque = self.beside(output, tilt)
-            moment = _plus(moment, torque)
-        if self._suckdown is not None:  # of the thrust alone
-            forces, more = self._suckdown.act(forces, state)
-            moment = _plus(moment, more)
-        if self._aside:
-            forces = [_plus(force, more) for force, more in zip(forces, across, strict=True)]
-        if self.streams is not None:
-            forces, more = self.streams.act(forces, output.thrust, tilt, state, self.gusts)
-            moment = _plus(moment, more)
-        if self.banks is not None:
-            forces, more = self.banks.act(forces, tilt, state.rate)
-            moment = _plus(moment, more)
-        if self._layout.moves:
-            pushes = self.forces(output.thrust, tilt)
-            if self._aside:
-                pushes = [_plus(force, more) for force, more in zip(pushes, across, strict=True)]
-            moment = _plus(moment, self._carried(pushes, tilt))
-        if self._hinges is not None:
-            push, more = self._hinges.act(tilt, state.rate)
-            x, y, z = forces[0]
-            forces[0] = (x + push[0], y + push[1], z + push[2])
-            moment = _plus(moment, more)
-        return forces, moment
-
-    def _reaction(self, thrust: PerJet, tilt: PerServo) -> Vector3:
-        """What the rotors' drag turns the frame with, about the jets' own axes."""
-        if self._straight_up:
-            return (0.0, 0.0, sum(map(mul, self._reactions, thrust)))
-        axes, groups = self._layout.axes(tilt), self._layout.groups
-        mx = my = mz = 0.0
-        for jet, reaction in enumerate(self._reactions):
-            x, y, z = axes[groups[jet]]
-            size = -reaction * thrust[jet]
-            mx, my, mz = mx + size * x, my + size * y, mz + size * z
-        return (mx, my, mz)
+        load = self._load
+        load.state, load.gusts = state, self.gusts
+        load.begin(output, self.tilt, self.forces(output.thrust, self.tilt))
+        for effect in self.effects:
+            effect.act(load)
+        return load.forces, load.moment
 
     def standing(self, thrust: PerJet, tilt: PerServo) -> tuple[list[Vector3], Vector3]:
         """What thrusts do with the servos standing: a force at each jet's station, and the moment beside them."""
-        forces = self.forces(thrust, tilt)
-        moment = self._reaction(thrust, tilt) if self._reacting else ZERO3
-        return forces, _plus(moment, self._carried(forces, tilt)) if self._layout.moves else moment
-
-    def _carried(self, pushes: Sequence[Vector3], tilt: PerServo) -> Vector3:
-        """What forces have in moment because hinges carry their jets away from the stations where they are handed
-        over."""
-        standing = self._layout.standing(tilt)
-        moment = ZERO3
-        for jet, push in enumerate(pushes):
-            x, y, z = standing[jet]
-            at_x, at_y, at_z = self._places[jet]
-            moment = _plus(moment, cross((x - at_x, y - at_y, z - at_z), push))
-        return moment
+        load = Load()
+        load.begin(EngineOutput(thrust, (), (), ()), tilt, self.forces(thrust, tilt))
+        for effect in self.effects:
+            if effect.steady:
+                effect.act(load)
+        return load.forces, load.moment
 
     def _switch(self, off: frozenset[int]) -> None:
         """Shut off what is to be off, and let what no longer is run again, where there is fuel."""
@@ -251,27 +176,6 @@ class Propulsion:
                 newton = thrust[jet]
                 answer[jet] = (newton * x, newton * y, newton * z)
         return answer
-
-    def beside(self, output: EngineOutput, tilt: PerServo) -> tuple[list[Vector3], Vector3]:
-        """What the engines do beside their thrust: a force at each jet's station [N, body], and a moment [N m, body].
-
-        The jet's frame is the body's, turned with the thrust by the least turn from straight up to the jet's axis and
-        then by its hinges: on a bank at a tilt t thrust is along ``(sin t, 0, -cos t)``, forward
-        ``(cos t, 0, sin t)``, right ``(0, 1, 0)``; the torque is about the thrust.
-        """
-        frames = self._layout.frames(tilt)
-        forces: list[Vector3] = []
-        moment = ZERO3
-        for jet, group in enumerate(self._layout.groups):
-            (x, y, z), (a, b, c), (d, e, f) = frames[group]
-            has_forward, has_right, has_torque = self._gives[jet]
-            forward = output.force_forward[jet] if has_forward else 0.0
-            right = output.force_right[jet] if has_right else 0.0
-            forces.append((forward * a + right * d, forward * b + right * e, forward * c + right * f))
-            if has_torque:
-                torque = output.torque[jet]
-                moment = _plus(moment, (torque * x, torque * y, torque * z))
-        return forces, moment
 
     def ambient(self, state: State, wind: Vector3) -> Ambient:
         """The air at the engines: the vehicle's, and what blows into each intake along its jet as it stands.
@@ -307,7 +211,3 @@ class Propulsion:
     def close(self) -> None:
         """Free the engines; may be called twice."""
         self.engines.close()
-
-
-def _plus(a: Vector3, b: Vector3) -> Vector3:
-    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])

@@ -17,7 +17,7 @@ from cosim.simulation.build import opposites
 from cosim.simulation.engine_reference import engine_reference
 from cosim.spec.scenario import FlameOut
 from cosim.spec.vehicle import Vehicle
-from cosim.vehicle.parts.servo import TiltServo
+from cosim.vehicle.servo import TiltServo
 
 if TYPE_CHECKING:
     from cosim.engine import EngineSpec

@@ -33,7 +33,7 @@ from cosim.simulation.controllers.source import Source
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
-from cosim.vehicle.parts.tank import Tank
+from cosim.vehicle.tank import Tank
 
 LINES = 36  # of a multisine in a decade: one is 7 % above the one before
 RISE = (

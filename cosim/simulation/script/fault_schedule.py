@@ -23,8 +23,8 @@ from cosim.spec.scenario import (
     SensorDropout,
     ServoJam,
 )
-from cosim.vehicle.parts.servo import TiltServo
 from cosim.vehicle.sensors import FaultySensors
+from cosim.vehicle.servo import TiltServo
 
 NEVER = sys.maxsize
 

@@ -34,7 +34,7 @@ class Fuel(Model):
 
 
 class GroundEffect(Model):
-    """What jets do to the vehicle near the ground; see :mod:`cosim.vehicle.parts.ground_effect`.  Each effect has its
+    """What jets do to the vehicle near the ground; see :mod:`cosim.vehicle.effects.ground_effect`.  Each effect has its
     switch."""
 
     suckdown: bool = False  # lift loss by Wyatt's correlation

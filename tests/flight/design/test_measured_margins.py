@@ -265,7 +265,7 @@ def test_three_designs_are_measured_as_they_are_computed(design: str) -> None:
 
 
 def streams(vehicle: Vehicle) -> float:
-    """Damping of roll by the air that engines take along in hover: ``m omega x r_o`` at ``r_o`` (cosim.vehicle.parts.intakes),
+    """Damping of roll by the air that engines take along in hover: ``m omega x r_o`` at ``r_o`` (cosim.vehicle.effects.intakes),
     about x, the part across an axis that points up [N m s]."""
     flow = vehicle.airflow
     assert flow is not None

@@ -45,7 +45,7 @@ from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import read_controller
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
-from cosim.vehicle.parts.servo import TiltServo
+from cosim.vehicle.servo import TiltServo
 
 HOME = {
     "edf": "hexjet",

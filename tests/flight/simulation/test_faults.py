@@ -45,7 +45,7 @@ from cosim.spec.scenario import (
     scenario_names,
 )
 from cosim.spec.vehicle import MonitorSettings, load_vehicle
-from cosim.vehicle.parts.servo import TiltServo
+from cosim.vehicle.servo import TiltServo
 
 STEP = 0.004
 HOVER = Scenario(name="short", duration_s=2.0, initial={"altitude_m": 30.0})

@@ -6,17 +6,18 @@ from math import atan2, cos, degrees, pi, sqrt
 
 import numpy as np
 import pytest
+from loads import acted
 from places import ROOT
 
 from cosim.base.constants import GRAVITY
-from cosim.base.signals import ZERO3, State
+from cosim.base.signals import ZERO3
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.flight import fly
 from cosim.identify.sweep import identify_axis
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
-from cosim.vehicle.parts.intakes import IntakeDrag
+from cosim.vehicle.effects.intakes import IntakeDrag
 
 VEHICLE, _ = load_vehicle("trijet")
 PAGE = " ".join((ROOT / "aircraft" / "trijet" / "README.md").read_text(encoding="utf-8").split())
@@ -62,15 +63,14 @@ def test_each_kind_of_engine_swallows_its_own_air() -> None:
     fan, jet = VEHICLE.jets[2].airflow, VEHICLE.airflow
     assert fan is not None
     assert jet is not None
-    state = State(ZERO3, ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, ZERO3, 20.0, (0.0, 8.0, 0.0), 3.19, False, False)
     thrust = (12.0, 0.0, 9.0)
     pushes = [8.0 * jet.kg_s * 0.5**jet.exponent, 0.0, 8.0 * fan.kg_s * 0.45**fan.exponent]
     drag = IntakeDrag(jet, VEHICLE.jets, VEHICLE.hinges)
-    forces, moment = drag.act([ZERO3] * 3, thrust, (0.0,) * 4, state)
+    forces, moment = acted(drag, [ZERO3] * 3, (0.0,) * 4, thrust, wind=(0.0, 8.0, 0.0))
     assert [y for _, y, _ in forces] == pytest.approx(pushes, rel=1e-12)
     assert moment == pytest.approx((jet.intake_m * pushes[0] + fan.intake_m * pushes[2], 0.0, 0.0), rel=1e-12)
     alone = IntakeDrag(None, VEHICLE.jets, VEHICLE.hinges)  # the fan states its own
-    forces, _ = alone.act([ZERO3] * 3, thrust, (0.0,) * 4, state)
+    forces, _ = acted(alone, [ZERO3] * 3, (0.0,) * 4, thrust, wind=(0.0, 8.0, 0.0))
     assert alone.any
     assert [y for _, y, _ in forces] == pytest.approx([0.0, 0.0, pushes[2]], rel=1e-12)
 

@@ -146,12 +146,14 @@ def test_compiled_and_from_source_a_flight_is_the_same_bit_for_bit() -> None:
 def test_an_edited_source_is_what_runs(tmp_path: Path) -> None:
     """And one line says so; until the edit nothing is said."""
     shutil.copytree(PACKAGE, tmp_path / "cosim", ignore=shutil.ignore_patterns("__pycache__", "mavlink", "web", "data"))
-    code = "import cosim.vehicle.parts.servo, cosim.base.frames; print(cosim.vehicle.parts.servo.__file__, cosim.base.frames.__file__)"
+    code = (
+        "import cosim.vehicle.servo, cosim.base.frames; print(cosim.vehicle.servo.__file__, cosim.base.frames.__file__)"
+    )
     before, nothing = python(code, tmp_path)
     assert before.count(str(tmp_path)) == 2
     assert ".py" not in before.replace(".cpython", "")
     assert nothing == ""
-    edited_file = tmp_path / "cosim" / "vehicle/parts/servo.py"
+    edited_file = tmp_path / "cosim" / "vehicle/servo.py"
     with edited_file.open("a", encoding="utf-8") as file:
         file.write("# another line\n")
     after, said = python(code, tmp_path)
@@ -173,8 +175,8 @@ def test_half_of_what_was_compiled_is_not_used(tmp_path: Path, lost: str) -> Non
     """As where another Python compiled last, or a build was broken off."""
     shutil.copytree(PACKAGE, tmp_path / "cosim", ignore=shutil.ignore_patterns("__pycache__", "mavlink", "web", "data"))
     (tmp_path / "cosim" / lost).unlink()
-    found, said = python("import cosim.vehicle.parts.servo; print(cosim.vehicle.parts.servo.__file__)", tmp_path)
-    assert found.split() == [str(tmp_path / "cosim" / "vehicle/parts/servo.py")]
+    found, said = python("import cosim.vehicle.servo; print(cosim.vehicle.servo.__file__)", tmp_path)
+    assert found.split() == [str(tmp_path / "cosim" / "vehicle/servo.py")]
     assert said == ""
 
 

@@ -31,7 +31,7 @@ from cosim.results.report.marks import parts_of
 
 UNCOMPILED = bool(os.environ.get(PURE))
 COMPILED = (
-    () if UNCOMPILED else ("base/frames.py", "vehicle/parts/tank.py")
+    () if UNCOMPILED else ("base/frames.py", "vehicle/tank.py")
 )  # a few stand for all: `make setup` compiles those
 METADATA = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 PACKAGES = ("cosim", "hexjet_paper")

@@ -38,7 +38,7 @@ HOMES = {
 
 # Blocks get values and return values: no files, clocks, environment or global randomness.
 BLOCKS = [
-    "control/", "engine/wrappers.py", "vehicle/propulsion.py", "vehicle/sensors.py", "vehicle/parts/servo.py", "simulation/ending.py", "base/frames.py",
+    "control/", "engine/wrappers.py", "vehicle/propulsion.py", "vehicle/sensors.py", "vehicle/servo.py", "simulation/ending.py", "base/frames.py",
     "base/signals.py", "base/protocols.py",
 ]  # fmt: skip
 OUTSIDE_WORLD = {

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from loads import acted
 from places import DESIGNS, DOCS
 from scipy.spatial.transform import Rotation
 
@@ -32,6 +33,7 @@ from cosim.spec.scaling import _LAW, length_scale, scaled
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
 from cosim.vehicle.airframe import Airframe, standing_height
+from cosim.vehicle.effects.intakes import IntakeDrag
 
 BASE, _ = load_vehicle("hexjet")
 SIZES = {"hexjet-100": 100.0, "hexjet-p220": 220.0}  # N an engine
@@ -312,20 +314,18 @@ def test_still_air_drags_nothing() -> None:
     with build(
         Scenario.load("hover").replace(aircraft="hexjet-p220", engine="p220", controller="baseline")
     ) as simulation:
-        streams = simulation.propulsion.streams
-        assert streams is not None
+        (streams,) = [effect for effect in simulation.propulsion.effects if isinstance(effect, IntakeDrag)]
         forces = [(0.0, 0.0, -100.0)] * 6
-        still = simulation.state._replace(velocity=ZERO3, rate=ZERO3, wind=ZERO3)
-        assert streams.act(forces, (100.0,) * 6, (0.1, -0.1), still) == (forces, ZERO3)
+        assert acted(streams, forces, (0.1, -0.1), (100.0,) * 6) == (forces, ZERO3)
         # an engine without thrust swallows nothing
-        moving = still._replace(velocity=(0.0, 10.0, 0.0))
-        assert streams.act(forces, (0.0,) * 6, (0.0, 0.0), moving) == (forces, ZERO3)
+        moving = (0.0, 10.0, 0.0)
+        assert acted(streams, forces, thrust=(0.0,) * 6, velocity=moving) == (forces, ZERO3)
         # six at full thrust, 10 m/s to the right: 27 N to the left, above the centre of gravity, so the vehicle rolls left
-        pushed, (roll, _, _) = streams.act([ZERO3] * 6, (220.0,) * 6, (0.0, 0.0), moving)
+        pushed, (roll, _, _) = acted(streams, [ZERO3] * 6, thrust=(220.0,) * 6, velocity=moving)
         assert sum(y for _, y, _ in pushed) == pytest.approx(-6 * 0.45 * 10.0, rel=1e-12)
         assert roll == pytest.approx(-6 * 0.45 * 10.0 * 0.1535, rel=1e-12)
     with build(Scenario.load("hover")) as simulation:
-        assert simulation.propulsion.streams is None
+        assert not any(isinstance(effect, IntakeDrag) for effect in simulation.propulsion.effects)
 
 
 @pytest.mark.parametrize(

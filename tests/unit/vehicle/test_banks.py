@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from loads import acted
 from places import DESIGNS
 
 from cosim.base.errors import InputError
@@ -26,7 +27,7 @@ from cosim.simulation.controllers.controller_file import differences, with_contr
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
 from cosim.vehicle.airframe import Airframe
-from cosim.vehicle.parts.banks import Banks
+from cosim.vehicle.effects.banks import Banks
 
 STEP = 0.004
 NO_AERO = {"drag_area_m2": [0.0, 0.0, 0.0], "damping_n_m_s": [0.0, 0.0, 0.0]}
@@ -44,7 +45,7 @@ def turned(course: np.ndarray, inertia: float, imbalance: float = 0.0) -> tuple[
         state = frame.reset(Initial(altitude_m=500.0), OFF, ZERO3)
         states = []
         for left, right in course.tolist():
-            forces, moment = banks.act(OFF, (left, right), state.rate)
+            forces, moment = acted(banks, OFF, (left, right), rate=state.rate)
             state = frame.step(forces, Disturbance(), moment)
             states.append(state)
     finally:
@@ -108,8 +109,8 @@ def test_a_turning_body_feels_the_banks_as_a_rotor() -> None:
     assert vehicle.servo is not None
     banks = Banks(vehicle.servo, vehicle.jets, STEP)
     rate: Vector3 = (0.3, -0.2, 0.5)
-    banks.act(OFF, (0.004, 0.008), rate)
-    forces, moment = banks.act(OFF, (0.008, 0.016), rate)
+    acted(banks, OFF, (0.004, 0.008), rate=rate)
+    forces, moment = acted(banks, OFF, (0.008, 0.016), rate=rate)
     h = np.array([0.0, -2e-3 * (1.0 + 2.0), 0.0])
     assert moment == pytest.approx(tuple(-np.cross(rate, h)), abs=1e-12)
     assert forces == OFF

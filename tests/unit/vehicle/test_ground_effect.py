@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loads import acted
 
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
@@ -16,7 +17,7 @@ from cosim.spec.scaling import scaled
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import GroundEffect, Vehicle, load_vehicle
 from cosim.vehicle.airframe import standing_height
-from cosim.vehicle.parts.ground_effect import GroundJets, lift_loss
+from cosim.vehicle.effects.ground_effect import GroundJets, lift_loss
 
 PLATE = {"planform_m": 0.4, "jet_m": 0.1}
 GAS = {"hot_gas": True, "hot_gas_height_m": [0.5, 1.0, 2.0], "hot_gas_rise_k": [20.0, 10.0, 0.0]}
@@ -49,18 +50,16 @@ def test_the_loss_acts_at_the_centre() -> None:
         for jet in vehicle.jets
         for x, y, z in [jet.position_m]
     ]
-    with build(Scenario.load("full-scale-hover").replace(expect=[])) as simulation:
-        state = simulation.state._replace(altitude=1.1)
     rng = np.random.default_rng(1)
     before = [(float(x), 0.0, -float(z)) for x, z in rng.uniform(10.0, 100.0, (6, 2))]
-    after, moment = GroundJets(effect, moved).act(before, state)
+    after, moment = acted(GroundJets(effect, moved), before, altitude=1.1)
     change = np.array(after) - np.array(before)
     thrust = -sum(z for _, _, z in before)
     assert change.sum(axis=0) == pytest.approx([0.0, 0.0, 0.012 * thrust], rel=1e-12)
     whole = np.cross([jet.position_m for jet in moved], change).sum(axis=0) + moment
     assert whole == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
     nothing = [(0.0, 0.0, 0.0)] * 6
-    assert GroundJets(effect, moved).act(nothing, state) == (nothing, (0.0, 0.0, 0.0))
+    assert acted(GroundJets(effect, moved), nothing, altitude=1.1) == (nothing, (0.0, 0.0, 0.0))
 
 
 def test_warmed_intakes() -> None:

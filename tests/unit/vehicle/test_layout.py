@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from loads import acted
 from scipy.spatial.transform import Rotation
 
 from cosim.base.errors import InputError
@@ -17,10 +19,11 @@ from cosim.engine.wrappers import EngineChain
 from cosim.spec.scenario import Environment, Initial
 from cosim.spec.vehicle import Hinge, Jet, Servo, Vehicle, load_vehicle
 from cosim.vehicle.airframe import Airframe
-from cosim.vehicle.parts.banks import Banks
-from cosim.vehicle.parts.hinges import HingeReactions
-from cosim.vehicle.parts.servo import TiltServo
+from cosim.vehicle.effects.banks import Banks
+from cosim.vehicle.effects.hinges import HingeReactions
+from cosim.vehicle.effects.make import make_effects
 from cosim.vehicle.propulsion import Propulsion
+from cosim.vehicle.servo import TiltServo
 
 STEP = 0.004
 EXACT = 1e-9  # of the larger side: rounding
@@ -129,10 +132,10 @@ def test_force_and_moment_of_any_layout_are_those_of_levers_and_newton(seed: int
     base, folder = load_vehicle("quadrotor")
     vehicle = base.model_copy(update={"jets": jets, "hinges": hinges, "model": None})
     engines = Given(len(jets))
-    parts = HingeReactions(hinges, jets, STEP)
+    silent = SimpleNamespace(rotor_inertia=0.0, has=lambda port: False)
     propulsion = Propulsion(
         jets, EngineChain(engines, [None] * len(jets), lambda jet: 0.1, STEP), [TiltServo(h, STEP) for h in hinges],
-        None, None, None, None, None, lambda: (101325.0, 288.15), hinges, parts if parts.any else None,
+        make_effects(vehicle, vehicle, [silent] * len(jets), STEP), None, lambda: (101325.0, 288.15), hinges,  # type: ignore[list-item]
     )  # fmt: skip
     frame = Airframe(vehicle, folder, Environment(), STEP, 1, 0)
     try:
@@ -178,8 +181,8 @@ def test_two_banks_are_two_hinges_about_minus_y() -> None:
     ]
     banks, parts = Banks(servo, jets, STEP), HingeReactions(hinges, jets, STEP)
     for tilt in ((0.01, 0.02), (0.03, -0.01), (0.02, 0.0)):
-        spread, beside = banks.act([ZERO3] * 4, tilt, RATE)
-        push, moment = parts.act(tilt, RATE)
+        spread, beside = acted(banks, [ZERO3] * 4, tilt, rate=RATE)
+        push, moment = parts.reaction(tilt, RATE)
     force = np.sum(spread, axis=0)
     lever = np.sum(np.cross(places, spread), axis=0) + beside
     assert push == pytest.approx(force, abs=1e-12)

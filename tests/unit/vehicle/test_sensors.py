@@ -12,8 +12,8 @@ from cosim import Scenario, fly
 from cosim.base import frames
 from cosim.base.signals import Measured, State
 from cosim.spec.vehicle import Sensors, Servo, load_vehicle
-from cosim.vehicle.parts.servo import TiltServo
 from cosim.vehicle.sensors import Latency, SensorSuite
+from cosim.vehicle.servo import TiltServo
 
 STEP = 0.004
 VEHICLE, _ = load_vehicle("hexjet")

@@ -32,8 +32,8 @@ from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Jet, Vehicle, load_vehicle
 from cosim.vehicle.airframe import Airframe
-from cosim.vehicle.parts.rotors import RotorDynamics
-from cosim.vehicle.parts.tank import Tank
+from cosim.vehicle.effects.rotors import RotorDynamics
+from cosim.vehicle.tank import Tank
 
 STEP = 0.004
 NO_AERO: dict[str, Any] = {"aero": {"drag_area_m2": [0.0, 0.0, 0.0], "damping_n_m_s": [0.0, 0.0, 0.0]}}

@@ -10,11 +10,12 @@ from cosim.base.frames import (
     cross,
     rotate,
 )
-from cosim.base.signals import PerJet, PerServo, State, Vector3
+from cosim.base.signals import Vector3
 from cosim.spec.vehicle import Airflow, Hinge, Jet, layout_of
+from cosim.vehicle.effects.effect import Effect, Load
 
 
-class IntakeDrag:
+class IntakeDrag(Effect):
     """What the streams do to the airframe beside their thrust, by the momentum theorem.
 
     ``m`` is one engine's mass flow, ``v`` the velocity of the centre of gravity through the air, ``e`` the jet's tilted
@@ -33,18 +34,9 @@ class IntakeDrag:
         self._stations: list[Vector3] = [jet.position_m for jet in jets]
         self._layout = layout_of(jets, hinges)
 
-    def act(
-        self,
-        forces: list[Vector3],
-        thrust: PerJet,
-        tilt: PerServo,
-        state: State,
-        gusts: Sequence[Vector3] = (),
-    ) -> tuple[list[Vector3], Vector3]:
-        """``forces`` [N, body, at the stations] with the streams' added, and what these have in moment beyond r x F.
-
-        ``gusts``: the wind at each station beyond that at the centre of gravity [m/s, NED]; none: it is the same.
-        """
+    def act(self, load: Load) -> None:
+        """Add the streams' forces at the stations, and what these have in moment beyond r x F."""
+        state, tilt, gusts, forces = load.state, load.tilt, load.gusts, load.forces
         vx, vy, vz = state.velocity
         wx, wy, wz = state.wind
         through_air = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
@@ -52,7 +44,7 @@ class IntakeDrag:
         moves, standing = self._layout.moves, self._layout.standing(tilt)
         added: list[Vector3] = []
         moment_x = moment_y = moment_z = 0.0
-        for i, newton in enumerate(thrust):
+        for i, newton in enumerate(load.output.thrust):
             own = self._flows[i]
             if own is None:
                 added.append(forces[i])
@@ -79,7 +71,8 @@ class IntakeDrag:
                 both = (drag[0] + damping[0], drag[1] + damping[1], drag[2] + damping[2])
                 couple_x, couple_y, couple_z = cross((x - at_x, y - at_y, z - at_z), both)
                 moment_x, moment_y, moment_z = moment_x + couple_x, moment_y + couple_y, moment_z + couple_z
-        return added, (moment_x, moment_y, moment_z)
+        load.forces = added
+        load.turn((moment_x, moment_y, moment_z))
 
 
 def _across(vector: Vector3, axis: Vector3, factor: float) -> Vector3:

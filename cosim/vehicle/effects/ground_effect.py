@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cosim.base.signals import State, Vector3
 from cosim.spec.vehicle import GroundEffect, Jet
+from cosim.vehicle.effects.effect import Effect, Load
 
 # Wyatt, Static tests of ground effect on planforms fitted with a centrally-located round lifting jet, ARC CP 749, 1964,
 # as later reports quote it.
@@ -26,7 +26,7 @@ def lift_loss(height: float, planform: float, jet: float) -> float:
     return float(COEFFICIENT * max(height / span, LEAST_HEIGHT) ** -EXPONENT)
 
 
-class GroundJets:
+class GroundJets(Effect):
     """Lift loss and warmed intakes of one vehicle near the ground.
 
     The loss pulls along body z, through the centre of gravity; all jets count as one of their joint area.
@@ -42,14 +42,16 @@ class GroundJets:
         self._mean_x = sum([jet.position_m[0] for jet in jets]) / len(jets)
         self._mean_y = sum([jet.position_m[1] for jet in jets]) / len(jets)
 
-    def act(self, forces: list[Vector3], state: State) -> tuple[list[Vector3], Vector3]:
-        """``forces`` [N, body, at the stations] with the loss added, and a moment [N m] that keeps it at the centre."""
+    def act(self, load: Load) -> None:
+        """Take the loss from what pushes up so far, with a moment that keeps it at the centre."""
+        forces, state = load.forces, load.state
         lift = -sum([z for _, _, z in forces])
         if lift <= 0.0:
-            return forces, (0.0, 0.0, 0.0)
+            return
         loss = lift * lift_loss(state.altitude - self._below, self._planform, self._jet)
         share = loss / len(forces)
-        return [(x, y, z + share) for x, y, z in forces], (-self._mean_y * loss, self._mean_x * loss, 0.0)
+        load.forces = [(x, y, z + share) for x, y, z in forces]
+        load.turn((-self._mean_y * loss, self._mean_x * loss, 0.0))
 
     def rise(self, altitude: float) -> float:
         """K by which intakes are warmer than the air with the centre of gravity ``altitude`` [m] above the ground.

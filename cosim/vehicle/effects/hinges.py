@@ -1,5 +1,5 @@
 """What turning hinges do to the body that turns them: the reaction of what hangs on each, as of the banks
-(:mod:`cosim.vehicle.parts.banks`), about any axis in any place.
+(:mod:`cosim.vehicle.effects.banks`), about any axis in any place.
 
 A hinge stands at an angle ``a`` about its axis ``n``, as it stands on what it is on.  What turns with it has the moment
 of inertia ``J`` about that axis, the mass ``m`` and its centre at ``d`` from it, square to it.  By Newton's and Euler's
@@ -23,9 +23,10 @@ from cosim.base.frames import cross
 from cosim.base.layout import turned
 from cosim.base.signals import ZERO3, PerServo, Vector3
 from cosim.spec.vehicle import Hinge, Jet, layout_of
+from cosim.vehicle.effects.effect import Effect, Load, plus
 
 
-class HingeReactions:
+class HingeReactions(Effect):
     """The hinges of a vehicle whose parts have mass or inertia.
 
     ``step``: control step, s; ``handed``: where the force is handed over [m, body].
@@ -63,8 +64,17 @@ class HingeReactions:
         self._angles = list(self._rest)
         self._rates = [0.0] * len(self._rest)
 
-    def act(self, tilt: PerServo, rate: Vector3) -> tuple[Vector3, Vector3]:
-        """Force [N, body, handed over at the first jet's station] and the moment beside it [N m, body].
+    def start(self, load: Load) -> None:
+        self.reset()
+
+    def act(self, load: Load) -> None:
+        push, moment = self.reaction(load.tilt, load.state.rate)
+        forces = load.forces
+        load.forces = [plus(forces[0], push), *forces[1:]]
+        load.turn(moment)
+
+    def reaction(self, tilt: PerServo, rate: Vector3) -> tuple[Vector3, Vector3]:
+        """Return the force [N, body, handed over at the first jet's station] and the moment beside it [N m, body].
 
         ``tilt``: where the servos stand at the end of the step, rad; ``rate``: the body's, rad/s.
         """

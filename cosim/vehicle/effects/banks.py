@@ -24,11 +24,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cosim.base.frames import jet_axis
-from cosim.base.signals import PerServo, Vector3
+from cosim.base.signals import Vector3
 from cosim.spec.vehicle import Jet, Servo
+from cosim.vehicle.effects.effect import Effect, Load
 
 
-class Banks:
+class Banks(Effect):
     """The left and the right bank of a vehicle.
 
     ``step``: control step, s.
@@ -49,32 +50,30 @@ class Banks:
         self._angles = (0.0, 0.0)
         self._rates = (0.0, 0.0)
 
-    def act(
-        self, forces: list[Vector3], tilt: PerServo, rate: Vector3
-    ) -> tuple[list[Vector3], tuple[float, float, float]]:
-        """``forces`` on the jets' stations (N, body) with what the banks push added, and their moment (N m, body).
+    def start(self, load: Load) -> None:
+        self.reset()
 
-        ``tilt``: where the servos stand at the end of the step, rad; ``rate``: the body's, rad/s.
-        """
+    def act(self, load: Load) -> None:
+        """Add what the banks push with at the jets' stations, and their moment."""
         step, inertia = self._step, self._inertia
         old_left, old_right = self._angles
         was_left, was_right = self._rates
-        left, right = tilt
+        left, right = load.tilt
         left_rate, right_rate = (left - old_left) / step, (right - old_right) / step
         left_growth, right_growth = (left_rate - was_left) / step, (right_rate - was_right) / step
         self._angles, self._rates = (left, right), (left_rate, right_rate)
-        p, _, r = rate
+        p, _, r = load.state.rate
         h = -inertia * (left_rate + right_rate)
-        moment = (r * h, inertia * (left_growth + right_growth), -p * h)
+        load.turn((r * h, inertia * (left_growth + right_growth), -p * h))
         if not self._imbalance:
-            return forces, moment
+            return
         left_x, left_z = self._push(left, left_rate, left_growth, self._left)
         right_x, right_z = self._push(right, right_rate, right_growth, self._right)
         pushed: list[Vector3] = []
         for number, on_left in enumerate(self._on_left):
-            x, y, z = forces[number]
+            x, y, z = load.forces[number]
             pushed.append((x + left_x, y, z + left_z) if on_left else (x + right_x, y, z + right_z))
-        return pushed, moment
+        load.forces = pushed
 
     def _push(self, angle: float, rate: float, growth: float, jets: int) -> tuple[float, float]:
         """Along x and z, N, for each of the bank's stations: together they are the force at its middle."""

@@ -9,9 +9,10 @@ from cosim.base.frames import cross
 from cosim.base.signals import PerJet, PerServo, Vector3
 from cosim.engine import EngineSpec
 from cosim.spec.vehicle import Hinge, Jet, layout_of
+from cosim.vehicle.effects.effect import Effect, Load
 
 
-class RotorDynamics:
+class RotorDynamics(Effect):
     """The angular momentum of all rotors against the airframe, and its change from step to step.
 
     ``H = sum s J w e``: spin s of the station, inertia J and speed w of its engine, e the jet's tilted axis.  On the
@@ -44,6 +45,17 @@ class RotorDynamics:
         self.any = bool(self._groups)
         self._step = step
         self.momentum: Vector3 = (0.0, 0.0, 0.0)  # kg m^2/s, body
+
+    def start(self, load: Load) -> None:
+        self.reset(load.output.spool_speed)
+        load.momentum = self.momentum
+
+    def act(self, load: Load) -> None:
+        """Add ``-dH/dt``; momentum and whole moment are the airframe's and the log's."""
+        change = self.update(load.output.spool_speed, load.tilt)
+        load.momentum = self.momentum
+        load.spool_moment = self.moment(change, load.state.rate)
+        load.turn(change)
 
     def reset(self, speeds: PerJet) -> None:
         """The rotors turn at ``speeds`` [rad/s], hinges at rest."""

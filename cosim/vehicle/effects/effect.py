@@ -1,0 +1,68 @@
+"""What every effect is given, adds to and answers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from cosim.base.signals import UNKNOWN3, ZERO3, EngineOutput, PerServo, State, Vector3
+
+NO_OUTPUT = EngineOutput((), (), (), ())
+_STILL = State(ZERO3, ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, ZERO3, 0.0, ZERO3, 0.0, False, False)
+
+
+def plus(a: Vector3, b: Vector3) -> Vector3:
+    """Return the sum of two vectors."""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+class Load:
+    """What acts on the airframe over one step, and what it is computed from.
+
+    ``forces`` [N, body] are handed over at the jets' stations with the hinges at zero, ``moment`` [N m, body] acts
+    beside them; effects add to both.  ``pushes`` are what the engines themselves push with, whatever acts beside.
+    ``momentum`` [kg m^2/s, body] is that of the rotors at the step's end, ``spool_moment`` [N m, body] what they act
+    on the airframe with, kept as the object that goes into the log.
+    """
+
+    def __init__(self) -> None:
+        self.output = NO_OUTPUT  # of the engines, at the step's end
+        self.tilt: PerServo = ()  # where the servos stand at the step's end, rad
+        self.state = _STILL  # of the airframe, at the step's beginning
+        self.gusts: list[Vector3] = []  # m/s NED, of the wind at each jet beyond that at the vehicle; none: it is one
+        self.forget()
+
+    def forget(self) -> None:
+        """No rotor turns yet."""
+        self.momentum = ZERO3
+        self.spool_moment: Any = UNKNOWN3
+
+    def begin(self, output: EngineOutput, tilt: PerServo, pushes: list[Vector3]) -> None:
+        """Begin a step with the thrust of each jet and no moment."""
+        self.output, self.tilt = output, tilt
+        self.pushes = self.forces = pushes
+        self.moment = ZERO3
+
+    def turn(self, moment: Vector3) -> None:
+        """Add a moment."""
+        self.moment = plus(self.moment, moment)
+
+
+class Effect:
+    """One thing that acts on the airframe beside thrust; see :class:`Load`.
+
+    A list in ``forces`` is another effect's too: what changes one puts a new one there.
+    """
+
+    steady = False  # it acts alike however long servos and engines have stood where they are
+
+    def start(self, load: Load) -> None:
+        """A flight begins: at rest, the engines as ``load.output`` says."""
+
+    def act(self, load: Load) -> None:
+        """Add what it does over a step."""
+
+
+def added(forces: Sequence[Vector3], more: Sequence[Vector3]) -> list[Vector3]:
+    """Return the sums of forces, station by station."""
+    return [plus(force, other) for force, other in zip(forces, more, strict=True)]

@@ -1,0 +1,101 @@
+"""What jets do beside their thrust: the reaction of what turns in them, what an engine pushes across, and what thrust
+does that a hinge has carried away from its station."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
+from operator import mul
+
+from cosim.base.frames import cross
+from cosim.base.layout import UP, Layout
+from cosim.base.signals import ZERO3, Vector3
+from cosim.vehicle.effects.effect import Effect, Load, added, plus
+
+
+class JetReactions(Effect):
+    """What the rotors' drag turns the frame with, about the jets' own axes: ``reactions`` [m] times thrust."""
+
+    steady = True
+
+    def __init__(self, layout: Layout, reactions: Sequence[float]) -> None:
+        self._layout, self._reactions = layout, tuple(reactions)
+        self._straight_up = not layout.turns and all(station.axis == UP for station in layout.stations)
+
+    def act(self, load: Load) -> None:
+        thrust = load.output.thrust
+        if self._straight_up:
+            load.turn((0.0, 0.0, sum(map(mul, self._reactions, thrust))))
+            return
+        axes, groups = self._layout.axes(load.tilt), self._layout.groups
+        mx = my = mz = 0.0
+        for jet, reaction in enumerate(self._reactions):
+            x, y, z = axes[groups[jet]]
+            size = -reaction * thrust[jet]
+            mx, my, mz = mx + size * x, my + size * y, mz + size * z
+        load.turn((mx, my, mz))
+
+
+class EngineTorques(Effect):
+    """The torques that engines say they give, about the jets' own axes, right-handed along thrust.
+
+    ``outputs``: of each engine, of ``ASIDE`` in :mod:`cosim.engine.fmu.port_kinds`.
+    """
+
+    def __init__(self, layout: Layout, outputs: Sequence[AbstractSet[str]]) -> None:
+        self._layout = layout
+        self._give = [jet for jet, own in enumerate(outputs) if "torque" in own]
+
+    def act(self, load: Load) -> None:
+        axes, groups, torques = self._layout.axes(load.tilt), self._layout.groups, load.output.torque
+        moment = ZERO3
+        for jet in self._give:
+            x, y, z = axes[groups[jet]]
+            torque = torques[jet]
+            moment = plus(moment, (torque * x, torque * y, torque * z))
+        load.turn(moment)
+
+
+class EngineSideForces(Effect):
+    """The forces that engines say they give across their thrust.
+
+    The jet's frame is the body's, turned with the thrust by the least turn from straight up to the jet's axis and then
+    by its hinges: on a bank at a tilt t thrust is along ``(sin t, 0, -cos t)``, forward ``(cos t, 0, sin t)``, right
+    ``(0, 1, 0)``.  ``outputs`` as for :class:`EngineTorques`.
+    """
+
+    def __init__(self, layout: Layout, outputs: Sequence[AbstractSet[str]]) -> None:
+        self._layout = layout
+        self._give: list[tuple[bool, bool]] = [("force_forward" in own, "force_right" in own) for own in outputs]
+
+    def start(self, load: Load) -> None:
+        self.act(load)
+
+    def act(self, load: Load) -> None:
+        frames, output = self._layout.frames(load.tilt), load.output
+        across: list[Vector3] = []
+        for jet, group in enumerate(self._layout.groups):
+            _, (a, b, c), (d, e, f) = frames[group]
+            has_forward, has_right = self._give[jet]
+            forward = output.force_forward[jet] if has_forward else 0.0
+            right = output.force_right[jet] if has_right else 0.0
+            across.append((forward * a + right * d, forward * b + right * e, forward * c + right * f))
+        load.forces, load.pushes = added(load.forces, across), added(load.pushes, across)
+
+
+class CarriedJets(Effect):
+    """The moment of what jets push because hinges carry them away from where their forces are handed over."""
+
+    steady = True
+
+    def __init__(self, layout: Layout) -> None:
+        self._layout = layout
+
+    def act(self, load: Load) -> None:
+        standing, places = self._layout.standing(load.tilt), self._layout.places
+        moment = ZERO3
+        for jet, push in enumerate(load.pushes):
+            x, y, z = standing[jet]
+            at_x, at_y, at_z = places[jet]
+            moment = plus(moment, cross((x - at_x, y - at_y, z - at_z), push))
+        load.turn(moment)

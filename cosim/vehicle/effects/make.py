@@ -1,0 +1,45 @@
+"""Which effects a vehicle has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cosim.engine import EngineSpec
+from cosim.engine.fmu.port_kinds import ASIDE
+from cosim.spec.vehicle import Vehicle, layout_of
+from cosim.vehicle.effects.banks import Banks
+from cosim.vehicle.effects.effect import Effect
+from cosim.vehicle.effects.ground_effect import GroundJets
+from cosim.vehicle.effects.hinges import HingeReactions
+from cosim.vehicle.effects.intakes import IntakeDrag
+from cosim.vehicle.effects.jets import CarriedJets, EngineSideForces, EngineTorques, JetReactions
+from cosim.vehicle.effects.rotors import RotorDynamics
+
+
+def make_effects(vehicle: Vehicle, flown: Vehicle, engines: Sequence[EngineSpec], step: float) -> list[Effect]:
+    """Return what acts beside thrust on a vehicle, and nothing that it does not have, in the order in which it acts.
+
+    ``flown``: the vehicle whose stations fly; ``engines``: the one at each station.  An engine that gives a torque has
+    no other reaction: ``reaction_m`` of its jet does not act.  The ground's suction is of the thrust alone, and sums
+    of floating-point numbers depend on their order: it is part of what flights with the same bits rest on.
+    Raises InputError for an engine whose rotor has inertia and no speed.
+    """
+    jets, hinges = flown.jets, flown.hinges
+    layout = layout_of(jets, hinges)
+    aside = [{port for port in ASIDE if engine.has(port)} for engine in engines]
+    reactions = [0.0 if "torque" in own else jet.reaction_m for jet, own in zip(jets, aside, strict=True)]
+    rotors, intakes = RotorDynamics(jets, engines, step, hinges), IntakeDrag(vehicle.airflow, jets, hinges)
+    hinged, ground = HingeReactions(hinges, jets, step), vehicle.ground_effect
+    banks = Banks(vehicle.servo, jets, step) if vehicle.servo else None
+    effects: list[tuple[bool, Effect | None]] = [
+        (any(reactions), JetReactions(layout, reactions)),
+        (rotors.any, rotors),
+        (any("torque" in own for own in aside), EngineTorques(layout, aside)),
+        (ground is not None and ground.suckdown, ground and GroundJets(ground, jets)),
+        (any(aside), EngineSideForces(layout, aside)),
+        (intakes.any, intakes),
+        (banks is not None and banks.any, banks),
+        (layout.moves, CarriedJets(layout)),
+        (hinged.any, hinged),
+    ]
+    return [effect for there, effect in effects if there and effect is not None]

@@ -1,1 +1,0 @@
-"""What a vehicle's thrust and tilt come from and act through."""
