@@ -31,8 +31,8 @@ from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels
 from cosim.engine import load_engine
 from cosim.results.report.marks import check_marks, table, write_marks
-from cosim.simulation.build import belief_of
 from cosim.simulation.controllers.controller_file import NOISE_SHARE
+from cosim.simulation.controllers.models import belief_of
 from cosim.simulation.controllers.source import find
 from studies import DELAY, LATE, lost, run
 

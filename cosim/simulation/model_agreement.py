@@ -48,7 +48,7 @@ from cosim.simulation.axis_chain import (
     thrust_lead,
     turning,
 )
-from cosim.simulation.build import effectiveness_of
+from cosim.simulation.controllers.allocators import effectiveness_of
 from cosim.simulation.engine_reference import around_trim
 from cosim.spec.scenario import PayloadDisturbance, Scenario
 from cosim.spec.vehicle import RateModel, Vehicle

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Final, cast
+from typing import Final, NamedTuple, cast
 
 from cosim.base.errors import EngineError, FlightError, InputError
 from cosim.base.protocols import (
@@ -29,6 +29,7 @@ from cosim.base.signals import (
 )
 from cosim.control.cascade import Cascade
 from cosim.engine import EngineSpec
+from cosim.simulation.controllers.plugged import Plugged
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.delay_ledger import LedgerRow
 from cosim.simulation.ending import Ending, Judge
@@ -53,52 +54,53 @@ _NOTHING: Final[tuple[float, ...]] = ()
 Between = Callable[[int], Ending | None]  # gets the number of the step to come
 
 
+class Blocks(NamedTuple):
+    """The blocks of a flight, and what is known of it.
+
+    ``specs``: the scenario's engine, then the one at each station; ``plugged``: a controller from outside, which flies
+    in place of the cascade if it is a whole one; ``plugins``: the user's blocks beside that.
+    """
+
+    scenario: Scenario
+    vehicle: Vehicle
+    specs: Sequence[EngineSpec]
+    ledger: list[LedgerRow]
+    commander: Commander
+    pilot: Pilot | None
+    disturber: Disturbances
+    cascade: Cascade
+    propulsion: Propulsion
+    airframe: Airframe
+    sensors: FaultySensors
+    faults: FaultSchedule
+    judge: Judge
+    plugged: Plugged | None
+    plugins: Plugins
+    wind: FieldWind | None
+
+
 class Simulation:
     """One flight: its blocks, made by :func:`cosim.simulation.build.build`, and the instant they stand at.
 
-    ``specs``: the scenario's engine, then the one at each station.  In flight no block is exchanged for another: what
-    a fault changes it changes inside.
+    In flight no block is exchanged for another: what a fault changes it changes inside.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        vehicle: Vehicle,
-        specs: Sequence[EngineSpec],
-        ledger: list[LedgerRow],
-        commander: Commander,
-        pilot: Pilot | None,
-        disturber: Disturbances,
-        controller: Controller,
-        propulsion: Propulsion,
-        airframe: Airframe,
-        sensors: FaultySensors,
-        faults: FaultSchedule,
-        judge: Judge,
-        own: Source | None = None,
-        end: Callable[[], None] | None = None,
-        repeats: Callable[[], bool | None] | None = None,
-        beside: Cascade | None = None,
-        plugins: Plugins | None = None,
-        wind: FieldWind | None = None,
-    ) -> None:
-        self._repeats = repeats
-        self.beside = beside  # the built-in one that a whole controller from outside flies in place of
-        self.own = own  # where a controller from outside comes from
-        self.plugins = plugins or Plugins()  # the user's blocks beside the controller
-        self._field = wind
-        self._end = end  # what a controller from outside holds is given free by it
-        self.scenario = scenario
-        self.vehicle = vehicle
-        self.engine, *self.stations = specs
-        self.ledger = ledger
-        self.dt = scenario.step_s
-        self.commander, self.pilot, self.propulsion = commander, pilot, propulsion
+    def __init__(self, blocks: Blocks) -> None:
+        plugged = self._plugged = blocks.plugged
+        whole: Controller | None = None if plugged is None else plugged.whole
+        self.own: Source | None = None if plugged is None else plugged.source
         # ours among those that may stand here are named, because compiled code calls what it knows directly
-        self.disturber: Disturber | Disturbances = disturber
-        self.controller: Cascade | Controller = controller
-        self.airframe, self.sensors, self.faults, self.judge = airframe, sensors, faults, judge
-        self._every_engine = tuple(range(1, len(vehicle.jets) + 1))
+        self.controller: Cascade | Controller = blocks.cascade if whole is None else whole
+        self.beside = None if whole is None else blocks.cascade  # the built-in one that a whole controller replaces
+        self.disturber: Disturber | Disturbances = blocks.disturber
+        self.plugins, self._field = blocks.plugins, blocks.wind
+        self.scenario, self.vehicle, self.ledger = blocks.scenario, blocks.vehicle, blocks.ledger
+        self.engine, *self.stations = blocks.specs
+        self.dt = blocks.scenario.step_s
+        self.commander, self.pilot, self.propulsion = blocks.commander, blocks.pilot, blocks.propulsion
+        self.airframe, self.sensors, self.faults = blocks.airframe, blocks.sensors, blocks.faults
+        self.judge = blocks.judge
+        self._every_engine = tuple(range(1, len(blocks.vehicle.jets) + 1))
         self.reset()
 
     def reset(self) -> None:
@@ -325,12 +327,12 @@ class Simulation:
 
     def repeats(self) -> bool | None:
         """Whether a controller outside this process answers the same when it is asked the same; None: there is none."""
-        return None if self._repeats is None else self._repeats()
+        return None if self._plugged is None else self._plugged.repeats()
 
     def close(self) -> None:
         """Free the engines, the airframe and what a controller from outside holds; may be called twice."""
-        if self._end is not None:
-            self._end()
+        if self._plugged is not None:
+            self._plugged.close()
         self.propulsion.close()
         self.airframe.close()
 

@@ -9,7 +9,7 @@ from cosim.base.protocols import EngineState, Predictor
 from cosim.base.storage.toml import validate
 from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.autopilot.requests import InjectFault
-from cosim.simulation.build import predictors
+from cosim.simulation.controllers.models import predictors
 from cosim.simulation.engine_reference import engine_reference, fuel_flow
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Fault

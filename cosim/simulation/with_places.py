@@ -23,6 +23,7 @@ from cosim.control.autopilot.geometry import Pair, lean_for, wrap
 from cosim.control.autopilot.guidance.descent import descent_for, height_limits, thrust_margins
 from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Track, Tracker
+from cosim.control.cascade import Cascade
 from cosim.simulation.script.commander import Commander, read_columns
 from cosim.spec.scenario import (
     GuidedCommand,
@@ -326,6 +327,8 @@ def _states(aim: GuidedCommand, drawn: Drawn | None, key: str) -> str:
     return f"place states {key}" if getattr(aim, key, None) is not None else ""
 
 
-def flies_to_places(scenario: Scenario) -> bool:
-    """Whether the script asks for a place, a velocity, waypoints or a track."""
-    return any(isinstance(entry, GuidedCommand) for entry in scenario.command)
+def place_pilot(scenario: Scenario, vehicle: Vehicle, commander: Commander, cascade: Cascade) -> PlacePilot | None:
+    """Return the pilot of a script that asks for a place, a velocity, waypoints or a track; else None."""
+    if not any(isinstance(entry, GuidedCommand) for entry in scenario.command):
+        return None
+    return PlacePilot(scenario, vehicle, commander, cascade.allocator.hover, cascade.thrust_map.idle)

@@ -23,10 +23,10 @@ from cosim.base.signals import (
     Vector3,
 )
 from cosim.engine.wrappers import EngineChain
-from cosim.spec.vehicle import Hinge, Jet, layout_of
+from cosim.spec.vehicle import Hinge, Jet, Vehicle, layout_of
 from cosim.vehicle.effects.effect import NO_OUTPUT, Effect, Load
 from cosim.vehicle.effects.ground_effect import GroundJets
-from cosim.vehicle.servo import TiltServo
+from cosim.vehicle.servo import TiltServo, make_servos
 from cosim.vehicle.tank import Tank
 
 
@@ -211,3 +211,26 @@ class Propulsion:
     def close(self) -> None:
         """Free the engines; may be called twice."""
         self.engines.close()
+
+
+def make_propulsion(
+    vehicle: Vehicle,
+    flown: Vehicle,
+    engines: EngineChain,
+    effects: Sequence[Effect],
+    air: Callable[[], tuple[float, float]],
+    step: float,
+    fuel: float,
+) -> Propulsion:
+    """Return the propulsion of a vehicle, at the stations of the one that flies, with this share of a full tank."""
+    ground = vehicle.ground_effect
+    return Propulsion(
+        flown.jets,
+        engines,
+        make_servos(vehicle, step),
+        effects,
+        Tank(vehicle.fuel.mass_kg, step, fuel) if vehicle.fuel else None,
+        air,
+        flown.hinges,
+        GroundJets(ground, flown.jets) if ground and ground.hot_gas else None,
+    )

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from math import exp
 
+from cosim.base.constants import SERVOS
 from cosim.base.limits import clamp, clip
-from cosim.spec.vehicle import Hinge, Servo, Surface
+from cosim.spec.vehicle import Hinge, Servo, Surface, Vehicle
 
 
 class TiltServo:
@@ -52,3 +53,10 @@ class TiltServo:
         target = clip(command, self._low, self._high)
         self.angle += clamp(self._share * (target - self.angle), self._most)
         return self.angle
+
+
+def make_servos(vehicle: Vehicle, step: float) -> list[TiltServo]:
+    """Return the servos of banks, hinges and surfaces, in the order of the commands to them."""
+    servos = [TiltServo(vehicle.servo, step) for _ in SERVOS] if vehicle.servo else []
+    servos += [TiltServo(hinge, step) for hinge in vehicle.hinges]
+    return servos + [TiltServo(surface, step) for surface in vehicle.surfaces]

@@ -9,7 +9,7 @@ from cosim.campaign.study.keys import Value
 from cosim.campaign.study.plan import Flight, flights, scenario_of
 from cosim.campaign.study.study import Study
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.simulation.build import engines_of
+from cosim.simulation.engines import engines_of
 from cosim.simulation.model_agreement import ModelAgreement, flown_agreements
 
 LOOKED_AT = 1000  # flights whose values are compared for the ends of what varies: they cost nothing to draw

@@ -25,7 +25,8 @@ from cosim.control.allocation.authority import Authority, Range, Reach, reach_of
 from cosim.engine import engine_names
 from cosim.flight import fly
 from cosim.results.report.three_views import places, three_views
-from cosim.simulation.build import build, engines_of
+from cosim.simulation.build import build
+from cosim.simulation.engines import engines_of
 from cosim.simulation.model_agreement import NOTED, ModelAgreement, model_agreements
 from cosim.simulation.notes import tank_notes
 from cosim.simulation.step import Simulation

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from cosim.base.constants import GRAVITY
 from cosim.engine import make_bank
 from cosim.engine.wrappers import EngineChain
-from cosim.simulation.build import opposites
+from cosim.simulation.controllers.built_in import opposites
 from cosim.simulation.engine_reference import engine_reference
 from cosim.spec.scenario import FlameOut
 from cosim.spec.vehicle import Vehicle

@@ -43,7 +43,7 @@ from cosim.simulation.axis_chain import (
     thrust_lead,
     turning,
 )
-from cosim.simulation.build import effectiveness_of
+from cosim.simulation.controllers.allocators import effectiveness_of
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import (
     EngineLead,

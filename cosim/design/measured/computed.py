@@ -90,7 +90,7 @@ def computed(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[
 
 
 def _tuning(channel: Channel, scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
-    """What flies on a channel: as :func:`cosim.simulation.build.predictors` gives it a predictor."""
+    """What flies on a channel: as :func:`cosim.simulation.controllers.models.predictors` gives it a predictor."""
     own = shipped(channel, vehicle, spec)
     if channel.name == "altitude":
         return own

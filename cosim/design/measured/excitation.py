@@ -28,7 +28,8 @@ from cosim.base.protocols import Controller, EngineState
 from cosim.base.signals import AXES, Actuation, Command, Disturbance, Measured
 from cosim.engine import EngineSpec
 from cosim.simulation.axis_chain import by_throttle, levers
-from cosim.simulation.build import build, effectiveness_of
+from cosim.simulation.build import build
+from cosim.simulation.controllers.allocators import effectiveness_of
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Scenario

@@ -13,7 +13,8 @@ from cosim.base.signals import AXES
 from cosim.design.measured.computed import Computed, computed
 from cosim.design.measured.estimate import QUANTITIES, Response, apart, measured
 from cosim.design.measured.excitation import Multisine, Record, Tap, fly_with, multisine, still
-from cosim.simulation.build import build, find_controller
+from cosim.simulation.build import build
+from cosim.simulation.controllers.plugged import find_controller
 from cosim.simulation.controllers.source import Source, of_object
 from cosim.simulation.delay_ledger import transport_samples
 from cosim.spec.controller_name import label, seen_from

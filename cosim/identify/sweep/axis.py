@@ -28,7 +28,8 @@ from cosim.identify.sweep.result import (
 )
 from cosim.identify.sweep.verdict import why_refused
 from cosim.simulation.axis_chain import by_throttle, hinged_parts
-from cosim.simulation.build import build, effectiveness_of
+from cosim.simulation.build import build
+from cosim.simulation.controllers.allocators import effectiveness_of
 from cosim.simulation.delay_ledger import total_samples, why_none
 from cosim.simulation.ending import Ending
 from cosim.spec.scenario import Scenario

@@ -29,13 +29,14 @@ def make_effects(vehicle: Vehicle, flown: Vehicle, engines: Sequence[EngineSpec]
     aside = [{port for port in ASIDE if engine.has(port)} for engine in engines]
     reactions = [0.0 if "torque" in own else jet.reaction_m for jet, own in zip(jets, aside, strict=True)]
     rotors, intakes = RotorDynamics(jets, engines, step, hinges), IntakeDrag(vehicle.airflow, jets, hinges)
-    hinged, ground = HingeReactions(hinges, jets, step), vehicle.ground_effect
+    hinged, effect = HingeReactions(hinges, jets, step), vehicle.ground_effect
+    ground = GroundJets(effect, jets) if effect else None
     banks = Banks(vehicle.servo, jets, step) if vehicle.servo else None
     effects: list[tuple[bool, Effect | None]] = [
         (any(reactions), JetReactions(layout, reactions)),
         (rotors.any, rotors),
         (any("torque" in own for own in aside), EngineTorques(layout, aside)),
-        (ground is not None and ground.suckdown, ground and GroundJets(ground, jets)),
+        (ground is not None and ground.suckdown, ground),
         (any(aside), EngineSideForces(layout, aside)),
         (intakes.any, intakes),
         (banks is not None and banks.any, banks),

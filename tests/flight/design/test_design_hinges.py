@@ -33,7 +33,8 @@ from cosim.design.tune import settle
 from cosim.engine import EngineSpec, load_engine, make_bank
 from cosim.flight import fly
 from cosim.simulation.axis_chain import hinge_kicks, hinged_parts
-from cosim.simulation.build import build, effectiveness_of
+from cosim.simulation.build import build
+from cosim.simulation.controllers.allocators import effectiveness_of
 from cosim.simulation.controllers.controller_file import Requirements, read_controller, with_controller
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, engine_of, load_vehicle

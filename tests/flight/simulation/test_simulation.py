@@ -411,7 +411,7 @@ def test_a_controller_without_a_model_of_the_engine_says_which_there_are() -> No
     flown = scenario()
     with build(flown) as simulation:
         vehicle, engine = simulation.vehicle, replace(simulation.engine, library=False)
-    from cosim.simulation.build import predictors
+    from cosim.simulation.controllers.models import predictors
 
     with pytest.raises(
         InputError,

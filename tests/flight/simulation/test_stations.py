@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import cosim.simulation.build
+import cosim.simulation.engines
 from cosim.base.errors import InputError
 from cosim.base.signals import Sample
 from cosim.base.storage.paths import data_folder
@@ -239,7 +239,7 @@ def test_each_engine_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         loaded.append(name)
         return load_engine(name, parameters, step, **options)
 
-    monkeypatch.setattr(cosim.simulation.build, "load_engine", count)
+    monkeypatch.setattr(cosim.simulation.engines, "load_engine", count)
     turbojet = {"engine": "turbojet"}
     with build(scenario(stations={"3": turbojet, "4": turbojet, "5": {"engine": "edf-as-flown"}})) as simulation:
         assert len({id(station) for station in simulation.stations}) == 2

@@ -15,9 +15,10 @@ from cosim import Scenario, fly
 from cosim.campaign.study.model_notes import model_notes
 from cosim.campaign.study.options import open_study
 from cosim.campaign.surveys.aircraft_check import check_aircraft
-from cosim.simulation.build import build, engines_of
+from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.simulation.delay_ledger import total_samples
+from cosim.simulation.engines import engines_of
 from cosim.simulation.model_agreement import (
     LEAST_SAMPLES,
     NOTED,

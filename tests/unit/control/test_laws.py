@@ -37,7 +37,8 @@ from cosim.design.loop.dynamics import lags
 from cosim.design.loop.tuning import Tuning
 from cosim.engine import EngineSpec, load_engine
 from cosim.results.report.marks import parts_of
-from cosim.simulation.build import belief_of, build, predictors
+from cosim.simulation.build import build
+from cosim.simulation.controllers.models import belief_of, predictors
 from cosim.spec.vehicle import Vehicle
 
 LawLoop = script("law_loop").LawLoop

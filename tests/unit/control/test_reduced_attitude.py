@@ -15,7 +15,7 @@ from cosim.base.signals import ZERO3, Command, Measured
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
 from cosim.control.attitude import AttitudeController
 from cosim.control.reduced_attitude import ReducedAttitude, designed, linear
-from cosim.simulation.build import opposites
+from cosim.simulation.controllers.built_in import opposites
 from cosim.spec.vehicle import Vehicle, load_vehicle
 
 STEP, LAG, DELAY, FULL = 0.0025, 0.0173, 0.0125, 4.374747  # s, s, s, N: engines/motor/README.md

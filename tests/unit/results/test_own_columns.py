@@ -11,7 +11,6 @@ import pyarrow.parquet as pq
 import pytest
 from pyulog import ULog
 
-import cosim.simulation.build
 from cosim.base.errors import InputError
 from cosim.base.protocols import Column, EngineState
 from cosim.base.signals import Actuation, Command, Disturbance, Measured
@@ -24,6 +23,7 @@ from cosim.results.export.ulog import export_ulog
 from cosim.results.report.flight import write_report
 from cosim.results.run import LOG, Run, open_run
 from cosim.simulation.build import build
+from cosim.simulation.controllers import built_in as wiring
 from cosim.simulation.ending import Ending
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Scenario
@@ -133,8 +133,8 @@ def test_the_digest_of_a_flight_covers_them(folder: Path) -> None:
 
 
 def test_predictors_show_through_the_cascade_under_their_axes(monkeypatch: pytest.MonkeyPatch) -> None:
-    built_in = cosim.simulation.build.predictors
-    monkeypatch.setattr(cosim.simulation.build, "predictors", lambda *told: [Estimating(p) for p in built_in(*told)])
+    built_in = wiring.predictors
+    monkeypatch.setattr(wiring, "predictors", lambda *told: [Estimating(p) for p in built_in(*told)])
     with build(HOVER) as simulation:
         log = flown(simulation).log
         columns = [f"{axis}_innovation_rad_s" for axis in ("roll", "pitch", "yaw")]

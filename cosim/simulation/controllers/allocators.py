@@ -1,0 +1,149 @@
+"""The allocation of a vehicle, by what it has or states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from math import inf
+from typing import Any, TypeVar
+
+from cosim.base.protocols import Allocator
+from cosim.base.storage.cache import Memory
+from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
+from cosim.control.allocation.effectiveness import EffectivenessAllocator, Effectors, Mover
+from cosim.control.allocation.hinged_catch import HingedCatch, Late
+from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
+from cosim.control.catch import Catch
+from cosim.engine import (
+    EngineSpec,
+)
+from cosim.simulation.controllers.models import map_thrust
+from cosim.simulation.engine_reference import engine_reference
+from cosim.spec.scenario import Environment, Scenario
+from cosim.spec.vehicle import Vehicle
+from cosim.vehicle.airframe import Airframe
+from cosim.vehicle.model_file import read_model
+
+_models: Memory[Any] = Memory(32)  # what those of vehicles say of their surfaces and wings
+T = TypeVar("T")
+
+
+def make_allocator(
+    scenario: Scenario,
+    vehicle: Vehicle,
+    stations: Sequence[EngineSpec],
+    thrust_map: ThrustMap,
+    hover: float,
+    catch: Catch | None,
+) -> Allocator:
+    """By what the vehicle has, or states."""
+    limits = vehicle.control.allocation
+    if vehicle.allocation == "effectiveness":
+        return _by_effectiveness(scenario, vehicle, stations, thrust_map)
+    if vehicle.servo is None:
+        return RotorAllocator(vehicle.jets, limits, hover)
+    lift = _lift(scenario, vehicle, stations) if scenario.monitored and catch is None else inf
+    return TiltAllocator(vehicle.jets, limits, vehicle.servo.range_rad, hover, thrust_map.idle, lift)
+
+
+def effectiveness_of(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> EffectivenessAllocator:
+    """The allocation of a vehicle with this engine at every station.  Raises InputError as a flight."""
+    stations = [engine] * len(vehicle.jets)
+    thrust_map, _ = map_thrust(vehicle, engine, stations)
+    return _by_effectiveness(scenario, vehicle, stations, thrust_map)
+
+
+def _by_effectiveness(
+    scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap
+) -> EffectivenessAllocator:
+    limits, step = vehicle.control.allocation, scenario.step_s
+    jets = len(vehicle.jets)
+    ends: list[tuple[float, ...]] = []
+    for share in (limits.throttle_min, limits.throttle_max):
+        throttles = thrust_map.throttle((share,) * jets)
+        curves = [StaticCurve(spec.name, *spec.rising) for spec in stations]
+        thrusts = [_thrust_at(curve, u) for curve, u in zip(curves, throttles, strict=True)]
+        ends.append(tuple([(thrust - thrust_map.low) / thrust_map.span for thrust in thrusts]))
+    # where a hinge carries engines all keep its pace: vanes that ran ahead of slow banks turned the jetwing over
+    layout = vehicle.layout()
+    ahead = 0.0 if layout.moves else 1.0
+    movers = [
+        Mover(
+            *hinge.least_most,
+            hinge.rest_rad,
+            hinge.rate_limit_rad_s * step,
+            hinge.effort,
+            lead=ahead * hinge.rate_limit_rad_s * hinge.lag_s,
+        )
+        for hinge in vehicle.hinges
+    ]
+    movers += [
+        Mover(*surface.range, 0.0, surface.rate_limit_1_s * step, surface.effort, effect)
+        for surface, effect in zip(vehicle.surfaces, _surface_effects(scenario, vehicle), strict=True)
+    ]
+    effectors = Effectors(
+        vehicle.name,
+        layout,
+        vehicle.mass_kg,
+        vehicle.tensor,
+        thrust_map.low,
+        thrust_map.span,
+        list(zip(*ends, strict=True)),
+        [jet.effort for jet in vehicle.jets],
+        movers,
+        limits.horizontal,
+    )
+    late = _late(scenario, vehicle, stations)
+    return EffectivenessAllocator(effectors) if late is None else HingedCatch(effectors, late)
+
+
+def _late(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> Late | None:
+    """Of the engines, where the vehicle is to be caught without one of them.
+
+    A throttle has acted after the delay and a third of the lag, by when an engine is well on its way: chosen by us.
+    """
+    monitor = vehicle.control.monitor
+    if not scenario.monitored or monitor is None or not monitor.catch:
+        return None
+    known = [engine_reference(spec, scenario.step_s) for spec in stations]
+    return Late(max(each.delay for each in known) + max(each.lag for each in known) / 3.0, scenario.step_s)
+
+
+def _surface_effects(scenario: Scenario, vehicle: Vehicle) -> list[tuple[float, ...]]:
+    """What each surface of the vehicle's own JSBSim model does per unit and Pa, as the model says."""
+    return ask_model("surfaces", scenario, vehicle, Airframe.surface_effects) if vehicle.surfaces else []
+
+
+def ask_model(what: str, scenario: Scenario, vehicle: Vehicle, ask: Callable[[Airframe], T]) -> T:
+    """What the vehicle's own JSBSim model says of surfaces, or of a wing, once for a vehicle and a model."""
+    _, folder = scenario.resolved_vehicle()
+    model = None if vehicle.model is None else read_model(folder / vehicle.model)
+
+    def make() -> T:
+        frame = Airframe(vehicle, folder, Environment(), scenario.step_s, 1, 0)
+        try:
+            return ask(frame)
+        finally:
+            frame.close()
+
+    answer: T = _models.get((what, model, vehicle.model_dump_json(), scenario.step_s), make)
+    return answer
+
+
+def _thrust_at(curve: StaticCurve, throttle: float) -> float:
+    """Thrust at rest [N], linear between the points of the curve."""
+    for (u, v), (f, g) in zip(pairwise(curve.throttle), pairwise(curve.thrust), strict=True):
+        if throttle <= v:
+            return f + (g - f) * (throttle - u) / (v - u)
+    return curve.thrust[-1]
+
+
+def _lift(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> float:
+    """How far a throttle may go up in a step for the height that is lost with an engine.
+
+    From least to most in no less than the longest lag of the engines: told to go faster they are at the limit of their
+    acceleration, all alike, and what roll asks for between them is lost.
+    """
+    limits, step = vehicle.control.allocation, scenario.step_s
+    longest = max(engine_reference(spec, step).longest for spec in stations)
+    return (limits.throttle_max - limits.throttle_min) * step / max(longest, step)

@@ -1,0 +1,180 @@
+"""The built-in cascade, made for a vehicle and its engines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import hypot
+
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError
+from cosim.base.signals import AXES
+from cosim.control.allocation.engine_monitor import EngineMonitor
+from cosim.control.allocation.reallocation import get_ready
+from cosim.control.allocation.thrust_map import ThrustMap
+from cosim.control.altitude import AltitudeController
+from cosim.control.attitude import AttitudeController
+from cosim.control.cascade import Cascade
+from cosim.control.catch import Catch
+from cosim.control.lead import Lead
+from cosim.control.rate import RateController
+from cosim.control.reduced_attitude import ReducedAttitude
+from cosim.control.schedule import GainSchedule
+from cosim.control.wing import WingFlight, WingTable
+from cosim.engine import (
+    EngineSpec,
+)
+from cosim.simulation.controllers.allocators import ask_model, make_allocator
+from cosim.simulation.controllers.models import map_thrust, predictors
+from cosim.simulation.controllers.plugged import Plugged
+from cosim.simulation.engine_reference import engine_reference
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import EngineLead, Vehicle
+
+# How finely the corridor of a wing is asked of its model, and at which speed: as surfaces are; chosen by us
+WING_ROWS = 16
+WING_AT_M_S = 20.0
+
+
+def make_cascade(
+    scenario: Scenario,
+    vehicle: Vehicle,
+    engine: EngineSpec,
+    stations: Sequence[EngineSpec],
+    plugged: Plugged | None,
+) -> Cascade:
+    step = scenario.step_s
+    gains = vehicle.control
+    thrust_map, hover = map_thrust(vehicle, engine, stations)
+    general = vehicle.allocation == "effectiveness"
+    if not general and not gains.allocation.throttle_min < hover < gains.allocation.throttle_max:
+        raise InputError(
+            f"engine {engine.name}: {vehicle.name} ({vehicle.mass_kg:g} kg) would hover at throttle {hover:.2f}, "
+            f"outside {gains.allocation.throttle_min:g} to {gains.allocation.throttle_max:g}"
+        )
+    _need_lift(vehicle, stations)
+    catch = _catch(scenario, vehicle, stations, thrust_map) if plugged is None else None
+    return Cascade(
+        AttitudeController(gains.attitude),
+        RateController(
+            (gains.rate.roll, gains.rate.pitch, gains.rate.yaw),
+            predictors(scenario, vehicle, engine) if plugged is None else plugged.predictors(),
+            step,
+            [_lead(vehicle, axis, step) for axis in AXES],
+        ),
+        AltitudeController(
+            gains.altitude,
+            vehicle.mass_kg,
+            thrust_map.collective,
+            step,
+            _lead(vehicle, "altitude", step),
+        ),
+        make_allocator(scenario, vehicle, stations, thrust_map, hover, catch),
+        thrust_map,
+        _monitor(scenario, vehicle, stations) if scenario.monitored else None,
+        GainSchedule(gains.schedule, gains.lead, step) if gains.schedule else None,
+        vehicle,
+        scenario.added_delay_samples,
+        opposites(vehicle) if gains.monitor is not None and gains.monitor.shut_opposite else (),
+        step,
+        plugged.attitude if plugged else None,
+        plugged.rate if plugged else None,
+        catch,
+        _reduced(scenario, vehicle, stations, thrust_map) if plugged is None else None,
+        _wing(scenario, vehicle),
+    )
+
+
+def _wing(scenario: Scenario, vehicle: Vehicle) -> WingFlight | None:
+    """Flight ahead on the wing of the vehicle's own JSBSim model, where the vehicle states how."""
+    settings = vehicle.control.wing
+    if settings is None:
+        return None
+    least, most = settings.alpha_rad
+    alphas = [least + (most - least) * row / WING_ROWS for row in range(WING_ROWS + 1)]
+    lift, drag, moment = ask_model("wing", scenario, vehicle, lambda frame: frame.wing_effects(alphas, WING_AT_M_S))
+    names = [hinge.name for hinge in vehicle.hinges]
+    tilts = [names.index(name) for name in settings.tilts]
+    table = WingTable(tuple(alphas), tuple(lift), tuple(drag), tuple(moment))
+    control = vehicle.control
+    late = 1.0 / control.attitude.gain_1_s[1] + 1.0 / control.rate.pitch.p  # s: attitude, and rates below it
+    return WingFlight(settings, table, tilts, vehicle.mass_kg, scenario.step_s, late)
+
+
+def _reduced(
+    scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap
+) -> ReducedAttitude | None:
+    """Where rotors do not tilt and a lost one is to be caught."""
+    monitor = vehicle.control.monitor
+    if vehicle.allocation != "rotors" or not scenario.monitored or monitor is None or not monitor.catch:
+        return None
+    known = [engine_reference(spec, scenario.step_s) for spec in stations]
+    lag, delay = max(each.lag for each in known), max(each.delay for each in known)
+    added = scenario.added_delay_samples
+    return ReducedAttitude(vehicle, opposites(vehicle), thrust_map, lag, delay, scenario.step_s, added)
+
+
+def _catch(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap) -> Catch | None:
+    """Where the opposite of a lost engine is shut off, with the engine that the vehicle is made for.
+
+    With that one its constants were chosen; slower ones stay longer at their limits, which it does not know.
+    """
+    monitor, lead = vehicle.control.monitor, getattr(vehicle.control.lead, "roll", None)
+    own = scenario.engine == vehicle.engine and all(each.name == vehicle.engine for each in stations)
+    if (
+        vehicle.allocation != "banks"
+        or not own
+        or not scenario.monitored
+        or monitor is None
+        or not (monitor.shut_opposite and monitor.catch)
+    ):
+        return None
+    if not isinstance(lead, EngineLead) or lead.damping is None:
+        return None
+    delay = max(engine_reference(spec, scenario.step_s).delay for spec in stations)
+    return Catch(vehicle, thrust_map, lead, delay, scenario.step_s)
+
+
+def opposites(vehicle: Vehicle) -> tuple[int, ...]:
+    """For every jet, from 0, the one across the centre of gravity.  Raises InputError if one has none."""
+    places = [jet.position_m for jet in vehicle.jets]
+    pairs = []
+    for number, (x, y, _) in enumerate(places, 1):
+        across = [i for i, (a, b, _) in enumerate(places) if hypot(a + x, b + y) < 1e-3 * hypot(x, y)]
+        if len(across) != 1:
+            raise InputError(f"{vehicle.name}: control.monitor.shut_opposite: no jet stands opposite jet {number}")
+        pairs.append(across[0])
+    return tuple(pairs)
+
+
+def _lead(vehicle: Vehicle, command: str, step: float) -> Lead | None:
+    stated = getattr(vehicle.control.lead, command, None)
+    return Lead(stated, step) if stated else None
+
+
+def _need_lift(vehicle: Vehicle, stations: Sequence[EngineSpec]) -> None:
+    """Refuse stations whose engines cannot carry the vehicle together, whatever the scenario's engine could."""
+    weight, most = vehicle.mass_kg * GRAVITY, sum(station.curve.thrust[-1] for station in stations)
+    if most <= weight:
+        raise InputError(
+            f"stations: the engines give at most {most:.1f} N together; {vehicle.name} ({vehicle.mass_kg:g} kg) "
+            f"weighs {weight:.1f} N"
+        )
+
+
+def _monitor(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> EngineMonitor:
+    settings, limits = vehicle.control.monitor, vehicle.control.allocation
+    if settings is None:
+        raise InputError(
+            f"scenario {scenario.name}: {vehicle.name} has no [control.monitor] to watch its engines with; "
+            "state it, or set monitor = false"
+        )
+    get_ready()
+    known = {key: engine_reference(spec, scenario.step_s) for key, spec in {id(s): s for s in stations}.items()}
+    return EngineMonitor(
+        settings,
+        [known[id(spec)] for spec in stations],
+        vehicle.mass_kg * GRAVITY / len(stations),
+        (limits.throttle_min, limits.throttle_max),
+        scenario.step_s,
+        settings.catch,
+    )

@@ -1,0 +1,134 @@
+"""What a controller may believe of what it flies: identified models, predictors made from them, the hover."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError, Notice
+from cosim.base.protocols import Predictor
+from cosim.base.signals import AXES
+from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
+from cosim.control.belief import Belief
+from cosim.control.predictors.registry import BASELINE, PREDICTORS
+from cosim.control.predictors.smith import NoPredictor
+from cosim.engine import (
+    EngineSpec,
+)
+from cosim.simulation.engine_reference import engine_reference
+from cosim.simulation.engines import engines_of
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import RateModel, Vehicle, aircraft_seen_from
+
+
+def belief_of(scenario: Scenario, parameters: Mapping[str, float]) -> Belief:
+    """Return what a controller with these parameters would be told in a scenario.  Raises InputError as a flight."""
+    vehicle, _ = scenario.resolved_vehicle()
+    engine, *stations = engines_of(scenario, vehicle)
+    return make_belief(scenario, vehicle, engine, stations, parameters)
+
+
+def make_belief(
+    scenario: Scenario,
+    vehicle: Vehicle,
+    engine: EngineSpec,
+    stations: Sequence[EngineSpec],
+    parameters: Mapping[str, float],
+) -> Belief:
+    """Return what a controller from outside is told, with its own parameters."""
+    thrust_map, hover = map_thrust(vehicle, engine, stations)
+    built_in = scenario.model_copy(update={"controller": BASELINE.name})
+    return Belief(
+        scenario.step_s,
+        vehicle,
+        known_models(scenario, vehicle, engine),
+        thrust_map,
+        hover,
+        parameters,
+        "",
+        scenario.initial.on_ground,
+        lambda: [engine_reference(spec, scenario.step_s) for spec in stations],
+        lambda name: predictors(built_in.model_copy(update={"controller": name}), vehicle, engine),
+    )
+
+
+def models_of(vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:
+    """Return the models, by axis, that the vehicle states for an engine.
+
+    Those of an engine that is a file are filed under its name and its hash: with a note, one whose hash is of another
+    file of that name is left out, and one without a hash is taken.
+    """
+    models: dict[str, RateModel] = {}
+    for axis, model in vehicle.identified.get(engine.family, {}).items():
+        where = f"vehicle.identified.{engine.family!r}.{axis}"
+        if not engine.owns(model.engine_sha256):
+            other = f"is of another {engine.family} (sha256 {model.engine_sha256[:12]}, not {engine.fingerprint[:12]})"
+            warnings.warn(f"{where}: {other}: left out; hexjet identify {axis} makes one of this", Notice, stacklevel=2)
+            continue
+        if not engine.library and not model.engine_sha256:
+            unsure = f"states no hash: that it is of this {engine.family} is not verified"
+            warnings.warn(f"{where}: {unsure}", Notice, stacklevel=2)
+        models[axis] = model
+    return models
+
+
+def known_models(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:
+    """Return the identified models for this engine and step, the delay that the controller adds in that of roll."""
+    models: dict[str, RateModel] = {}
+    for axis, model in models_of(vehicle, engine).items():
+        if abs(model.sample_time_s - scenario.step_s) <= 1e-9:
+            added = scenario.added_delay_samples if axis == "roll" else 0
+            delay = model.delay_samples + added
+            models[axis] = model.model_copy(update={"delay_samples": delay}) if added else model
+    return models
+
+
+def map_thrust(vehicle: Vehicle, engine: EngineSpec, stations: Sequence[EngineSpec]) -> tuple[ThrustMap, float]:
+    """Return the way from shares of thrust to throttles, and the share in hover."""
+    curves = {id(station): StaticCurve(station.name, *station.rising) for station in (engine, *stations)}
+    thrust_map = ThrustMap(curves[id(engine)], [curves[id(station)] for station in stations])
+    return thrust_map, thrust_map.share(vehicle.mass_kg * GRAVITY / len(vehicle.jets))
+
+
+def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[Predictor]:
+    """Return one predictor an axis: the controller's where the vehicle states a model for this engine, else none."""
+    spec = PREDICTORS[scenario.controller]
+    models = models_of(vehicle, engine) if spec.needs_model else {}
+    if spec.needs_model and not models:
+        raise InputError(
+            f"controller {scenario.controller!r} needs an identified model of {vehicle.name} with engine "
+            f"{engine.family!r}; there are {_said_of(vehicle.identified)}; " + _one_command(scenario, vehicle, engine)
+        )
+    known = known_models(scenario, vehicle, engine)
+    made: list[Predictor] = []
+    for axis in AXES:
+        model = known.get(axis)
+        if spec.needs_model and model is None and axis in models:
+            sample_time = models[axis].sample_time_s
+            raise InputError(
+                f"vehicle.identified.{engine.family}.{axis}: the model's sample time {sample_time:g} s is not the "
+                f"scenario's step {scenario.step_s:g} s"
+            )
+        # jets that tilt give pitch and yaw by servo, which no predictor is for
+        predicted = model is not None if spec.needs_model else axis == "roll" or vehicle.allocation == "rotors"
+        made.append(spec.predictor(model, vehicle.control.predictor) if predicted else NoPredictor())
+    return made
+
+
+def _one_command(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> str:
+    """What to do about an engine for which there is no model: design for it, and fly that."""
+    what = engine.name if engine.library else str(engine.mapping or engine.path)
+    named = aircraft_seen_from(scenario.aircraft, scenario.folder)
+    aircraft = "" if named == "hexjet" else f" --aircraft {named}"
+    file = f"{vehicle.name}-{Path(what).stem}.toml"
+    return (
+        f"one is made, with gains to go with it, by: hexjet design --engine {what}{aircraft} --out {file} "
+        f"(then fly with --controller {file}; or fly --controller {BASELINE.name})"
+    )
+
+
+def _said_of(models: Mapping[str, Any]) -> str:
+    return f"models for: {', '.join(sorted(models))}" if models else "none"

@@ -1,0 +1,134 @@
+"""A controller from outside, made and told what it may believe, in the place of its level."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.protocols import Predictor
+from cosim.base.signals import AXES
+from cosim.control.belief import Belief
+from cosim.control.predictors.smith import NoPredictor
+from cosim.engine import (
+    EngineSpec,
+)
+from cosim.simulation.controllers.deadline import Deadline
+from cosim.simulation.controllers.guard import (
+    GuardedAttitude,
+    GuardedController,
+    GuardedPredictor,
+    GuardedRate,
+    Named,
+)
+from cosim.simulation.controllers.models import make_belief
+from cosim.simulation.controllers.process import ProcessBlock
+from cosim.simulation.controllers.source import Source, find
+from cosim.spec.scenario import Scenario, TorqueCommandDisturbance
+from cosim.spec.vehicle import Vehicle
+
+
+def find_controller(scenario: Scenario) -> Source | None:
+    """The scenario's controller where it is from outside.  Raises InputError for an unknown one, or another file."""
+    source = find(scenario.controller, scenario.folder, f"unknown controller {scenario.controller!r}")
+    if source is not None:
+        source.expect(scenario.controller_sha256, f"scenario {scenario.name}")
+    return source
+
+
+def own_parameters(scenario: Scenario, own: Source | None) -> dict[str, float]:
+    """The values of a controller's own parameters.  Raises InputError where the scenario states others."""
+    where = f"scenario {scenario.name}: controller_parameters"
+    if own is not None:
+        return own.values(scenario.controller_parameters, where)
+    for name in scenario.controller_parameters:
+        raise InputError(
+            f"{where}.{name}: controller {scenario.controller} has none of its own; it is tuned under vehicle.control"
+        )
+    return {}
+
+
+class Plugged:
+    """A controller from outside, made and told what it may believe, in the place of its level."""
+
+    def __init__(
+        self,
+        own: Source,
+        parameters: dict[str, float],
+        scenario: Scenario,
+        vehicle: Vehicle,
+        engine: EngineSpec,
+        stations: Sequence[EngineSpec],
+    ) -> None:
+        self._own, self._scenario = own, scenario
+        self._deadline = Deadline(scenario.controller_limit_s * (1.0 if own.repeats else 2.0))
+        self._named = Named(own.label, self._deadline)
+        self._blocks: list[Any] = []
+        self.whole: GuardedController | None = None
+        self.attitude: GuardedAttitude | None = None
+        self.rate: GuardedRate | None = None
+        if own.level == "controller" and any(
+            isinstance(disturbance, TorqueCommandDisturbance) for disturbance in scenario.disturbance
+        ):
+            raise InputError(
+                f"scenario {scenario.name}: disturbance: torque_command acts on a rate loop's output, which controller "
+                f"{own.label} does not have; take force, moment or wind"
+            )
+        if own.level == "controller" and scenario.added_delay_samples:
+            raise InputError(
+                f"scenario {scenario.name}: added_delay_samples = {scenario.added_delay_samples}: is added to a rate "
+                f"loop's output, which controller {own.label} does not have; take mismatch.delay_samples"
+            )
+        self._belief = make_belief(scenario, vehicle, engine, stations, parameters)
+
+    def make(self) -> None:
+        """Its block, but for predictors.  Raises InputError as ``_made``; :meth:`close` ends what was begun by then."""
+        if self._own.level == "controller":
+            self.whole = GuardedController(self._made(self._belief), self._named, self._belief)
+        elif self._own.level == "rate":
+            self.rate = GuardedRate(self._made(self._belief), self._named)
+        elif self._own.level == "attitude":
+            self.attitude = GuardedAttitude(self._made(self._belief), self._named)
+
+    def predictors(self) -> list[Predictor]:
+        """What stands between measurement and our rate loop: the user's where engines answer, or one of ours."""
+        belief = self._belief
+        if self._own.level != "predictor":
+            return belief.predictors(self._own.predictor)
+        there = belief.models or (AXES if belief.vehicle.allocation == "rotors" else AXES[:1])
+        return [
+            GuardedPredictor(self._made(belief.of(axis)), self._named, axis) if axis in there else NoPredictor()
+            for axis in AXES
+        ]
+
+    def _made(self, belief: Belief) -> Any:
+        """A block that is told what it may believe.  Raises InputError for one that takes that badly."""
+        block = self._own.make()
+        self._blocks.append(block)
+        if isinstance(block, ProcessBlock):  # it has limits of its own, and takes a while to start
+            block.limit(self._scenario.controller_limit_s)
+            block.prepare(belief)
+            return block
+        if hasattr(block, "prepare"):
+            try:
+                self._named.call("prepare", block.prepare, belief)
+            except FlightError as error:
+                raise InputError(str(error)) from error
+        return block
+
+    @property
+    def source(self) -> Source:
+        """Where the controller comes from."""
+        return self._own
+
+    def repeats(self) -> bool | None:
+        """Whether processes, asked the same again, answer the same; None: it is code of this process."""
+        asked = [block.repeats() for block in self._blocks if isinstance(block, ProcessBlock)]
+        return all(asked) if asked else None
+
+    def close(self) -> None:
+        """Free what its blocks hold."""
+        for block in self._blocks:
+            if hasattr(block, "close"):
+                block.close()
+        self._deadline.close()
