@@ -13,7 +13,7 @@ from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
 from cosim.control.allocation.effectiveness import EffectivenessAllocator, Effectors, Mover
 from cosim.control.allocation.hinged_catch import HingedCatch, Late
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
-from cosim.control.catch import Catch
+from cosim.control.phases.catch import Catch
 from cosim.engine import (
     EngineSpec,
 )

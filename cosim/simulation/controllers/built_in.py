@@ -8,18 +8,24 @@ from math import hypot
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
+from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.control.allocation.engine_monitor import EngineMonitor
+from cosim.control.allocation.hinged_catch import HingedCatch
 from cosim.control.allocation.reallocation import get_ready
 from cosim.control.allocation.thrust_map import ThrustMap
 from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.cascade import Cascade
-from cosim.control.catch import Catch
 from cosim.control.lead import Lead
+from cosim.control.phases.catch import Catch
+from cosim.control.phases.hinged import HingedLean, SurfaceHover
+from cosim.control.phases.law import FlightLaw, Loops
+from cosim.control.phases.reduced_attitude import ReducedAttitude
+from cosim.control.phases.shut_opposite import ShutOpposite
+from cosim.control.phases.spun import SpunFlight
+from cosim.control.phases.wing import WingFlight, WingTable
 from cosim.control.rate import RateController
-from cosim.control.reduced_attitude import ReducedAttitude
 from cosim.control.schedule import GainSchedule
-from cosim.control.wing import WingFlight, WingTable
 from cosim.engine import (
     EngineSpec,
 )
@@ -28,7 +34,7 @@ from cosim.simulation.controllers.models import map_thrust, predictors
 from cosim.simulation.controllers.plugged import Plugged
 from cosim.simulation.engine_reference import engine_reference
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import EngineLead, Vehicle
+from cosim.spec.vehicle import EngineLead, Vehicle, WingControl
 
 # How finely the corridor of a wing is asked of its model, and at which speed: as surfaces are; chosen by us
 WING_ROWS = 16
@@ -53,7 +59,7 @@ def make_cascade(
         )
     _need_lift(vehicle, stations)
     catch = _catch(scenario, vehicle, stations, thrust_map) if plugged is None else None
-    return Cascade(
+    loops = Loops(
         AttitudeController(gains.attitude),
         RateController(
             (gains.rate.roll, gains.rate.pitch, gains.rate.yaw),
@@ -69,26 +75,61 @@ def make_cascade(
             _lead(vehicle, "altitude", step),
         ),
         make_allocator(scenario, vehicle, stations, thrust_map, hover, catch),
+        scenario.added_delay_samples,
+        plugged.attitude if plugged else None,
+        plugged.rate if plugged else None,
+    )
+    return Cascade(
+        loops,
         thrust_map,
         _monitor(scenario, vehicle, stations) if scenario.monitored else None,
         GainSchedule(gains.schedule, gains.lead, step) if gains.schedule else None,
+        [
+            *_laws_of_a_loss(
+                loops,
+                vehicle,
+                thrust_map,
+                _reduced(scenario, vehicle, stations, thrust_map) if plugged is None else None,
+                catch,
+            ),
+            *_laws_of_effectiveness(scenario, vehicle, loops),
+            FlightLaw(loops),
+        ],
         vehicle,
-        scenario.added_delay_samples,
-        opposites(vehicle) if gains.monitor is not None and gains.monitor.shut_opposite else (),
         step,
-        plugged.attitude if plugged else None,
-        plugged.rate if plugged else None,
-        catch,
-        _reduced(scenario, vehicle, stations, thrust_map) if plugged is None else None,
-        _wing(scenario, vehicle),
     )
 
 
-def _wing(scenario: Scenario, vehicle: Vehicle) -> WingFlight | None:
-    """Flight ahead on the wing of the vehicle's own JSBSim model, where the vehicle states how."""
-    settings = vehicle.control.wing
-    if settings is None:
-        return None
+def _laws_of_a_loss(
+    loops: Loops, vehicle: Vehicle, thrust_map: ThrustMap, reduced: ReducedAttitude | None, catch: Catch | None
+) -> list[FlightLaw]:
+    """Return what flies without an engine, of vehicles whose allocation does not."""
+    monitor = vehicle.control.monitor
+    opposite = opposites(vehicle) if monitor is not None and monitor.shut_opposite else ()
+    if reduced is not None:
+        return [SpunFlight(loops, reduced, thrust_map, len(vehicle.jets))]
+    return [ShutOpposite(loops, opposite, catch, vehicle.mass_kg)] if opposite else []
+
+
+def _laws_of_effectiveness(scenario: Scenario, vehicle: Vehicle, loops: Loops) -> list[FlightLaw]:
+    """Return the laws of wings, hinges and surfaces, of vehicles that are flown by effectiveness."""
+    allocator = loops.allocator
+    if not isinstance(allocator, EffectivenessAllocator):
+        return []
+    laws: list[FlightLaw] = []
+    if vehicle.control.wing is not None:
+        laws.append(_wing(scenario, vehicle, vehicle.control.wing, loops, allocator))
+    if isinstance(allocator, HingedCatch):
+        laws.append(HingedLean(loops, allocator))
+    if allocator.surfaces:
+        laws.append(SurfaceHover(loops, allocator))
+    return laws
+
+
+def _wing(
+    scenario: Scenario, vehicle: Vehicle, settings: WingControl, loops: Loops, allocator: EffectivenessAllocator
+) -> WingFlight:
+    """Return flight ahead on the wing of the vehicle's own JSBSim model."""
     least, most = settings.alpha_rad
     alphas = [least + (most - least) * row / WING_ROWS for row in range(WING_ROWS + 1)]
     lift, drag, moment = ask_model("wing", scenario, vehicle, lambda frame: frame.wing_effects(alphas, WING_AT_M_S))
@@ -97,7 +138,7 @@ def _wing(scenario: Scenario, vehicle: Vehicle) -> WingFlight | None:
     table = WingTable(tuple(alphas), tuple(lift), tuple(drag), tuple(moment))
     control = vehicle.control
     late = 1.0 / control.attitude.gain_1_s[1] + 1.0 / control.rate.pitch.p  # s: attitude, and rates below it
-    return WingFlight(settings, table, tilts, vehicle.mass_kg, scenario.step_s, late)
+    return WingFlight(loops, allocator, settings, table, tilts, vehicle.mass_kg, scenario.step_s, late)
 
 
 def _reduced(

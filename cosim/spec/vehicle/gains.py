@@ -181,7 +181,7 @@ class MonitorSettings(Model):
 
 
 class WingControl(Model):
-    """Flight ahead on a wing; see :mod:`cosim.control.wing`."""
+    """Flight ahead on a wing; see :mod:`cosim.control.phases.wing`."""
 
     tilts: Annotated[list[str], Field(min_length=1)]  # the hinges that turn thrust ahead
     acceleration_m_s2: Positive  # with which the set-point of the speed rises

@@ -17,9 +17,10 @@ from scipy.optimize import fsolve
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Command, Measured
-from cosim.control.wing import LEADING, WingTable
+from cosim.control.phases.wing import LEADING, WingFlight, WingTable
 from cosim.flight import fly
 from cosim.simulation.build import build
+from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import load_vehicle
 from cosim.vehicle.airframe import Airframe
@@ -208,10 +209,14 @@ def test_it_settles_where_jsbsim_trims_it(tmp_path: Path) -> None:
     assert np.abs(log["altitude_m"][log["time_s"] > 15.0] - 60.0).max() < 0.5
 
 
+def wing_of(simulation: Simulation) -> WingFlight:
+    (wing,) = [law for law in simulation.cascade.laws if isinstance(law, WingFlight)]
+    return wing
+
+
 def test_the_law_counts_on_what_the_model_says() -> None:
     simulation = build(Scenario.load("jetwing-transition"))
-    wing = simulation.cascade._wing
-    assert wing is not None
+    wing = wing_of(simulation)
     made = generator()
     for alpha in (-0.05, 0.0, 0.05, 0.14):
         lift, drag, moment = (value / made.AREA for value in wing._table.at(alpha))
@@ -312,8 +317,7 @@ def test_the_figures_of_wind_along_its_way() -> None:
 
 def test_the_nose_leads_no_further_than_stated_where_lift_is_missing() -> None:
     simulation = build(Scenario.load("jetwing-transition"))
-    wing = simulation.cascade._wing
-    assert wing is not None
+    wing = wing_of(simulation)
     weight = VEHICLE.mass_kg * GRAVITY
     level = Measured(ZERO3, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -60.0), (15.0, 0.0, 0.0), 60.0)
     for vertical, leads in ((1.0, 0.0), (1.02, 0.02), (2.0, None)):
@@ -348,9 +352,7 @@ def test_its_model_is_asked_of_wing_and_surfaces_once(monkeypatch: pytest.Monkey
     for name in ("wing_effects", "surface_effects"):
         monkeypatch.setattr(Airframe, name, lambda *_: pytest.fail("asked again"))
     again = build(Scenario.load("jetwing-cruise"))
-    assert first.cascade._wing is not None
-    assert again.cascade._wing is not None
-    assert again.cascade._wing._table == first.cascade._wing._table
+    assert wing_of(again)._table == wing_of(first)._table
     again.close()
     lighter = Scenario.load("jetwing-hover").replace(vehicle={"mass_kg": 4.4})
     with pytest.raises(pytest.fail.Exception, match="asked again"):

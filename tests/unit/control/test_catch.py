@@ -9,7 +9,7 @@ import pytest
 
 from cosim.base.constants import GRAVITY
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
-from cosim.control.catch import Catch
+from cosim.control.phases.catch import Catch
 from cosim.spec.vehicle import EngineLead, load_vehicle
 
 STEP = 0.001  # s; the answer is that of continuous time, from which steps of h are off by about h a

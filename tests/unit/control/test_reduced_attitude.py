@@ -14,7 +14,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Command, Measured
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
 from cosim.control.attitude import AttitudeController
-from cosim.control.reduced_attitude import ReducedAttitude, designed, linear
+from cosim.control.phases.reduced_attitude import ReducedAttitude, designed, linear
 from cosim.simulation.controllers.built_in import opposites
 from cosim.spec.vehicle import Vehicle, load_vehicle
 

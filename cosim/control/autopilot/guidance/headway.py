@@ -9,7 +9,7 @@ from cosim.control.autopilot.estimation.wind import estimate_wind, fastest_in_ai
 from cosim.control.autopilot.geometry import Pair
 from cosim.control.autopilot.guidance.course import Course
 from cosim.control.autopilot.guidance.tracker import BRAKE_SHARE
-from cosim.control.wing import DENSITY
+from cosim.control.phases.wing import DENSITY
 from cosim.spec.vehicle import Vehicle
 
 # Chosen by us, with the reason.

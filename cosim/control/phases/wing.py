@@ -29,11 +29,13 @@ from math import atan2, cos, sin
 from typing import Final, NamedTuple
 
 from cosim.base.constants import GRAVITY
-from cosim.base.frames import to_euler
+from cosim.base.frames import conjugate, rotate, to_euler
 from cosim.base.limits import clamp
 from cosim.base.protocols import Column
-from cosim.base.signals import Command, Measured, Unallocated
+from cosim.base.signals import Actuation, Command, Measured, Unallocated, Vector3
+from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.control.altitude import LEAST_UPRIGHT
+from cosim.control.phases.law import Demand, FlightLaw, Loops
 from cosim.spec.vehicle import WingControl
 
 # kg/m^3, at sea level in the standard atmosphere (ISO 2533): what is known of the air without a sensor for it
@@ -45,6 +47,12 @@ LEAST_PRESSURE: Final = 1e-3  # Pa: less than this carries nothing
 # is missing the height loop asks for more for good, which bends no path, and the nose would go up until the wing stalls
 LEADING: Final = 0.25
 STEEPEST: Final = 0.35  # rad, of the path that pitch follows; chosen by us, well beyond the climb of the height loop
+
+
+def dynamic_pressure(measured: Measured) -> float:
+    """Return Pa, of the speed ahead over the ground in still air of standard density; 0 backwards."""
+    ahead = rotate(conjugate(measured.attitude), measured.velocity)[0]
+    return 0.5 * DENSITY * ahead * ahead if ahead > 0.0 else 0.0
 
 
 class WingTable(NamedTuple):
@@ -84,14 +92,24 @@ class WingDemand(NamedTuple):
     pitch: float
 
 
-class WingFlight:
+class WingFlight(FlightLaw):
     """See the module's text.  ``table`` is the model's; ``tilts``: the servos that turn thrust ahead, from 0;
     ``late``: by how much the attitude follows its set-point late [s].
     """
 
     def __init__(
-        self, settings: WingControl, table: WingTable, tilts: Sequence[int], mass: float, step: float, late: float
+        self,
+        loops: Loops,
+        allocator: EffectivenessAllocator,
+        settings: WingControl,
+        table: WingTable,
+        tilts: Sequence[int],
+        mass: float,
+        step: float,
+        late: float,
     ) -> None:
+        super().__init__(loops)
+        self._allocator = allocator
         self._settings, self._table, self._mass, self._step, self._late = settings, table, mass, step, late
         self.tilts = list(tilts)
         self.reset()
@@ -106,10 +124,35 @@ class WingFlight:
         self._refused = self._pressure = 0.0
         self._speed = self._acceleration = self._path = self._lift = 0.0
 
-    def end(self) -> None:
-        """Another law flies."""
+    def leave(self) -> None:
         self.flies = False
         self._lift = 0.0
+
+    def wants(self, step: Demand) -> bool:
+        """Return whether a speed ahead is asked for, and neither rates nor a collective."""
+        command = step.command
+        return command.ahead is not None and command.rate is None and command.collective is None and not step.idle
+
+    def steer(self, step: Demand) -> Vector3:
+        """Return rates to the attitude that the wing needs for the speed."""
+        if step.command.ahead is not None:
+            step.command = self.attitude(step.command, step.command.ahead, step.measured)
+        return super().steer(step)
+
+    def update(self, step: Demand) -> Actuation:
+        """As :meth:`FlightLaw.update`, forces along and up of which the wing carries its part."""
+        allocator, injected, measured = self._allocator, step.injected, step.measured
+        if not allocator.surfaces:
+            return super().update(step)
+        allocator.pressure = dynamic_pressure(measured)
+        # of the height loop as a force up: it divides by how upright the thrust stands, which here is turned as wanted
+        demand = self.demand(allocator.force(step.collective) * step.upright, measured, step.burnt)
+        (roll, pitch, yaw), (a, b, c) = self.loops.inject(step.torque, injected), injected.torque_command
+        asked = (roll + a, pitch + b, yaw + c)
+        given, missing = allocator.ahead(demand.ahead, demand.lift, demand.pitch, asked, self.tilts)
+        step.unallocated = self.refused(missing, given.unallocated)
+        step.given = step.collective - given.unallocated.collective
+        return given
 
     def attitude(self, command: Command, asked: float, measured: Measured) -> Command:
         """The command with the attitude that a speed ahead of ``asked`` m/s needs; once a step, before the loops."""
