@@ -297,10 +297,9 @@ class Simulation:
                     return asked
             try:
                 sample = self.step()
-            except EngineError as error:
-                return Ending("failed", str(error))
-            except FlightError as error:
-                return Ending("failed", f"{error} at step {self.k} ({self.k * self.dt:.3f} s)")
+            except (EngineError, FlightError) as error:  # that of an engine says itself when
+                when = "" if isinstance(error, EngineError) else f" at step {self.k} ({self.k * self.dt:.3f} s)"
+                return Ending("failed", f"{error}{when}")
             for look in observe:
                 look(sample)
             ending = judge.look(self.state, self.k * self.dt)
