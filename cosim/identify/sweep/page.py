@@ -9,7 +9,6 @@ import json
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,9 +22,7 @@ from cosim.identify.sweep.result import (
     rate_response,
 )
 from cosim.results.report.page import render
-from cosim.results.report.plot import BLUE, GREEN, GREY, MAGENTA, ORANGE
-
-Figure = dict[str, Any]
+from cosim.results.report.plot import BLUE, GREEN, GREY, HOVER, MAGENTA, ORANGE, Figure, axis_name, panels, trace
 
 TEMPLATE = Path(__file__).parent / "templates" / "identify.html"
 
@@ -87,7 +84,7 @@ def write_page(identification: Identification, path: Path) -> None:
 
 
 def response_figure(identification: Identification) -> Figure:
-    """Plotly's figure schema; the curves are drawn at the frequencies of the sweep, on one logarithmic axis."""
+    """Return the curves at the frequencies of the sweep, on one logarithmic axis."""
     response = identification.response
     hertz = np.geomspace(response.hertz[0], response.hertz[-1], _POINTS)
     data = _curve("measured", ORANGE, "markers", response.hertz, response.magnitude_db, response.phase_deg)
@@ -100,19 +97,9 @@ def response_figure(identification: Identification) -> Figure:
         data += _model_curves(
             "stated model", GREY, partial(rate_response, identification.reference), hertz, identification, "dash"
         )
-    layout: Figure = {
-        "height": 860,
-        "margin": {"l": 64, "r": 12, "t": 40, "b": 44},
-        "hovermode": "x unified",
-        "hoversubplots": "axis",
-        "legend": {"orientation": "h", "x": 0, "y": 1.0, "xanchor": "left", "yanchor": "bottom"},
-        "xaxis": {"type": "log", "title": {"text": "frequency [Hz]"}, "anchor": "y5", "hoverformat": ".3~g"},
-    }
-    for number, (domain, title) in enumerate(zip(_DOMAINS, _TITLES, strict=True)):
-        axis: Figure = {"domain": list(domain), "anchor": "x", "title": {"text": title}}
-        if number == _COHERENCE:
-            axis["range"] = [0.0, 1.05]
-        layout["yaxis" if number == 0 else f"yaxis{number + 1}"] = axis
+    layout = panels(860, "frequency [Hz]", _TITLES, log=True, domains=_DOMAINS) | HOVER | {"hoversubplots": "axis"}
+    layout["xaxis"]["hoverformat"] = ".3~g"
+    layout[axis_name("yaxis", _COHERENCE)]["range"] = [0.0, 1.05]
     return {"data": data, "layout": layout}
 
 
@@ -128,8 +115,8 @@ def _model_curves(
     ratio = model(at) / identification.response.value
     curves.append(_trace(label, colour, "lines", at, 20.0 * np.log10(np.abs(ratio)), 2))
     curves.append(_trace(label, colour, "lines", at, np.degrees(np.angle(ratio)), 3))
-    for trace in curves:
-        trace["line"]["dash"] = dash
+    for curve in curves:
+        curve["line"]["dash"] = dash
     return curves
 
 
@@ -138,16 +125,6 @@ def _curve(label: str, colour: str, mode: str, hertz: Array, magnitude: Array, p
 
 
 def _trace(label: str, colour: str, mode: str, hertz: Array, values: Array, panel: int) -> Figure:
-    return {
-        "type": "scatter",
-        "mode": mode,
-        "name": label,
-        "legendgroup": label,
-        "showlegend": panel == 0,
-        "hovertemplate": f"{label}: %{{y:.4~g}}<extra></extra>",
-        "marker": {"size": 6, "color": colour},
-        "line": {"color": colour, "width": 1.8},
-        "x": np.asarray(hertz, np.float64),
-        "y": np.asarray(values, np.float64),
-        "yaxis": "y" if panel == 0 else f"y{panel + 1}",
-    }
+    says = f"{label}: %{{y:.4~g}}<extra></extra>"
+    marker = {"size": 6, "color": colour}
+    return trace(label, colour, hertz, values, panel, mode=mode, marker=marker, hovertemplate=says)

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from cosim.base.storage.files import write_files
 from cosim.engine.qualify.check import CheckReport
 from cosim.engine.response import NO_CHANGE
 from cosim.results.report.page import TEMPLATES, render
-from cosim.results.report.plot import ABOVE, BLUE, ORANGE, layout
+from cosim.results.report.plot import BLUE, HOVER, ORANGE, Figure, panels, trace
 from cosim.results.run import REPORT
-
-Figure = dict[str, Any]
 
 WAYS = (("up", "opened, 0 to 1", ORANGE), ("down", "closed, 1 to 0", BLUE))
 
@@ -32,7 +27,7 @@ def write_check(report: CheckReport, folder: Path) -> Path:
 
 
 def check_figures(report: CheckReport) -> dict[str, Figure]:
-    """Plotly's figure schema; what was not found is not drawn."""
+    """Return the figures of what was found: thrust over throttle, thrust over time."""
     figures = {}
     if report.throttle is not None and report.thrust is not None:
         figures["curve"] = {
@@ -69,22 +64,12 @@ def _mark(report: CheckReport, way: str, colour: str) -> Figure:
 
 
 def _trace(label: str, colour: str, x: list[float], y: list[float], mode: str) -> Figure:
-    return {
-        "type": "scatter",
-        "mode": mode,
-        "name": label,
-        "x": np.array(x),
-        "y": np.array(y),
-        "line": {"color": colour, "width": 1.8},
-        "marker": {"color": colour, "size": 5},
-        "hovertemplate": f"{label}: %{{y:.5~g}} N<extra></extra>",
-        "showlegend": mode == "lines",
-    }
+    says, marker = f"{label}: %{{y:.5~g}} N<extra></extra>", {"color": colour, "size": 5}
+    return trace(label, colour, x, y, mode=mode, marker=marker, hovertemplate=says, showlegend=mode == "lines")
 
 
 def _layout(title: str, form: str) -> Figure:
-    return layout(
-        360, 64, 12, 34, 44, hovermode="x unified", legend={"orientation": "h", "x": 0, "y": 1, **ABOVE},
-        xaxis={"title": {"text": title}, "hoverformat": form},
-        yaxis={"title": {"text": "thrust [N]"}, "rangemode": "tozero"},
-    )  # fmt: skip
+    made = panels(360, title, ["thrust [N]"], log=False) | HOVER
+    made["xaxis"]["hoverformat"] = form
+    made["yaxis"]["rangemode"] = "tozero"
+    return made
