@@ -135,7 +135,7 @@ class BuildExtensions(build_ext):
             reason = "mypy: not found; install mypy, or set HEXJET_PURE=1 to go without compiled modules"
             raise CompileError(reason) from None
         tools = f"mypy-{mypy}-{platform.python_implementation()}-{platform.python_version()}"
-        makers = (Path(__file__), ROOT / "cosim" / "base" / "native_docs.py", ROOT / QUICK)
+        makers = (Path(__file__), ROOT / QUICK)
         return "".join(f"{sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in makers) + f"{tools}\n"
 
     def _remove_compiled(self, package: Path, compiled: Any) -> None:
@@ -161,13 +161,6 @@ def by_mypyc(modules: list[str], folder: Path) -> list[Extension]:
     config.write_text(MYPY, encoding="utf-8")
     options = ["--config-file", str(config), "--cache-dir", str(folder / "mypy")]
     found: list[Extension] = mypycify([*options, *modules], target_dir=str(folder), group_name=NATIVE)
-    documented = by_path("native_docs", ROOT / "cosim" / "base" / "native_docs.py").documented
-    sources = {
-        name.removeprefix("cosim/").removesuffix(".py").replace("/", "."): Path(name).read_text(encoding="utf-8")
-        for name in modules
-    }
-    for path in folder.rglob("__native*.c"):
-        path.write_text(documented(path.read_text(encoding="utf-8"), sources), encoding="utf-8")
     for path in folder.rglob("__native_internal*.h"):  # the last that mypyc's C includes
         with path.open("a", encoding="utf-8") as header:
             header.write(f'#include "{(ROOT / QUICK).as_posix()}"\n')

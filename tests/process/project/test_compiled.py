@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import gc
 import hashlib
 import json
@@ -10,7 +9,6 @@ import os
 import shutil
 import subprocess
 import sys
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -106,27 +104,6 @@ def test_the_compiled_modules_are_flown_here() -> None:
         module = f"cosim.{name.removesuffix('.py').replace('/', '.')}"
         __import__(module)
         assert not str(sys.modules[module].__file__).endswith(".py"), module
-
-
-@needs_compiled
-@pytest.mark.parametrize("name", MODULES)
-def test_docstrings_live_in_compiled_modules(name: str) -> None:
-    """Of the module, of every class and function, and of their members, as the source has them; mypyc drops them."""
-    tree = ast.parse((PACKAGE / name).read_text(encoding="utf-8"))
-    module = import_module(f"cosim.{name.removesuffix('.py').replace('/', '.')}")
-    assert module.__doc__ == ast.get_docstring(tree)
-    for node in tree.body:
-        if not isinstance(node, (ast.ClassDef, ast.FunctionDef)):
-            continue
-        found = getattr(module, node.name)
-        assert found.__doc__ == ast.get_docstring(node), node.name
-        members = [each for each in node.body if isinstance(each, ast.FunctionDef) and isinstance(node, ast.ClassDef)]
-        for member in members:
-            made = getattr(found, member.name)
-            # of a method with a function in it that Python makes the class of, mypyc makes an object without a place
-            if not type(made).__name__.endswith("_obj"):
-                doc = ast.get_docstring(member)
-                assert doc is None or made.__doc__ == doc, f"{node.name}.{member.name}"
 
 
 @needs_compiled
