@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import gc
 import importlib.util
 import os
 import platform
@@ -84,18 +83,6 @@ follow_imports = skip
 ignore_missing_imports = True
 """
 NATIVE = "cosim._native"
-QUICK = "cosim/base/quick.h"
-
-# What mypyc's C calls on its way out with an error, told to the compiler as hardly ever called: it then keeps what
-# leads there apart, and a step finds more of itself in the processor's instruction cache.
-UNLIKELY = """struct _object;
-__attribute__((cold)) void CPy_AddTraceback(const char *, const char *, int, struct _object *);
-__attribute__((cold)) void CPy_TypeErrorTraceback(const char *, const char *, int, struct _object *, const char *,
-                                                  struct _object *);
-__attribute__((cold)) void CPy_AttributeError(const char *, const char *, const char *, const char *, int,
-                                              struct _object *);
-__attribute__((cold)) void CPy_TypeError(const char *, struct _object *);
-"""
 
 
 class BuildExtensions(build_ext):
@@ -135,8 +122,7 @@ class BuildExtensions(build_ext):
             reason = "mypy: not found; install mypy, or set HEXJET_PURE=1 to go without compiled modules"
             raise CompileError(reason) from None
         tools = f"mypy-{mypy}-{platform.python_implementation()}-{platform.python_version()}"
-        makers = (Path(__file__), ROOT / QUICK)
-        return "".join(f"{sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in makers) + f"{tools}\n"
+        return f"{sha256(Path(__file__).read_bytes()).hexdigest()}  setup.py\n{tools}\n"
 
     def _remove_compiled(self, package: Path, compiled: Any) -> None:
         """What an earlier build compiled for this Python: it may be of modules that are no longer compiled."""
@@ -161,16 +147,8 @@ def by_mypyc(modules: list[str], folder: Path) -> list[Extension]:
     config.write_text(MYPY, encoding="utf-8")
     options = ["--config-file", str(config), "--cache-dir", str(folder / "mypy")]
     found: list[Extension] = mypycify([*options, *modules], target_dir=str(folder), group_name=NATIVE)
-    for path in folder.rglob("__native_internal*.h"):  # the last that mypyc's C includes
-        with path.open("a", encoding="utf-8") as header:
-            header.write(f'#include "{(ROOT / QUICK).as_posix()}"\n')
-    unlikely = folder / "unlikely.h"
-    unlikely.write_text(UNLIKELY, encoding="ascii")
-    gc.freeze()  # mypy leaves so much that to collect it when the process ends takes longer than mypy did
     for extension in found:
         extension.extra_compile_args = [*c_flags(os.environ.get("HEXJET_OPTIMISATION", "-O2")), "-g0", "-w", *DIRECT]
-        if os.name != "nt":
-            extension.extra_compile_args += ["-include", str(unlikely)]
         extension.extra_link_args = list(SYMBOLIC)
     return found
 
