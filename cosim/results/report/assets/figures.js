@@ -56,7 +56,7 @@
   };
   const tickText = (value, step) => {
     if (value === 0) return "0";
-    if (Math.abs(value) >= 1e6 || Math.abs(value) < 1e-4) return value.toExponential().replace(/(\.\d{4})\d+/, "$1").replace("e+", "e").replace("-", "−");
+    if (Math.abs(value) >= 1e6 || Math.abs(value) < 1e-4) return Number(value.toPrecision(4)).toExponential().replace("e+", "e").replaceAll("-", "−");
     const text = step ? value.toFixed(Math.max(0, Math.min(10, -Math.floor(Math.log10(step) + 1e-9)))) : String(Number(value.toPrecision(6)));
     return text.replace("-", "−");
   };
@@ -242,12 +242,20 @@
         margin.l = Math.max(axis.about.title ? 64 : 20, Math.min(0.45 * this.width, 16 + CHARACTER * most));
       }
       this.margin = margin;
-      const inner = { x: this.width - margin.l - margin.r, y: this.height - margin.t - margin.b };
-      for (const axis of Object.values(this.axes)) {
-        const [low, high] = axis.about.domain || [0, 1];
-        if (axis.letter === "x") [axis.from, axis.to] = [margin.l + low * inner.x, margin.l + high * inner.x];
-        else [axis.from, axis.to] = [margin.t + (1 - low) * inner.y, margin.t + (1 - high) * inner.y];
+      const put = (letter) => {
+        const [start, inner] = letter === "x" ? [margin.l, this.width - margin.l - margin.r] : [margin.t, this.height - margin.t - margin.b];
+        for (const axis of Object.values(this.axes)) if (axis.letter === letter) {
+          const [from, to] = (axis.about.domain || [0, 1]).map((end) => start + (letter === "x" ? end : 1 - end) * inner);
+          Object.assign(axis, { from, to });
+        }
+      };
+      put("y");
+      for (const axis of Object.values(this.axes)) {  // long numbers make room for themselves
+        if (axis.letter !== "y" || axis.categories) continue;
+        axis.beside = Math.max(50, 16 + 7.6 * Math.max(0, ...axis.ticks().map((tick) => tick.text.length)));
+        if (!((this.axes[axis.about.anchor || "x"] || axis).about.domain || [0])[0]) margin.l = Math.max(margin.l, axis.beside + 12);
       }
+      put("x");
       for (const axis of Object.values(this.axes)) {  // one scale both ways
         const other = this.axes[axis.about.scaleanchor];
         if (!other) continue;
@@ -289,7 +297,7 @@
           if (named) text((axis.from + axis.to) / 2, other.from + 21 + LINE * (labelled ? deep : 0), named, "middle", 'class="title"');
         } else {
           if (labelled) for (const tick of ticks) text(other.from - 6, axis.at(tick.even) + 4 - LINE * (lines(tick.text).length - 1) / 2, tick.text, "end");
-          if (named) { const at = [other.from - 50, (axis.from + axis.to) / 2]; text(...at, named, "middle", `class="title" transform="rotate(-90 ${at[0].toFixed(1)} ${at[1].toFixed(1)})"`); }
+          if (named) { const at = [other.from - (axis.beside || 50), (axis.from + axis.to) / 2]; text(...at, named, "middle", `class="title" transform="rotate(-90 ${at[0].toFixed(1)} ${at[1].toFixed(1)})"`); }
         }
       }
       this.pairs.forEach((pair, n) => {
