@@ -32,7 +32,7 @@ from cosim.design import design as make
 from cosim.design.as_flown import WORSE
 from cosim.design.controller_table import controller_table, proof_record
 from cosim.design.design import Design
-from cosim.design.levels import AXES, DESIGNED, at_share
+from cosim.design.levels import DESIGNED, THRUST_AXES, at_share
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
@@ -242,7 +242,7 @@ def heavier(name: str) -> str:
     begin = make._begin(path, channels(scenario, vehicle, spec, actuator), scenario.aircraft, vehicle, spec)
     plan = load_vehicle(made.aircraft, read_controller(path).vehicle)[0].control.schedule
     assert plan
-    full = {axis: begin[axis][1.0] for axis in AXES}
+    full = {axis: begin[axis][1.0] for axis in THRUST_AXES}
     rows = []
     for level in make._levels(scenario, vehicle, spec, actuator, None, (), lambda text: None):
         if level.fuel not in DESIGNED:

@@ -183,7 +183,7 @@ class Store:
 
         Raises FlightError if it cannot be written; what was finished before is kept.
         """
-        number = _number(row)
+        number = _flight_number(row)
         if number in self.done:
             return
         # in memory first: Ctrl-C may come between any two lines, and what only the journal has is not put into a part
@@ -205,7 +205,7 @@ class Store:
     @property
     def kept(self) -> int:
         """How many flights the folder has when it is closed; the last may be held and not noted yet, if Ctrl-C came."""
-        return len(self.done) + sum(_number(row) not in self.done for row in self._rows[-1:])
+        return len(self.done) + sum(_flight_number(row) not in self.done for row in self._rows[-1:])
 
     def flush(self) -> None:
         """Put what is in the journal into the last part.  Raises FlightError if it cannot be written."""
@@ -259,20 +259,20 @@ class Store:
             if len(last) < PART_ROWS:
                 self._part, self._rows, self._written = self._part - 1, last, len(last)
         for row in _journal(self.folder, len(self.flights)):
-            if _number(row) not in self.done:
+            if _flight_number(row) not in self.done:
                 self._check_draws([row])
                 self._note(row)
                 self._rows.append(row)
         self.flush()
 
     def _note(self, row: Row) -> None:
-        self.done.add(_number(row))
+        self.done.add(_flight_number(row))
         self.tally.add(str(row["controller"]), bool(row["success"]), str(row["outcome"]))
 
     def _check_draws(self, rows: list[Row]) -> None:
         """Refuse to go on where the flights left would not be those of the same study."""
         for row in rows[-_CHECKED:]:
-            flight = self.flights[_number(row)]
+            flight = self.flights[_flight_number(row)]
             for key, value in {**flight.values, "seed": flight.seed, "controller": flight.controller}.items():
                 if row.get(key) != value:
                     raise InputError(
@@ -332,7 +332,7 @@ class _Columns(Mapping[str, list[Value]]):
     def __init__(self, folder: Path, known: Kinds, of: int) -> None:
         self._names = tuple(known)
         # the journal first: what leaves it meanwhile is in a part by then
-        loose = {_number(row): row for row in _journal(folder, of)}
+        loose = {_flight_number(row): row for row in _journal(folder, of)}
         self._parts = [(path, read_table(path, ("flight",))["flight"]) for path in _parts(folder)]
         numbers = [number for _, held in self._parts for number in held]
         held_in_parts = set(numbers)
@@ -441,7 +441,7 @@ def _append(file: int, path: Path, line: str) -> None:
         raise FlightError(f"{path}: {one_line(error)}") from error
 
 
-def _number(row: Row) -> int:
+def _flight_number(row: Row) -> int:
     number = row["flight"]
     assert isinstance(number, int)
     return number

@@ -11,15 +11,16 @@ from typing import Any
 import numpy as np
 
 from cosim.base.errors import InputError
+from cosim.base.signals import AXES
 from cosim.base.storage.toml import (
     merge,
     parse_setting,
     set_path,
 )
 from cosim.control.predictors.registry import BASELINE, PREDICTORS, SMITH
-from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import (
     DESIGNED,
+    THRUST_AXES,
     Level,
     at_share,
     follow,
@@ -52,7 +53,7 @@ from cosim.spec.vehicle import (
     read_models,
 )
 
-AXES = ("roll", "pitch", "yaw", "altitude")
+CHANNELS = (*AXES, "altitude")
 SWING = 0.005  # of the throttle, around hover: what an engine's limits on its acceleration do not see
 ABOVE_REST = 2.0  # times the thrust's own movement at rest, where a mapping file states one
 MISFIT = 0.005  # of one lag and a delay, above which more is fitted
@@ -66,8 +67,10 @@ Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Margins:
-    """Of the loop broken at the plant's input, attitude and rate loop closed; None where nothing is crossed."""
+class LeastMargins:
+    """The shorter of each pair of :class:`LoopMargins`, as a design states it.
+
+    Of the loop broken at the plant's input, attitude and rate loop closed; None where nothing is crossed."""
 
     gain_db: float | None  # least factor up to instability
     gain_down_db: float | None  # least factor down to it
@@ -82,7 +85,7 @@ class Assessment:
     controller: str
     tuning: Tuning
     stable: bool
-    margins: Margins | None
+    margins: LeastMargins | None
     peak_sensitivity: float | None
     bandwidth_hz: float | None
     tolerated: float | None  # times the tolerances until instability
@@ -214,7 +217,7 @@ def design(
     begin = None if start is None else _begin(start, plants, scenario.aircraft, vehicle, spec)
     asked = _Asked(vehicle, spec, names, need, source, lead, firmware, say)
     axes: dict[str, AxisDesign] = {}
-    for axis in AXES:
+    for axis in CHANNELS:
         roll = axes["roll"].after if axes else None
         chosen = roll.tuning if roll else None
         if begin is None:
@@ -268,19 +271,19 @@ def _burn(
     full = {
         axis: axis_design.after.tuning
         for axis, axis_design in axes.items()
-        if axis in LEVELLED and axis_design.after is not None
+        if axis in THRUST_AXES and axis_design.after is not None
     }
     step = axes["roll"].channel.step
-    fits = all(keeps(level.channels[axis], full[axis], needed(axis, need)) for level in levels for axis in LEVELLED)
+    fits = all(keeps(level.channels[axis], full[axis], needed(axis, need)) for level in levels for axis in THRUST_AXES)
     held = [
-        {axis: assess(level.channels[axis], full[axis], needed(axis, need)) for axis in LEVELLED} for level in levels
+        {axis: assess(level.channels[axis], full[axis], needed(axis, need)) for axis in THRUST_AXES} for level in levels
     ]
-    known = {axis: dict((begin or {}).get(axis, {})) for axis in LEVELLED}
+    known = {axis: dict((begin or {}).get(axis, {})) for axis in THRUST_AXES}
     designed = {*DESIGNED, *(fuel for of in known.values() for fuel in of)}
     while True:
         plan: Schedule | None = None
         if scheduled and not fits:
-            for axis in LEVELLED:
+            for axis in THRUST_AXES:
                 say(f"{axis}: with less fuel")
                 own = follow(axis, levels, full[axis], needed(axis, need), known[axis], designed)
                 if own is None:
@@ -292,8 +295,8 @@ def _burn(
             acting, after = full, before
             if plan:
                 acting = at_share(plan, full, level.share, step)
-                after = {axis: assess(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
-            kept = {axis: keeps(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
+                after = {axis: assess(level.channels[axis], acting[axis], needed(axis, need)) for axis in THRUST_AXES}
+            kept = {axis: keeps(level.channels[axis], acting[axis], needed(axis, need)) for axis in THRUST_AXES}
             burning.append(LevelDesign(level, level.fuel in designed, before, after, kept))
         missed = {level.level.fuel for level in burning if plan and not all(level.kept.values())}
         if missed <= designed:
@@ -316,11 +319,11 @@ def _begin(
     plan = designed.control.schedule
     if plan and designed.fuel:
         step = plants["roll"].step
-        full = {axis: tunings[axis][1.0] for axis in LEVELLED}
+        full = {axis: tunings[axis][1.0] for axis in THRUST_AXES}
         fuels = [level.fuel for level in file.design.levels if level.designed]
         for level, fuel in zip(reversed(plan.level), fuels, strict=False):
             there = at_share(plan, full, level.share, step)
-            for axis in LEVELLED:
+            for axis in THRUST_AXES:
                 tunings[axis][fuel] = there[axis]
     return tunings
 
@@ -480,7 +483,7 @@ def shipped(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
         )
         return Tuning(BASELINE.name, own.position_1_s, gains, control.predictor, channel.model("none"), lead)
     gains = getattr(control.rate, channel.name)
-    angle = control.attitude.gain_1_s[AXES.index(channel.name)]
+    angle = control.attitude.gain_1_s[CHANNELS.index(channel.name)]
     model = vehicle.identified.get(spec.family, {}).get(channel.name)  # type: ignore[call-overload]
     if model is None or not spec.owns(model.engine_sha256) or abs(model.sample_time_s - channel.step) > 1e-9:
         return Tuning(BASELINE.name, angle, gains, control.predictor, channel.model("none"), lead)
@@ -511,12 +514,12 @@ def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
     )
 
 
-def margins(closed: ClosedLoop) -> Margins:
+def margins(closed: ClosedLoop) -> LeastMargins:
     """Return what is kept of a loop's margins: of lag and lead the less, lead with a minus."""
     found = closed.margins
     lag, lead = found.phase_deg, found.phase_lead_deg
     turns = [turn for turn in (lag, None if lead is None else -lead) if turn is not None]
-    return Margins(found.gain_db, found.gain_down_db, min(turns, key=abs, default=None), found.delay_s)
+    return LeastMargins(found.gain_db, found.gain_down_db, min(turns, key=abs, default=None), found.delay_s)
 
 
 def _limits(channel: Channel, after: Assessment, need: Requirements, lead: EngineLead | None) -> dict[str, float]:

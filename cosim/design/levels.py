@@ -31,7 +31,7 @@ from cosim.spec.vehicle import (
 DESIGNED = (1.0, 0.5, 0.0)  # of the fuel, at first
 PROVED = (1.0, 0.75, 0.5, 0.25, 0.0)  # where a requirement is missed between levels, one is designed there too
 FILTER_S = 2.0  # chosen: slow beside what the loops answer in, fast beside what fuel and payload change in
-AXES = ("roll", "altitude")  # that engines answer: a tilt means the same moment at every thrust
+THRUST_AXES = ("roll", "altitude")  # that engines answer: a tilt means the same moment at every thrust
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def levels(
         there = vehicle.with_fuel(fuel)
         own = channels(scenario, there, spec, dynamics(there))
         full = designed[0].channels if designed else own
-        kept = {axis: full[axis] if full[axis].by_servo else own[axis] for axis in AXES}
+        kept = {axis: full[axis] if full[axis].by_servo else own[axis] for axis in THRUST_AXES}
         designed.append(Level(fuel, there.mass_kg, hover_share(there, spec), kept))
     return designed
 

@@ -208,8 +208,8 @@ def _firmware_lines(design: Design, firmware: Firmware) -> list[str]:
             more = "" if m.delay_s is None else f", {1e3 * m.delay_s:.1f} ms more delay"
             less = None if m.gain_down_db is None else -m.gain_down_db
             lines.append(
-                f"{axis}: it takes {_number(m.gain_db, 1)} dB more gain, {_number(less, 1)} dB less, "
-                f"{_number(m.phase_deg, 1)} deg of phase{more} until it is unstable"
+                f"{axis}: it takes {_decimals(m.gain_db, 1)} dB more gain, {_decimals(less, 1)} dB less, "
+                f"{_decimals(m.phase_deg, 1)} deg of phase{more} until it is unstable"
             )
     return lines
 
@@ -451,17 +451,17 @@ def _cells(state: Assessment, channel: Channel) -> list[str]:
     m = state.margins
     return [
         *first,
-        _number(state.peak_sensitivity, 2),
-        _number(m.gain_db, 1),
-        _number(m.gain_down_db, 1),
-        _number(m.phase_deg, 1),
-        _number(None if m.delay_s is None else 1e3 * m.delay_s, 0),
-        _number(state.bandwidth_hz, 2),
-        _number(None if state.overshoot is None else 100.0 * state.overshoot, 1),
-        f"> {window_s(channel):.2g}" if state.settling_s is None else _number(state.settling_s, 2),
-        _number(state.tolerated, 2),
+        _decimals(state.peak_sensitivity, 2),
+        _decimals(m.gain_db, 1),
+        _decimals(m.gain_down_db, 1),
+        _decimals(m.phase_deg, 1),
+        _decimals(None if m.delay_s is None else 1e3 * m.delay_s, 0),
+        _decimals(state.bandwidth_hz, 2),
+        _decimals(None if state.overshoot is None else 100.0 * state.overshoot, 1),
+        f"> {window_s(channel):.2g}" if state.settling_s is None else _decimals(state.settling_s, 2),
+        _decimals(state.tolerated, 2),
     ]
 
 
-def _number(value: float | None, digits: int) -> str:
+def _decimals(value: float | None, digits: int) -> str:
     return "–" if value is None else f"{value:.{digits}f}"

@@ -315,7 +315,7 @@ def digits(value: float) -> Digits:
     return int(mantissa.replace(".", "")), int(power) - 2
 
 
-def _number(number: Digits) -> float:
+def _to_float(number: Digits) -> float:
     return float(f"{number[0]}e{number[1]}")
 
 
@@ -343,8 +343,8 @@ def _searched(tuning: Tuning, predictor: bool) -> dict[str, float]:
 
 def _written(start: Tuning, values: Mapping[str, Digits], step: float, level: bool) -> Tuning:
     """``start`` with numbers of three digits in place of those that were searched."""
-    tuning = _with(start, {name: _number(number) for name, number in values.items()}, step, level)
-    smooth = _number(digits(tuning.gains.d_filter_s))
+    tuning = _with(start, {name: _to_float(number) for name, number in values.items()}, step, level)
+    smooth = _to_float(digits(tuning.gains.d_filter_s))
     if tuning.firmware is not None:
         smooth = tuning.firmware.smooth(smooth)
     return tuning if level else replace(tuning, gains=tuning.gains.model_copy(update={"d_filter_s": smooth}))

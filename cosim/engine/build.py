@@ -141,7 +141,7 @@ def _engine(folder: Path, data: dict[str, Any]) -> Engine:
         )
     needed = {"title", "description", "sources", "internal_step_s", "ports", "variables"}
     _keys("", data, needed | {"ledger", "rotor", "flame_out"}, needed)
-    step = _number("internal_step_s", data["internal_step_s"])
+    step = _finite_number("internal_step_s", data["internal_step_s"])
     if not step > 0.0:
         raise _WrongError(f"internal_step_s = {step}: must be above 0")
     variables = tuple(_variable(key, i, table) for i, (key, table) in enumerate(data["variables"].items(), start=1))
@@ -153,7 +153,7 @@ def _engine(folder: Path, data: dict[str, Any]) -> Engine:
         _need_variable(variables, port, variable, *PORTS[port])
     for entry, variable in ledger.items():
         _need_variable(variables, entry, variable, "parameter")
-    inertia = _number("rotor.inertia_kg_m2", rotor.get("inertia_kg_m2", 0.0))
+    inertia = _finite_number("rotor.inertia_kg_m2", rotor.get("inertia_kg_m2", 0.0))
     if inertia < 0.0:
         raise _WrongError(f"rotor.inertia_kg_m2 = {inertia}: must not be below 0")
     law = _flame_out(data["flame_out"]) if "flame_out" in data else {}
@@ -175,7 +175,7 @@ def _flame_out(table: dict[str, Any]) -> dict[str, float]:
             raise _WrongError(f"flame_out.electric = {table['electric']!r}: allowed: true")
         return {"electric": True}
     _keys("flame_out", table, {*FLAME_OUT, "electric"}, set(FLAME_OUT))
-    numbers = {key: _number(f"flame_out.{key}", table[key]) for key in FLAME_OUT}
+    numbers = {key: _finite_number(f"flame_out.{key}", table[key]) for key in FLAME_OUT}
     for key, value in numbers.items():
         if key == "thrust_left" and not 0.0 <= value <= 1.0:
             raise _WrongError(f"flame_out.{key} = {value}: must be from 0 to 1")
@@ -216,7 +216,7 @@ def _variable(name: str, reference: int, table: dict[str, Any]) -> Variable:
     if unit is not None and unit not in UNITS:
         raise _WrongError(f"{where}.unit = {unit!r}: allowed: {', '.join(UNITS)}")
     low, high, start = (
-        _number(f"{where}.{key}", table[key]) if key in table else None for key in ("min", "max", "start")
+        _finite_number(f"{where}.{key}", table[key]) if key in table else None for key in ("min", "max", "start")
     )
     if (start is None) != (causality == "output"):
         raise _WrongError(f"{where}: inputs and parameters have a start, outputs have none")
@@ -238,7 +238,7 @@ def _keys(where: str, table: Mapping[str, Any], allowed: set[str], needed: set[s
         raise _WrongError(f"{prefix}{key} is missing")
 
 
-def _number(where: str, value: Any) -> float:
+def _finite_number(where: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or abs(value) > 1e300 or value != value:
         raise _WrongError(f"{where} = {value!r}: must be a finite number")
     return float(value)

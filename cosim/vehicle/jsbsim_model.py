@@ -198,7 +198,7 @@ def _mass_balance(masses: ET.Element, model: Path) -> None:
             ET.SubElement(masses, tag, unit=unit).text = "0"
     _placed(_named(masses, "location", "CG"))
     for mass in masses.findall("pointmass"):
-        if mass.get("name") != PAYLOAD and _number(mass.find("weight"), model):
+        if mass.get("name") != PAYLOAD and _element_number(mass.find("weight"), model):
             raise InputError(
                 f"{model}: pointmass {mass.get('name')}: mass_kg in vehicle.toml is the whole vehicle's; leave it out"
             )
@@ -215,10 +215,10 @@ def _shift(root: ET.Element, model: Path) -> None:
     """Put the origin of every place in the model at its centre of gravity, and what is felt and what disturbs there."""
     cg = _child(root, "mass_balance/location[@name='CG']")
     unit = _inches(cg, model)
-    origin = [_number(cg.find(axis), model) * unit for axis in "xyz"]
+    origin = [_element_number(cg.find(axis), model) * unit for axis in "xyz"]
     here = [_child(root, f"metrics/location[@name='{name}']") for name in ("EYEPOINT", "VRP")]
     here += root.findall("external_reactions/force[@name='push']/location")
-    if not any(origin) and not any(_number(element, model) for location in here for element in location):
+    if not any(origin) and not any(_element_number(element, model) for location in here for element in location):
         return
     for location in root.iter("location"):
         scale = _inches(location, model)
@@ -226,12 +226,12 @@ def _shift(root: ET.Element, model: Path) -> None:
         for axis, shift in zip("xyz", origin, strict=True):
             element = location.find(axis)
             if element is not None:
-                element.text = repr(_number(element, model) * scale - shift)
+                element.text = repr(_element_number(element, model) * scale - shift)
     for element in (element for location in here for element in location):
         element.text = "0"
 
 
-def _number(element: ET.Element | None, model: Path) -> float:
+def _element_number(element: ET.Element | None, model: Path) -> float:
     """Return what an element states, 0 where it is not there or empty.  Raises InputError where it is no number."""
     text = "" if element is None else (element.text or "").strip()
     try:

@@ -169,7 +169,7 @@ def key_rows(study: Study, table: FlightTable) -> list[dict[str, str]]:
             {
                 "path": vary.key,
                 "drawn": drawn_from(vary),
-                "nominal": NONE if nominal is None else _number(nominal),
+                "nominal": NONE if nominal is None else _value_text(nominal),
                 "observed": NONE if key is None else _observed_range(key),
                 "unit": "" if key is None else key.unit,
             }
@@ -194,7 +194,7 @@ def drawn_from(vary: Vary) -> str:
 
 def _distribution(vary: Vary) -> str:
     if vary.values is not None:
-        return f"one of {', '.join(map(_number, vary.values))}"
+        return f"one of {', '.join(map(_value_text, vary.values))}"
     if vary.range is not None:
         span = f"{vary.range[0]:g} to {vary.range[1]:g}"
         if vary.levels is not None:
@@ -219,7 +219,7 @@ def _bounds(low: float | None, high: float | None) -> str:
     return f", cut off below {low:g}" if high is None else f", cut off outside {low:g} to {high:g}"
 
 
-def _number(value: Any) -> str:
+def _value_text(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -11,8 +11,7 @@ from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.design.design import dynamics_of, identify_there, shipped
-from cosim.design.levels import AXES as LEVELLED
-from cosim.design.levels import at_share
+from cosim.design.levels import THRUST_AXES, at_share
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, hover_share
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
@@ -59,10 +58,10 @@ def plants_of(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Plants 
 
 def tunings_of(plants: Plants, scenario: Scenario, vehicle: Vehicle, axes: Sequence[str]) -> dict[str, Tuning]:
     """Return what flies on the axes, with the schedule's gains where the vehicle has one."""
-    tunings = {axis: _tuning(plants.channels[axis], scenario, vehicle, plants.spec) for axis in (*LEVELLED, *axes)}
+    tunings = {axis: _tuning(plants.channels[axis], scenario, vehicle, plants.spec) for axis in (*THRUST_AXES, *axes)}
     plan = vehicle.control.schedule
     if plan:
-        levelled = {axis: tunings[axis] for axis in LEVELLED}
+        levelled = {axis: tunings[axis] for axis in THRUST_AXES}
         tunings |= at_share(plan, levelled, plants.share, scenario.step_s)
     return tunings
 

@@ -451,7 +451,7 @@ def _elements(v: Any, bases: Mapping[str, Unit]) -> list[Variable]:
     shape = tuple(v.shape or ())
     size = math.prod(shape)
     texts = (v.start or "").split() if shape else [v.start]
-    starts = [_number(text) for text in texts]
+    starts = [parse_number(text) for text in texts]
     if shape and len(starts) != size:
         starts = (starts or [None]) * size if len(starts) < 2 else []
     if not shape:
@@ -467,7 +467,8 @@ def _elements(v: Any, bases: Mapping[str, Unit]) -> list[Variable]:
 
 def _variable(v: Any, name: str, index: int, starts: list[float | None], bases: Mapping[str, Unit]) -> Variable:
     declared = v.declaredType
-    low, high = (_number(getattr(v, key) or (getattr(declared, key) if declared else None)) for key in ("min", "max"))
+    limits = (getattr(v, key) or (getattr(declared, key) if declared else None) for key in ("min", "max"))
+    low, high = map(parse_number, limits)
     unit = v.unit or (declared.unit if declared else None)
     return Variable(
         name=name,
@@ -488,7 +489,8 @@ def _variable(v: Any, name: str, index: int, starts: list[float | None], bases: 
     )
 
 
-def _number(text: str | None) -> float | None:
+def parse_number(text: str | None) -> float | None:
+    """Return a number as a model description has it, a Boolean as 1 or 0; None for no text."""
     if text is None:
         return None
     return float({"true": "1", "false": "0"}.get(text, text))

@@ -33,7 +33,7 @@ from cosim.base.runtime.processes import python_command
 from cosim.base.signals import MOST_JETS
 from cosim.base.storage.scratch import temporary
 from cosim.base.storage.toml import read_toml
-from cosim.engine.fmu.archive import platform_folder
+from cosim.engine.fmu.archive import parse_number, platform_folder
 from cosim.engine.fmu.container import DAMAGE, UnusableError, Zip, fmi_of, one_line, open_archive, parse, read_bytes
 from cosim.engine.fmu.description import describe
 from cosim.engine.fmu.ports import plain
@@ -217,11 +217,11 @@ def describing(fmu: ControllerFmu) -> dict[str, Any]:
         "parameters": [
             [
                 _word(v),
-                _number(v.start),
+                _number_or(v.start),
                 v.unit or "",
                 v.description or "",
-                _number(v.min, -1e308),
-                _number(v.max, 1e308),
+                _number_or(v.min, -1e308),
+                _number_or(v.max, 1e308),
             ]
             for v in fmu.parameters
         ],
@@ -234,8 +234,9 @@ def _word(v: Any) -> str:
     return "".join(c if c.isascii() and c.isalnum() else "_" for c in v.name)
 
 
-def _number(text: str | None, otherwise: float = 0.0) -> float:
-    return otherwise if text is None else float({"true": "1", "false": "0"}.get(text, text))
+def _number_or(text: str | None, otherwise: float = 0.0) -> float:
+    number = parse_number(text)
+    return otherwise if number is None else number
 
 
 def serve(path: str) -> None:

@@ -33,8 +33,7 @@ from cosim.design.design import (
     needed,
     shipped,
 )
-from cosim.design.levels import AXES as LEVELLED
-from cosim.design.levels import at_share, keeps
+from cosim.design.levels import THRUST_AXES, at_share, keeps
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, engine_lead
 from cosim.design.loop.tuning import Tuning
@@ -146,10 +145,10 @@ def test_a_stored_schedule_is_what_todays_command_makes(name: str) -> None:
     found = _levels(scenario, vehicle, spec, actuator, None, (), lambda text: None)
     plan = load_vehicle(made.aircraft, read_controller(DESIGNS / f"{name}.toml").vehicle)[0].control.schedule
     assert plan
-    full = {axis: begin[axis][1.0] for axis in LEVELLED}
+    full = {axis: begin[axis][1.0] for axis in THRUST_AXES}
     for level, record in zip(found, made.levels, strict=True):
         assert level.share == pytest.approx(record.share, rel=1e-4)
-        for axis in LEVELLED:
+        for axis in THRUST_AXES:
             asked = needed(axis, made.requirements)
             held = assess(level.channels[axis], begin[axis][1.0], asked)
             assert record.held.get(axis) == pytest.approx(held.peak_sensitivity, rel=1e-3)
