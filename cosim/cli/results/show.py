@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -16,6 +16,9 @@ from cosim.cli.console import say, show_table
 from cosim.cli.options import DONE, example
 from cosim.cli.results.runs import KINDS, catalogue
 from cosim.cli.trust import looks
+
+if TYPE_CHECKING:
+    from cosim.spec.vehicle import Vehicle
 
 _UNITS = {  # what a key ends with, the longest first
     "_kg_m2": "kg m^2", "_rad_s": "rad/s", "_samples": "samples", "_percent": "%", "_N_m": "N m", "_m_s": "m/s",
@@ -139,6 +142,42 @@ def _aircraft(name: str) -> Iterator[Number]:
         if product:
             yield Number(f"product {pair}", product, "kg m^2", f"integral of {pair} over the mass")
     yield Number("jets", jets, "", "engines" + ("" if vehicle.servo is None else " on two tilting banks"))
+    yield from _hinges(vehicle)
+    for surface in vehicle.surfaces:
+        yield Number(f"surface {surface.name}", surface.range[1], "", f"the most, {surface.range[0]:g} the least")
+    arms = [(max(abs(jet.position_m[n]) for jet in vehicle.jets), word) for n, word in ((1, "sideways"), (0, "ahead"))]
+    for arm, word in arms:
+        yield Number(f"arm {word}", arm, "m", "of the farthest jet from the centre of gravity")
+    yield Number("hover thrust", weight / jets, "N", "of each jet: weight over jets")
+    if vehicle.engine is not None:
+        yield from _thrusts(vehicle, weight)
+    if vehicle.servo is not None:
+        yield Number("tilt range", vehicle.servo.range_rad, "rad", "of a bank, either way from straight up")
+        yield Number("tilt rate", vehicle.servo.rate_limit_rad_s, "rad/s", "the fastest that a bank turns")
+        yield Number("tilt lag", vehicle.servo.lag_s, "s", "of the first-order servo")
+    if vehicle.fuel is not None:
+        yield Number("fuel", vehicle.fuel.mass_kg, "kg", "in the tank at the start, part of the mass")
+    yield Number("span", vehicle.aero.span_m, "m", "by which turbulence and limits are scaled")
+    for axis, area in zip("xyz", vehicle.aero.drag_area_m2, strict=True):
+        yield Number(f"drag area {axis}", area, "m^2", f"drag coefficient times area along {axis}")
+    yield from _dead_times(vehicle)
+
+
+def _dead_times(vehicle: Vehicle) -> Iterator[Number]:
+    """Yield the dead time of each identified model."""
+    for engine, axes in vehicle.identified.items():
+        for axis, model in axes.items():
+            late = model.delay_samples * model.sample_time_s
+            yield Number(
+                f"dead time, {axis}, {engine}",
+                late,
+                "s",
+                "of the identified model from command to rate, beside its lags",
+            )
+
+
+def _hinges(vehicle: Vehicle) -> Iterator[Number]:
+    """Yield the range of each hinge, and what it moves."""
     for hinge in vehicle.hinges:
         moved = [f"carries {', '.join(map(str, hinge.carries))}"] if hinge.carries else []
         moved += [f"deflects {', '.join(map(str, hinge.deflects))}"] if hinge.deflects else []
@@ -149,40 +188,20 @@ def _aircraft(name: str) -> Iterator[Number]:
         else:
             yield Number(name, most, "rad", f"the most; {motion}")
             yield Number(f"{name}, least", least, "rad", "the other end of its range")
-    for surface in vehicle.surfaces:
-        yield Number(f"surface {surface.name}", surface.range[1], "", f"the most, {surface.range[0]:g} the least")
-    arms = [(max(abs(jet.position_m[n]) for jet in vehicle.jets), word) for n, word in ((1, "sideways"), (0, "ahead"))]
-    for arm, word in arms:
-        yield Number(f"arm {word}", arm, "m", "of the farthest jet from the centre of gravity")
-    yield Number("hover thrust", weight / jets, "N", "of each jet: weight over jets")
-    if vehicle.engine is not None:
-        kinds = [jet.engine or vehicle.engine for jet in vehicle.jets]
-        full = {kind: _loaded(kind).curve.thrust[-1] for kind in dict.fromkeys(kinds)}
-        yield Number("engine", vehicle.engine, "", "what it is made for")
-        for kind, thrust in full.items():
-            at = ", ".join(str(number) for number, other in enumerate(kinds, 1) if other == kind)
-            name, of = ("full thrust", "") if len(full) == 1 else (f"full thrust, {kind}", f"; jets {at}")
-            yield Number(name, thrust, "N", f"of one engine at rest, at full throttle{of}")
-        total = sum(full[kind] for kind in kinds)
-        yield Number("thrust to weight", total / weight, "", "all engines at full throttle")
-    if vehicle.servo is not None:
-        yield Number("tilt range", vehicle.servo.range_rad, "rad", "of a bank, either way from straight up")
-        yield Number("tilt rate", vehicle.servo.rate_limit_rad_s, "rad/s", "the fastest that a bank turns")
-        yield Number("tilt lag", vehicle.servo.lag_s, "s", "of the first-order servo")
-    if vehicle.fuel is not None:
-        yield Number("fuel", vehicle.fuel.mass_kg, "kg", "in the tank at the start, part of the mass")
-    yield Number("span", vehicle.aero.span_m, "m", "by which turbulence and limits are scaled")
-    for axis, area in zip("xyz", vehicle.aero.drag_area_m2, strict=True):
-        yield Number(f"drag area {axis}", area, "m^2", f"drag coefficient times area along {axis}")
-    for engine, axes in vehicle.identified.items():
-        for axis, model in axes.items():
-            late = model.delay_samples * model.sample_time_s
-            yield Number(
-                f"dead time, {axis}, {engine}",
-                late,
-                "s",
-                "of the identified model from command to rate, beside its lags",
-            )
+
+
+def _thrusts(vehicle: Vehicle, weight: float) -> Iterator[Number]:
+    """Yield what the engines give that it is made for; ``weight`` in N."""
+    assert vehicle.engine is not None
+    kinds = [jet.engine or vehicle.engine for jet in vehicle.jets]
+    full = {kind: _loaded(kind).curve.thrust[-1] for kind in dict.fromkeys(kinds)}
+    yield Number("engine", vehicle.engine, "", "what it is made for")
+    for kind, thrust in full.items():
+        at = ", ".join(str(number) for number, other in enumerate(kinds, 1) if other == kind)
+        name, of = ("full thrust", "") if len(full) == 1 else (f"full thrust, {kind}", f"; jets {at}")
+        yield Number(name, thrust, "N", f"of one engine at rest, at full throttle{of}")
+    total = sum(full[kind] for kind in kinds)
+    yield Number("thrust to weight", total / weight, "", "all engines at full throttle")
 
 
 def _engine(name: str) -> Iterator[Number]:
