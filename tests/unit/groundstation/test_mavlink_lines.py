@@ -192,7 +192,7 @@ def test_lists_and_telemetry_take_turns(bench: Bench) -> None:
     sizes: Counter[bool] = Counter()
     for at, _, frame in wire.frames:
         if at > since:
-            sizes[frame[7] == data.message_id] += len(frame)
+            sizes[frame[7] == data.get_msgId()] += len(frame)
     assert sizes[True] == pytest.approx(sizes[False], rel=0.05)
     assert sizes.total() == pytest.approx(20.0 * 5760.0, rel=0.02)  # and the line is full
 

@@ -90,7 +90,7 @@ class Parser:
         signed = bool(flags & SIGNED)
         if self._signing is not None:
             # a radio at the vehicle's end of a cable puts its own word in, and has no key
-            of_radio = message.id == RADIO_STATUS and not self._whole
+            of_radio = message.get_msgId() == RADIO_STATUS and not self._whole
             reason = self._signing.refuse(raw, system, component) if signed else "" if of_radio else "unsigned"
             if reason:
                 return reason, None

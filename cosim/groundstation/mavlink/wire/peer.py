@@ -172,7 +172,7 @@ class Peer:
 
     def stream(self, packed: Message, place: int = 0) -> None:
         """Telemetry: in place of the one before that still waits; ``place``: which, of several of the same message."""
-        key = (packed.id, place)
+        key = (packed.get_msgId(), place)
         if key in self._telemetry:
             self.dropped += 1
         self._telemetry[key] = packed
