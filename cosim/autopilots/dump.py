@@ -1,4 +1,4 @@
-"""A vehicle to one of the autopilots: its parameters as text, and what its torques are."""
+"""A vehicle's parameters as text for one of the autopilots, and the scale of that autopilot's torques."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def parameters_of(autopilot: str, vehicle: Vehicle, step: float, target: str = "
 
 
 def torque_of(autopilot: str, vehicle: Vehicle) -> Vector3:
-    """What a torque of 1 is to an autopilot: throttle about roll, rad of tilt (or throttle) about pitch and yaw.
+    """Return what a torque of 1 is to an autopilot: throttle about roll, rad of tilt (or throttle) about the others.
 
     Raises InputError for a vehicle that is flown by effectiveness.
     """

@@ -21,7 +21,7 @@ _HEAD = Struct("<BBBBBBBHB")
 
 
 class Kind(NamedTuple):
-    """A message: its number, its payload, and the byte of its definition that goes into the checksum."""
+    """One kind of message: its number, its payload, and the byte of its definition that goes into the checksum."""
 
     number: int
     payload: Struct
@@ -42,13 +42,13 @@ KINDS = {
 
 
 class Writer:
-    """Frames of one sender."""
+    """Writer of one sender's frames."""
 
     def __init__(self, system: int = 1, component: int = 200) -> None:
         self._system, self._component, self._sequence = system, component, 0
 
     def frame(self, kind: Kind, *values: float | int) -> bytes:
-        """The next frame; ``values`` in the order of the payload."""
+        """Return the next frame; ``values`` in the order of the payload."""
         payload = kind.payload.pack(*values).rstrip(b"\0") or b"\0"
         number = kind.number
         head = _HEAD.pack(
@@ -60,7 +60,7 @@ class Writer:
 
 
 class Reader:
-    """Messages from a stream of bytes: those of :data:`KINDS`; ``noise`` counts bytes that were part of no frame."""
+    """Reader of a stream of bytes for messages of :data:`KINDS`; ``noise`` counts bytes that were part of no frame."""
 
     def __init__(self) -> None:
         self.noise = 0
@@ -68,7 +68,7 @@ class Reader:
         self._rest = b""
 
     def feed(self, data: bytes) -> list[tuple[Kind, tuple[float, ...]]]:
-        """Every message that ``data`` completes; those of other kinds and with a wrong checksum are left out."""
+        """Return every message that ``data`` completes, without those of other kinds and with a wrong checksum."""
         rest = self._rest + data
         messages: list[tuple[Kind, tuple[float, ...]]] = []
         at, end = 0, len(rest)

@@ -1,4 +1,4 @@
-"""What estimators of others want beside gyro and accelerometer: a magnetic field in body axes.
+"""The magnetometer that autopilots' estimators need: the Earth's magnetic field in body axes.
 
 Gyro, accelerometer, attitude, GNSS and barometer are the vehicle's, with noise, bias, filter, latency and faults.
 The magnetometer has no model of its own: it gives the field of the place, turned by the attitude sensor's attitude,
@@ -83,5 +83,5 @@ def _sectoral(order: int, ct: float, st: float) -> tuple[float, float]:
 
 
 def compass(field: Vector3, attitude: Quaternion) -> Vector3:
-    """The field in body axes [gauss]."""
+    """Return the magnetic field in body axes [gauss] from that in north, east, down."""
     return rotate(conjugate(attitude), field)

@@ -1,4 +1,4 @@
-"""What passes between a flight and an autopilot in every step, what is counted of it, and the program that answers."""
+"""The lockstep between a flight and an autopilot: frames and answers, their counts, and the program that answers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SLICE_S = 0.25  # chosen by us: the longest that is waited without a look at the
 
 
 class Sticks(NamedTuple):
-    """A pilot's transmitter: lean and turn as shares of full stick, throttle from 0 to 1, and the arming switch."""
+    """A pilot's transmitter: lean and turn as fractions of full stick, throttle from 0 to 1, and the arming switch."""
 
     roll: float = 0.0  # 1: right
     pitch: float = 0.0  # 1: forward, nose down
@@ -40,12 +40,12 @@ STICKS_S = 0.02  # how often they are told at least: as often as a receiver tell
 
 
 def pulse(share: float) -> int:
-    """A stick's channel [us], for a share of full stick."""
+    """Return a stick's pulse [us] for a fraction of full stick."""
     return round(1500.0 + 500.0 * clamp(share, 1.0))
 
 
 class Frame(NamedTuple):
-    """What an autopilot is told of one instant; see :mod:`cosim.autopilots.instruments`."""
+    """The sensors and sticks of one instant, as an autopilot gets them; see :mod:`cosim.autopilots.instruments`."""
 
     time: float  # s; that of the autopilot, which began before the flight
     rate: Vector3  # rad/s, body
@@ -60,7 +60,7 @@ class Frame(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What an autopilot asks of the actuators for the step that begins at the frame it was told."""
+    """An autopilot's actuator commands for the step that begins at its last frame."""
 
     throttle: PerJet  # 0 to 1, jet 1 first
     tilt: tuple[float, float]  # rad, left and right servo
@@ -81,7 +81,7 @@ class Counts:
 
 @dataclass(frozen=True)
 class Handling:
-    """How an autopilot is brought to its flight, and what full stick is for it; each autopilot's module states its own.
+    """Timing of an autopilot before its flight, and its full stick; each autopilot's module has its own.
 
     The vehicle stands in a stand for ``before_s``.  The autopilot is armed with the throttle closed ``arming_s`` before
     the flight, and the throttle goes to that of hover ``throttle_s`` before it: early enough for all that it holds back
@@ -97,7 +97,7 @@ class Handling:
 
 
 class Autopilot(Protocol):
-    """One autopilot and the way to it."""
+    """One autopilot and the connection to it."""
 
     counts: Counts
 
@@ -108,7 +108,7 @@ class Autopilot(Protocol):
         """Tell it of one instant and wait for its answer to that.  Raises FlightError where none comes."""
 
     def check_parameters(self) -> str:
-        """Look, when it has flown and is closed, for names that it was told and does not have.
+        """Check, when it has flown and is closed, for names of parameters that it was given and does not have.
 
         Return why that cannot be done, in words; "" where it was done, now or before the flight, or nothing was told.
         Raises FlightError that says the names.
@@ -130,7 +130,7 @@ _TIED = "import ctypes, os, sys; ctypes.CDLL(None).prctl(1, 9); os.execv(sys.arg
 
 
 class Program:
-    """A program that was started for a flight, with what it prints in a file; ended with all that it started."""
+    """A process that was started for a flight, with its output in a file; ended with all that it started."""
 
     def __init__(self, command: Sequence[str], folder: Path, log: Path, environment: dict[str, str]) -> None:
         self.name = Path(command[0]).name
@@ -151,7 +151,7 @@ class Program:
 
     @property
     def ended(self) -> str:
-        """How it ended, in words; empty while it runs."""
+        """How the process ended, in words; empty while it runs."""
         return self.process.describe_end(0.0, "was ended by {}", "ended with status {}")
 
     def close(self) -> None:
@@ -160,7 +160,7 @@ class Program:
 
 
 def stated_program(stated: Path | None, variable: str) -> Path | None:
-    """The program to start: of ``--binary``, or what that variable of the environment names; None: neither does.
+    """Return the program of ``--binary``, or that this environment variable names; None if neither does.
 
     Raises InputError for what is no program.
     """
@@ -171,7 +171,7 @@ def stated_program(stated: Path | None, variable: str) -> Path | None:
 
 
 def check_program(path: Path, where: str) -> Path:
-    """The path, absolute.  Raises InputError for what is no program."""
+    """Return the absolute path of a program.  Raises InputError for what is no program."""
     if not path.is_file():
         raise InputError(f"{where}: {path}: no such file")
     if not os.access(path, os.X_OK):
@@ -180,7 +180,7 @@ def check_program(path: Path, where: str) -> Path:
 
 
 def listen(kind: socket.SocketKind, port: int, what: str) -> socket.socket:
-    """A socket of this machine alone at a port, of datagrams as :func:`waits`.  Raises InputError where it is taken."""
+    """Return a loopback socket at a port, of datagrams as :func:`waits`.  Raises InputError where it is taken."""
     opened = socket.socket(socket.AF_INET, kind)
     try:
         if kind == socket.SOCK_STREAM:
@@ -197,7 +197,7 @@ def listen(kind: socket.SocketKind, port: int, what: str) -> socket.socket:
 
 
 class Waiting:
-    """A bound on the wait for one answer: looks at the program meanwhile, and says in one line what did not come."""
+    """A time-out for one answer that watches the program meanwhile, and says in one line what did not come."""
 
     def __init__(self, name: str, limit: float, program: Program | None, lacks: str = "did not answer") -> None:
         self._name, self._limit, self._program, self._lacks = name, limit, program, lacks
@@ -205,7 +205,7 @@ class Waiting:
         self._looked = False
 
     def left(self) -> float:
-        """Seconds to wait on before looking again.  Raises FlightError where the autopilot is gone, or hangs."""
+        """Return the seconds until the next check.  Raises FlightError where the autopilot is gone, or hangs."""
         if self._program is not None and (ended := self._program.ended):
             raise FlightError(f"{self._name} {ended}")
         left = self.begun + self._limit - monotonic()
@@ -214,7 +214,7 @@ class Waiting:
         return min(left, SLICE_S)
 
     def packet(self, opened: socket.socket) -> tuple[bytes, tuple[str, int]]:
-        """The next packet, and who sent it.  Raises FlightError as :meth:`left`."""
+        """Return the next packet and its sender's address.  Raises FlightError as :meth:`left`."""
         while True:
             if self._looked:  # not before the first, which is all that most frames take
                 self.left()
@@ -224,13 +224,14 @@ class Waiting:
 
     @property
     def took(self) -> float:
-        """Since it began."""
+        """Seconds since the wait began."""
         return monotonic() - self.begun
 
 
 def waits(opened: socket.socket) -> socket.socket:
-    """The socket, which from now on waits for :data:`SLICE_S` and then raises BlockingIOError: one call, where a
-    time-out of Python's takes three.
+    """Make a socket wait for :data:`SLICE_S` and then raise BlockingIOError, and return it.
+
+    It is one system call, where a time-out of Python's takes three.
     """
     opened.setblocking(True)
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(int(SLICE_S), round(1e6 * (SLICE_S % 1.0))))

@@ -1,4 +1,4 @@
-"""The vehicle in the parameters of PX4 and ArduPilot: geometry, outputs, rate loops in their units, sticks.
+"""PX4's and ArduPilot's parameters of a vehicle: geometry, outputs, rate loops in their units, sticks.
 
 A rate loop of theirs answers with a torque from -1 to 1, and what 1 is of throttle or of a tilt is their mixer's: for
 PX4 the normalised pseudo-inverse of ``ControlAllocationPseudoInverse`` and ``ActuatorEffectivenessMCTilt`` (1.17), for
@@ -26,7 +26,7 @@ _LEAST_IMU_HZ, _MOST_IMU_HZ = 100, 1000  # of IMU_INTEG_RATE
 
 
 def px4_torque(vehicle: Vehicle) -> Vector3:
-    """What a torque of 1 is for PX4: throttle about roll, rad of tilt about pitch and yaw (throttle without tilts).
+    """Return what a torque of 1 is for PX4: throttle about roll, rad of tilt about the others (throttle without tilts).
 
     Tilts count with a torque of 1 each and rotors with their levers, roll and pitch have one scale, and with tilts the
     rotors give no yaw and are told to stand at x = 0, so that they give no pitch.  Its size alone: the signs are those
@@ -50,7 +50,7 @@ def px4_torque(vehicle: Vehicle) -> Vector3:
 
 
 def rates(vehicle: Vehicle, torque: Vector3) -> tuple[tuple[str, RateGains, float], ...]:
-    """Of each axis its gains, and what they are divided by."""
+    """Return for each axis its name, its gains, and the torque that they are divided by."""
     control = vehicle.control.rate
     return tuple(zip(AXES, (control.roll, control.pitch, control.yaw), torque, strict=True))
 
@@ -197,7 +197,7 @@ ARDUPILOT_STICKS: dict[str, float] = {
 
 
 def ardupilot_torque(vehicle: Vehicle) -> Vector3:
-    """What a torque of 1 is for ArduPilot: half of the motors' range, as throttle, and the whole range of tilts."""
+    """Return what a torque of 1 is for ArduPilot: half of the motors' range, as throttle, or the tilts' whole range."""
     half = 0.5 * (1.0 - vehicle.control.allocation.throttle_min)
     tilt = vehicle.servo.range_rad if vehicle.servo else half
     return half, tilt, tilt
@@ -231,7 +231,7 @@ def ardupilot_frame(vehicle: Vehicle) -> tuple[int, list[int]]:
 
 
 def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
-    """ArduPilot: a quadrotor's frame, rate and attitude gains, filters, sticks, and the flight's rate.
+    """Return ArduPilot's parameters of a quadrotor: frame, gains, filters, sticks, and the flight's rate.
 
     Raises InputError for a vehicle that is no frame of ArduCopter, see :func:`ardupilot_frame`.
     """
@@ -290,7 +290,7 @@ _OUTSIDE_P = 0.05
 
 
 def px4_outside(vehicle: Vehicle) -> tuple[dict[str, float], Vector3]:
-    """The parameters by which PX4's rate loop is nothing but P, and what that is: throttle or rad of tilt per rad/s."""
+    """Return parameters that make PX4's rate loop P alone, and that P: throttle or rad of tilt per rad/s."""
     kept = {"P": _OUTSIDE_P, "I": 0.0, "D": 0.0, "FF": 0.0, "K": 1.0}
     roll, pitch, yaw = (_OUTSIDE_P * worth for worth in px4_torque(vehicle))
     return {f"MC_{axis.upper()}RATE_{key}": value for axis in AXES for key, value in kept.items()}, (roll, pitch, yaw)
@@ -314,7 +314,7 @@ NOTES = {
 
 
 def parameter_file(autopilot: str, parameters: Mapping[str, float]) -> str:
-    """As the ground stations read it: for PX4 ids, name, value and type by tabs, for ArduPilot name and value."""
+    """Return parameters as ground stations read them: for PX4 ids, name, value and type, else name and value."""
     lines = [f"# {line}" for line in NOTES[autopilot]]
     for name, value in sorted(parameters.items()):
         if autopilot == "px4":
@@ -326,7 +326,7 @@ def parameter_file(autopilot: str, parameters: Mapping[str, float]) -> str:
 
 
 def _real(name: str) -> bool:
-    """Whether PX4 holds it as a float, whatever its value."""
+    """Return whether PX4 stores a parameter as a float, whatever its value."""
     counted = (
         "CA_AIRFRAME",
         "CA_ROTOR_COUNT",

@@ -1,4 +1,4 @@
-"""The hands on the transmitter: from what a scenario asks for to sticks."""
+"""The pilot at the transmitter, who turns a scenario's commands into sticks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STILL_M_S, STANDS_S = 0.1, 1.0
 
 
 class Pilot:
-    """Lean goes to the sticks as it is asked for; height and heading are held by the pilot.
+    """A pilot who passes lean on to the sticks, and holds height and heading.
 
     The autopilot flies the attitude that the sticks ask for, of full stick ``lean`` [rad] and ``turn`` [rad/s].  Height
     is held with the altitude loop of ``vehicle.toml`` and becomes a throttle: what the autopilot does with it is its
@@ -35,12 +35,12 @@ class Pilot:
         self.hover = self._throttle(belief.hover)
 
     def reset(self) -> None:
-        """Hands at rest."""
+        """Reset the height loop, and forget a landing."""
         self._altitude.reset()
         self._still = 0
 
     def sticks(self, command: Command, measured: Measured, burnt: float) -> Sticks:
-        """Where the sticks stand for a command.  Raises FlightError for one of body rates, which these are not for."""
+        """Return the sticks for a command.  Raises FlightError for one of body rates, which they cannot state."""
         if command.rate is not None:
             raise FlightError("the scenario asks for body rates; its sticks ask for angles: roll, pitch, yaw, altitude")
         if self._landed(command.altitude, measured.velocity[2]):
@@ -54,7 +54,7 @@ class Pilot:
         )
 
     def _landed(self, height: float, down: float) -> bool:
-        """Whether it has stood for long enough; ``height`` the height [m], ``down`` the speed [m/s], measured."""
+        """Return whether it has stood still for long: ``height`` commanded [m], ``down`` speed measured [m/s]."""
         if self._still < self._wait:
             self._still = self._still + 1 if height < 0.0 and abs(down) < STILL_M_S else 0
         return self._still >= self._wait

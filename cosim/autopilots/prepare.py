@@ -1,4 +1,4 @@
-"""An autopilot for a flight, from its name and its set-up: what ``hexjet sitl`` and campaigns share."""
+"""An autopilot for a flight from its name and its set-up, for ``hexjet sitl`` and campaigns alike."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ PORTS_APART = 20  # ports of Betaflight from one instance to the next: fourteen 
 
 @dataclass(frozen=True)
 class Setup:
-    """How an autopilot is set up, as the options of ``hexjet sitl`` and a study's table [autopilot] state it.
+    """Options of an autopilot, as those of ``hexjet sitl`` and a study's table [autopilot] state them.
 
     Of what belongs to one autopilot the others see nothing.
     """
@@ -56,7 +56,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class PreparedAutopilot:
-    """An autopilot that has not begun, its program, and what a run's lockstep.json says of it."""
+    """An autopilot that is not started yet, its program, and its details for a run's lockstep.json."""
 
     name: str
     autopilot: Autopilot
@@ -68,7 +68,7 @@ class PreparedAutopilot:
     def fly(
         self, scenario: Scenario, folder: Path, page: bool = True, realtime_factor: float | None = None, **details: Any
     ) -> AutopilotRun:
-        """See :func:`cosim.autopilots.run.fly_autopilot`; ``details``: what else its lockstep.json is to say."""
+        """Fly a scenario, see :func:`cosim.autopilots.run.fly_autopilot`; ``details``: more for its lockstep.json."""
         module = {"betaflight": betaflight, "px4": px4, "ardupilot": ardupilot}[self.name]
         return fly_autopilot(
             scenario,
@@ -86,7 +86,7 @@ class PreparedAutopilot:
 
 @contextmanager
 def own_instance() -> Iterator[int]:
-    """A number from 1 to :data:`MOST_INSTANCES`, this process's until the end; 0 is left to ``hexjet sitl``.
+    """Reserve an instance number from 1 to :data:`MOST_INSTANCES` for this process; 0 is left to ``hexjet sitl``.
 
     It is held by a bound port, so that it is free again whatever becomes of the process.  Raises FlightError where all
     are taken.
@@ -103,7 +103,7 @@ def own_instance() -> Iterator[int]:
 
 
 def find_program(name: str, binary: Path | None) -> Path | None:
-    """The program that is stated, that the environment names, or that is installed.
+    """Return the program that is given, that the environment names, or that is installed.
 
     None: there is none, and the autopilot is started by hand; Betaflight never is.  Raises InputError for what is no
     program.
@@ -112,7 +112,7 @@ def find_program(name: str, binary: Path | None) -> Path | None:
 
 
 def program_of(name: str, binary: Path | None) -> Path:
-    """As :func:`find_program`, where nobody is there to start one by hand, and a study states it.
+    """Return the program as :func:`find_program`, where nobody can start one by hand and a study states it.
 
     Raises InputError for none, and for one that the user does not trust.
     """
@@ -127,7 +127,7 @@ def program_of(name: str, binary: Path | None) -> Path:
 def prepare(
     name: str, scenario: Scenario, folder: Path, program: Path | None, setup: Setup, rates: Scenario | None = None
 ) -> PreparedAutopilot:
-    """An autopilot for the scenario's vehicle; its files go into a folder of its name in ``folder``, the run's.
+    """Prepare an autopilot for the scenario's vehicle; its files go into a folder of its name in the run's ``folder``.
 
     ``program``: see :func:`find_program`.  ``rates``: the scenario whose controller's rate loop flies in the place of
     the autopilot's own, from outside; ArduPilot takes none.  Raises InputError.

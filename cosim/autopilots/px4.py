@@ -79,7 +79,7 @@ def refuse_unknown(log: Path, told: Collection[str]) -> None:
 
 
 class Px4:
-    """One PX4, started here or by somebody.
+    """One PX4 SITL, started here or by hand.
 
     ``parameters``: over those of its airframe, as ``PX4_PARAM_<NAME>``.  ``field``: north, east, down [gauss].
     """
@@ -186,7 +186,7 @@ class Px4:
         return Answer(throttle, (left, right), armed)
 
     def _refuse_second(self) -> None:
-        """Who connects beside the one that flies is told that nobody is there."""
+        """Close and count a connection beside that of the PX4 that flies."""
         assert self._server is not None
         with suppress(BlockingIOError):
             second, _ = self._server.accept()
@@ -194,7 +194,7 @@ class Px4:
             self.counts.foreign += 1
 
     def _controls(self, left: float | None) -> list[tuple[float, ...]]:
-        """The HIL_ACTUATOR_CONTROLS that come within so many seconds, or as :func:`cosim.autopilots.lockstep.waits`.
+        """Return the HIL_ACTUATOR_CONTROLS that come within ``left`` s (None: the socket's own time-out).
 
         Raises FlightError for a link that is none.
         """
@@ -224,7 +224,7 @@ class Px4:
             raise self._closed() from None
 
     def _messages(self, frame: Frame, now: int) -> bytes:
-        """What goes out in one step: HIL_SENSOR last, because it moves PX4's clock."""
+        """Return the messages of one step, HIL_SENSOR last, because it moves PX4's clock."""
         k = self.counts.frames
         parts = []
         if frame.sticks != self._last_sticks or k % self._sticks_every == 0:

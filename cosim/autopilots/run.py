@@ -1,4 +1,4 @@
-"""A flight that an autopilot of others flies, as a run: folder, report, and a record by which it flies again."""
+"""A flight flown by an external autopilot as a run: folder, report, and a record from which it flies again."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class AutopilotRun:
 
 
 class _Writer:
-    """Writes what the autopilot answered beside the log, so that what was flown is there after a kill too."""
+    """Writer of the autopilot's answers beside the log, so that what was flown is there after a kill too."""
 
     def __init__(self, path: Path, block: AutopilotBlock, jets: int, servo: bool) -> None:
         self._block, self._servo, self._written = block, servo, 0
@@ -53,12 +53,12 @@ class _Writer:
             raise InputError(f"{path}: {error.strerror or error}") from error
 
     def observe(self, sample: Sample) -> None:
-        """Now and then."""
+        """Write the new answers once there is about a second of them."""
         if len(self._block.rows) - self._written >= _FLUSH:
             self.write()
 
     def write(self) -> None:
-        """All that there is.  Raises FlightError where the disk is full."""
+        """Write all new answers.  Raises FlightError where the disk is full."""
         rows = self._block.rows
         try:
             for row in rows[self._written :]:
@@ -74,7 +74,7 @@ class _Writer:
 
 
 def outside_rates(scenario: Scenario, gain: Vector3, hears: bool = False) -> OutsideRates:
-    """The rate loop of a scenario's controller, see :class:`OutsideRates`.  Raises InputError for one of the user's."""
+    """Return the rate loop of a scenario's controller.  Raises InputError for a user-supplied controller."""
     with build(scenario) as simulation:
         if simulation.own is not None:
             raise InputError(

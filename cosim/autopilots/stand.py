@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Stand:
-    """The vehicle's own sensors, held still.
+    """The vehicle's own sensors while it is held still in the stand.
 
     They are those of the flight, with the same bias, filter, latency and size of noise: what an autopilot learns of
     them in the stand holds in the air, and nothing repeats, which it would take for a sensor that has died.  The noise
@@ -31,5 +31,5 @@ class Stand:
         self._suite.reset(self._still)
 
     def sample(self) -> Measured:
-        """Return what the sensors say at the end of the next step."""
+        """Return the sensors' measurement at the end of the next step."""
         return self._suite.sample(self._still)

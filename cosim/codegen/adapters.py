@@ -1,4 +1,4 @@
-"""An exported controller's rate loop inside an autopilot: the files that stand between the two.
+"""Adapter sources that run an exported controller's rate loop inside an autopilot.
 
 An autopilot keeps its attitude loop, its mixer and its outputs; rate set-point and gyro go to the controller, at the
 autopilot's collective, and what the controller would do with throttles and tilts goes back to three torques.
@@ -27,7 +27,7 @@ _WORTH = {
 
 
 def adapter_texts(form: Form, labels: Labels, autopilot: str, worth: Vector3) -> dict[str, str]:
-    """Every file of an adapter, by its name in the folder of the autopilot.
+    """Return the text of every file of an adapter, by its path in the autopilot's folder.
 
     ``worth``: what a torque of 1 is to the autopilot: throttle about roll, rad of tilt about pitch and yaw (throttle
     without tilts).  What touches or includes code of the autopilot's has its licence in :data:`PROGRAM_LICENCES`, the
@@ -66,12 +66,12 @@ def _as_program(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _curve(thrust: Mapping[str, Any]) -> int:
-    """By which of the curves a throttle is turned back: the reference's, or that of the first station with one."""
+    """Return the index of the thrust curve that inverts a throttle: the reference's, or the first station's."""
     return int(thrust["mapped"][0]["curve"] if thrust["reference"] is None else thrust["reference"])
 
 
 def _betaflight(n: str, shared: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
-    """One patch with everything in it, and how it is applied."""
+    """Return Betaflight's adapter: one patch with every file in it, and a README on how to apply it."""
     own = {f"{n}_betaflight.h": "adapters/betaflight.h", f"{n}_betaflight.c": "adapters/betaflight.c"}
     files = dict(shared) | written(own, _as_program(values))
     sources = sorted(name for name in files if name.endswith(".c"))
@@ -85,7 +85,7 @@ def _betaflight(n: str, shared: Mapping[str, str], values: Mapping[str, Any]) ->
 
 
 def _ardupilot(n: str, shared: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
-    """A backend of ``AC_CustomControl``, as files for its folder."""
+    """Return ArduPilot's adapter: a backend of ``AC_CustomControl``, as files for its folder."""
     name = f"AC_CustomControl_{values['Class']}"
     own = {f"{name}.h": "adapters/ardupilot.h", f"{name}.cpp": "adapters/ardupilot.cpp"}
     files = dict(shared) | written(own, _as_program(values))
@@ -95,7 +95,7 @@ def _ardupilot(n: str, shared: Mapping[str, str], values: Mapping[str, Any]) -> 
 
 
 def _px4(n: str, shared: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
-    """A folder as ``EXTERNAL_MODULES_LOCATION`` wants it, with one module."""
+    """Return PX4's adapter: one module, in a folder for ``EXTERNAL_MODULES_LOCATION``."""
     sources = [f"{n}_px4.cpp", *sorted(name for name in shared if name.endswith(".c"))]
     own = {
         f"{n}_px4.cpp": "adapters/px4.cpp",

@@ -22,7 +22,7 @@ from cosim.spec.scenario import Scenario
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written and what it came to."""
+    """The files of an exported controller, and the measurements of its C."""
 
     folder: Path
     files: list[str]
@@ -114,7 +114,7 @@ def _readme(
 
 
 def figures(measured: Measured | None) -> list[tuple[str, str]]:
-    """What was measured, in words: what, and how much."""
+    """Return the measurements as pairs of a quantity's name and its value in words."""
     if measured is None:
         return [("measured", "nothing: no C compiler was found where this was made")]
     lines = [

@@ -1,4 +1,4 @@
-"""The text of every file of an exported controller, from templates and a form."""
+"""Rendering of an exported controller's files from templates and the controller's constants."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ NO_LICENCE = "not stated (choose one with --licence)"
 
 @dataclass(frozen=True)
 class Labels:
-    """What the user chooses of the files, and where their numbers are from."""
+    """Name, title and licence of the files as the user chose them, and the origin of their numbers."""
 
     name: str  # of files, functions and types: a C identifier
     title: str
@@ -54,7 +54,7 @@ class Labels:
 
 
 def texts(form: Form, vectors: Vectors, labels: Labels) -> dict[str, str]:
-    """Every C file by its name."""
+    """Return the text of every C file by its name, the test and its vectors included."""
     n = labels.name
     values = {
         "columns": [*INPUTS, *output_names(form["jets"])],
@@ -69,7 +69,7 @@ def texts(form: Form, vectors: Vectors, labels: Labels) -> dict[str, str]:
 
 
 def controller_texts(form: Form, labels: Labels, single: bool = False) -> dict[str, str]:
-    """The C files of the controller alone; ``single``: in single precision without being told."""
+    """Return the C files of the controller alone; ``single``: single precision is the default."""
     n = labels.name
     files = {f"{n}.h": "controller.h", f"{n}.c": "controller.c", f"{n}_parameters.c": "parameters.c"}
     return written(files, common(form, labels) | {"single": single})
@@ -81,7 +81,7 @@ def stamp(licence: str | None) -> str:
 
 
 def common(form: Form, labels: Labels) -> dict[str, Any]:
-    """What every template of C is told."""
+    """Return the variables that every C template gets."""
     f = _prepared(form)
     return {
         "n": labels.name,
@@ -100,13 +100,13 @@ def common(form: Form, labels: Labels) -> dict[str, Any]:
 
 
 def written(files: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
-    """Files by their names, of templates by theirs."""
+    """Return the rendered files by their names; ``files`` maps these to the names of their templates."""
     environment = _environment()
     return {name: environment.get_template(template).render(**values) for name, template in files.items()}
 
 
 def render(template: str, **values: Any) -> str:
-    """One more file, from any template here."""
+    """Return one rendered template of this package."""
     return str(_environment().get_template(template).render(**values))
 
 
@@ -128,7 +128,7 @@ def _environment() -> Any:
 
 
 def _c(value: Any, indent: str = "        ") -> str:
-    """A number, a list or a table as an initializer."""
+    """Return a number, a list or a mapping as a C initializer."""
     if isinstance(value, Mapping):
         between = f",\n{indent}" if any(isinstance(x, Sequence) for x in value.values()) else ", "
         return "{" + between.join(f".{key} = {_c(x)}" for key, x in value.items()) + "}"
@@ -140,7 +140,7 @@ def _c(value: Any, indent: str = "        ") -> str:
 
 
 def _prepared(form: Form) -> Form:
-    """The form with what the templates ask of it: which helpers are used, and every predictor's fields."""
+    """Return the form with what templates need beside: which C helpers are used, and every predictor's fields."""
     axes = [axis | {"predictor": _fields(axis["predictor"])} for axis in form["axes"]]
     predictors = [axis["predictor"] for axis in axes]
     leads = [axis["lead"] for axis in axes] + [form["altitude"]["lead"]]
@@ -156,7 +156,7 @@ def _prepared(form: Form) -> Form:
 
 
 def _fields(q: Form) -> Form:
-    """A predictor's constants and states: names, how many, and the values of the former."""
+    """Return a predictor with its constants (name, size, value) and its states (name, size)."""
     kind = q["kind"]
     if kind == "none":
         return q
@@ -206,7 +206,7 @@ def _size(value: Any) -> str | None:
 
 
 def _values(f: Form) -> list[tuple[str, Any]]:
-    """The fields of the struct of parameters, in its order, with their values."""
+    """Return the fields of the C struct of parameters, in its order, with their values."""
     height, allocation, schedule = f["altitude"], f["allocation"], f["schedule"]
     values: list[tuple[str, Any]] = [
         ("step", f["step"]),

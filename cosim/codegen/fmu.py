@@ -1,4 +1,4 @@
-"""An exported controller as co-simulation FMUs: the same C behind the adapter that engines have."""
+"""An exported controller as co-simulation FMUs: the same C behind the FMI adapter of the engines."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _OUTPUTS = {
 def build_fmus(
     form: Form, vectors: Vectors, labels: Labels, made: dict[str, str], folder: Path
 ) -> tuple[list[str], str | None]:
-    """Write the archives into ``folder``; their names, and in one line why there are none."""
+    """Write the FMUs into ``folder``, and return their names and, where there are none, why in one line."""
     n, jets = labels.name, form["jets"]
     # a vehicle without servos has no tilts
     tilts = form["allocation"]["kind"] == "tilt"
@@ -104,7 +104,7 @@ def _variables(vectors: Vectors, outputs: tuple[str, ...]) -> tuple[Variable, ..
 
 
 def _places(jets: int) -> list[str]:
-    """Where in the C struct each output is, in the order of :func:`output_names`."""
+    """Return the C expression of each output, in the order of :func:`output_names`."""
     return [
         *(f"output.throttle[{jet}]" for jet in range(jets)),
         "output.tilt[0]",

@@ -1,4 +1,4 @@
-"""What the C of a controller is written from: the constants of every block of a flight's cascade, as plain numbers.
+"""The constants of every block of a flight's cascade, as plain numbers from which the C of a controller is written.
 
 Numbers are Python's own and are printed so that a C compiler reads the same bits.  What a block computes with is asked
 of the block that flies, not computed anew.
@@ -37,7 +37,7 @@ Form = dict[str, Any]
 
 
 def form_of(simulation: Simulation) -> Form:
-    """The cascade of a simulation that has not flown yet, block by block.
+    """Return the constants of a simulation's cascade before its flight, block by block.
 
     Raises InputError for a controller, predictor or allocator that has no C form.
     """
@@ -172,7 +172,7 @@ def _thrust(thrust_map: ThrustMap) -> Form:
 
 
 def predictor_form(predictor: object, axis: str = "roll") -> Form:
-    """A predictor's constants.  Raises InputError for one that has no C form."""
+    """Return a predictor's constants.  Raises InputError for one that has no C form."""
     for kind, write in _PREDICTORS.items():
         if type(predictor) is kind:
             return write(predictor)

@@ -1,4 +1,4 @@
-"""What the C comes to with the compiler of this machine: bits, deviation in single precision, stack and cycles."""
+"""Measurements of the C with this machine's compiler: same bits, single-precision deviation, stack and cycles."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _CYCLES = re.compile(r"worst step (\d+), mean (\d+)")
 
 @dataclass(frozen=True)
 class Measured:
-    """What was found; None where this machine's compiler does not tell."""
+    """Measurements of the compiled C; None where this machine's compiler does not report one."""
 
     compiler: str  # its own first line
     same: bool  # every number of the flight to the last bit, in double
@@ -36,7 +36,7 @@ class Measured:
 
 
 def compiler() -> str | None:
-    """The C compiler of this machine: ``CC``, or ``cc``."""
+    """Return the path of this machine's C compiler, ``CC`` or else ``cc``; None if there is none."""
     return shutil.which((os.environ.get("CC") or "cc").split()[0])
 
 
@@ -71,7 +71,7 @@ def measure(folder: Path, name: str) -> Measured | None:
 
 
 def sources(name: str) -> list[str]:
-    """What the test program is made of."""
+    """Return the names of the C files that the test program is compiled from."""
     return [f"test_{name}.c", f"{name}.c", f"{name}_parameters.c", f"{name}_vectors.c"]
 
 
@@ -101,7 +101,7 @@ def _figures(text: str) -> tuple[int, float, float]:
 
 
 def _static(cc: str, folder: Path, name: str, made: Path) -> tuple[int | None, int | None]:
-    """Stack in bytes by gcc's call graph, and bytes of code and constants by ``size``; None where they do not tell."""
+    """Return bytes of stack by gcc's call graph, and of code and constants by ``size``; None where one is missing."""
     target = made / f"{name}.o"
     done = _run([cc, *FLAGS, "-O2", "-fcallgraph-info=su", "-c", "-o", str(target), str(folder / f"{name}.c")])
     if done.returncode != 0:
@@ -114,7 +114,7 @@ def _static(cc: str, folder: Path, name: str, made: Path) -> tuple[int | None, i
 
 
 def _deepest(graph: str) -> int | None:
-    """The most stack of any way through a call graph of gcc; without what is not in it, the library of mathematics."""
+    """Return the greatest stack [bytes] of any path through gcc's call graph, which lacks the mathematics library."""
     own = {node: int(size) for node, size in _NODE.findall(graph)}
     calls: dict[str, set[str]] = {}
     for source, target in _EDGE.findall(graph):

@@ -24,7 +24,7 @@ FMU = "application/x-fmu-sharedlibrary"
 
 
 def write_ssp(flight: Flight, vehicle: Path, target: Path, fmi: int, seconds: float) -> None:
-    """Pack the vehicle's FMU, which has the engines outside, and those of its engines.
+    """Write an SSP archive of the vehicle's FMU, which has its engines outside, and of the engines' FMUs.
 
     ``seconds``: of the default experiment.  Raises InputError for an engine that cannot be connected so.
     """
@@ -90,14 +90,14 @@ def _need_plain(jet: int, spec: EngineSpec) -> None:
 
 
 def _archive(spec: EngineSpec, fmi: int) -> Path:
-    """Of a library's engine that of this FMI version; another is what it is."""
+    """Return the archive of a library engine in this FMI version, or of another engine its only one."""
     if not spec.library:
         return spec.path
     return archive_path(spec.path.parent, spec.name.removesuffix(FMI2_SUFFIX), fmi)
 
 
 def _joined(spec: EngineSpec) -> Mapping[str, Port]:
-    """The ports that are connected, by our name."""
+    """Return the ports that are connected, by the names that they have here."""
     connected = ("throttle", "run", *AMBIENT, *REPORTS)
     return {
         name: port

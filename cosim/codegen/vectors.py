@@ -1,4 +1,4 @@
-"""A flight as a test of another implementation of its controller: its inputs at every step, and its outputs."""
+"""Test vectors for another implementation of a controller: its inputs and outputs at every step of a flight."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ INPUTS = (
 
 
 def output_names(jets: int) -> tuple[str, ...]:
-    """The controller's outputs in the order of a row."""
+    """Return the names of the controller's outputs in the order of a row."""
     return (
         *(f"throttle_{jet}" for jet in range(1, jets + 1)),
         "tilt_left",
@@ -63,7 +63,7 @@ class Vectors:
 
 
 class RecordingController:
-    """A controller that flies as the one inside it, and writes down what that is told and what it answers."""
+    """A controller that delegates to another one and records that one's inputs and outputs."""
 
     def __init__(self, inner: Controller, vectors: Vectors) -> None:
         self._inner, self._vectors = inner, vectors

@@ -1,4 +1,4 @@
-"""``hexjet export vehicle``: the vehicle of a scenario as co-simulation FMUs, flown in a process of their own."""
+"""``hexjet export vehicle``: the vehicle of a scenario as co-simulation FMUs that fly it in a process of their own."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MOST_SEED = 2**31 - 1  # FMI's integer
 
 @dataclass(frozen=True)
 class ExportedVehicle:
-    """What was written."""
+    """The files of an exported vehicle, and its interface."""
 
     folder: Path
     files: list[str]
@@ -40,7 +40,7 @@ class ExportedVehicle:
 
     @property
     def data(self) -> dict[str, Any]:
-        """For JSON."""
+        """All fields as values for JSON."""
         return asdict(self) | {"folder": str(self.folder)}
 
 
@@ -109,7 +109,7 @@ def _nobody() -> None:
 
 
 def _resources(flight: Flight, parts: Parts) -> Mapping[str, bytes]:
-    """The flight with its files, what the process is to find, and the interpreter."""
+    """Return the FMU's resources: the flight with its files, the manifest for its process, and the interpreter."""
     resolved, files = resolve(flight.simulation)
     held = {
         f"{FLIGHT}/{name}": source if isinstance(source, bytes) else source.read_bytes()
@@ -130,7 +130,7 @@ def _resources(flight: Flight, parts: Parts) -> Mapping[str, bytes]:
 
 
 def _as_engine(flight: Flight, labels: Labels) -> Engine:
-    """What the build of engines takes: names, units and start values, and the C that starts a process."""
+    """Return the vehicle as the FMU build takes an engine: variables, and the C that starts the process."""
     variables = [
         Variable(
             "seed",

@@ -1,6 +1,6 @@
-"""A flight as a block with inputs and outputs: what is outside of it, and the names, units and places of its numbers.
+"""A flight as a block with inputs and outputs: names, units and sources of its variables.
 
-What is outside is stood in for by a block that waits there for whoever has it: the engines' bank, the controller, or,
+What is outside is replaced by a block that waits there for its values: the engines' bank, the controller, or,
 where both are inside, the pilot.  The step itself is the simulation's own, so the numbers are its own.
 """
 
@@ -58,7 +58,7 @@ class Number(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Outputs that are read together."""
+    """Outputs that one function reads together."""
 
     numbers: Sequence[Number]
     read: Callable[[], Sequence[float]]
@@ -66,7 +66,7 @@ class Group(NamedTuple):
 
 @dataclass(frozen=True)
 class Parts:
-    """What is inside."""
+    """Which parts the exported vehicle contains."""
 
     engines: bool = True
     controller: bool = True
@@ -122,27 +122,27 @@ class Flight:
 
     @property
     def ambient(self) -> Ambient:
-        """The air around the engines now."""
+        """Ambient air at the engines now."""
         simulation = self.simulation
         wind = simulation.state.wind if simulation.k else self._wind
         return simulation.propulsion.ambient(simulation.state, wind)
 
     def values(self) -> tuple[float, ...]:
-        """The outputs now."""
+        """Return the outputs now, in the order of :attr:`outputs`."""
         return tuple([float(value) for group in self._groups for value in group.read()])
 
     def reports(self) -> EngineOutput:
-        """What the engines outside give, as it was told; NaN for what none of them says."""
+        """Return the outside engines' outputs from the inputs; NaN for a quantity that they do not have."""
         given = self.given
         return EngineOutput(*[tuple([given.get(f"{name}_{jet}", nan) for jet in self.numbers]) for name in REPORTS])
 
     @property
     def numbers(self) -> range:
-        """Of the jets, from 1."""
+        """The jets' numbers, from 1."""
         return range(1, self.jets + 1)
 
     def per_jet(self, name: str) -> PerJet:
-        """An input of every jet."""
+        """Return the input of this name of every jet."""
         return tuple([self.given[f"{name}_{jet}"] for jet in self.numbers])
 
     def _inputs(self) -> Iterator[Number]:
@@ -201,7 +201,7 @@ class Flight:
         yield from self._measured()
 
     def _commanded(self) -> Iterator[Group]:
-        """What the scenario asks for, for a controller outside."""
+        """List the scenario's command, for a controller outside."""
         yield Group(_angles("_setpoint", "rad", "Attitude asked for"), lambda: self.command.attitude)
         height = Number("altitude_setpoint", "m", "Height above the ground asked for")
         yield Group([height], lambda: (self.command.altitude,))
@@ -213,7 +213,7 @@ class Flight:
         yield Group([flag, mean], lambda: (self.command.collective is not None, self.command.collective or 0.0))
 
     def _reported(self) -> Iterator[Group]:
-        """What engines inside deliver and say."""
+        """List what engines inside deliver and report."""
         output = self.simulation.propulsion
         for n, name in enumerate(REPORTS):
             have = [i for i, spec in enumerate(self.simulation.stations) if spec.has(name)]
@@ -221,7 +221,7 @@ class Flight:
             yield Group(numbers, partial(_chosen, output, n, have))
 
     def _to_engines(self) -> Iterator[Group]:
-        """What engines outside are told beside their throttles."""
+        """List what engines outside get beside their throttles."""
         stations = self.simulation.stations
         text = "Throttle at which the engine stands in equilibrium before the first step: jet"
         starts = [Number(f"start_throttle_{jet}", "1", f"{text} {jet}") for jet in self.numbers]
@@ -280,7 +280,7 @@ class Flight:
 
 
 class _ObservedEngines:
-    """The engines inside, whose throttles are shown."""
+    """Engines inside the vehicle, whose throttles are recorded as outputs."""
 
     def __init__(self, inner: Engines, flight: Flight) -> None:
         self._inner, self._flight = inner, flight
@@ -305,7 +305,7 @@ class _ObservedEngines:
 
 
 class _EnginesOutside:
-    """Where the flight waits for thrusts: the throttles of step ``k`` are outputs, the thrusts at its end inputs."""
+    """Stand-in for engines outside: step ``k``'s throttles are outputs, and the thrusts at its end are inputs."""
 
     def __init__(self, flight: Flight, wants_ambient: bool) -> None:
         self._flight, self.wants_ambient = flight, wants_ambient
@@ -331,11 +331,11 @@ class _EnginesOutside:
         return flight.simulation.stations[index].has("run")
 
     def close(self) -> None:
-        """There is nothing to free."""
+        """Do nothing, because there is nothing to free."""
 
 
 class _PilotOutside:
-    """The scenario's commands, or those of the inputs."""
+    """A pilot that flies the set-points of the inputs where they are commanded, or else the scenario's."""
 
     def __init__(self, flight: Flight, inner: Pilot | None, commander: Commander) -> None:
         self._flight, self._inner, self._commander = flight, inner, commander
@@ -369,7 +369,7 @@ class _PilotOutside:
 
 
 class _ControllerOutside:
-    """Where the flight waits for throttles and tilts; the built-in controller says where the engines stand at first."""
+    """Stand-in for a controller outside; the built-in controller gives the engines' throttles before the first step."""
 
     signals = ControlSignals(UNKNOWN3, UNKNOWN3, UNKNOWN3, nan, nan)
     lost: tuple[int, ...] = ()
@@ -402,11 +402,11 @@ class _ControllerOutside:
         return ALL_WELL
 
     def forgive(self) -> None:
-        """It takes no engine for lost."""
+        """Do nothing, because it takes no engine for lost."""
 
 
 def _moved(vehicle: Vehicle) -> tuple[str, ...]:
-    """The hinges and surfaces, by their names; none of two banks, or where nothing moves."""
+    """Return the names of hinges and surfaces; none for two tilting banks, or where nothing moves."""
     return vehicle.actuators if vehicle.servo is None and vehicle.ranges else ()
 
 

@@ -1,4 +1,4 @@
-"""The process behind an exported vehicle: it flies, and meets the importer of the FMU once a communication step.
+"""The process behind an exported vehicle: it flies, and exchanges values with the importer once a communication step.
 
 Its standard input is a socket; the other end is ``process.c`` in the FMU.  Frames of native doubles: it gets what to do
 (0 start, 1 step), how many control steps, and every parameter and input; it answers 0 and every output, or -1 and a
@@ -21,11 +21,11 @@ ANY_VERSION = "HEXJET_ANY_VERSION"
 
 
 class _RestartError(Exception):
-    """The importer starts the flight anew."""
+    """Raised when the importer starts the flight anew."""
 
 
 class _DisconnectedError(Exception):
-    """The importer is no longer there."""
+    """Raised when the importer has gone."""
 
 
 class _Socket:
@@ -59,7 +59,7 @@ class _Socket:
 
 
 def other_versions(made: dict[str, str], here: dict[str, str]) -> str:
-    """In words, what is not what it was where the archive was made; empty where all is."""
+    """Return in words which versions differ from those that made the archive; empty where none does."""
     others = [
         f"{name} {here.get(name, 'missing')} in place of {text}"
         for name, text in made.items()
@@ -69,7 +69,7 @@ def other_versions(made: dict[str, str], here: dict[str, str]) -> str:
 
 
 class _Server:
-    """Flies until the importer is gone."""
+    """Server that flies the vehicle until the importer is gone."""
 
     def __init__(self, socket: _Socket, folder: Path) -> None:
         from cosim.base.errors import InputError
@@ -115,7 +115,7 @@ class _Server:
         self._listen()
 
     def _listen(self) -> None:
-        """What the importer wants next.  Raises _RestartError for a start, _DisconnectedError."""
+        """Wait for the importer's next request.  Raises _RestartError for a start, _DisconnectedError."""
         request, count, seed, *given = self._socket.receive(self._in)
         self._owing = True
         self._flight.given.update(zip(self._inputs, given, strict=True))
@@ -125,7 +125,7 @@ class _Server:
             raise _RestartError
 
     def _start(self) -> None:
-        """To ``t = 0``, with the inputs and parameters that stand."""
+        """Reset the flight to ``t = 0`` with the present inputs and parameters."""
         if self._requested_seed != self._seed:
             given = self._flight.given
             self._flight.close()
@@ -134,7 +134,7 @@ class _Server:
         self._flight.simulation.reset()
 
     def _fly(self) -> NoReturn:
-        """Step after step.  Raises FlightError where the flight is over."""
+        """Fly step after step.  Raises FlightError where the flight is over."""
         from cosim.base.errors import FlightError
 
         self._start()
@@ -149,7 +149,7 @@ class _Server:
                 raise FlightError(f"the flight is over: {ending.outcome}, {ending.reason}")
 
     def serve(self) -> None:
-        """Until the importer is gone."""
+        """Serve requests until the importer is gone."""
         from cosim.base.errors import EngineError, FlightError, InputError
 
         flying = False

@@ -1,1 +1,1 @@
-"""The vehicle before ground stations: MAVLink and the local page."""
+"""Sessions that ground stations control: MAVLink and the local page."""

@@ -1,6 +1,6 @@
-"""Between the flight and those who watch it or ask something of it: ground stations, the local page, a test.
+"""Exchange of snapshots and requests between the flight and its clients: ground stations, the local page, a test.
 
-The flight publishes what it is at; the last one wins, and a slow reader does not delay it.  Requests wait in one short
+The flight publishes snapshots; the last one wins, and a slow reader does not delay it.  Requests wait in one short
 queue per sender, the senders take turns, and a queue that is full answers at once.  Everything here may be called from
 any thread and returns at once; no sockets, no files.  Who has a loop of its own takes a :class:`Port`, which hands the
 answers out there.
@@ -51,12 +51,12 @@ _STREAMS = (Sticks, OffboardAttitude, OffboardVelocity, OffboardPosition)
 
 @dataclass(frozen=True)
 class Restart:
-    """End this flight and begin a new one on the ground; refused while it flies."""
+    """Request to end this flight and begin a new one on the ground; refused while it flies."""
 
 
 @dataclass(frozen=True)
 class Shutdown:
-    """End the session; refused while it flies."""
+    """Request to end the session; refused while it flies."""
 
 
 GroundRequest = Request | Restart | Shutdown
@@ -65,7 +65,7 @@ Claim = Callable[[], bool]  # takes a request over; False: who asked has been to
 
 
 def ignore_answer(answer: Answer) -> None:
-    """For whom no answer is needed."""
+    """Ignore an answer, for senders that need none."""
 
 
 def _always() -> bool:
@@ -73,7 +73,7 @@ def _always() -> bool:
 
 
 class SessionInfo(NamedTuple):
-    """What does not change during one flight."""
+    """Constant data of one flight."""
 
     number: int  # flights of this session, from 1
     scenario: Scenario
@@ -87,7 +87,7 @@ class SessionInfo(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """The flight after one step."""
+    """State of the flight after one step."""
 
     published: float  # s, of the exchange's clock
     facts: SessionInfo
@@ -113,7 +113,7 @@ class Waiting(NamedTuple):
 
 
 class Exchange:
-    """One session's meeting place; ``clock`` [s] is that of the times here."""
+    """Snapshots, messages and queues of requests of one session; ``clock`` [s] gives all times here."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.clock = clock
@@ -129,7 +129,7 @@ class Exchange:
 
     @property
     def snapshot(self) -> Snapshot | None:
-        """The last one published; None before the first."""
+        """The last snapshot that was published; None before the first."""
         return self._snapshot
 
     @property
@@ -188,12 +188,12 @@ class Exchange:
 
     @property
     def waiting(self) -> int:
-        """Requests that wait now."""
+        """Number of requests that wait now."""
         with self._lock:
             return sum(len(queue) for queue in self._queues.values())
 
     def take(self, most: int) -> list[Waiting]:
-        """The next requests, at most so many, one sender after the other."""
+        """Take the next requests out of the queues, ``most`` of them at most, one sender after the other."""
         if not self._queues:
             return []
         taken: list[Waiting] = []
@@ -213,7 +213,7 @@ class Exchange:
         return taken
 
     def say(self, severity: Severity, text: str, k: int = 0) -> None:
-        """A line for the people on the ground; goes out with the next snapshot."""
+        """Add a line for the people on the ground, which goes out with the next snapshot."""
         with self._lock:
             self._message_count += 1
             self._messages = (*self._messages[1 - KEPT_MESSAGES :], Message(self._message_count, k, severity, text))
@@ -227,7 +227,7 @@ class Exchange:
 
 
 class Port:
-    """The exchange as seen from a loop of its own, in which every method is called.
+    """Access to the exchange from another thread's loop, in which every method is called.
 
     ``wake`` is called in the flight's thread when there is something to collect; it must return at once.
     """
@@ -274,13 +274,13 @@ class Port:
                 self._open.pop(number)(Answer(False, Result.FAILED, "the flight does not answer"))
 
     def messages(self) -> list[Message]:
-        """What has been said since the last call."""
+        """Return the messages that are new since the last call."""
         new = [message for message in self._lines if message.number > self._last_message]
         self._last_message = new[-1].number if new else self._last_message
         return new
 
     def _news(self) -> None:
-        """In the flight's thread."""
+        """Keep the new snapshot and wake the loop; called in the flight's thread."""
         snapshot = self._exchange.snapshot
         if snapshot is not None and snapshot.sample is not None:
             self.snapshot, self._lines = snapshot, self._exchange.messages
@@ -291,6 +291,6 @@ class Port:
         return self._due.pop(number, None) is not None
 
     def _answer(self, number: int, answer: Answer) -> None:
-        """In the flight's thread, or at once in this one."""
+        """Queue an answer and wake the loop; called in the flight's thread, or at once in this one."""
         self._answered.append((number, answer))
         self.wake()

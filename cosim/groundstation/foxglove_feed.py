@@ -1,4 +1,4 @@
-"""A session as Foxglove sees it while it flies: a thread that looks at the exchange so many times a second."""
+"""A live feed of the flight to Foxglove, by a thread that reads the exchange so many times a second."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PORT = 8766  # beside the page's
 
 
 def address(text: str, public: bool) -> tuple[str, int]:
-    """Host and port of ``[HOST:]PORT``.  Raises InputError for another one, and for the network without ``public``."""
+    """Return host and port of ``[HOST:]PORT``.  Raises InputError, also for the network without ``public``."""
     host, _, port = text.rpartition(":")
     if not port.isdecimal() or int(port) > 65535:
         raise InputError(f"--foxglove {text}: must be [HOST:]PORT, with a port from 0 to 65535")
@@ -26,7 +26,7 @@ def address(text: str, public: bool) -> tuple[str, int]:
 
 
 class FoxgloveFeed:
-    """Shows what the exchange has to Foxglove, from :meth:`start` to :meth:`stop`."""
+    """Thread that sends the exchange's snapshots to Foxglove, from :meth:`start` to :meth:`stop`."""
 
     def __init__(self, exchange: Exchange, host: str, port: int) -> None:
         self._exchange = exchange
@@ -36,11 +36,11 @@ class FoxgloveFeed:
         self.url = self._export.url
 
     def start(self) -> None:
-        """Look from now on."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Look no more; may be called twice."""
+        """Stop the thread and close the server; may be called twice."""
         self._over.set()
         if self._thread.is_alive():
             self._thread.join()

@@ -1,4 +1,4 @@
-"""What hangs on a session: MAVLink links with everything that runs behind them, and the local page."""
+"""The connections of a session: MAVLink links with all their services, the local page, and Foxglove."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class Links:
-    """Opens the links of ``urls`` (without any: the two that ground stations listen to) and the page.
+    """Links to ``urls`` (without any: to the two that ground stations listen to), and the page.
 
     Nothing is said on them before the first flight begins.  ``public``: servers may listen to the network.
     ``sign_key``: a file with the key.  ``web``: the page's port, None for no page.  ``system``: the vehicle's MAVLink
@@ -83,7 +83,7 @@ class Links:
 
     @property
     def urls(self) -> list[str]:
-        """Where the links are, with the ports that were taken."""
+        """URLs of the links, with the ports that were taken."""
         return [
             endpoint._replace(port=port or endpoint.port).url
             for endpoint, port in zip(self.endpoints, self.link.ports, strict=True)
@@ -91,22 +91,22 @@ class Links:
 
     @property
     def page(self) -> str | None:
-        """Where the page is."""
+        """URL of the page; None without one."""
         return self._page.url if self._page is not None else None
 
     @property
     def foxglove(self) -> str | None:
-        """Where Foxglove finds the flight."""
+        """URL of the server for Foxglove; None without one."""
         return self._foxglove.url if self._foxglove is not None else None
 
     @property
     def heard(self) -> int:
-        """Ground stations that have sent something."""
+        """Number of ground stations that have sent something."""
         return sum(peer.heard >= 0.0 for peer in self.link.peers)
 
     @property
     def counts(self) -> dict[str, Any]:
-        """What the links have taken, what they have refused and why, and what went wrong here."""
+        """Counts of frames taken, of frames and requests refused by reason, and of failures here."""
         link = self.link
         return {
             "taken": link.taken,
@@ -116,7 +116,7 @@ class Links:
         }
 
     def begin(self, facts: SessionInfo) -> None:
-        """A flight begins: its telemetry goes to its folder."""
+        """Begin a flight, whose telemetry log goes to its folder."""
         self._folder = facts.folder
         if facts.folder is not None and facts.folder.is_dir():
             self._record(Log(facts.folder / TELEMETRY, self.system))
@@ -126,13 +126,13 @@ class Links:
             self._parameters.replace(facts.parameters)
 
     def end(self) -> None:
-        """A flight is done with; its run is among the logs."""
+        """End a flight, whose run is now among the logs."""
         self._record(None)
         if self._shelf is not None:
             self._shelf.renew()
 
     def read_only(self) -> ReadOnlyObserver:
-        """Lets a flight that nobody can change be watched on these links."""
+        """Return an observer that shows a flight on these links and refuses every request."""
         return ReadOnlyObserver(self.exchange, self.begin)
 
     def close(self) -> None:
@@ -185,14 +185,14 @@ class Links:
             before.close()
 
     def _runs(self) -> list[Path]:
-        """Finished runs beside this one that were flown like it, the oldest first."""
+        """Return the finished runs of sessions in the same folder, the oldest first."""
         if self._folder is None:
             return []
         return [run for run in finished_runs(self._folder.parent) if (run / REQUESTS).exists()]
 
 
 class Files(Mapping[str, File]):
-    """What can be read over MAVLink: descriptions, and the logs, which are made once somebody asks for one of them."""
+    """Files to read over MAVLink: metadata, and the logs, which are made once somebody asks for one of them."""
 
     def __init__(self, ready: Mapping[str, File], shelf: LogStore) -> None:
         self._ready, self._shelf = ready, shelf
@@ -211,7 +211,7 @@ class Files(Mapping[str, File]):
 
 
 def about_of(facts: SessionInfo, personality: Personality, system: int = 1) -> VehicleInfo:
-    """What the telemetry needs to know of a vehicle."""
+    """Return what the telemetry needs to know of a vehicle."""
     vehicle, sensors = facts.vehicle, facts.vehicle.sensors
     return VehicleInfo(
         facts.geodesy,

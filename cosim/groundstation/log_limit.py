@@ -1,4 +1,4 @@
-"""A log that ends when it has its size, however long the flight goes on."""
+"""A limit on the size of a flight's log, however long the flight goes on."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def hourly_mb(info: SessionInfo) -> float:
 
 
 class LogLimit:
-    """Hands samples on to a recording until the log has ``limit_mb`` (None: for ever), and reports it once.
+    """Observer that passes samples on to a recording until its log has ``limit_mb`` (None: for ever).
 
     ``say`` gets a line for the people on the ground, at four fifths of the size and at the end.
     """
@@ -35,7 +35,7 @@ class LogLimit:
 
     @property
     def full(self) -> bool:
-        """Whether nothing more is recorded."""
+        """Whether the log has its size, so that nothing more is recorded."""
         return self._most is not None and self.rows >= self._most
 
     def observe(self, sample: Sample) -> None:

@@ -1,4 +1,4 @@
-"""What is done with a change of the parameters that tunes a loop, and what is said of those that are kept.
+"""Checks of parameter changes that tune a loop, warnings about saved ones, and their saving.
 
 A change is judged in a thread of its own, so that no step waits for it, and is put to the flight when its verdict is
 there: the step at which it acts is the one that is recorded.  In the air a change that makes a stable loop unstable is
@@ -31,7 +31,7 @@ T = TypeVar("T")
 
 
 class Judge(Protocol):
-    """Who knows what parameters do to the loops; asked from a thread of its own."""
+    """Predictor of what parameters do to the loops; called in a thread of its own."""
 
     def prepare(self) -> None:
         """Compute what every verdict needs, so that the first one is as quick as the others."""
@@ -40,11 +40,11 @@ class Judge(Protocol):
         """Return whether a parameter tunes a loop that can be computed."""
 
     def cautions(self, before: Mapping[str, float], after: Mapping[str, float]) -> list[Caution]:
-        """Return what is to be said of every loop that a change makes worse."""
+        """Return a caution for every loop that a change makes worse."""
 
 
 class ParameterGuard:
-    """Changes that wait for their verdict, one after the other, in the order in which they came."""
+    """Queue of parameter changes that wait for their verdict, in the order in which they came."""
 
     def __init__(self, judge: Judge | None = None) -> None:
         self.judge = judge
@@ -93,7 +93,7 @@ class ParameterGuard:
         return [(waiting, cautions) for waiting, cautions in judged]
 
     def left(self) -> list[Waiting]:
-        """Return the changes whose verdict nobody waits for any more."""
+        """Remove and return the changes that still wait for a verdict."""
         left = list(self._held)
         self._held.clear()
         self._batch, self._verdict = [], None
@@ -146,7 +146,7 @@ def allowed(parameters: Parameters, values: Mapping[str, float]) -> tuple[dict[s
 
 
 def refusal(request: SetParameter, cautions: list[Caution] | None, in_air: bool, values: Mapping[str, float]) -> str:
-    """Return why a change is not taken; empty where it is.  ``cautions`` None: there is no verdict in time."""
+    """Return why a change is not taken; empty where it is.  ``cautions`` None: its verdict is too late."""
     if cautions is None:
         return f"{_said(request.name, request.value)} not taken: no verdict in time, ask again"
     lost = [caution for caution in cautions if caution.loses]
@@ -182,7 +182,7 @@ def _counted(lines: list[str]) -> list[str]:
 
 
 def kept_cautions(judge: Judge | None, parameters: Parameters, values: Mapping[str, float]) -> list[Caution]:
-    """Return what the values that are kept, as far as the vehicle takes them, make worse than the defaults have it."""
+    """Return cautions for the loops that saved values, as far as they are taken, make worse than the defaults."""
     default = {line.name: line.default for line in parameters}
     after = {**default, **allowed(parameters, values)[0]}
     if judge is None or not any(judge.concerns(name) for name in after if after[name] != default[name]):
@@ -191,7 +191,7 @@ def kept_cautions(judge: Judge | None, parameters: Parameters, values: Mapping[s
 
 
 def kept_lines(judge: Judge | None, parameters: Parameters, values: Mapping[str, float]) -> list[str]:
-    """Return what there is to say of values that are kept: what differs or is refused, and what that makes worse."""
+    """Return lines on saved values: which differ from the defaults or are refused, and what they make worse."""
     cautions = kept_cautions(judge, parameters, values)
     return [*differing(parameters, values), *(caution.text for caution in cautions)]
 
@@ -211,7 +211,7 @@ def _said(name: str, value: float) -> str:
 
 
 class ParameterWriter:
-    """Writes parameters to their file in a thread of its own: a disk may take longer than a step.
+    """Writer of parameters to their file in a thread of its own, because a disk may take longer than a step.
 
     ``path`` None: they are kept for the session alone.  Raises InputError for a file that cannot be used.
     """
@@ -226,7 +226,7 @@ class ParameterWriter:
         self._thread: Thread | None = None
 
     def restore(self, put: Callable[[str, float], None]) -> None:
-        """Hand what is kept to a new flight."""
+        """Set the saved parameters in a new flight."""
         if self._store is not None and self._first:
             for text in self._store.restore(put):
                 self._complain(text)
@@ -237,11 +237,11 @@ class ParameterWriter:
 
     @property
     def values(self) -> Mapping[str, float]:
-        """Those that are kept now."""
+        """Parameters that are saved now, by name."""
         return self._values
 
     def keep(self, values: dict[str, float]) -> None:
-        """Keep these from now on, but not HJ_FORCE: it holds for one flight."""
+        """Save these parameters from now on, without HJ_FORCE, which holds for one flight."""
         self._values = {name: value for name, value in values.items() if name != FORCE}
         if self._store is None:
             return
@@ -251,7 +251,7 @@ class ParameterWriter:
         self._work.put(self._values)
 
     def close(self) -> None:
-        """Everything is written."""
+        """Write everything and end the thread."""
         if self._thread is not None:
             self._work.put(None)
             self._thread.join()

@@ -1,4 +1,4 @@
-"""The parameters of a vehicle as they are kept between flights: one small TOML file for each vehicle."""
+"""Storage of parameters between flights: one small TOML file for each vehicle."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _HEAD = "# What differs from the defaults; written by hexjet gcs.\n"
 
 
 def vehicle_key(scenario: Scenario) -> str:
-    """Return what parameters are kept for: another engine or controller has other defaults."""
+    """Return the key of the parameters' file: another engine or controller has other defaults."""
     engine = Path(scenario.engine).stem if is_file(scenario.engine) else scenario.engine
     designs = [f"{Path(f.file).stem}-{f.sha256[:SHORT]}" for f in scenario.parameter_files if f.kind == "design"]
     return "-".join([scenario.aircraft_name, engine, folder_name(scenario.controller), *map(folder_name, designs)])
 
 
 def default_file(vehicle: str) -> Path:
-    """Where a vehicle's parameters are kept if nobody says otherwise: the platform's folder for settings."""
+    """Return the default file of a vehicle's parameters, in the platform's folder for settings."""
     import click
 
     return Path(click.get_app_dir("hexjet")) / "parameters" / f"{vehicle}.toml"
@@ -73,7 +73,7 @@ class ParameterStore:
         return {name: value for name, value in self._written.items() if name != FORCE}
 
     def restore(self, put: Callable[[str, float], None]) -> list[str]:
-        """Hand every value of the file to ``put``; a line for each that it refuses with InputError.
+        """Pass every value of the file to ``put``, and return a line for each that it refuses with InputError.
 
         Raises InputError for a file that cannot be read.
         """
@@ -91,7 +91,7 @@ class ParameterStore:
         return complaints
 
     def save(self, changed: Mapping[str, float]) -> None:
-        """Write what differs from the defaults, whole or not at all.  Raises InputError if it cannot be written."""
+        """Write the changed values, whole or not at all.  Raises InputError if they cannot be written."""
         values = {**{n: v for n, v in self._refused.items() if n not in changed}, **changed}
         if values == self._written or (not values and not self.path.exists()):
             return
@@ -107,7 +107,7 @@ class ParameterStore:
         self._written = values
 
     def _put_aside(self) -> None:
-        """Rename a file that is not ours to overwrite."""
+        """Rename an existing file that cannot be understood, so that it is not overwritten."""
         try:
             ParameterStore(self.path, self._vehicle).load()
         except InputError:

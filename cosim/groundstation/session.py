@@ -1,4 +1,4 @@
-"""A vehicle that waits for a ground station: flights one after the other, flown by what they are asked to do.
+"""Sessions of a vehicle that waits for a ground station: flights one after the other, flown by requests.
 
 The flight runs in the calling thread, paced by the clock; links and the local page run in threads of their own and
 meet it in an :class:`cosim.groundstation.exchange.Exchange`.  Nothing that they do can hold up a step for longer
@@ -116,21 +116,21 @@ class Session:
 
     @property
     def facts(self) -> SessionInfo:
-        """Of the flight that is flown or about to be."""
+        """Constant data of the flight that is about to begin."""
         assert self._next is not None
         return self._next.facts
 
     @property
     def parameters(self) -> Path | None:
-        """Where parameters are kept."""
+        """File in which parameters are saved; None: they last for the session alone."""
         return self._parameters.path
 
     def judged_by(self, judge: Judge) -> None:
-        """Have changes of the parameters that tune a loop judged by this; without one every change is taken."""
+        """Set the judge of parameter changes that tune a loop; without one every change is taken."""
         self._guard.judge = judge
 
     def kept_lines(self) -> list[str]:
-        """Return what there is to say of the parameters that are kept: what differs, and what that makes worse."""
+        """Return lines on the saved parameters: which differ from the defaults, and what they make worse."""
         return kept_lines(self._guard.judge, self.facts.parameters, self._parameters.values)
 
     def stop(self, why: str) -> None:
@@ -138,7 +138,7 @@ class Session:
         self._stopping = self._stopping or why
 
     def run(self) -> list[Run]:
-        """Fly until stopped.  The runs, each with its files in place."""
+        """Fly until stopped, and return the runs, each with its files in place."""
         try:
             return self._fly_on()
         finally:
@@ -164,7 +164,7 @@ class Session:
     # --- one flight ----------------------------------------------------------------------------------------------
 
     def _build(self) -> _Flight:
-        """A flight that is not begun: nothing is written yet."""
+        """Build a flight without beginning it: nothing but its folder is written yet."""
         number = len(self.runs) + 1
         simulation = build(self.scenario)
         try:
@@ -176,7 +176,7 @@ class Session:
         return _Flight(simulation, pilot, facts, Pace(simulation.dt, self.factor), self.exchange)
 
     def _folder(self, number: int) -> Path:
-        """The run's folder, made, so that what is wrong with it is said before anybody connects."""
+        """Return the run's folder; the first is claimed now, so that an error is reported before anybody connects."""
         if self._out is None:
             return reserve_folder(Path("runs"), f"gcs-{self.scenario.aircraft_name}")
         if number == 1:
@@ -224,7 +224,7 @@ class Session:
         return ending
 
     def _between(self, flight: _Flight, k: int) -> Ending | None:
-        """What was asked since the last step, within bounds; the end of the flight, if that is asked."""
+        """Handle requests between two steps, within bounds; return an ending if one is requested."""
         if self._stopping:
             flies = flight.pilot.armed and flight.pilot.status.landed is not LandedState.ON_GROUND
             return Ending("completed", f"{self._stopping}{' in the air' if flies else ''}")
@@ -246,7 +246,7 @@ class Session:
         return None
 
     def _serve(self, flight: _Flight, waiting: Waiting, k: int) -> Answer:
-        """Do what was asked, and give the answer."""
+        """Execute a request and return the answer."""
         request = waiting.request
         if isinstance(request, (Restart, Shutdown)):
             return self._refuse_or_leave(flight, request, waiting.sender)
@@ -262,7 +262,7 @@ class Session:
         return answer
 
     def _serve_judged(self, flight: _Flight, waiting: Waiting, cautions: list[Caution] | None, k: int) -> Answer:
-        """Make a change of a loop, with what is to be said of it; or refuse it, which is recorded too."""
+        """Make a parameter change that has its verdict, and warn of it; or refuse it, which is recorded too."""
         request, pilot = waiting.request, flight.pilot
         assert isinstance(request, SetParameter)
         in_air = pilot.armed and pilot.status.landed is not LandedState.ON_GROUND
@@ -290,7 +290,7 @@ class Session:
             self.stop(f"shut down by {sender}")
 
     def _linger(self, flight: _Flight, ending: Ending) -> None:
-        """A flight has ended by itself: requests are answered so, until there is a restart or the session ends."""
+        """Answer requests after a flight has ended by itself, until there is a restart or the session ends."""
         exchange = self.exchange
         patience = None
         if self.duration is not None:
@@ -312,7 +312,7 @@ class Session:
             time.sleep(_OVER_EVERY)
 
     def _keep_for_next(self, flight: _Flight, request: SetParameter, cautions: list[Caution] | None) -> Answer:
-        """A parameter that is set after the end of a flight is the next one's; the vehicle is not flown any more."""
+        """Set a parameter for the next flight, as this one is over."""
         if why := refusal(request, cautions, False, {}):
             return Answer(False, Result.TEMPORARILY_REJECTED, why)
         answer = flight.pilot.handle(request, flight.simulation.k)
@@ -326,7 +326,7 @@ class Session:
 
 @dataclass
 class _Flight:
-    """One flight and what belongs to it."""
+    """One flight with its autopilot, its records and its link to the exchange."""
 
     simulation: Simulation
     pilot: Autopilot
@@ -353,7 +353,7 @@ class _Flight:
         return self.limited
 
     def ask(self, sender: str, request: Request, k: int) -> Answer:
-        """Put a request to the pilot, sticks of who has them alone, and write it down.  Raises FlightError."""
+        """Pass a request to the autopilot and log it; sticks only from their holder.  Raises FlightError."""
         assert self.log is not None
         if isinstance(request, Sticks) and (holder := self.hands.others(sender, k)):
             if self.hands.first_time():
@@ -364,18 +364,18 @@ class _Flight:
         return answer
 
     def refuse(self, sender: str, request: Request, answer: Answer, k: int) -> None:
-        """Write down what was not put to the pilot.  Raises FlightError."""
+        """Log a request that was not passed to the autopilot.  Raises FlightError."""
         assert self.log is not None
         self.log.write(k, sender, request, answer, asked=False)
 
     def put(self, name: str, value: float) -> None:
-        """A parameter that was kept.  Raises InputError where it is refused."""
+        """Set a saved parameter.  Raises InputError where it is refused."""
         answer = self.ask("parameters", SetParameter(name, value), 0)
         if not answer.accepted:
             raise InputError(answer.text)
 
     def publish(self, sample: Sample | None, ending: Ending | None) -> None:
-        """Let everybody see how things stand."""
+        """Publish a snapshot of the flight."""
         exchange = self.exchange
         self.last_message = pass_on(self.pilot, exchange, self.last_message)
         self.sample = sample or self.sample
@@ -394,7 +394,7 @@ class _Flight:
         )
 
     def finish(self, ending: Ending, wall: float, report: bool) -> Run:
-        """Put the run's files into place; its scenario ends where the flight has ended."""
+        """Put the run's files into place and return it; its scenario ends where the flight has ended."""
         assert self.recording is not None
         self.close_record()
         steps, reason = self.simulation.k, ending.reason
@@ -412,14 +412,14 @@ class _Flight:
         self.simulation.close()
 
     def close_record(self) -> None:
-        """Everything that the autopilot did is on disk, as far as there is room."""
+        """Close the autopilot's record, which is then on disk as far as there is room."""
         if self.noting is not None:
             with suppress(FlightError):
                 self.noting.close()
 
 
 class _Publisher:
-    """An observer that publishes, not more often than anybody looks, and says when deadlines are missed."""
+    """Observer that publishes snapshots, not more often than anybody looks, and reports missed deadlines."""
 
     def __init__(self, flight: _Flight) -> None:
         self._flight = flight
@@ -449,7 +449,7 @@ class _Publisher:
 
 
 class ReadOnlyObserver:
-    """Lets a flight that follows a script, or a recorded one, be watched; every request is refused."""
+    """Factory of observers that publish a scripted or recorded flight and refuse every request."""
 
     def __init__(self, exchange: Exchange, begun: Callable[[SessionInfo], None] = lambda facts: None) -> None:
         self._exchange = exchange
@@ -464,7 +464,7 @@ class ReadOnlyObserver:
 
 
 class _ReadOnly:
-    """Publishes a flight that nobody can change."""
+    """Observer that publishes a flight and refuses every request."""
 
     def __init__(
         self, simulation: Simulation, pilot: Autopilot | None, facts: SessionInfo, pace: Pace, exchange: Exchange
@@ -501,7 +501,7 @@ def snapshot_of(
     ending: Ending | None = None,
     mission: tuple[MissionItem, ...] = (),
 ) -> Snapshot:
-    """The flight as it is now, after ``sample``."""
+    """Return a snapshot of the flight as it is now, after ``sample``."""
     k, state, measured = simulation.k, simulation.state, simulation.measured
     time = k * facts.scenario.step_s
     seen = simulation.controller.diagnostics
@@ -509,7 +509,7 @@ def snapshot_of(
 
 
 def pass_on(pilot: Autopilot, exchange: Exchange, after: int) -> int:
-    """Pass on what the pilot has said after its message ``after``; the number of its last one."""
+    """Pass on the autopilot's messages after number ``after``, and return the number of its last one."""
     messages = pilot.messages
     if messages and messages[-1].number > after:
         for message in messages:
@@ -520,7 +520,7 @@ def pass_on(pilot: Autopilot, exchange: Exchange, after: int) -> int:
 
 
 def scripted_status(simulation: Simulation, sample: Sample) -> Status:
-    """What a ground station is told of a flight that no autopilot flies: armed, and holding what the script says."""
+    """Return the status of a flight without an autopilot: armed, and holding what the script commands."""
     north, east, _ = simulation.measured.position
     fix = Fix((north, east), simulation.measured.velocity[:2], (0.0, 0.0))
     on_ground = simulation.state.on_ground
@@ -550,7 +550,7 @@ def scripted_status(simulation: Simulation, sample: Sample) -> Status:
 
 
 def waiting_scenario(scenario: Scenario, duration: float | None) -> Scenario:
-    """The scenario with its vehicle standing on the ground, and an autopilot in place of its commands."""
+    """Return the scenario with its vehicle on the ground, and an autopilot in place of its commands."""
     watched = scenario.resolved_vehicle()[0].control.monitor
     heading = scenario.initial.attitude_deg[2]
     still = (0.0, 0.0, 0.0)
@@ -571,7 +571,7 @@ def waiting_scenario(scenario: Scenario, duration: float | None) -> Scenario:
 
 
 def place_at(text: str) -> dict[str, float]:
-    """``LAT,LON`` in degrees as a scenario's environment.  Raises InputError if it is not two numbers."""
+    """Parse ``LAT,LON`` in degrees to fields of a scenario's environment.  Raises InputError for anything else."""
     try:
         latitude, longitude = (float(part) for part in text.split(","))
     except ValueError as error:
@@ -582,7 +582,7 @@ def place_at(text: str) -> dict[str, float]:
 def session_info(
     simulation: Simulation, number: int, parameters: Parameters, folder: Path | None, factor: float | None
 ) -> SessionInfo:
-    """What there is to know of a flight before its first step."""
+    """Return a flight's constant data, known before its first step."""
     place = simulation.scenario.environment
     geodesy = Geodesy(place.latitude_deg, place.longitude_deg, place.ground_m)
     stations = tuple(simulation.stations)
@@ -592,7 +592,7 @@ def session_info(
 
 @contextmanager
 def steady() -> Iterator[None]:
-    """While a flight is paced: no long collections of garbage, and threads that give way soon."""
+    """Keep a paced flight steady: no long collections of garbage, and threads that give way soon."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH)
     gc.collect()
@@ -606,7 +606,7 @@ def steady() -> Iterator[None]:
 
 @contextmanager
 def stopped_by_signals(session: Session) -> Iterator[None]:
-    """Ctrl-C and SIGTERM end the session properly; a second one ends the process as usual."""
+    """End the session properly on Ctrl-C and SIGTERM; a second one ends the process as usual."""
     kept: dict[int, Any] = {}
 
     def stop(number: int, frame: object) -> None:
@@ -624,7 +624,7 @@ def stopped_by_signals(session: Session) -> Iterator[None]:
 
 
 def _parameters(simulation: Simulation) -> Parameters:
-    """What the autopilot of this vehicle would show, if it has one."""
+    """Return the parameters that this vehicle's autopilot would have; none if it has no autopilot."""
     control = simulation.vehicle.control
     if control.position is None or control.pilot is None:
         return Parameters([])

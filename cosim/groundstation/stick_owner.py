@@ -1,4 +1,4 @@
-"""Whose sticks count where several ground stations send some."""
+"""Arbitration of sticks where several ground stations send some."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from cosim.control.autopilot.parameters import Parameters
 
 
 class StickOwner:
-    """Whose sticks count: those of who had them first, until they are let go; as PX4 chooses between its sources."""
+    """Holder of the sticks: the sender who had them first, until it falls silent, as PX4 chooses between sources."""
 
     def __init__(self, parameters: Parameters, step: float) -> None:
         self._parameters, self._step = parameters, step
@@ -14,7 +14,7 @@ class StickOwner:
         self._announced = False
 
     def others(self, sender: str, k: int) -> str:
-        """Who else has them at step ``k``; empty: from now on ``sender`` has."""
+        """Return who else holds the sticks at step ``k``; empty: ``sender`` holds them from now on."""
         fresh = (k - self._at) * self._step <= self._parameters["HJ_STICK_TIME"]
         if self._holder not in ("", sender) and fresh:
             return self._holder
@@ -23,6 +23,6 @@ class StickOwner:
         return ""
 
     def first_time(self) -> bool:
-        """Is this the first time since they changed hands?  It is said once, however many others there are."""
+        """Return whether this is the first refusal since the sticks changed hands, so that it is reported once."""
         announced, self._announced = self._announced, True
         return not announced

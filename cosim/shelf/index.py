@@ -1,4 +1,4 @@
-"""What lies in a folder of runs, one row each: read once, and again only where a folder has changed.
+"""The index of a folder of runs, one row a run: read once, and again only where a folder has changed.
 
 The rows are kept in ``.index.json`` of the folder, by name, with the times of the folder and of its summary: of ten
 thousand runs two looks at each are left, and no file is opened.  The index may be deleted at any time.
@@ -34,7 +34,7 @@ FACTS = ("scenario", "title", "aircraft", "engine", "controller", "started", "ou
 
 
 class Entry(NamedTuple):
-    """One folder."""
+    """One row of the index: a run, a campaign, another page, an unfinished run, or another controller's log."""
 
     name: str
     kind: str
@@ -45,7 +45,7 @@ class Entry(NamedTuple):
 
 
 class Shelf:
-    """A folder of runs, campaigns and what else leaves a page.
+    """The index of a folder with runs, campaigns and whatever else leaves a page.
 
     Raises InputError where the folder cannot be read.
     """
@@ -58,7 +58,7 @@ class Shelf:
         self._load()
 
     def entries(self) -> list[Entry]:
-        """What is there now, the newest first; what has not changed since is not read again."""
+        """Return the entries of the folder now, the newest first; those that have not changed are not read again."""
         entries: dict[str, tuple[list[int], Entry]] = {}
         try:
             with os.scandir(self.folder) as inside:
@@ -82,7 +82,7 @@ class Shelf:
         return [entry for _, entry in ordered]
 
     def place(self, name: str) -> Path:
-        """The folder of an entry.  Raises InputError for a name that is none of the entries'."""
+        """Return the path of an entry.  Raises InputError for a name that is not in the index."""
         if name not in self._known:
             raise InputError(f"{name}: is not here")
         return self.folder / name
@@ -134,7 +134,7 @@ class Shelf:
 
 
 def _may_be_one(entry: os.DirEntry[str]) -> bool:
-    """Whether it is to be looked into: a folder, or a file that is no table and not hidden."""
+    """Return whether a directory entry may be a row: a folder, or a flight controller's log, that is not hidden."""
     if entry.name[:1] == ".":
         return False
     return entry.is_dir(follow_symlinks=False) or (
@@ -143,7 +143,7 @@ def _may_be_one(entry: os.DirEntry[str]) -> bool:
 
 
 def _stamp(folder: os.DirEntry[str]) -> list[int]:
-    """When the folder and what is read of it were last changed."""
+    """Return the modification times [ns] of a folder and of its summary, if it has one."""
     stamp = [folder.stat(follow_symlinks=False).st_mtime_ns]
     with suppress(OSError):
         stamp.append(os.stat(f"{folder.path}/{SUMMARY}").st_mtime_ns)
@@ -151,7 +151,7 @@ def _stamp(folder: os.DirEntry[str]) -> list[int]:
 
 
 def read_entry(folder: Path) -> Entry:
-    """One folder, or a flight controller's log, read; its kind is empty where it is nothing of ours."""
+    """Read the row of a folder or of a flight controller's log; its kind is empty for anything else."""
     if folder.is_file():
         began = {"started": datetime.fromtimestamp(folder.stat().st_mtime, UTC).isoformat(timespec="seconds")}
         return Entry(folder.name, LOG if is_flight_log(folder) else "", began, {}, [], "")
@@ -181,7 +181,7 @@ def _facts(summary: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _study(path: Path) -> dict[str, str]:
-    """Title and scenario of a campaign; where it flies a file of its own folder, the name that this has."""
+    """Return title and scenario of a campaign; for a scenario file in its own folder, the name that the file states."""
     facts = _stated(path, "title", "scenario")
     if facts.get("scenario") == SCENARIO:
         flown = _stated(path.parent / SCENARIO, "title", "name")
@@ -200,7 +200,7 @@ def _is_changed(path: Path) -> bool:
 
 
 def _stated(path: Path, *keys: str) -> dict[str, str]:
-    """Texts that a file states before its first table."""
+    """Return the strings of these keys that a TOML file has before its first table."""
     with suppress(OSError, ValueError):
         head = path.read_text(encoding="utf-8").partition("\n[")[0]
         return {
@@ -210,7 +210,7 @@ def _stated(path: Path, *keys: str) -> dict[str, str]:
 
 
 def flat(summary: Mapping[str, Any]) -> dict[str, float]:
-    """The metrics of a summary by their names: every number below the groups that have metrics."""
+    """Return the metrics of a summary as ``group.name``: every number in the groups that have metrics."""
     metrics: dict[str, Any] = {}
     groups: dict[str, Any] = dict(summary.get("metrics") or {})
     groups |= {name: summary.get(name) for name in ("altitude", "position", "speed", "effort")}

@@ -65,7 +65,7 @@ FRAME = """<!doctype html>
 
 
 class ShelfServer:
-    """Serves a shelf; ``compare`` writes a comparison of some of its folders and says where."""
+    """HTTP and WebSocket server of the run browser; ``compare`` writes a comparison of folders and returns its path."""
 
     def __init__(self, shelf: Shelf, port: int, compare: Callable[[Sequence[Path]], Path]) -> None:
         self.port = port
@@ -78,7 +78,7 @@ class ShelfServer:
 
     @property
     def url(self) -> str:
-        """Where the page is, with the token: for those alone who may have something done."""
+        """Address of the page with its token, which is for those alone who may tag, compare and delete."""
         return f"http://127.0.0.1:{self.port}/?token={self._token}"
 
     def open(self) -> None:
@@ -110,7 +110,7 @@ class ShelfServer:
     # --- files ---------------------------------------------------------------------------------------------------
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        """A file, a refusal, or None where a WebSocket may be opened (its origin is looked at next)."""
+        """Return a file or a refusal, or None where a WebSocket may be opened (its origin is checked next)."""
         if refusal := stranger(request, self._hosts):
             return refusal
         path, _, query = request.path.partition("?")
@@ -140,7 +140,7 @@ class ShelfServer:
         return page.replace("@FOLDER@", escape(str(self._shelf.folder))).encode()
 
     def _file(self, name: str, alone: bool) -> Response:
-        """A file below the folder of runs, of a kind that a page is made of; ``alone``: a page needs its frame."""
+        """Return a file below the folder of runs, of a type that pages use; ``alone``: a page comes in its frame."""
         root = self._shelf.folder.resolve()
         ending = name.rpartition(".")[2].lower()
         try:
@@ -159,7 +159,7 @@ class ShelfServer:
         return answer
 
     def _frame(self, name: str) -> Response:
-        """The page around a run's page, which lets its frame go to pages of runs alone."""
+        """Return the page around a run's page; its policy lets the frame navigate to pages of runs alone."""
         nonce = self._nonce
         page = FRAME.format(name=escape(quote(name)), nonce=nonce, framed=FRAMED, allowed=ALLOWED)
         policy = (
@@ -169,7 +169,7 @@ class ShelfServer:
         return response(HTTPStatus.OK, page.encode(), TYPES["html"], policy)
 
     def _policy(self) -> str:
-        """What a run's page may load: what is in it, and files of runs."""
+        """Return the content policy of a run's page: it may load what is in it, and files of runs."""
         runs, hosts = self._runs(), " ".join(f"http://{host}" for host in sorted(self._hosts))
         return (
             f"sandbox {ALLOWED}; default-src 'none'; script-src 'unsafe-inline' {runs}; "
@@ -178,13 +178,13 @@ class ShelfServer:
         )
 
     def _runs(self) -> str:
-        """Where files of runs are, as a policy has it."""
+        """Return the addresses of runs' files, as the sources of a content policy."""
         return " ".join(f"http://{host}/run/{self._key}/" for host in sorted(self._hosts))
 
     # --- the page's questions ------------------------------------------------------------------------------------
 
     def _serve(self, connection: ServerConnection) -> None:
-        """One WebSocket, from its first message to its end."""
+        """Serve one WebSocket from its first message to its end."""
         try:
             token = _parsed(connection.recv(HELLO_S)).get("token")
             if not is_token(token, self._token):
@@ -199,7 +199,7 @@ class ShelfServer:
             pass
 
     def _rows(self) -> str:
-        """All of it: rows, and each metric's name once."""
+        """Return the whole index as JSON: rows, and each metric's name once."""
         entries = self._shelf.entries()
         names = sorted({name for entry in entries for name in entry.metrics})
         rows = [
@@ -209,7 +209,7 @@ class ShelfServer:
         return json.dumps({"metrics": names, "rows": rows})
 
     def _do(self, asked: dict[str, Any]) -> str:
-        """What the page asks for; the answer is what is told about it."""
+        """Execute a request of the page, and return as JSON the message that it shows."""
         what, names = asked.get("do"), asked.get("names")
         chosen = [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
         try:
@@ -234,7 +234,7 @@ def _texts(value: Any) -> list[str]:
 
 
 def _parsed(text: str | bytes) -> dict[str, Any]:
-    """A message as a table; what is none is an empty one."""
+    """Return a JSON message as a dict, which is empty for anything else."""
     try:
         message = json.loads(text)
     except ValueError:

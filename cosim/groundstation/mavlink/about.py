@@ -1,4 +1,4 @@
-"""The vehicle as it was built, as the telemetry tells it."""
+"""The constant data of a vehicle that its telemetry needs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PERSONALITIES: tuple[Personality, ...] = ("px4", "ardupilot", "generic")
 
 @dataclass(frozen=True)
 class VehicleInfo:
-    """What does not change."""
+    """Constant data of a vehicle: identity, outputs, engines, and noise of its sensors."""
 
     geodesy: Geodesy
     jets: int

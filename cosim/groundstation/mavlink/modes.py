@@ -1,4 +1,4 @@
-"""The pilot's modes as each personality numbers them.
+"""Flight modes in the numbers of each personality.
 
 PX4: main mode in bits 16 to 23 of custom_mode, sub mode in bits 24 to 31 (PX4, px4_custom_mode.h).
 ArduPilot: Copter's numbers (COPTER_MODE).  A vehicle of no personality uses PX4's, because MAVSDK reads those.
@@ -17,7 +17,7 @@ _TYPES = {3: 15, 4: 2, 6: 13, 8: 14, 10: 35, 12: 29}  # tricopter, quadrotor, he
 
 
 def vehicle_type(jets: int) -> int:
-    """MAV_TYPE of a vehicle that hovers on so many engines."""
+    """Return MAV_TYPE of a vehicle that hovers on so many engines."""
     return _TYPES.get(jets, GENERIC_MULTIROTOR)
 
 
@@ -74,7 +74,7 @@ _ADVANCED, _AUTOMATIC = 1, 4
 
 
 class ModeLine(NamedTuple):
-    """A line of AVAILABLE_MODES; the names are those that QGroundControl uses for PX4."""
+    """One mode of AVAILABLE_MODES; the names are those that QGroundControl uses for PX4."""
 
     mode: Mode
     name: str
@@ -106,7 +106,7 @@ CUSTOM, AUTO, GUIDED, STABILIZE, MANUAL_INPUT, ARMED = 1, 4, 8, 16, 64, 128
 
 
 def custom_mode(mode: Mode, personality: Personality) -> int:
-    """HEARTBEAT.custom_mode."""
+    """Return HEARTBEAT.custom_mode."""
     if personality == "ardupilot":
         return _COPTER[mode]
     main, sub = _PX4[mode]
@@ -114,13 +114,13 @@ def custom_mode(mode: Mode, personality: Personality) -> int:
 
 
 def base_mode(mode: Mode, armed: bool) -> int:
-    """HEARTBEAT.base_mode."""
+    """Return HEARTBEAT.base_mode."""
     flags = MANUAL_INPUT | STABILIZE if mode in BY_STICK else STABILIZE | GUIDED | AUTO
     return CUSTOM | flags | (ARMED if armed else 0)
 
 
 def from_custom(value: int, personality: Personality) -> Mode | None:
-    """The mode of SET_MODE.custom_mode; None where there is none."""
+    """Return the mode of SET_MODE.custom_mode; None for an unknown number."""
     if personality == "ardupilot":
         return _FROM_COPTER.get(value)
     if value & 0xFFFF:
@@ -129,5 +129,5 @@ def from_custom(value: int, personality: Personality) -> Mode | None:
 
 
 def from_main_sub(main: int, sub: int) -> Mode | None:
-    """The mode of PX4's two numbers, as DO_SET_MODE has them.  Sub modes count in AUTO only."""
+    """Return the mode of PX4's main and sub mode, as DO_SET_MODE has them.  Sub modes count in AUTO only."""
     return _FROM_PX4.get((main, sub if main == _AUTO else 0))

@@ -1,4 +1,4 @@
-"""Which messages are due: rates in wall-clock time, per ground station, on one grid.
+"""Scheduling of telemetry: rates in wall-clock time, per ground station, on one grid.
 
 Every message counts its slots from one start, so that stations with the same rate get the same message at the
 same time, which is built once; a slot that was missed is left out and not made up for.
@@ -27,7 +27,7 @@ _PHASE = {number: index * (sqrt(5.0) - 1.0) / 2.0 % 1.0 for index, number in enu
 
 
 def interval(peer: Peer, number: int) -> float:
-    """Seconds between two messages to a station; 0: it gets none by itself.
+    """Return the seconds between two messages of a kind to a station; 0: it gets none unasked.
 
     On a line that does not carry them all, every interval but the heartbeat's is longer by the same factor.
     """
@@ -36,7 +36,7 @@ def interval(peer: Peer, number: int) -> float:
 
 
 class Streams:
-    """The clockwork; ``start``: when the first slot begins."""
+    """Schedule of all messages; ``start`` [s]: when the first slot begins."""
 
     def __init__(self, start: float) -> None:
         self._start = start
@@ -45,12 +45,12 @@ class Streams:
         self._sizes: dict[int, tuple[int, int]] = {}  # of all that belong to one message, as it was last: bytes, frames
 
     def sized(self, stream: Stream, packets: Sequence[Message]) -> None:
-        """What a message came to."""
+        """Note the size of a message as it was last sent, in bytes and frames."""
         number = BY_NAME[stream.name].id
         self._sizes[number] = sum(map(frame_size, packets)), len(packets)
 
     def demand(self, peer: Peer, numbers: Iterable[int] = BY_ID) -> float:
-        """Bytes a second that a station has asked for, as far as the messages have been made already."""
+        """Return the bytes a second that a station has requested, of messages whose size is known already."""
         total = 0.0
         for number in numbers:
             every = peer.intervals.get(number, DEFAULT[number])
@@ -59,7 +59,7 @@ class Streams:
         return total
 
     def _fit(self, peer: Peer, now: float) -> None:
-        """Make what a station gets fit its line."""
+        """Stretch a station's intervals so that its telemetry fits its line."""
         if peer.line is None or not self._sizes or now - peer.stretched < _LOOK:
             return
         peer.stretched = now
@@ -75,17 +75,17 @@ class Streams:
                     self._next.setdefault((number, every), self._slot(now, number, every))
 
     def _slot(self, now: float, number: int, every: float) -> float:
-        """The next one after now; messages take turns within an interval, so that a line is not filled all at once."""
+        """Return the time of a message's next slot; messages take turns in an interval, so that none fills a line."""
         start = self._start + _PHASE[number] * every
         return start + (floor((now - start) / every + 1e-9) + 1) * every
 
     @property
     def next(self) -> float:
-        """When something is due again, as of the last call."""
+        """Time at which something is due again, as of the last call."""
         return self._at
 
     def due(self, now: float, peers: Sequence[Peer]) -> Iterator[tuple[Stream, list[Peer]]]:
-        """Every message that is due, with who gets it; nobody where it is only for the log."""
+        """Iterate over the messages that are due with the stations that get them; none where it is only for the log."""
         for peer in peers:
             self._fit(peer, now)
         earliest = inf

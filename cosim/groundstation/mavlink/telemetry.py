@@ -44,7 +44,7 @@ _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5  # MISSIO
 
 
 def to_field(value: float, least: int, most: int) -> int:
-    """Rounded into what a field can hold; NaN becomes 0."""
+    """Return a value rounded and clipped to a field's range; NaN becomes 0."""
     return 0 if isnan(value) else round(min(max(value, least), most))
 
 
@@ -92,7 +92,7 @@ def sys_status(v: View) -> list[Message]:
 
 
 def _unhealthy(v: View) -> int:
-    """The bits of sensors that are not believed, and of what cannot be controlled for want of them."""
+    """Return the bits of sensors that are not trusted, and of quantities that cannot be controlled without them."""
     trust = v.status.trust
     return sum(
         bits
@@ -136,7 +136,7 @@ def gps_raw_int(v: View) -> list[Message]:
 
 
 def _heading(north: float, east: float) -> float:
-    """0 to 2 pi."""
+    """Return a course from 0 to 2 pi [rad]."""
     return atan2(east, north) % (2.0 * pi)
 
 
@@ -167,8 +167,10 @@ def global_position_int(v: View) -> list[Message]:
 
 
 def servo_output_raw(v: View) -> list[Message]:
-    """Throttles, and servos from the seventh or behind the last, as pulses: 1000 to 2000 us, 1500 is straight up, or
-    the middle of a hinge's range; as many as the message has."""
+    """Return throttles, and servos from the seventh or behind the last, as pulses of 1000 to 2000 us.
+
+    1500 us is straight up, or the middle of a hinge's range; as many as the message has.
+    """
     actuation, reach = v.sample.actuation, v.about.tilt_range
     pulses = [0] * 16
     for i, throttle in enumerate(actuation.throttle[: v.about.jets]):
@@ -184,7 +186,7 @@ def servo_output_raw(v: View) -> list[Message]:
 
 
 def actuator_output_status(v: View) -> list[Message]:
-    """Throttles 0 to 1 from 0 on, servos from 6 on or behind them: -1 to 1, or rad where their range is not stated."""
+    """Return throttles 0 to 1, and from 6 on or behind them servos -1 to 1, or in rad where they have no range."""
     actuation, reach = v.sample.actuation, v.about.tilt_range
     values = [0.0] * 32
     jets = v.about.jets
@@ -200,7 +202,7 @@ def actuator_output_status(v: View) -> list[Message]:
 
 
 def _shares(tilt: PerServo, ranges: tuple[tuple[float, float], ...]) -> list[float]:
-    """Where servos stand in their ranges, -1 to 1."""
+    """Return servo positions normalised to their ranges, -1 to 1."""
     return [(2.0 * at - least - most) / (most - least) for at, (least, most) in zip(tilt, ranges, strict=True)]
 
 
@@ -256,7 +258,7 @@ def altitude(v: View) -> list[Message]:
 
 
 def battery_status(v: View) -> list[Message]:
-    """The pilot's estimate for a vehicle that flies on a battery; with a tank, a bus of which nothing is measured."""
+    """Return the estimated charge of a vehicle's battery; with a tank, an avionics bus without measurements."""
     burns = not isnan(v.about.fuel_capacity)
     function = 3 if burns else 1  # MAV_BATTERY_FUNCTION: avionics, all
     voltages = [U16] * 10
@@ -265,7 +267,7 @@ def battery_status(v: View) -> list[Message]:
 
 
 def fuel_status(v: View) -> list[Message]:
-    """Millilitres and millilitres a second of kerosene, as MAVLink has liquid fuel; what is known here is mass."""
+    """Return kerosene in ml and ml/s, as MAVLink has liquid fuel, from mass and mass flow."""
     full, fuel = v.about.fuel_capacity, v.sample.fuel
     if isnan(full) or isnan(fuel):
         return []
@@ -293,7 +295,7 @@ def autopilot_version(v: View) -> list[Message]:
 
 
 def _version(text: str) -> int:
-    """Major, minor, patch and kind of release, a byte each.
+    """Return major, minor, patch and kind of release, a byte each.
 
     QGroundControl asks for an update of anything below 1.4.1, so what this project calls 0.1 is 2.1 here.  The kind is
     128, a beta: an official release would be compared with PX4's newest.
@@ -303,7 +305,7 @@ def _version(text: str) -> int:
 
 
 def _numbers(version: str) -> tuple[int, int, int]:
-    """Major, minor and patch, each what a byte holds."""
+    """Return major, minor and patch, each clipped to a byte."""
     numbers = [min(int(part), U8) if part.isdigit() else 0 for part in version.split(".")[:3]]
     major, minor, patch = (*numbers, 0, 0, 0)[:3]
     return major, minor, patch
@@ -342,7 +344,7 @@ def home_position(v: View) -> list[Message]:
 
 
 def orbit_execution_status(v: View) -> list[Message]:
-    """While it flies round a centre: where, and with which radius (negative: to the left)."""
+    """Return the orbit that is being flown, its centre and radius [m] (negative: to the left)."""
     orbit, centre = v.status.orbit, v.status.target
     if orbit is None or centre is None:
         return []
@@ -363,10 +365,10 @@ def extended_sys_state(v: View) -> list[Message]:
 
 
 def estimator_status(v: View) -> list[Message]:
-    """Attitude, horizontal and vertical speed, relative place; with a home the absolute ones and their prediction.
+    """Return which estimates are valid; absolute positions and their predictions only with a home.
 
-    A place that is carried on without fixes is told as relative, as far as its speed is known.  Where no autopilot
-    estimates anything the accuracies are the sensors'.
+    A position that is dead-reckoned without fixes counts as relative, as far as its speed is valid.  Where no
+    autopilot estimates anything the accuracies are the sensors'.
     """
     trust, home, about = v.status.trust, v.status.home is not None, v.about
     place = about.position_noise if isnan(trust.place_m) else trust.place_m
@@ -410,7 +412,7 @@ def available_modes(v: View) -> list[Message]:
 
 
 def mode_line(about: VehicleInfo, index: int) -> Message:
-    """AVAILABLE_MODES of one mode, counted from 1."""
+    """Return AVAILABLE_MODES of one mode, counted from 1."""
     mode, name, properties = LIST[index - 1]
     number = custom_mode(mode, about.personality)
     return mav.MAVLink_available_modes_message(
@@ -419,18 +421,18 @@ def mode_line(about: VehicleInfo, index: int) -> Message:
 
 
 def mission_progress(status: Status) -> Message:
-    """MISSION_CURRENT: where the mission stands."""
+    """Return MISSION_CURRENT, the progress of the mission."""
     return mav.MAVLink_mission_current_message(*mission_standing(status))
 
 
 def mission_standing(status: Status) -> tuple[int, int, int, int]:
-    """The present item, how many there are (65535: none), the state, and whether it is being flown."""
+    """Return the present item, the number of items (65535: none), the state, and whether it is being flown."""
     count = status.mission_count
     return (max(0, min(status.mission_current, count - 1)), count or 65535, *_state(status))
 
 
 def _state(status: Status) -> tuple[int, int]:
-    """MISSION_STATE, and whether the mission is being flown (1) or not (2)."""
+    """Return MISSION_STATE, and whether the mission is being flown (1) or not (2)."""
     flies = status.mode is Mode.MISSION and status.armed
     if not status.mission_count:
         return _NO_MISSION, 2
@@ -447,7 +449,7 @@ def mission_current(v: View) -> list[Message]:
 
 
 def _engines(v: View) -> list[int]:
-    """The first engine of each message: there is room for four."""
+    """Return the first engine of each message, as each has room for four."""
     return [4 * i for i in range(ceil(v.about.jets / 4))]
 
 
@@ -456,7 +458,7 @@ def _spools(v: View) -> list[float]:
 
 
 def esc_status(v: View) -> list[Message]:
-    """Spool speeds.  Left out where no engine reports one: the field has no value for "unknown"."""
+    """Return spool speeds [rpm]; none where no engine reports one, as the field has no value for "unknown"."""
     rpm = _spools(v)
     if not any(isfinite(speed) for speed in rpm):
         return []
@@ -470,7 +472,7 @@ def esc_status(v: View) -> list[Message]:
 
 
 def esc_info(v: View) -> list[Message]:
-    """Which engines are there and do as they are told; of temperatures only the exhaust's are known, and too hot."""
+    """Return which engines work; the exhaust's temperature, the only one known, does not fit its field."""
     health = [1.0 if share > 0.0 else 0.0 for share in v.sample.health[: v.about.jets]]
     counter = v.sample.k & U16
     return [
@@ -488,7 +490,7 @@ def _four(values: Sequence[float], first: int, missing: float) -> list[float]:
 
 
 def efi_status(v: View) -> list[Message]:
-    """Each engine's control unit; NaN where the engine does not say, 0 for voltage and pressure as they define it."""
+    """Return each engine's control unit; NaN is unknown, but for voltage and pressure MAVLink defines 0 as that."""
     sample, engines = v.sample, v.sample.engines
     messages = []
     for i in range(v.about.jets):
@@ -507,12 +509,12 @@ def efi_status(v: View) -> list[Message]:
 
 
 def raw_rpm(v: View) -> list[Message]:
-    """Of the first four engines: no station shows more."""
+    """Return the spool speeds [rpm] of the first four engines, as no station shows more."""
     return [mav.MAVLink_raw_rpm_message(i, rpm) for i, rpm in enumerate(_spools(v)[:4]) if isfinite(rpm)]
 
 
 def predictor_array(v: View) -> list[Message]:
-    """DEBUG_FLOAT_ARRAY "predictor": seven times roll, pitch, yaw.
+    """Return DEBUG_FLOAT_ARRAY "predictor": seven times roll, pitch, yaw.
 
     Measured rate, predicted rate, model without delay, model with delay (rad/s), delay (s), set-point of the rate
     (rad/s), command.
@@ -527,7 +529,7 @@ def predictor_array(v: View) -> list[Message]:
 
 
 def named_values(v: View) -> list[Message]:
-    """The roll axis of the predictor for those who plot single numbers."""
+    """Return the predictor's roll axis as named values, for tools that plot single numbers."""
     sample, (model, _, delay) = v.sample, v.predicting
     measured, predicted = sample.measured.rate[0], sample.control.rate_predicted[0]
     values = {
@@ -543,7 +545,7 @@ def named_values(v: View) -> list[Message]:
 
 
 def debug_vect(v: View) -> list[Message]:
-    """Predicted rates about the three axes, rad/s."""
+    """Return the predicted rates about the three body axes [rad/s]."""
     return [mav.MAVLink_debug_vect_message(b"rate_pred", v.us, *v.sample.control.rate_predicted)]
 
 
@@ -553,7 +555,7 @@ def flight_information(v: View) -> list[Message]:
 
 
 def odometry(v: View) -> list[Message]:
-    """Place and attitude in NED, velocity in the body's axes."""
+    """Return position and attitude in NED, and velocity and rates in body axes."""
     fix = v.status.fix
     velocity = (*fix.velocity, v.seen.velocity[2])
     body = rotate(conjugate(v.seen.attitude), velocity)
@@ -567,14 +569,14 @@ def odometry(v: View) -> list[Message]:
 
 
 def highres_imu(v: View) -> list[Message]:
-    """Rates and specific force as measured; the force is left out where there is no accelerometer."""
+    """Return measured rates and specific force; the force is marked invalid without an accelerometer."""
     force, rate = v.measured.specific_force, v.measured.rate
     updated = 0b111_000 if isnan(force[2]) else 0b111_111
     return [mav.MAVLink_highres_imu_message(v.us, *force, *rate, nan, nan, nan, nan, nan, nan, nan, updated, 0)]
 
 
 def hil_state_quaternion(v: View) -> list[Message]:
-    """The truth of the simulation."""
+    """Return the true state of the simulation."""
     state = v.sample.state
     lat, lon, height = v.about.geodesy.to_geodetic(*state.position[:2], state.altitude)
     speeds = [to_field(speed * 100.0, -I16, I16) for speed in state.velocity]
@@ -589,7 +591,7 @@ def hil_state_quaternion(v: View) -> list[Message]:
 
 
 def statustext(severity: int, text: str, number: int) -> list[Message]:
-    """A line of any length; ``number`` (not 0) holds its pieces of 50 characters together."""
+    """Return a line of any length as pieces of 50 characters, which ``number`` (not 0) groups."""
     data = text.encode("ascii", "replace")[: 50 * 256]
     if len(data) <= 50:
         return [mav.MAVLink_statustext_message(severity, data)]
@@ -605,7 +607,7 @@ Build = Callable[[View], list[Message]]
 
 @dataclass(frozen=True)
 class Stream:
-    """One message, or one kind of them: how often by itself, in wall-clock Hz; 0 is on request only."""
+    """A message or group of messages, its default rate [Hz of wall time] (0: on request only) and its builder."""
 
     name: str
     rate: float

@@ -1,4 +1,4 @@
-"""The vehicle in the link's thread: who asks what, what goes to the pilot, and what is told when.
+"""The vehicle in the link's thread: dispatch of messages, requests to the autopilot, and telemetry.
 
 Frames for other systems are counted and left alone: this is a vehicle and no router, so ground stations do not see each
 other through it.
@@ -48,7 +48,7 @@ _SERVE = 0.01  # s between two looks at a service that has much to send
 
 
 class Service(Protocol):
-    """A protocol of its own: parameters, missions, files, logs.  Called in the link's thread only.
+    """A MAVLink microservice: parameters, missions, files or logs.  Called in the link's thread only.
 
     ``handles``: the names of the messages that are its business; ``busy``: it wants to be polled every 10 ms.
     """
@@ -56,23 +56,23 @@ class Service(Protocol):
     handles: frozenset[str]
 
     def handle(self, message: Message, client: Client, now: float) -> Sequence[Message]:
-        """What to answer to a message for this vehicle."""
+        """Return the answers to a message for this vehicle."""
         ...
 
     def poll(self, now: float) -> Iterable[tuple[Any, Message]]:
-        """What to send by itself: to one peer, or (None) to all."""
+        """Return the messages to send unasked: to one peer, or (None) to all."""
         ...
 
     @property
     def busy(self) -> bool: ...
 
     def forget(self, peer: Any) -> None:
-        """The peer is gone."""
+        """Forget a peer that is gone."""
         ...
 
 
 class Sender(NamedTuple):
-    """Who sent a message: several may be behind one peer."""
+    """Sender of a message; several systems may be behind one peer."""
 
     peer: Peer
     system: int
@@ -80,12 +80,12 @@ class Sender(NamedTuple):
 
     @property
     def text(self) -> str:
-        """For people to read."""
+        """Name of the sender for people to read."""
         return f"{self.peer.name} {self.system}/{self.component}"
 
 
 class Vehicle:
-    """``services``: a message belongs to the first that handles it.
+    """A vehicle on MAVLink links.  ``services``: a message belongs to the first that handles it.
 
     ``on_request``: messages for REQUEST_MESSAGE beside the telemetry, made of simulation time in ms.
     ``endings``: what to ask the flight for when a reboot is wanted, and a shutdown; none: both are unsupported.
@@ -126,7 +126,7 @@ class Vehicle:
     # --- what the services may use -------------------------------------------------------------------------------
 
     def send(self, peer: Peer | None, messages: Sequence[Message]) -> None:
-        """To one station, or (None) to all; never dropped for telemetry's sake."""
+        """Send messages to one station, or (None) to all; telemetry never displaces them."""
         for message in messages:
             packed = self._pack(message)
             if packed is None:
@@ -138,14 +138,14 @@ class Vehicle:
                 self.link.send(peer, packed, kind)
 
     def say(self, severity: int, text: str, peer: Peer | None = None) -> None:
-        """A line for the people on the ground."""
+        """Send a line for the people on the ground."""
         self._texts += 1
         self.send(peer, statustext(severity, text, self._texts))
 
     # --- the link's thread -------------------------------------------------------------------------------------
 
     def receive(self, frame: Frame, peer: Peer, now: float) -> None:
-        """One frame that was taken."""
+        """Dispatch a frame to the handler or the service of its message."""
         self._now = now
         message, refused = frame.message, self.link.refused
         if frame.system == self.about.system and frame.component == self.about.component:
@@ -264,14 +264,14 @@ class Vehicle:
             self._is_there((sender.system, sender.component))
 
     def _is_there(self, ids: tuple[int, int]) -> None:
-        """A station is alive; where there is no place for it, the one that has been silent for longest goes."""
+        """Note that a station is alive; if there are too many, the one that was silent for longest is forgotten."""
         self.stations.pop(ids, None)
         if len(self.stations) >= _STATIONS:
             del self.stations[next(iter(self.stations))]
         self.stations[ids] = self._now
 
     def _radio(self, message: Message, sender: Sender) -> None:
-        """A radio on the way puts it in: how much of its buffer is free."""
+        """Slow a line down if its radio reports that its buffer is full."""
         sender.peer.radio(message.txbuf)
 
     def _command(self, message: Message, sender: Sender) -> None:
@@ -305,7 +305,7 @@ class Vehicle:
         return None if make is None or self._view is None else [make(self._view.ms)]
 
     def _next(self, plan: Plan, place: int, order: Order, sender: Sender, key: tuple[Any, ...]) -> None:
-        """Ask the requests of a command one after another; the last answer, or the first refusal, is acknowledged."""
+        """Make the requests of a command one after another; the last answer, or the first refusal, is acknowledged."""
 
         def reply(answer: Answer) -> None:
             if answer.accepted and place + 1 < len(plan.requests):
@@ -327,7 +327,7 @@ class Vehicle:
         self.send(sender.peer, (ack,))
 
     def _set_mode(self, message: Message, sender: Sender) -> None:
-        """No acknowledgement exists: the heartbeat shows the mode, a text says why not."""
+        """Set a mode without an acknowledgement: the heartbeat shows the mode, a text says why it was refused."""
         mode = from_custom(message.custom_mode, self.about.personality) if message.base_mode & 1 else None
         if mode is None:
             self._complain(f"mode {message.custom_mode} is not known here", sender.peer)
@@ -349,7 +349,7 @@ class Vehicle:
             self._complain(str(error), sender.peer)
 
     def _complain(self, text: str, peer: Peer) -> None:
-        """About what comes many times a second and is not understood."""
+        """Count and, not too often, report messages that come many times a second and are not understood."""
         self.link.refused["value"] += 1
         if self._now - self._complained >= _COMPLAIN:
             self._complained = self._now
@@ -367,7 +367,7 @@ class Vehicle:
             self.send(sender.peer, (mav.MAVLink_timesync_message(now, message.ts1),))
 
     def _origin(self, message: Message, sender: Sender) -> None:
-        """The origin is where the flight began and stays there; this says where that is, and that it was not moved."""
+        """Answer with the origin, which is fixed where the flight began, and report that it was not moved."""
         view = self._view
         if view is None:
             return
@@ -379,11 +379,11 @@ class Vehicle:
             self._complain(commands.ORIGIN_FIXED, sender.peer)
 
     def _follow(self, message: Message, sender: Sender) -> None:
-        """A place to follow, which is no request: only a mode that is not flown here uses it, so it is said once."""
+        """Report that follow-me is not flown, which is the only use of a place to follow."""
         self._complain(NO_FOLLOWING, sender.peer)
 
     def _nothing(self, message: Message, sender: Sender) -> None:
-        """Taken and of no effect: rates are set message by message."""
+        """Ignore a message that has no effect here, as rates are set message by message."""
 
 
 def _pilot_request(message: Message, view: View) -> Request:

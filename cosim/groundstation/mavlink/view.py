@@ -1,4 +1,4 @@
-"""What the vehicle's messages are made from: a snapshot, and what is remembered from one to the next."""
+"""The source of the vehicle's messages: a snapshot, and the state that is kept from one to the next."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ U32 = 0xFFFFFFFF
 
 @dataclass
 class Since:
-    """What has to be remembered from one snapshot to the next: wall-clock times, microseconds since 1970."""
+    """Events of the flight that messages need: wall-clock times in microseconds since 1970."""
 
     armed: int = 0
     took_off: int = 0
@@ -27,7 +27,7 @@ class Since:
     clock: Callable[[], float] = field(default=time.time)
 
     def look(self, before: View | None, now: View) -> None:
-        """Note what has changed."""
+        """Note arming, take-off and landing between two snapshots."""
         was, status = before.status if before else None, now.status
         if status.armed and not (was and was.armed):
             self.armed, self.took_off, self.landed_ms = self._now(), 0, 0
@@ -70,7 +70,7 @@ class View:
 
     @property
     def predicting(self) -> tuple[Vector3, Vector3, Vector3]:
-        """Of roll, pitch and yaw: the model's rate without delay and with it [rad/s], and the delay [s]; NaN: none."""
+        """The predictors' model rates of all axes without delay and with it [rad/s], and delays [s]; NaN: none."""
         roll, pitch, yaw = self.snapshot.diagnostics
         step = self.snapshot.facts.scenario.step_s
         return (
@@ -81,12 +81,12 @@ class View:
 
     @property
     def altitude(self) -> float:
-        """Above the origin, m, as estimated."""
+        """Estimated height above the origin [m]."""
         return self.seen.altitude
 
     @property
     def height(self) -> float:
-        """Above home, m."""
+        """Estimated height above home [m]."""
         return self.altitude - (self.status.home.altitude if self.status.home else 0.0)
 
     @property

@@ -1,4 +1,4 @@
-"""What the page is told, as plain JSON values: the flight once, its state many times a second.
+"""The page's data as plain JSON values: the flight once, its state many times a second.
 
 Angles are in degrees here, temperatures in degrees Celsius, speeds of rotation in revolutions a minute; the page shows
 what it gets.  None is "not known".  Attitude, height, rates and place are those that the vehicle itself goes by.
@@ -30,7 +30,7 @@ _TELLING = 4  # digits after the point; a tenth of a millimetre, and less than a
 
 
 def flight(facts: SessionInfo) -> dict[str, Any]:
-    """What does not change during a flight."""
+    """Return the constant data of a flight."""
     scenario, vehicle = facts.scenario, facts.vehicle
     return {
         "type": "flight",
@@ -49,7 +49,7 @@ def flight(facts: SessionInfo) -> dict[str, Any]:
 
 
 def parameters(known: Parameters) -> list[dict[str, Any]]:
-    """The table of the vehicle's parameters; their values are told beside it."""
+    """Return the table of the vehicle's parameters without their values, which are sent on their own."""
     return [
         {
             "name": line.name,
@@ -68,14 +68,14 @@ def parameters(known: Parameters) -> list[dict[str, Any]]:
 
 
 class Rows:
-    """The log's columns of the newest sample, in the order in which :func:`flight` names them."""
+    """Converter of a sample to the log's columns, in the order in which :func:`flight` names them."""
 
     def __init__(self) -> None:
         self._flight = 0
         self._row = OneRow()
 
     def __call__(self, facts: SessionInfo, sample: Sample | None) -> list[float | None]:
-        """One number a column, to so many digits as a screen shows; empty before the first step."""
+        """Return one number a column, rounded to what a screen shows; empty before the first step."""
         if sample is None:
             return []
         if facts.number != self._flight:
@@ -84,7 +84,7 @@ class Rows:
 
 
 def state(snapshot: Snapshot) -> dict[str, Any]:
-    """The flight at one instant."""
+    """Return the state of the flight at one instant."""
     status, pace, ending = snapshot.status, snapshot.pace, snapshot.ending
     seen = status.seen or snapshot.measured
     sample = snapshot.sample
@@ -114,7 +114,7 @@ def state(snapshot: Snapshot) -> dict[str, Any]:
 
 
 def jets(facts: SessionInfo, sample: Sample, off: bool) -> list[dict[str, Any]]:
-    """Each engine: what it is asked for, what it gives, and what it says of itself; ``off``: all are shut off.
+    """Return each engine's commanded and actual thrust [N] and its reports; ``off``: all are shut off.
 
     The thrust asked for is the steady one at the throttle asked for, from the engine's static curve.
     """
@@ -137,13 +137,13 @@ def jets(facts: SessionInfo, sample: Sample, off: bool) -> list[dict[str, Any]]:
 
 
 def point(sample: Sample) -> Point:
-    """What the strip chart draws: the rates measured at the beginning of the step, and what the rate loop was fed."""
+    """Return a strip chart's point: rates measured at the step's beginning, and those fed to the rate loop."""
     rates = (*sample.measured.rate, *sample.control.rate_predicted)
     return (round(sample.time, 3), *(round(degrees(rate), 2) if isfinite(rate) else None for rate in rates))
 
 
 def lines(messages: Iterable[Message], step: float) -> list[dict[str, Any]]:
-    """Messages for the people on the ground."""
+    """Return messages for the people on the ground, with their time [s] from the step size [s]."""
     return [
         {
             "number": message.number,

@@ -1,4 +1,4 @@
-"""What the servers of pages on this machine share: who may come in, and headers that keep a page to itself.
+"""Common parts of the servers of local pages: access checks, and headers that isolate a page.
 
 A machine may have other accounts, and each can connect to its loopback.  Who was told the printed address gets the
 page, which has the token that commands; its files and the pages that it shows are below a key of their own, which a
@@ -33,7 +33,7 @@ TYPES = {  # by what a file's name ends with
 
 
 def listen(port: int, option: str) -> tuple[socket.socket, set[str]]:
-    """A socket that this machine alone reaches, at any free port for 0, and what a browser may call its server.
+    """Return a listening loopback socket, at any free port for 0, and the names of its server in ``Host``.
 
     Raises InputError, with the ``option`` that named the port, where it cannot be had.
     """
@@ -45,7 +45,7 @@ def listen(port: int, option: str) -> tuple[socket.socket, set[str]]:
 
 
 def quiet_logger(name: str) -> logging.Logger:
-    """One that says nothing: a browser that opens a connection ahead of need is no error."""
+    """Return a logger that discards everything: a browser that opens a connection ahead of need is no error."""
     quiet = logging.getLogger(name)
     quiet.addHandler(logging.NullHandler())
     quiet.propagate = False
@@ -53,7 +53,7 @@ def quiet_logger(name: str) -> logging.Logger:
 
 
 def stranger(request: Request, hosts: Container[str]) -> Response | None:
-    """The refusal of a request that does not name one of ``hosts`` in ``Host``; None for one that does."""
+    """Return the refusal of a request that does not name one of ``hosts`` in ``Host``; None for one that does."""
     host = request.headers.get_all("Host")
     if len(host) == 1 and host[0].lower() in hosts:
         return None
@@ -61,7 +61,7 @@ def stranger(request: Request, hosts: Container[str]) -> Response | None:
 
 
 def no_socket(request: Request) -> Response | None:
-    """The refusal of a request that asks for no WebSocket; None for one that does (its origin is looked at next)."""
+    """Return the refusal of a request for anything but a WebSocket, whose origin is checked next; else None."""
     if request.headers.get("Upgrade", "").lower() == "websocket":
         return None
     return response(HTTPStatus.UPGRADE_REQUIRED, b"A WebSocket.\n")
@@ -80,15 +80,16 @@ def without_token() -> Response:
 
 
 def is_token(shown: Any, token: str) -> bool:
-    """Whether a page has shown the token that it was given, in a time that tells nothing of it."""
+    """Return whether a page has shown the token that it was given, in a time that reveals nothing of it."""
     return isinstance(shown, str) and shown.isascii() and hmac.compare_digest(shown, token)
 
 
 def response(
     status: HTTPStatus, body: bytes, kind: str = TEXT, policy: str = "", share: str = "same-origin"
 ) -> Response:
-    """An answer that is neither kept nor framed; ``policy`` is that of its content, which without one loads nothing;
-    ``share`` says whose pages may load it.
+    """Return an answer that browsers neither store nor frame.
+
+    ``policy``: of its content, which without one loads nothing.  ``share``: whose pages may load it.
     """
     headers = Headers(
         {

@@ -86,7 +86,7 @@ ALLOWED = (
 
 
 class WebServer:
-    """Serves the page of one session; ``port`` 0 takes any that is free.
+    """Server of one session's page; ``port`` 0 takes any that is free.
 
     ``start`` raises InputError where the port is taken.  Everything the flight's thread does here is to leave its last
     sample for the strip chart; frames are made and sent in the server's thread, and a page that is slow misses frames.
@@ -109,12 +109,12 @@ class WebServer:
 
     @property
     def url(self) -> str:
-        """Where the page is, with the token: for those alone who may command."""
+        """Address of the page with its token, for those alone who may command."""
         return f"http://127.0.0.1:{self.port}/?token={self._token}"
 
     @property
     def clients(self) -> int:
-        """Pages that are connected and have shown the token."""
+        """Number of pages that are connected and have shown the token."""
         return len(self._pages)
 
     # --- the thread ----------------------------------------------------------------------------------------------
@@ -174,7 +174,7 @@ class WebServer:
     # --- files ---------------------------------------------------------------------------------------------------
 
     def _answer(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
-        """A file, a refusal, or None where a WebSocket may be opened (its origin is looked at next)."""
+        """Return a file or a refusal, or None where a WebSocket may be opened (its origin is checked next)."""
         if refusal := stranger(request, self._hosts):
             self.refused += 1
             return refusal
@@ -199,7 +199,7 @@ class WebServer:
     # --- one page ------------------------------------------------------------------------------------------------
 
     async def _serve(self, connection: ServerConnection) -> None:
-        """One WebSocket, from its first message to its end."""
+        """Serve one WebSocket from its first message to its end."""
         try:
             if not await self._admit(connection):
                 return
@@ -218,7 +218,7 @@ class WebServer:
             self._pages.pop(connection, None)
 
     async def _admit(self, connection: ServerConnection) -> bool:
-        """Has the page shown the token, and is there room for it?"""
+        """Return whether the page has shown the token and there is room for it; else close the connection."""
         try:
             async with asyncio.timeout(HELLO_S):
                 hello = _parsed(await connection.recv())
@@ -236,7 +236,7 @@ class WebServer:
         return True
 
     def _take(self, connection: ServerConnection, page: _Page, text: str | bytes) -> None:
-        """One message of a page: ``{"id": n, "request": ..., ...}``."""
+        """Handle one message of a page, ``{"id": n, "request": ..., ...}``."""
         number: Any = None
         try:
             message = _parsed(text)
@@ -254,7 +254,7 @@ class WebServer:
         self._exchange.ask(request, self._reply(connection, number), f"web-{page.number}")
 
     def _reply(self, connection: ServerConnection, number: int | None) -> Done:
-        """What sends the answer; that to sticks is dropped."""
+        """Return the callback that sends the answer; sticks, which have no number, get none."""
         if number is None:
             return ignore_answer
 
@@ -265,14 +265,14 @@ class WebServer:
         return done
 
     def _soon(self, act: Callable[[], None]) -> None:
-        """Do it in the server's thread, if that still runs."""
+        """Schedule a call in the server's thread, if that still runs."""
         with suppress(RuntimeError):  # it does not
             self._loop.call_soon_threadsafe(act)
 
     # --- out -----------------------------------------------------------------------------------------------------
 
     def _news(self) -> None:
-        """In the flight's thread: keep what the strip chart needs."""
+        """Keep the newest sample for the strip chart; called in the flight's thread."""
         snapshot = self._exchange.snapshot
         if snapshot is None or snapshot.sample is None or not self._pages:
             return
@@ -311,7 +311,7 @@ class WebServer:
         broadcast(ready, _dump(frame))
 
     def _points(self, snapshot: Snapshot) -> list[feed.Point]:
-        """What is new for the strip chart, thinned evenly where the flight runs faster than it can be drawn."""
+        """Return the strip chart's new points, thinned evenly where the flight runs faster than it can be drawn."""
         new = []
         while self._strip:
             number, sample = self._strip.popleft()
@@ -320,7 +320,7 @@ class WebServer:
         return [feed.point(sample) for sample in new[:: 1 + len(new) // _POINTS]]
 
     def _tell(self, connection: ServerConnection, page: _Page, snapshot: Snapshot) -> None:
-        """The flight and the messages that the page does not know of."""
+        """Send a page the flight, the parameters and the messages that it does not have yet."""
         if page.flight != snapshot.facts.number:
             page.flight = snapshot.facts.number
             page.values = {}
@@ -339,7 +339,7 @@ class WebServer:
 
 
 class _Page:
-    """What is known of one open page."""
+    """State of one open page: what it was sent, and how much it may send."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -356,7 +356,7 @@ class _Page:
         return self._allowance >= 0.0
 
     def reads(self, connection: ServerConnection, now: float) -> bool:
-        """Is little enough waiting for it?"""
+        """Return whether little enough waits in its buffer that it can get another frame."""
         if connection.transport.get_write_buffer_size() > SEND_BUFFER:
             return False
         self.read_at = now
@@ -364,7 +364,7 @@ class _Page:
 
 
 def _request_in(message: dict[str, Any]) -> GroundRequest:
-    """The request in a message.  Raises InputError for what the page may not ask."""
+    """Return the request in a message.  Raises InputError for one that the page may not make."""
     if message == {"request": "Restart"}:
         return Restart()
     request = rq.from_dict(message)
@@ -374,7 +374,7 @@ def _request_in(message: dict[str, Any]) -> GroundRequest:
 
 
 def _parsed(text: str | bytes) -> dict[str, Any]:
-    """A message as a table.  Raises InputError for anything else."""
+    """Return a JSON message as a dict.  Raises InputError for anything else."""
     if isinstance(text, bytes):
         raise InputError("message: must be text")
 
@@ -393,7 +393,7 @@ def _parsed(text: str | bytes) -> dict[str, Any]:
 
 
 def _send(connection: ServerConnection, message: dict[str, Any]) -> None:
-    """Send without waiting; one that does not read gets nothing, and is let go soon."""
+    """Send without waiting; a page that does not read gets nothing, and is closed soon."""
     if connection.transport.get_write_buffer_size() <= 2 * SEND_BUFFER:
         broadcast([connection], _dump(message))
 
@@ -403,7 +403,7 @@ def _dump(message: dict[str, Any]) -> str:
 
 
 def _read(token: str, key: str, hosts: set[str]) -> dict[str, tuple[str, bytes, str]]:
-    """Every file of the page by its path behind the key: kind, content, and the policy of a document."""
+    """Return every file of the page by its path behind the key: media type, content, and content policy."""
     sockets = " ".join(sorted(f"ws://{host}" for host in hosts))
     policy = (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "

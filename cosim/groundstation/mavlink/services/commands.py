@@ -1,4 +1,4 @@
-"""COMMAND_LONG and COMMAND_INT: what each number asks of the pilot, or the answer that needs no pilot.
+"""COMMAND_LONG and COMMAND_INT: the autopilot's requests for each command, or an answer without one.
 
 A parameter that is NaN is not given.  Numbers and meanings are those of MAVLink's common.xml.
 """
@@ -74,7 +74,7 @@ _SIDES = ("left", "right")
 
 
 class Order(NamedTuple):
-    """A command as both messages have it; None: not given.  Latitude and longitude are degrees."""
+    """A command of either message; None: not given.  Latitude and longitude are in degrees."""
 
     number: int
     p: tuple[float | None, ...]  # 1 to 7, from 0
@@ -83,13 +83,13 @@ class Order(NamedTuple):
 
     @property
     def place(self) -> tuple[float, float] | None:
-        """Latitude and longitude; None where one is missing, or both are 0 as those send who mean none."""
+        """Latitude and longitude; None where one is missing, or both are 0, which some send for none."""
         lat, lon = self.p[4], self.p[5]
         return None if lat is None or lon is None or lat == lon == 0.0 else (lat, lon)
 
 
 class Plan(NamedTuple):
-    """What is to be done: requests one after another until one is refused, or a result at once."""
+    """How a command is executed: requests one after another until one is refused, or a result at once."""
 
     requests: tuple[Request, ...] = ()
     result: Ack = Ack.ACCEPTED
@@ -98,7 +98,7 @@ class Plan(NamedTuple):
 
 
 class Context(NamedTuple):
-    """What a command is seen in."""
+    """The vehicle and the station for which a command is planned."""
 
     about: VehicleInfo
     view: View
@@ -108,7 +108,7 @@ class Context(NamedTuple):
 
 
 def order_of(message: Message) -> Order:
-    """The order in a COMMAND_LONG or COMMAND_INT."""
+    """Return the order in a COMMAND_LONG or COMMAND_INT."""
     first = [message.param1, message.param2, message.param3, message.param4]
     if message.msgname == "COMMAND_LONG":
         values = [*first, message.param5, message.param6, message.param7]
@@ -123,7 +123,7 @@ def _given(value: float) -> float | None:
 
 
 def plan(order: Order, context: Context) -> Plan:
-    """What a command comes to.  Raises nothing."""
+    """Return how a command is executed.  Raises nothing."""
     handler = _HANDLERS.get(order.number)
     if handler is None:
         return Plan(result=Ack.UNSUPPORTED)
@@ -142,7 +142,7 @@ def _refuse(text: str, result: Ack = Ack.DENIED) -> Plan:
 
 
 def _whole(value: float | None) -> int:
-    """A number that stands for itself, -1 where it is none."""
+    """Return a parameter as a whole number; -1 where it is none."""
     return int(value) if value is not None and value == int(value) and abs(value) < 2**31 else -1
 
 
@@ -159,7 +159,7 @@ def _arm(order: Order, context: Context) -> Plan:
 
 
 def _take_off(order: Order, context: Context) -> Plan:
-    """Parameter 7: above sea level, as PX4 and QGroundControl have it; above home for ArduPilot or a relative frame."""
+    """Plan a take-off to parameter 7, above the sea as in PX4, or above home for ArduPilot or a relative frame."""
     altitude = order.p[6]
     if altitude is None:
         return _do(Takeoff())
@@ -213,7 +213,7 @@ def _mode(mode: Mode | None, number: str) -> Plan:
 
 
 def _reposition(order: Order, context: Context) -> Plan:
-    """Nothing given is a pause.  Yaw is rad."""
+    """Plan a flight to a position, height and yaw [rad]; without any of them a pause."""
     speed, yaw, altitude, place = order.p[0], order.p[3], order.p[6], order.place
     if place is None and altitude is None and yaw is None:
         return _do(Hold())
@@ -233,7 +233,7 @@ def _reposition(order: Order, context: Context) -> Plan:
 
 
 def _orbit(order: Order, context: Context) -> Plan:
-    """DO_ORBIT: a negative radius turns to the left; parameter 4 is an angle, 0 without end."""
+    """Plan DO_ORBIT: a negative radius turns to the left; parameter 4 is an angle [rad], 0 without end."""
     radius, speed, yaw, angle = order.p[:4]
     if radius is None:
         return _refuse("orbit: parameter 1, the radius, is missing")
@@ -259,7 +259,7 @@ _ORBIT_YAW = {0: OrbitYaw.CENTRE, 3: OrbitYaw.TANGENT}  # ORBIT_YAW_BEHAVIOUR; a
 
 
 def _yaw(order: Order, context: Context) -> Plan:
-    """CONDITION_YAW: degrees; relative to the nose where parameter 4 is 1, then parameter 3 gives the sense."""
+    """Plan CONDITION_YAW [deg], relative to the nose where parameter 4 is 1; parameter 3 then gives the sense."""
     angle = order.p[0]
     if angle is None:
         return _refuse("yaw: parameter 1 is missing")
@@ -298,7 +298,7 @@ def _terminate(order: Order, context: Context) -> Plan:
 
 
 def _start_mission(order: Order, context: Context) -> Plan:
-    """From the present item, or from that of parameter 1 where it is not 0."""
+    """Plan a mission's start at the present item, or at that of parameter 1 where it is not 0."""
     first = _whole(order.p[0])
     return _do(MissionSetCurrent(first), MissionStart()) if first > 0 else _do(MissionStart())
 
@@ -315,7 +315,7 @@ def _pause(order: Order, context: Context) -> Plan:
 
 
 def _local(place: tuple[float, float], context: Context, above: float | None = None) -> tuple[float, float]:
-    """North and east of a place at the height above the origin, or at the vehicle's."""
+    """Return north and east [m] of a position at this height above the origin [m], or at the vehicle's."""
     lat, lon = place
     if not (-90.0 <= lat <= 90.0 and -180.0 <= lon <= 180.0):
         raise InputError(f"{lat:g}, {lon:g} is no latitude and longitude")
@@ -329,7 +329,7 @@ def _local(place: tuple[float, float], context: Context, above: float | None = N
 
 
 def _altitude(order: Order, value: float, context: Context) -> float:
-    """Above the origin."""
+    """Return an order's height above the origin [m]."""
     if order.frame in RELATIVE_FRAMES:
         return value + context.view.altitude - context.view.height
     return value - context.about.geodesy.ground
@@ -443,7 +443,7 @@ def _get_interval(order: Order, context: Context) -> Plan:
 
 
 def _set_origin(order: Order, context: Context) -> Plan:
-    """DO_SET_GLOBAL_ORIGIN: it is where the flight began and stays there, so only that place is taken.  Tells it."""
+    """Plan DO_SET_GLOBAL_ORIGIN: only the fixed origin, where the flight began, is accepted; answer with it."""
     at = context.about.geodesy
     messages = tuple(gps_global_origin(context.view))
     if order.place is None:
@@ -457,7 +457,7 @@ def _set_origin(order: Order, context: Context) -> Plan:
 
 
 def _set_interval(order: Order, context: Context) -> Plan:
-    """Parameter 2: us; -1 none, 0 the default.  For the station that asks."""
+    """Set a message's interval for the station that asks: parameter 2 in us; -1 none, 0 the default."""
     number, micro = _whole(order.p[0]), order.p[1]
     if number not in BY_ID:
         return Plan(result=Ack.UNSUPPORTED)
@@ -479,7 +479,7 @@ def _prearm(order: Order, context: Context) -> Plan:
 
 
 def _reboot(order: Order, context: Context) -> Plan:
-    """Parameter 1: 1 a new flight, 2 the end."""
+    """Plan a new flight where parameter 1 is 1, or the session's end where it is 2."""
     ending = _whole(order.p[0])
     if not 1 <= ending <= len(context.endings):
         return Plan(result=Ack.UNSUPPORTED)

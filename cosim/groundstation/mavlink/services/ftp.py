@@ -1,4 +1,4 @@
-"""MAVLink's file transfer: files and folders that do not change, read only.  https://mavlink.io/en/services/ftp.html
+"""MAVLink file transfer (https://mavlink.io/en/services/ftp.html): files and folders that do not change, read only.
 
 The session of a file is the number that its client says when it opens it, and every answer echoes it: MAVProxy counts
 its own, QGroundControl and MAVSDK have one file open and say 0 (MAVSDK does not look at what it is given).  Opening
@@ -32,7 +32,7 @@ _CRC_PART = 1 << 22  # bytes of a checksum that are counted in one go
 
 
 class File(Protocol):
-    """Something that can be read: ``size`` in bytes, and any part of it."""
+    """A readable file: ``size`` in bytes, and any part of it."""
 
     size: int
 
@@ -79,7 +79,7 @@ class _Checksum:
 
 
 class _State:
-    """What is remembered of one client."""
+    """State of one client: open files, a burst and a checksum under way."""
 
     def __init__(self) -> None:
         self.open: OrderedDict[int, File] = OrderedDict()
@@ -89,7 +89,7 @@ class _State:
 
 
 class FileService(Service):
-    """The vehicle's files.  ``files``: see :data:`Files`; a path that begins with ``@MAV_LOG`` is one in ``log``."""
+    """File transfer service.  ``files``: see :data:`Files`; a path that begins with ``@MAV_LOG`` is in ``log``."""
 
     handles = frozenset({"FILE_TRANSFER_PROTOCOL"})
 
@@ -98,7 +98,7 @@ class FileService(Service):
         self._clients: OrderedDict[Client, _State] = OrderedDict()
 
     def handle(self, message: Message, client: Client, now: float) -> list[Message]:
-        """The answer to one request; a burst goes out later."""
+        """Return the answer to one request; a burst goes out later."""
         request = _parse(message.payload)
         if request is None:
             return []
@@ -106,7 +106,7 @@ class FileService(Service):
         return [] if answer is None else [_message(client, answer)]
 
     def poll(self, now: float) -> Outgoing:
-        """The next part of every burst and checksum."""
+        """Return the next part of every burst, and finished checksums."""
         out: Outgoing = []
         for client, state in self._clients.items():
             if state.burst is not None:
@@ -125,12 +125,12 @@ class FileService(Service):
         return any(state.burst or state.checksum for state in self._clients.values())
 
     def forget(self, peer: Peer) -> None:
-        """The peer is gone: its files are closed."""
+        """Close the files of a peer that is gone."""
         for client in [client for client in self._clients if client.peer == peer]:
             del self._clients[client]
 
     def _state(self, client: Client) -> _State:
-        """That of the client; of too many, the one who was quiet longest is forgotten."""
+        """Return a client's state; if there are too many, that of the one who was quiet for longest is dropped."""
         if client not in self._clients:
             if len(self._clients) >= MAX_CLIENTS:
                 self._clients.popitem(last=False)
@@ -174,7 +174,7 @@ class FileService(Service):
         return _ack(request, struct.pack("<I", file.size))
 
     def _close(self, request: _Request, state: _State) -> bytes:
-        """An end that comes twice is the same end: its first answer may have been lost."""
+        """Close a file; closing it again succeeds too, as the first answer may have been lost."""
         state.open.pop(request.session, None)
         if state.burst is not None and state.burst.request.session == request.session:
             state.burst = None
@@ -207,7 +207,7 @@ class FileService(Service):
 
 
 def _next(state: _State) -> bytes:
-    """The next message of a burst; the last one of it says so."""
+    """Return the next message of a burst; the last one is marked as that."""
     burst = state.burst
     assert burst is not None
     request, file = burst.request, state.open.get(burst.request.session)
@@ -226,7 +226,7 @@ def _next(state: _State) -> bytes:
 
 
 def _count(state: _State) -> bytes | None:
-    """Go on with a checksum; the answer when it is done."""
+    """Continue a checksum, and return the answer when it is done."""
     job = state.checksum
     assert job is not None
     part = job.file.read(job.offset, _CRC_PART)
@@ -239,7 +239,7 @@ def _count(state: _State) -> bytes | None:
 
 
 def _entries(files: Mapping[str, File], folder: str) -> list[bytes] | None:
-    """What is in a folder, in FTP's words, sorted; None: there is no such folder."""
+    """Return the entries of a folder in FTP's form, sorted; None: there is no such folder."""
     start = f"{folder}/" if folder else ""
     entries = {}
     for path, file in files.items():
@@ -250,7 +250,7 @@ def _entries(files: Mapping[str, File], folder: str) -> list[bytes] | None:
 
 
 def _path(data: bytes) -> str | None:
-    """The path that a request names, without slashes at its ends; None for what can be none.
+    """Return the path that a request names, without slashes at its ends; None for one that is not UTF-8.
 
     It is looked up among the files' names and never goes to the disk, so that ``..`` leads nowhere.
     """

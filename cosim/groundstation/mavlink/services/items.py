@@ -1,4 +1,4 @@
-"""Items of a mission as they travel over MAVLink, and what the pilot flies for them."""
+"""Conversion between MAVLink's mission items and those that the autopilot flies."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ NOWHERE = 2**31 - 1  # x or y that is not given
 
 
 class Item(NamedTuple):
-    """An item as it travels: ``x``, ``y`` in 1e-7 deg, ``z`` in m."""
+    """A MAVLink mission item: ``x``, ``y`` in 1e-7 deg, ``z`` in m."""
 
     frame: int
     command: int
@@ -82,7 +82,7 @@ class Item(NamedTuple):
 
 
 class ItemError(Exception):
-    """An item that cannot be flown; ``code`` is the MAV_MISSION_RESULT that says why."""
+    """Raised for an item that cannot be flown; ``code`` is the MAV_MISSION_RESULT that says why."""
 
     def __init__(self, code: int, text: str) -> None:
         super().__init__(text)
@@ -90,7 +90,7 @@ class ItemError(Exception):
 
 
 def to_mission_item(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
-    """What the pilot flies for an item; heights above home are taken from ``home_altitude``.  Raises ItemError."""
+    """Return the autopilot's item for a MAVLink one; ``home_altitude`` [m] is home's height.  Raises ItemError."""
     command, (p1, p2, _, p4) = item.command, item.params
     try:
         if command in (WAYPOINT, LOITER_TIME):
@@ -123,7 +123,7 @@ def to_mission_item(item: Item, geodesy: Geodesy, home_altitude: float) -> Missi
 
 
 def to_item(item: MissionItem, geodesy: Geodesy) -> Item:
-    """A mission's item as it travels, heights above the sea."""
+    """Return the MAVLink item for the autopilot's, with heights above the sea."""
     x = y = 0
     if item.north is not None and item.east is not None:
         latitude, longitude, _ = geodesy.to_geodetic(item.north, item.east, item.altitude or 0.0)
@@ -156,7 +156,7 @@ def to_item(item: MissionItem, geodesy: Geodesy) -> Item:
 
 
 def received(message: Message) -> Item:
-    """An item of MISSION_ITEM_INT or of the old MISSION_ITEM, whose place is in degrees."""
+    """Return the item of MISSION_ITEM_INT or of the old MISSION_ITEM, whose position is in degrees."""
     x, y = message.x, message.y
     if message.get_type() == "MISSION_ITEM":
         x, y = _degrees(x), _degrees(y)
@@ -165,7 +165,7 @@ def received(message: Message) -> Item:
 
 
 def _degrees(value: float) -> int:
-    """Degrees to 1e-7 deg; what is no angle becomes "not given"."""
+    """Convert degrees to 1e-7 deg; a number that is no angle becomes "not given"."""
     return round(1e7 * value) if abs(value) <= 200.0 else NOWHERE
 
 
@@ -187,7 +187,7 @@ def _waypoint(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem
 
 
 def _loiter(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
-    """A vehicle that hovers stays for good at one place, and changes its height there; it flies round in turns alone.
+    """Return the item for loitering: stay for good, change height at one position, or circle a number of turns.
 
     Radii of the others, and a heading before it goes on, are for vehicles with wings.
     """
@@ -211,7 +211,7 @@ def _loiter(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
 
 
 def _place_or_here(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, float] | tuple[None, None]:
-    """No place, or 0, 0, is where the vehicle is then."""
+    """Return the position of an item; None, None for none or 0, 0, which is where the vehicle is then."""
     somewhere = item.x not in (0, NOWHERE) or item.y not in (0, NOWHERE)
     return place_of(item, geodesy, altitude) if somewhere else (None, None)
 
@@ -231,7 +231,7 @@ def place_of(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, floa
 
 
 def altitude_of(item: Item, geodesy: Geodesy, home_altitude: float) -> float:
-    """Height above the ground at the start."""
+    """Return an item's height above the ground at the start [m].  Raises ItemError."""
     if item.frame not in (*_SEA, *_HOME):
         raise ItemError(WRONG_FRAME, f"frame {item.frame} is not known here")
     if not isfinite(item.z):
@@ -243,7 +243,7 @@ def altitude_of(item: Item, geodesy: Geodesy, home_altitude: float) -> float:
 
 
 def _yaw(angle: float) -> float | None:
-    """Degrees to rad within a turn; NaN is "as it is"."""
+    """Convert a heading in degrees to rad within -pi to pi; NaN keeps the present one.  Raises ItemError."""
     if isnan(angle):
         return None
     if abs(angle) > 360.0:
@@ -252,7 +252,7 @@ def _yaw(angle: float) -> float | None:
 
 
 def _number(value: float, code: int, what: str, least: float, missing: float | None = None) -> float:
-    """A parameter that must be at least ``least``; NaN is ``missing``."""
+    """Return a parameter that must be at least ``least``; NaN becomes ``missing``.  Raises ItemError."""
     if isnan(value) and missing is not None:
         return missing
     if not (isfinite(value) and value >= least):
@@ -282,6 +282,6 @@ _FIELDS: dict[str, int] = {
 
 
 def _code_of(text: str) -> int:
-    """The result for the field that an error of ``MissionItem`` names."""
+    """Return the result code of the field that an error of ``MissionItem`` names."""
     name = text.removeprefix("MissionItem.").split(" ")[0]
     return _FIELDS.get(name, int(INVALID))

@@ -1,4 +1,4 @@
-"""The vehicle's logs: its finished runs as ULog, listed and read by LOG_REQUEST_LIST and LOG_REQUEST_DATA, or as files.
+"""The vehicle's logs: finished runs as ULog, listed and read by LOG_REQUEST_LIST and LOG_REQUEST_DATA, or as files.
 
 A run becomes a ULog when somebody asks for the list, one after the other and in a process of its own, so that a flight
 that is under way keeps its deadlines.  A log is listed when it is made, because ground stations take the size that
@@ -43,14 +43,14 @@ export_ulog(*map(pathlib.Path, sys.argv[1:]), rates="px4")  # small enough to co
 
 
 class DiskFile:
-    """A file that is read where it is; what cannot be read is missing."""
+    """A file on the disk; what cannot be read of it is missing."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.size = path.stat().st_size
 
     def read(self, offset: int, length: int) -> bytes:
-        """A part; shorter where the file ends."""
+        """Return a part of the file, shorter where it ends."""
         try:
             with open(self.path, "rb") as file:
                 file.seek(offset)
@@ -61,7 +61,7 @@ class DiskFile:
 
 @dataclass
 class Log:
-    """One log; ``file`` is there when it is made, and empty if it could not be made."""
+    """One log; ``file`` is None until it is converted, and empty if it could not be converted."""
 
     number: int
     run: Path
@@ -70,7 +70,7 @@ class Log:
 
 
 class LogStore:
-    """The logs of the finished runs.
+    """Store of the finished runs' logs, which converts them to ULog one after the other.
 
     ``runs``: the folders of every finished run, oldest first.  It reads a file of each, so it is called in a thread of
     its own, and again when somebody asks after a while or after :meth:`renew`.  A log's number stays its own: runs that
@@ -91,19 +91,19 @@ class LogStore:
         self.logs: list[Log] = []
 
     def look(self, now: float) -> None:
-        """Set about taking in the runs that are new, if that has not just been done."""
+        """Start a search for new runs, if none is under way and the last one is not recent."""
         if self._search is None and (self._stale or now - self._looked >= LOOK_AGAIN):
             self._stale = False
             self._search = Thread(target=self._find, name="logs", daemon=True)
             self._search.start()
 
     def renew(self) -> None:
-        """A run has just been finished: an older search no longer answers requests.  From any thread."""
+        """Mark older searches as outdated, because a run has just been finished; from any thread."""
         self._stale = True
 
     @property
     def looking(self) -> bool:
-        """Are new runs being looked for?"""
+        """Whether a search for new runs is under way."""
         return self._search is not None
 
     def _find(self) -> None:
@@ -111,7 +111,7 @@ class LogStore:
             self._listed = self._runs()
 
     def _take_in(self, now: float) -> None:
-        """What was found, once it has been found."""
+        """List the runs that a search found, once it has ended."""
         if self._search is None or self._search.is_alive():
             return
         self._search, self._looked = None, now
@@ -124,7 +124,7 @@ class LogStore:
             self.look(now)
 
     def work(self, now: float) -> None:
-        """Take in the runs that were found, take the log that is ready, and begin with the next one."""
+        """List new runs, take over the log that is converted, and begin with the next one."""
         self._now = now
         self._take_in(now)
         if self._maker is not None:
@@ -147,16 +147,16 @@ class LogStore:
 
     @property
     def making(self) -> bool:
-        """Is there a log that is not ready?"""
+        """Whether a log is not converted yet."""
         return self._made < len(self.logs)
 
     def files(self) -> Mapping[str, File]:
-        """The logs that are made as files, by path; asking for them sets about making the others."""
+        """Return the converted logs as files by path, and start a search for new runs."""
         self.look(self._now)
         return {f"{LOG_FOLDER}{_name(log)}": log.file for log in self.logs if log.file is not None and log.file.size}
 
     def close(self) -> None:
-        """Stop, and remove every log that was made."""
+        """Stop, and remove every converted log."""
         self._made = len(self.logs)
         self._stop()
         if self._search is not None:
@@ -173,7 +173,7 @@ class LogStore:
 
 
 class LogService(Service):
-    """LOG_REQUEST_LIST, LOG_REQUEST_DATA, LOG_REQUEST_END in; LOG_ENTRY, LOG_DATA out.  Logs are never erased."""
+    """Log service: LOG_REQUEST_LIST, _DATA and _END in, LOG_ENTRY and LOG_DATA out.  Logs are never erased."""
 
     handles = frozenset({"LOG_REQUEST_LIST", "LOG_REQUEST_DATA", "LOG_REQUEST_END", "LOG_ERASE"})
 
@@ -183,7 +183,7 @@ class LogService(Service):
         self._reads: OrderedDict[Client, _Reading] = OrderedDict()
 
     def handle(self, message: Message, client: Client, now: float) -> list[Message]:
-        """The answers to one message; entries and data go out later."""
+        """Return the answers to one message; entries and data go out later."""
         kind = message.get_type()
         if kind == "LOG_REQUEST_LIST":
             self._shelf.look(now)
@@ -197,7 +197,7 @@ class LogService(Service):
         return []
 
     def poll(self, now: float) -> Outgoing:
-        """Entries of the logs that are made, and the next part of every download."""
+        """Return entries of converted logs, and the next part of every download."""
         self._shelf.work(now)
         out: Outgoing = []
         for client, (first, last) in list(self._lists.items()) if not self._shelf.looking else ():
@@ -226,13 +226,13 @@ class LogService(Service):
         return bool(self._reads or self._lists or self._shelf.making)
 
     def forget(self, peer: Peer) -> None:
-        """The peer is gone."""
+        """Drop the lists and downloads of a peer that is gone."""
         for store in (self._lists, self._reads):
             for client in [client for client in store if client.peer == peer]:
                 store.pop(client)
 
     def _entry(self, number: int) -> Message | None:
-        """A log's entry; None while it is not made."""
+        """Return a log's entry; None while it is not converted."""
         logs = self._shelf.logs
         log = logs[number]
         if log.file is None:
@@ -259,7 +259,7 @@ class LogService(Service):
 
 
 class _Reading:
-    """A part of a log on its way."""
+    """A download of a part of a log."""
 
     def __init__(self, number: int, file: File, at: int, end: int, beyond: bool, pace: RateLimit) -> None:
         self.number, self.at, self.end, self.beyond, self.pace = number, at, end, beyond, pace
@@ -267,7 +267,7 @@ class _Reading:
         self._ahead, self._ahead_at = b"", at  # read from the disk in larger parts
 
     def next(self) -> Message:
-        """The next LOG_DATA."""
+        """Return the next LOG_DATA."""
         start = self.at - self._ahead_at
         if start + DATA > len(self._ahead):
             self._ahead, self._ahead_at, start = self._file.read(self.at, 100 * DATA), self.at, 0
@@ -285,7 +285,7 @@ def _on_disk(path: Path) -> File:
 
 
 def finished_runs(root: Path) -> list[Path]:
-    """The folders of the finished runs in ``root``, in the order in which they began."""
+    """Return the folders of the finished runs in ``root``, in the order in which they began."""
     with suppress(OSError):
         runs = [
             summary.parent for summary in root.glob("*/summary.json") if (summary.parent / "flight.parquet").exists()
@@ -295,7 +295,7 @@ def finished_runs(root: Path) -> list[Path]:
 
 
 def _started(run: Path) -> int:
-    """When a run began, s since 1970; 0 where its summary does not say."""
+    """Return when a run began [s since 1970]; 0 where its summary does not say."""
     import json
 
     try:

@@ -22,7 +22,7 @@ _VERSION = 1  # of both files: the only one that QGroundControl reads
 
 
 class Metadata:
-    """The files of one vehicle, and the messages that lead to them.
+    """Metadata files of one vehicle, and the messages that lead to them.
 
     ``on_request``: COMPONENT_METADATA, and COMPONENT_INFORMATION for older ground stations, by their numbers; each is
     made of simulation time in ms.
@@ -55,7 +55,7 @@ class Metadata:
 
 
 def describe(line: Parameter) -> dict[str, Any]:
-    """A parameter in the words of MAVLink's parameter.schema.json."""
+    """Return a parameter by MAVLink's parameter.schema.json."""
     number = int if line.kind == "int" else float
     described: dict[str, Any] = {
         "name": line.name,
@@ -79,7 +79,7 @@ def describe(line: Parameter) -> dict[str, Any]:
 
 
 def _packed(content: Mapping[str, Any]) -> bytes:
-    """JSON in xz, with the check sum that every reader of xz knows (not all know the usual CRC64)."""
+    """Return JSON in xz, with the checksum that every reader of xz knows (not all know the usual CRC64)."""
     text = json.dumps(content, allow_nan=False, separators=(",", ":"))
     return lzma.compress(text.encode(), format=lzma.FORMAT_XZ, check=lzma.CHECK_CRC32)
 
@@ -89,6 +89,6 @@ def _uri(path: str) -> str:
 
 
 def _dotted(version: str) -> str:
-    """Three numbers of a version such as 0.1.0.dev3."""
+    """Return the three numbers of a version such as 0.1.0.dev3, with dots."""
     numbers = [part for part in version.split(".") if part.isdigit()]
     return ".".join([*numbers, "0", "0", "0"][:3])

@@ -119,7 +119,7 @@ class MissionService(Service):
         self._now = 0.0
 
     def handle(self, message: Message, client: Client, now: float) -> list[Message]:
-        """The answers to one message."""
+        """Return the answers to one message."""
         self._now = now
         kind = message.get_type()
         if kind == "MISSION_SET_CURRENT":
@@ -146,7 +146,7 @@ class MissionService(Service):
         return self._take(message, client, which)
 
     def poll(self, now: float) -> Outgoing:
-        """Answers of the pilot, items asked for again, and where the mission stands."""
+        """Return the autopilot's answers, repeated requests of items, and the mission's progress."""
         self._now = now
         out = self._answers.take()
         upload = self._upload
@@ -164,14 +164,14 @@ class MissionService(Service):
         return self._upload is not None
 
     def forget(self, peer: Peer) -> None:
-        """The peer is gone: its unfinished upload too."""
+        """Drop the unfinished upload of a peer that is gone."""
         if self._upload is not None and self._upload.client.peer == peer and not self._upload.waiting:
             self._upload = None
 
     # ---- down
 
     def _list(self, which: int) -> list[Item]:
-        """What there is of a kind, as it travels."""
+        """Return the present mission, fence or rally points as items."""
         if which == MISSION:
             return self._as_items()
         status = self._status()
@@ -182,7 +182,7 @@ class MissionService(Service):
         return from_rally(status.rally, self._geodesy)
 
     def _give(self, index: int, client: Client, old: bool, which: int) -> Message:
-        """An item; ``old``: in degrees as 32-bit floats (half a metre), as such a request expects it."""
+        """Return an item; ``old``: in degrees as 32-bit floats (half a metre), as such a request expects it."""
         items = self._list(which)
         if not 0 <= index < len(items):
             return _ack(client, SEQUENCE, which)
@@ -213,7 +213,7 @@ class MissionService(Service):
         )
 
     def _as_items(self) -> list[Item]:
-        """The pilot's mission as items: those that came, if it is that one."""
+        """Return the autopilot's mission as items: those that were uploaded, if it is that one."""
         mission = self._items()
         if mission is self._mission or mission == self._mission:
             return self._sent
@@ -238,7 +238,7 @@ class MissionService(Service):
         return [self._next_request(self._upload)]
 
     def _take(self, message: Message, client: Client, which: int) -> list[Message]:
-        """An item of an upload; what is not the one that was asked for is dropped and asked for again in time."""
+        """Take an item of an upload; another than the requested one is dropped, and that requested again in time."""
         upload = self._upload
         if upload is None or upload.client != client or upload.which != which:
             if self._last is not None and self._last[:3] == (client, message.seq + 1, which):
@@ -270,7 +270,7 @@ class MissionService(Service):
         return []
 
     def _request(self, upload: _Upload) -> MissionUpload | FenceUpload | RallyUpload:
-        """What the pilot is asked when all items are there.  Raises InputError, ItemError."""
+        """Return the autopilot's request for an upload that is complete.  Raises InputError, ItemError."""
         if upload.which == FENCE:
             return to_fence(upload.items, self._geodesy)
         if upload.which == RALLY:
@@ -302,7 +302,7 @@ class MissionService(Service):
         return wire.MAVLink_mission_request_int_message(client.system, client.component, at, upload.which)
 
     def _acknowledged(self, message: Message, client: Client) -> None:
-        """The end of a download, of which nothing is kept, or of an upload that its sender gave up."""
+        """End an upload that its sender gave up; of a download, which ends so too, no state is kept."""
         upload = self._upload
         if upload is not None and upload.client == client and not upload.waiting and message.type != ACCEPTED:
             self._upload = None
@@ -316,7 +316,7 @@ class MissionService(Service):
         return self._ask_to_clear(client, list(_CLEARING.values()), ALL)
 
     def _ask_to_clear(self, client: Client, requests: list[Request], which: int) -> list[Message]:
-        """One acknowledgement when every request is answered."""
+        """Request to clear, with one acknowledgement when every request is answered."""
         refused: list[str] = []
         left = len(requests)
 
@@ -366,7 +366,7 @@ class MissionService(Service):
         return out
 
     def _home_altitude(self) -> float:
-        """Of home, as it is when the mission comes; of the ground at the start in the second before home is known."""
+        """Return home's height [m] now; that of the ground at the start in the second before home is known."""
         status = self._status()
         return status.home.altitude if status is not None and status.home is not None else 0.0
 
@@ -380,7 +380,7 @@ def _say(text: str) -> list[Message]:
 
 
 def _left_out(items: list[Item]) -> str:
-    """What of a mission asks for a payload that is not here, in words; empty where nothing does."""
+    """Return in words which items need a payload that no vehicle here has; empty where none does."""
     names = list(dict.fromkeys(LEFT_OUT[item.command] for item in items if item.command in LEFT_OUT))
     count = sum(item.command in LEFT_OUT for item in items)
     if not count:

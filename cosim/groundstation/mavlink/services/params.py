@@ -56,7 +56,7 @@ class ParameterService(Service):
         self.replace(parameters)
 
     def replace(self, parameters: Parameters) -> None:
-        """Those of another flight of the same vehicle."""
+        """Take the parameters of another flight of the same vehicle."""
         self._parameters = parameters
         # PX4 sorts by name, and the hash goes in this order
         self._lines = sorted(parameters, key=lambda line: line.name)
@@ -65,7 +65,7 @@ class ParameterService(Service):
         self._lists = {client: (0, pace) for client, (_, pace) in self._lists.items()}
 
     def handle(self, message: Message, client: Client, now: float) -> list[Message]:
-        """The answers to one message."""
+        """Return the answers to one message."""
         kind = message.get_type()
         if kind == "PARAM_REQUEST_LIST":
             if client in self._lists or len(self._lists) < MAX_CLIENTS:
@@ -78,7 +78,7 @@ class ParameterService(Service):
         return self._set(message, client)
 
     def poll(self, now: float) -> Outgoing:
-        """Answers of the pilot, changes that others made, and the next part of every list."""
+        """Return the autopilot's answers, changes that others made, and the next part of every list."""
         out = self._answers.take()
         values = dict(self._parameters.values)
         if values != self._sent:
@@ -98,11 +98,11 @@ class ParameterService(Service):
         return bool(self._lists)
 
     def forget(self, peer: Peer) -> None:
-        """The peer is gone."""
+        """Drop the lists of a peer that is gone."""
         self._lists = {client: state for client, state in self._lists.items() if client.peer != peer}
 
     def hash(self) -> int:
-        """PX4's hash over every name and value."""
+        """Return PX4's hash over every name and value."""
         state, values = 0, self._parameters.values
         for line in self._lines:
             state = crc32(line.name.encode(), state)
@@ -152,7 +152,7 @@ class ParameterService(Service):
         return [(None, self._value(self._index[name]))]
 
     def _refuse(self, client: Client, name: str, code: int) -> list[Message]:
-        """The error, and for a ground station that does not know this message the value as it is."""
+        """Return the error and, for a ground station that does not know this message, the present value."""
         return [self._error(client, name, -1, code), self._value(self._index[name])]
 
     def _value(self, index: int) -> Message:
@@ -170,7 +170,7 @@ class ParameterService(Service):
         )
 
     def _encode(self, value: float, line: Parameter) -> tuple[float, int]:
-        """A value as PARAM_VALUE carries it, and its MAV_PARAM_TYPE."""
+        """Return a value as PARAM_VALUE carries it, and its MAV_PARAM_TYPE."""
         if line.kind == "float" or self._personality == "generic":
             return value, REAL32
         if self._personality == "ardupilot":
@@ -179,7 +179,7 @@ class ParameterService(Service):
         return bits, INT32
 
     def _decode(self, value: float, kind: int, line: Parameter) -> float | _Refused:
-        """What PARAM_SET means."""
+        """Return the value that PARAM_SET carries, or why its type is refused."""
         if kind != REAL32 and kind not in _WHOLE:
             return _Refused(UNSUPPORTED_TYPE)
         if self._personality == "ardupilot":  # its clients are free in what they claim
@@ -194,7 +194,7 @@ class ParameterService(Service):
         return float(whole)
 
     def _meant(self, value: float, line: Parameter) -> float:
-        """The number that somebody meant who could only say it in 32 bits.
+        """Return the 64-bit number that was meant by one in 32 bits.
 
         The present value or the default if it is one of these, else the shortest number that is the same in 32 bits:
         0.1 and not 0.10000000149.  Either way it reads back equal.

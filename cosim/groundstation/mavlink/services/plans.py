@@ -30,7 +30,7 @@ _RETURN_POINT = wire.MAV_CMD_NAV_FENCE_RETURN_POINT
 
 
 def fence_item(item: Item) -> None:
-    """Refuse what is no item of a fence.  Raises ItemError."""
+    """Refuse an item that is not one of a fence.  Raises ItemError."""
     if item.command not in (*_POLYGONS, *_CIRCLES, _RETURN_POINT):
         raise ItemError(UNSUPPORTED, f"command {item.command} is not one of a fence")
     first = item.params[0]
@@ -41,7 +41,7 @@ def fence_item(item: Item) -> None:
 
 
 def to_fence(items: Sequence[Item], geodesy: Geodesy) -> FenceUpload:
-    """The fence that its items draw.  Raises ItemError for corners that do not make up their polygon."""
+    """Return the fence of these items.  Raises ItemError for corners that do not make up their polygon."""
     zones: list[FenceZone] = []
     corners: list[tuple[float, float]] = []
     for index, item in enumerate(items):
@@ -71,7 +71,7 @@ def to_fence(items: Sequence[Item], geodesy: Geodesy) -> FenceUpload:
 
 
 def from_fence(zones: Sequence[FenceZone], geodesy: Geodesy) -> list[Item]:
-    """A fence as it travels."""
+    """Return a fence as mission items."""
     made = []
     for zone in zones:
         circle = zone.kind in _CIRCLES.values()
@@ -83,13 +83,13 @@ def from_fence(zones: Sequence[FenceZone], geodesy: Geodesy) -> list[Item]:
 
 
 def rally_item(item: Item) -> None:
-    """Refuse what is no rally point.  Raises ItemError."""
+    """Refuse an item that is not a rally point.  Raises ItemError."""
     if item.command != _RALLY:
         raise ItemError(UNSUPPORTED, f"command {item.command} is no rally point")
 
 
 def to_rally(items: Sequence[Item], geodesy: Geodesy, home_altitude: float) -> RallyUpload:
-    """The rally points of their items.  Raises ItemError."""
+    """Return the rally points of these items.  Raises ItemError."""
     points = []
     for item in items:
         altitude = altitude_of(item, geodesy, home_altitude)
@@ -105,7 +105,7 @@ def to_rally(items: Sequence[Item], geodesy: Geodesy, home_altitude: float) -> R
 
 
 def from_rally(points: Sequence[RallyPoint], geodesy: Geodesy) -> list[Item]:
-    """Rally points as they travel, heights above the sea."""
+    """Return rally points as mission items, heights above the sea."""
     made = []
     for point in points:
         x, y = _at(point.north, point.east, geodesy)

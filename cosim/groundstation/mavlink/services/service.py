@@ -1,4 +1,4 @@
-"""What the services of the vehicle (parameters, missions, files, logs) have in common.
+"""Common parts of the vehicle's services: parameters, missions, files, logs.
 
 A service lives in the thread of the links, and holds no socket and no clock: ``now`` is monotonic time, s, and a test
 can make it run.
@@ -25,7 +25,7 @@ _text_id = 0
 
 
 class Client(NamedTuple):
-    """Who is asking: several may be behind one address."""
+    """Sender of a request; several systems may be behind one address."""
 
     peer: Peer
     system: int
@@ -33,12 +33,12 @@ class Client(NamedTuple):
 
     @property
     def text(self) -> str:
-        """For people to read."""
+        """Name of the client for people to read."""
         return f"{getattr(self.peer, 'name', self.peer)} {self.system}/{self.component}"
 
 
 class Service:
-    """What a service does unless it does something else.
+    """Base of a service, with defaults for all that it need not do.
 
     ``handles``: names of the messages that it takes.  ``busy``: it wants to be polled every 10 ms, not every 50.
     """
@@ -50,19 +50,19 @@ class Service:
         return False
 
     def handle(self, message: Message, client: Client, now: float) -> Sequence[Message]:
-        """The answers to a message for this vehicle; they go to the client's peer."""
+        """Return the answers to a message for this vehicle, which go to the client's peer."""
         return ()
 
     def poll(self, now: float) -> Outgoing:
-        """What is due to go out, to one peer or (None) to all."""
+        """Return the messages that are due, to one peer or (None) to all."""
         return []
 
     def forget(self, peer: Peer) -> None:
-        """The peer is gone."""
+        """Forget a peer that is gone."""
 
 
 class RateLimit:
-    """How many messages may go out: ``rate`` a second, and not more than ``burst`` at once."""
+    """Limit of outgoing messages: ``rate`` a second, and not more than ``burst`` at once."""
 
     def __init__(self, rate: float, burst: int) -> None:
         self._rate, self._burst = rate, float(burst)
@@ -70,7 +70,7 @@ class RateLimit:
         self._last: float | None = None
 
     def take(self, now: float, most: int, peer: Peer) -> int:
-        """Of ``most`` messages, how many may go now; none while the link to the peer is behind."""
+        """Return how many of ``most`` messages may go now; none while the link to the peer is behind."""
         if self._last is not None:
             self._saved = min(self._burst, self._saved + max(0.0, now - self._last) * self._rate)
         self._last = now
@@ -82,7 +82,7 @@ class RateLimit:
 
 
 class Answers:
-    """Answers of the pilot, put in from any thread and taken out in the link's."""
+    """Queue of the autopilot's answers, filled from any thread and emptied in the link's."""
 
     def __init__(self, ask: Ask, most: int = 100) -> None:
         self._ask, self._most = ask, most
@@ -98,7 +98,7 @@ class Answers:
         return True
 
     def take(self) -> Outgoing:
-        """The messages of every answer that has come."""
+        """Return the messages of every answer that has come."""
         messages: Outgoing = []
         while self._ready:
             then, answer = self._ready.popleft()
@@ -108,20 +108,20 @@ class Answers:
 
 
 def status_text(text: str, severity: int) -> list[Message]:
-    """Return STATUSTEXT, in as many pieces as it needs; their numbers are none of those that the vehicle's own have."""
+    """Return STATUSTEXT in as many pieces as it needs, with numbers that the vehicle's own texts do not use."""
     global _text_id
     _text_id = (_text_id + 1) % _OWN_IDS
     return statustext(severity, text, _OWN_IDS + _text_id)
 
 
 def text_of(value: str | bytes) -> str:
-    """A text field of a message, which ends at its first NUL; what is not ASCII is spelt out."""
+    """Return a text field of a message up to its first NUL; other characters than ASCII are escaped."""
     data = value.encode("latin-1", "replace") if isinstance(value, str) else bytes(value)
     return data.split(b"\0")[0].decode("ascii", "backslashreplace")
 
 
 def crc32(data: bytes, start: int = 0) -> int:
-    """MAVLink's CRC32: polynomial 0xEDB88320, no inversion before or after; ``start``: of what came before."""
+    """Return MAVLink's CRC32 (polynomial 0xEDB88320, no inversion); ``start``: that of the bytes before."""
     from zlib import crc32 as inverted
 
     return inverted(data, start ^ 0xFFFFFFFF) ^ 0xFFFFFFFF

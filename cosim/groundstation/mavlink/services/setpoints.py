@@ -19,7 +19,7 @@ OffboardSetpoint = OffboardAttitude | OffboardVelocity | OffboardPosition
 
 
 def sticks(message: Message) -> Sticks:
-    """The sticks of MANUAL_CONTROL: x forward, y right, z thrust 0 to 1000, r right as PX4 and QGroundControl have it.
+    """Return MANUAL_CONTROL's sticks: x forward, y right, z thrust 0 to 1000, r right as in PX4 and QGroundControl.
 
     Raises InputError for an axis that is not sent or out of range.
     """
@@ -30,7 +30,7 @@ def sticks(message: Message) -> Sticks:
 
 
 def attitude(message: Message) -> OffboardAttitude:
-    """The set-point of SET_ATTITUDE_TARGET: the attitude, or all three rates, and the thrust.  Raises InputError."""
+    """Return SET_ATTITUDE_TARGET's set-point: attitude or all three rates, and thrust.  Raises InputError."""
     mask, rates = message.type_mask, (message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate)
     if mask & _NO_THRUST:
         raise InputError("attitude set-point: the thrust is missing")
@@ -42,7 +42,7 @@ def attitude(message: Message) -> OffboardAttitude:
 
 
 def local(message: Message, view: View) -> OffboardSetpoint:
-    """The set-point of SET_POSITION_TARGET_LOCAL_NED; a position goes before a velocity.  Raises InputError."""
+    """Return SET_POSITION_TARGET_LOCAL_NED's set-point: a position or else a velocity.  Raises InputError."""
     frame = message.coordinate_frame
     if frame not in (LOCAL_NED, _OFFSET_NED, *_BY_NOSE):
         raise InputError(f"set-point: frame {frame} is not known here")
@@ -61,7 +61,7 @@ def local(message: Message, view: View) -> OffboardSetpoint:
 
 
 def world(message: Message, view: View) -> OffboardSetpoint:
-    """The set-point of SET_POSITION_TARGET_GLOBAL_INT.  Raises InputError."""
+    """Return SET_POSITION_TARGET_GLOBAL_INT's set-point: a position or else a velocity.  Raises InputError."""
     frame = message.coordinate_frame
     if frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
         raise InputError(f"set-point: frame {frame} is not known here")
@@ -87,7 +87,7 @@ def _velocity(message: Message, nose: float, yaw: float | None) -> OffboardVeloc
 
 
 def _has(mask: int, bits: int, values: tuple[float, ...]) -> bool:
-    """Are all of these given?"""
+    """Return whether no field of the mask is ignored and all values are finite."""
     return not mask & bits and all(isfinite(value) for value in values)
 
 
@@ -98,6 +98,6 @@ def _yaw(message: Message, nose: float) -> float | None:
 
 
 def _turned(x: float, y: float, angle: float) -> tuple[float, float]:
-    """Along and across a heading to north and east."""
+    """Rotate components along and across a heading [rad] to north and east."""
     c, s = cos(angle), sin(angle)
     return x * c - y * s, x * s + y * c

@@ -1,4 +1,4 @@
-"""The messages that pymavlink's generator makes at build time from ``hexjet.xml``; their classes pack, sign and read.
+"""The MAVLink messages, generated at build time from ``hexjet.xml`` with pymavlink; their classes pack, sign and read.
 
 The dialects that pymavlink bundles lack seven of them, ESC_STATUS and FUEL_STATUS among these, so one more is made.
 """

@@ -1,4 +1,4 @@
-"""Bytes to messages and back: MAVLink 2 out, MAVLink 1 and 2 in, every refusal counted by its reason.
+"""Conversion of bytes to messages and back: MAVLink 2 out, 1 and 2 in, every refusal counted by its reason.
 
 A frame is packed, signed and read by pymavlink's class.  Where frames begin is found here and not by its parser, which
 tells no reason of a refusal, keeps the rest of a datagram, and passes over all that a damaged length claims.
@@ -18,7 +18,7 @@ SIGNED = mav.MAVLINK_IFLAG_SIGNED  # the only incompatibility flag that there is
 
 
 class Frame(NamedTuple):
-    """One frame that was taken."""
+    """One frame that was accepted."""
 
     raw: bytes
     system: int
@@ -29,7 +29,7 @@ class Frame(NamedTuple):
 
 
 class Parser:
-    """Frames from the bytes of one sender.
+    """Parser of one sender's bytes into frames.
 
     ``whole``: what is fed ends with a frame's end, as a datagram does; a rest is refused instead of being kept.
     With ``signing`` every frame has to carry a signature that is right and new.  RADIO_STATUS need not in a stream of
@@ -44,7 +44,7 @@ class Parser:
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Every frame that ``data`` completes.  Raises nothing, whatever the bytes are."""
+        """Return every frame that ``data`` completes.  Raises nothing, whatever the bytes are."""
         buffer = self._buffer + data
         frames: list[Frame] = []
         at, end = 0, len(buffer)
@@ -98,7 +98,7 @@ class Parser:
 
 
 class Sender:
-    """Frames to one receiver: its sequence and its link's id."""
+    """Packer of frames to one receiver, with its own sequence and link id."""
 
     def __init__(self, system: int, component: int, link: int = 0, signing: Signing | None = None) -> None:
         self._mav = mav.MAVLink(None, srcSystem=system)
@@ -125,7 +125,7 @@ def _next_magic(buffer: bytes, at: int) -> int:
 
 
 def _length(buffer: bytes, at: int) -> int | None:
-    """Bytes of the frame that begins at ``at``; None while too little of it is there to know."""
+    """Return the bytes of the frame that begins at ``at``; None while too few of them are there."""
     if len(buffer) < at + 3:
         return None
     size = buffer[at + 1]

@@ -1,4 +1,4 @@
-"""Makes the module of MAVLink messages from ``hexjet.xml`` and the definitions that pymavlink bundles.
+"""Generation of the module of MAVLink messages from ``hexjet.xml`` and pymavlink's bundled definitions.
 
 The build runs it; by hand: ``python cosim/groundstation/mavlink/wire/generate.py``.  It imports nothing of the
 package, because the build's environment holds pymavlink and not what ``import cosim`` may need.
@@ -20,7 +20,7 @@ _HEAD = "# mypy: ignore-errors\n# ruff: noqa\n# Made by cosim/groundstation/mavl
 
 
 class GenerateError(RuntimeError):
-    """The messages could not be made."""
+    """Raised when the messages cannot be generated."""
 
 
 def generate(folder: Path) -> Path:
@@ -52,7 +52,7 @@ def generate(folder: Path) -> Path:
 
 
 def _without_prose(source: Path, target: Path) -> None:
-    """Descriptions would be three quarters of the module, and of the time to load it."""
+    """Copy a definition without its descriptions, which would be three quarters of the module and its loading time."""
     tree = ET.parse(source)
     for element in tree.iter():
         if element.tag in ("description", "param", "field", "deprecated", "superseded"):

@@ -38,17 +38,17 @@ _LOUD = {
 
 
 class Station(Protocol):
-    """What runs in the link's thread."""
+    """Handler of frames that runs in the link's thread."""
 
     def receive(self, frame: Frame, peer: Peer, now: float) -> None: ...
 
     def poll(self, now: float) -> float:
-        """Do what is due; returns when there is something to do again."""
+        """Do everything that is due, and return when something is due again [s of the clock]."""
         ...
 
 
 class Link:
-    """Opens every endpoint at once, so that a wrong one is refused before the flight; ``start`` begins to talk.
+    """All links of a vehicle, opened at once so that a wrong one is refused before the flight, until ``start`` silent.
 
     ``station`` is called in the link's thread only.  Raises InputError where a port cannot be opened.
     """
@@ -91,7 +91,7 @@ class Link:
 
     @property
     def peers(self) -> list[Peer]:
-        """Every ground station there is now."""
+        """Every ground station that is connected now."""
         return [peer for channel in self._channels for peer in channel.peers]
 
     @property
@@ -126,18 +126,18 @@ class Link:
             self.log.close()
 
     def say(self, text: str) -> None:
-        """Something has happened that the people on the ground should know."""
+        """Report an event to the people on the ground."""
         self.news.append(text)
         self.tell(f"link: {text}")
 
     def broadcast(self, packed: Message, kind: Kind = Kind.ANSWER) -> None:
-        """To every ground station."""
+        """Send a message to every ground station."""
         for peer in self.peers:
             peer.send(packed, kind)
         self.logged(packed)
 
     def send(self, peer: Peer, packed: Message, kind: Kind = Kind.ANSWER) -> None:
-        """An answer to one ground station."""
+        """Send a message to one ground station."""
         peer.send(packed, kind)
         self.logged(packed)
 
@@ -161,7 +161,7 @@ class Link:
                 flushed = now
 
     def poll(self, now: float) -> float:
-        """Everything that is due; returns when there is something to do again."""
+        """Do everything that is due, and return when something is due again [s of the clock]."""
         for channel in self._channels:
             self._guarded(channel.poll, now)
         self._complain(now)
@@ -171,7 +171,7 @@ class Link:
         return min([until, *(peer.due for peer in self.peers)])
 
     def _guarded(self, do: Callable[[Any], Any], argument: Any) -> Any:
-        """Whatever happens to one link, the others go on; the counter says that all is not well."""
+        """Run a link's callback; count an exception instead of letting it stop the other links."""
         try:
             return do(argument)
         except Exception as error:
@@ -191,7 +191,7 @@ class Link:
             self._hear.recv(4096)
 
     def take(self, frames: Sequence[Frame], peer: Peer, now: float) -> None:
-        """Frames that came from a station."""
+        """Log a station's frames and hand them to the handler."""
         self.taken += len(frames)
         for frame in frames:
             if self.log is not None:
@@ -214,7 +214,7 @@ class Link:
         whole: bool,
         line: float | None = None,
     ) -> Peer:
-        """A new station; each has its own sequence and, for signatures, its own link id."""
+        """Return a new station with its own sequence and, for signatures, its own link id."""
         sender = Sender(*self._ids, link=self._made & 0xFF, signing=self._signing)
         self._made += 1
         return Peer(name, transmit, parser, sender, whole, self._clock, self.refused, line)

@@ -1,4 +1,4 @@
-"""One ground station as the link knows it: what it sent, what waits to be sent to it, which rates it asked for.
+"""One ground station on a link: its parser, its queues of outgoing messages, and the rates that it requested.
 
 What waits has three classes.  Answers (acknowledgements, heartbeats, texts, the protocols) go first.  Lists and files,
 and telemetry, take turns at what is left, byte by byte.  Telemetry is never queued behind itself: of every message the
@@ -33,14 +33,14 @@ _Item = tuple[Message, int | None]
 
 
 class Kind(Enum):
-    """What a message is to the queue."""
+    """Priority class of a queued message."""
 
     ANSWER = 1
     BULK = 2
 
 
 class Line:
-    """How many bytes may be handed over, for a line that takes ``rate`` bytes a second.
+    """Pacing of bytes for a line that takes ``rate`` bytes a second.
 
     The driver of a serial port would take seconds of bytes at once, and everything after them would wait for them.
     """
@@ -54,7 +54,7 @@ class Line:
 
     @property
     def rate(self) -> float:
-        """Bytes a second, now."""
+        """Present rate [bytes/s], which is the full one reduced by the line's health."""
         return self.full_rate * self.health
 
     @property
@@ -62,7 +62,7 @@ class Line:
         return _AHEAD * self.rate
 
     def free(self, now: float) -> bool:
-        """May something be handed over?  One frame may overdraw, the next waits for it."""
+        """Return whether a frame may be handed over.  One may overdraw, and the next waits for that."""
         self._saved = min(self._most, self._saved + (now - self._last) * self.rate)
         self._last = now
         if now - self._judged >= 1.0:
@@ -72,16 +72,16 @@ class Line:
         return self._saved > 0.0
 
     def take(self, count: int) -> None:
-        """So many bytes were handed over."""
+        """Count bytes that were handed over."""
         self._saved -= count
 
     def hold(self) -> None:
-        """It did not take what it should have had room for."""
+        """Note that it did not take what it should have had room for."""
         self._held = True
 
     @property
     def next(self) -> float:
-        """When it is free again."""
+        """Time at which it is free again [s of the clock]."""
         return self._last + max(0.0, -self._saved) / self.rate + 1e-4
 
 
@@ -131,7 +131,7 @@ class Peer:
         self._credited = now
 
     def feed(self, data: bytes, now: float) -> list[Frame]:
-        """The frames in what has come; empty, and counted, for a station that floods."""
+        """Return the frames in new bytes; none, and counted, for a station that floods."""
         if self.credit(now) < 1.0:
             self._refused["flood"] += 1
             return []
@@ -143,24 +143,24 @@ class Peer:
         return frames
 
     def credit(self, now: float) -> float:
-        """Frames that may be read from the station now."""
+        """Return how many frames may be read from the station now."""
         self._credit = min(float(_BURST), self._credit + (now - self._credited) * FRAMES_A_SECOND)
         self._credited = now
         return self._credit
 
     def silent(self, now: float) -> float:
-        """Seconds since it was heard, or came."""
+        """Return the seconds since it was last heard, or was first there."""
         return now - max(self.heard, self.since)
 
     def radio(self, free_percent: int) -> None:
-        """A radio on the way says how much of its buffer is free (RADIO_STATUS)."""
+        """Slow the line down if the radio's buffer is nearly full; ``free_percent`` is of RADIO_STATUS."""
         if self.line is not None and free_percent < _RADIO_LOW:
             self.line.hold()
 
     # --- out -----------------------------------------------------------------------------------------------------
 
     def send(self, packed: Message, kind: Kind = Kind.ANSWER, component: int | None = None) -> bool:
-        """Queue a message that must arrive.  False: there is no room."""
+        """Queue a message that must arrive, and return whether there was room for it."""
         if self._waiting > self._limit:
             self.stuck = True
             self.dropped += 1
@@ -171,7 +171,7 @@ class Peer:
         return True
 
     def stream(self, packed: Message, place: int = 0) -> None:
-        """Telemetry: in place of the one before that still waits; ``place``: which, of several of the same message."""
+        """Queue telemetry in place of a waiting older one; ``place``: index among several of the same message."""
         key = (packed.get_msgId(), place)
         if key in self._telemetry:
             self.dropped += 1
@@ -219,18 +219,18 @@ class Peer:
 
     @property
     def due(self) -> float:
-        """When :meth:`flush` can go on because the line is free again; inf: that is not what it waits for."""
+        """Time at which the line is free for :meth:`flush` again; inf: it does not wait for that."""
         idle = not (self._frame or self._answers or self._bulk or self._telemetry)
         return inf if idle or self.line is None or self._blocked is not None else self.line.next
 
     @property
     def waiting(self) -> int:
-        """Bytes that wait."""
+        """Number of bytes that wait."""
         return len(self._frame) + self._waiting + sum(map(self._size, self._telemetry.values()))
 
     @property
     def behind(self) -> bool:
-        """Do so many answers wait that lists and files should pause?"""
+        """Whether so many answers wait that lists and files should pause."""
         return self._waiting > (BULK if self.line is None else min(BULK, _BULK_S * self.line.rate))
 
     @property
@@ -238,14 +238,14 @@ class Peer:
         return LIMIT if self.line is None else min(LIMIT, max(BULK, _LIMIT_S * self.line.full_rate))
 
     def _size(self, packed: Message) -> int:
-        """Bytes of its frame."""
+        """Return the bytes of a message's frame, with its signature."""
         return frame_size(packed) + self.signature
 
     def blocked(self, now: float) -> float:
-        """Seconds for which nothing has been taken though something waits."""
+        """Return the seconds for which nothing has been taken though something waits."""
         return 0.0 if self._blocked is None else now - self._blocked
 
     @property
     def telemetry_rate(self) -> float:
-        """Bytes a second that telemetry may take of the line; inf where the line is not known."""
+        """Bytes a second of the line that telemetry may take; inf where the line's rate is not known."""
         return inf if self.line is None else SHARE * self.line.rate

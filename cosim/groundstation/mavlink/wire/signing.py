@@ -1,4 +1,4 @@
-"""Signatures of MAVLink 2: the key, the vehicle's own time stamps, and what is believed of others'.
+"""Signatures of MAVLink 2: the key, the vehicle's own time stamps, and the check of others'.
 
 A signature is the link's id, a time stamp (48 bit, 10 us since 2015-01-01) and the first six bytes of
 SHA-256(key, frame up to here).  https://mavlink.io/en/guide/message_signing.html
@@ -23,7 +23,7 @@ _HEX = "hex:"
 
 
 def read_key(path: Path) -> bytes:
-    """The key in a file: a pass phrase, or ``hex:`` and 64 digits.
+    """Read a key from a file, which has a pass phrase, or ``hex:`` and 64 digits.
 
     The key of a pass phrase is its SHA-256, as in QGroundControl and MAVProxy.  Raises InputError.
     """
@@ -45,7 +45,7 @@ def read_key(path: Path) -> bytes:
 
 
 class Signing:
-    """One key for every link; each link signs with its own id.
+    """Signing with one key on every link; each link signs with its own id.
 
     A time stamp is used once: the vehicle's rise from frame to frame and never fall behind the clock or behind what
     was accepted from others; another's must rise within its stream (link, system, component), and a new stream may be
@@ -68,7 +68,7 @@ class Signing:
         return self._last
 
     def refuse(self, frame: bytes, system: int, component: int) -> str:
-        """Why a signed frame (whole, with its signature) is not believed; empty if it is.
+        """Return the reason to reject a signed frame (whole, with its signature); empty if it is authentic.
 
         The time stamp counts only once the signature has proved right, so nobody without the key moves it.  pymavlink's
         check remembers the time stamp first, so that a forged one would lock out those who have the key.

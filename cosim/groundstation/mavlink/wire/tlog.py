@@ -20,7 +20,7 @@ _STAMP = struct.Struct(">Q")
 
 
 class Log:
-    """A file that grows frame by frame.  Raises InputError where it cannot be opened."""
+    """Telemetry log that grows frame by frame.  Raises InputError where its file cannot be opened."""
 
     def __init__(self, path: Path, system: int = 1, component: int = 1, clock: Callable[[], float] = time.time) -> None:
         try:
@@ -33,12 +33,12 @@ class Log:
         self.failed = ""  # why there is no more of it
 
     def sent(self, packed: Message) -> None:
-        """A message that went out."""
+        """Write a message that was sent."""
         if self._file is not None:
             self._write(self._sender.frame(packed))
 
     def received(self, raw: bytes) -> None:
-        """A frame that came in, as it came."""
+        """Write a frame that was received, byte for byte."""
         self._write(raw)
 
     def flush(self) -> None:
@@ -54,7 +54,7 @@ class Log:
         self.frames += 1
 
     def _do(self, action: Callable[[BinaryIO], object]) -> None:
-        """A full disk ends the log and not the link."""
+        """Apply an action to the file; a full disk ends the log and not the link."""
         if self._file is None:
             return
         try:

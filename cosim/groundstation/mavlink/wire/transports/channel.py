@@ -1,4 +1,4 @@
-"""What the kinds of endpoints have in common: a channel, a tap that a flood closes, places for new stations."""
+"""Common parts of all transports: channel, flow control against floods, room for new stations."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ Address = Any
 
 
 class Hub(Protocol):
-    """What an endpoint needs of the link that opened it."""
+    """The link that opened an endpoint, as that endpoint needs it."""
 
     refused: Counter[str]  # frames and bytes that were not taken, by reason
 
     def watch(self, item: Any, ready: Callable[[int], None], events: int = ...) -> None:
-        """Call ``ready`` whenever ``item``, a socket or a descriptor, has something."""
+        """Call ``ready`` whenever ``item``, a socket or a descriptor, is ready."""
         ...
 
     def ignore(self, item: Any) -> None:
@@ -46,19 +46,19 @@ class Hub(Protocol):
         whole: bool,
         line: float | None = None,
     ) -> Peer:
-        """A new station."""
+        """Return a new station."""
         ...
 
     def parser(self, whole: bool) -> Parser: ...
 
     def take(self, frames: Sequence[Frame], peer: Peer, now: float) -> None:
-        """Frames that came from a station."""
+        """Take frames that a station sent."""
         ...
 
     def now(self) -> float: ...
 
     def say(self, text: str) -> None:
-        """Tell the people on the ground."""
+        """Report an event to the people on the ground."""
         ...
 
 
@@ -74,7 +74,7 @@ class Channel(Protocol):
 
 
 class Tap:
-    """A socket that is read only while its station has credit: a flood stays in the operating system."""
+    """Flow control of a socket: read only while its station has credit, so that a flood stays in the system."""
 
     def __init__(self, link: Hub, item: Any, ready: Callable[[int], None]) -> None:
         self._link, self._item, self._ready = link, item, ready
@@ -82,7 +82,7 @@ class Tap:
         link.watch(item, ready)
 
     def shut(self) -> None:
-        """Read no more for now."""
+        """Stop reading for now."""
         if self._open:
             self._open = False
             self._link.refused["flood"] += 1
@@ -96,7 +96,7 @@ class Tap:
 
 
 def bound(endpoint: Endpoint, kind: int, bind: bool) -> socket.socket:
-    """A socket that never waits.  Raises InputError where its port cannot be had."""
+    """Return a non-blocking socket.  Raises InputError where its port cannot be had."""
     made = socket.socket(endpoint.family, kind)
     try:
         made.setblocking(False)
@@ -111,10 +111,10 @@ def bound(endpoint: Endpoint, kind: int, bind: bool) -> socket.socket:
 
 
 def named(kind: str, address: Address) -> str:
-    """What a station is called."""
+    """Return the name of a station, ``kind:host:port``."""
     return f"{kind}:{address[0]}:{address[1]}"
 
 
 def makes_room(peer: Peer, now: float) -> bool:
-    """May a new station take the place of this one?"""
+    """Return whether a new station may replace this one, which has been silent for too long."""
     return peer.silent(now) > (EVICT if peer.heard >= 0.0 else UNHEARD)

@@ -9,7 +9,7 @@ from cosim.groundstation.mavlink.wire.transports.channel import STALL, Hub, Tap
 
 
 class Stream:
-    """One connection.
+    """A station over one connection.
 
     ``item``: a file or socket to be watched; ``read`` and ``write`` are its own and never wait.  ``line``: bytes a
     second that it carries, if that is known.  A connection that has taken nothing for ``STALL`` is closed; ``why``
@@ -76,7 +76,7 @@ class Stream:
             self.close("too much waits for it" if peer.stuck else f"it has taken nothing for {STALL:g} s")
 
     def close(self, why: str = "") -> None:
-        """May be called twice."""
+        """Close the connection for a reason; may be called twice."""
         if self.open:
             self.open = False
             self.why = why

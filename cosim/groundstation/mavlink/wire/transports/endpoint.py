@@ -1,4 +1,4 @@
-"""Where a link goes: ``udpout:127.0.0.1:14550``, ``udpin:``, ``tcp:``, ``tcpin:``, ``serial:/dev/ttyUSB0:57600``."""
+"""URLs of links: ``udpout:127.0.0.1:14550``, ``udpin:``, ``tcp:``, ``tcpin:``, ``serial:/dev/ttyUSB0:57600``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _FORMS = "udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT 
 
 
 def default(system: int = 1) -> tuple[str, str]:
-    """Where a vehicle sends to if nobody says otherwise, by its system id.
+    """Return the default links of a vehicle by its system id.
 
     QGroundControl listens on 14550 to all vehicles; programs with MAVSDK to one each, 14540 the first.
     """
@@ -25,7 +25,7 @@ def default(system: int = 1) -> tuple[str, str]:
 
 
 class Endpoint(NamedTuple):
-    """One link as the user asked for it."""
+    """Parsed URL of one link."""
 
     kind: str  # one of NETWORK, or serial
     host: str  # an address, or the serial device
@@ -39,7 +39,7 @@ class Endpoint(NamedTuple):
 
 
 def parse(url: str, public: bool = False) -> Endpoint:
-    """The endpoint of a URL.
+    """Parse the URL of a link.
 
     ``public``: a server may listen to the network and not only to this machine.  Raises InputError.
     """

@@ -22,7 +22,7 @@ _FRAME = 280  # bytes of the longest frame
 
 
 class Port:
-    """The open device; every call returns at once.  Raises OSError or ValueError where it cannot be opened."""
+    """An open serial device whose calls return at once.  Raises OSError or ValueError where it cannot be opened."""
 
     def __init__(self, device: str, baud: int) -> None:
         import serial
@@ -33,14 +33,14 @@ class Port:
         self._held = False
 
     def fileno(self) -> int:
-        """For a selector."""
+        """Return the file descriptor, for a selector."""
         return self._number
 
     def read(self) -> bytes:
         return os.read(self._number, DATAGRAM)
 
     def write(self, data: bytes) -> int:
-        """How much of it the driver took; nothing while it has enough: what is there already comes before all else."""
+        """Write, and return how many bytes the driver took; none while it has enough, as those would go first."""
         try:
             self._held = self._unsent() > self._most
             taken = 0 if self._held else os.write(self._number, data)
@@ -50,7 +50,7 @@ class Port:
         return taken
 
     def close(self) -> None:
-        """Close it at once: what it would not take is thrown away, as the system else waits half a minute for it."""
+        """Close at once, discarding unsent bytes, for which the system would wait half a minute."""
         import termios
 
         with contextlib.suppress(OSError, termios.error):  # it may not be there any more
@@ -60,13 +60,13 @@ class Port:
             self._device.close()
 
     def _unsent(self) -> int:
-        """Bytes in the driver; 0 where it does not tell."""
+        """Return the bytes in the driver; 0 where it does not report them."""
         waiting: int = self._device.out_waiting
         return waiting
 
 
 class Serial:
-    """Opened before the flight, as a device that is not there then is a mistake; taken up again when it is lost."""
+    """A serial link, opened before the flight, as a missing device is a mistake then; reopened when it is lost."""
 
     port = 0
 
@@ -112,7 +112,7 @@ class Serial:
                 self._open()
 
     def _say_again(self, stream: Stream, now: float) -> None:
-        """Once it has carried for as long as it may be stuck: it is not said of each attempt."""
+        """Report a lost line as back once it has worked for as long as it may be stuck, not at each attempt."""
         if self._lost and now - self._since > STALL and not stream.peer.blocked(now):
             self._lost = False
             self._link.say(f"{self._endpoint.url} carries again")

@@ -63,7 +63,7 @@ class TcpIn:
         self._streams.append(_connection(self._link, named("tcpin", address), connection))
 
     def _room(self) -> bool:
-        """Is there a place for one more, or one who has been silent and makes room?"""
+        """Return whether there is room for one more station, which may replace a silent one."""
         streams = self._streams = [stream for stream in self._streams if stream.open]
         if len(streams) < MOST_PEERS:
             return True
@@ -92,7 +92,7 @@ class TcpIn:
 
 
 class Tcp:
-    """A connection to a server; made again when it is lost."""
+    """A connection to a server, which is made again when it is lost."""
 
     port = 0
 

@@ -35,7 +35,7 @@ def _sendto(channel: socket.socket, address: Address) -> Callable[[bytes], int]:
 
 
 def _datagrams(source: socket.socket) -> Iterator[tuple[bytes, Address]]:
-    """What has arrived and from whom, as much as one socket may be read in its turn."""
+    """Iterate over datagrams and their senders, as many as one socket may be read in its turn."""
     for _ in range(READS):
         try:
             yield source.recvfrom(DATAGRAM)
@@ -46,7 +46,7 @@ def _datagrams(source: socket.socket) -> Iterator[tuple[bytes, Address]]:
 
 
 class UdpOut:
-    """Datagrams to one address; taken is what comes back from there."""
+    """A client that sends datagrams to one address and takes those from there alone."""
 
     port = 0
 
@@ -143,7 +143,7 @@ class Datagrams:
 
 
 class Shared:
-    """One station behind a UDP server where the system has no sockets of their own for them."""
+    """One station behind a UDP server where the system has no socket of its own for it."""
 
     def __init__(self, link: Hub, server: socket.socket, address: Address) -> None:
         parser = link.parser(whole=True)
@@ -157,7 +157,7 @@ class Shared:
 
 
 class UdpIn:
-    """A server; stations are known by the address from which a frame that was right has come."""
+    """A UDP server, whose stations are the addresses from which a valid frame has come."""
 
     def __init__(self, link: Hub, endpoint: Endpoint) -> None:
         self._link = link
