@@ -1,1 +1,1 @@
-"""What files say: scenarios and vehicles as typed, checked models."""
+"""Scenario and vehicle files as typed, validated models."""

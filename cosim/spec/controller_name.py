@@ -1,4 +1,4 @@
-"""How a controller is named: built in, of a package, or of a file of the user's."""
+"""Names of controllers: built in, from an installed package, or from a file of the user."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ _NAMED = re.compile(
 
 
 class FlownFile(Protocol):
-    """What :func:`controller_words` needs of a parameter file that flew."""
+    """Fields of a flown parameter file that :func:`controller_words` reads."""
 
     @property
     def kind(self) -> str:
-        """Return design or models."""
+        """``design`` or ``models``."""
 
     @property
     def file(self) -> str:
-        """Return its name."""
+        """The file's name or path."""
 
     @property
     def sha256(self) -> str:
-        """Return the hash of its content."""
+        """SHA-256 of the file's content, hexadecimal."""
 
     @property
     def changed(self) -> Sequence[str]:
-        """Return the keys whose values in the flight are not the file's."""
+        """Keys whose values in the flight differ from those in the file."""
 
 
 class FileName(NamedTuple):
@@ -46,21 +46,21 @@ class FileName(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The whole."""
+        """The controller's full name, as a scenario has it."""
         return self.before + self.file + self.after
 
     @property
     def label(self) -> str:
-        """The whole with no folder, for people."""
+        """The controller's name with the file's folder left out, for display."""
         return self.before + Path(self.file).name + self.after
 
     def seen_from(self, folder: Path) -> FileName:
-        """The same with a path that is valid anywhere."""
+        """Return the name with the file's path made absolute, taken relative to ``folder``."""
         return self._replace(file=str((folder / self.file).absolute()))
 
 
 def file_name(controller: str) -> FileName | None:
-    """The file in a controller's name; None: it is no file."""
+    """Split a controller's name around the file in it; return None for a name without a file."""
     match = _NAMED.fullmatch(controller)
     if match is None:
         return None
@@ -72,7 +72,7 @@ def file_name(controller: str) -> FileName | None:
 
 
 def is_design(controller: str) -> bool:
-    """Whether it is a file of hexjet design: gains of the built-in controller, and no mapping file of an FMU."""
+    """Return whether a name is a file of ``hexjet design`` (built-in controller gains), not an FMU mapping file."""
     named = file_name(controller)
     if named is None or named.before or named.after:
         return False
@@ -80,39 +80,39 @@ def is_design(controller: str) -> bool:
 
 
 def seen_from(controller: str, folder: Path) -> str:
-    """The same with an absolute path where it names a file."""
+    """Return a controller's name with an absolute path, taken relative to ``folder``, where it names a file."""
     named = file_name(controller)
     return controller if named is None else named.seen_from(folder).text
 
 
 def label(controller: str) -> str:
-    """What people call it: a file without its folder."""
+    """Return a controller's name for display: a file is shown without its folder."""
     named = file_name(controller)
     return controller if named is None else named.label
 
 
 def folder_name(controller: str) -> str:
-    """The same in letters that a folder's name may have."""
+    """Return a controller's label with all characters but letters, digits, ``_``, ``.`` and ``-`` replaced by ``-``."""
     return re.sub(r"[^A-Za-z0-9_.-]+", "-", label(controller)).strip("-")
 
 
 def short_name(controller: str) -> str:
-    """What a table has room for: a design's file without its ending, else as :func:`label`."""
+    """Return a controller's name for table cells: a design file without its suffix, else as :func:`label`."""
     return Path(controller).stem if is_design(controller) else label(controller)
 
 
 def file_words(file: str, sha256: str) -> str:
-    """Return a parameter file without its folder and ending, with the first letters of its hash."""
+    """Return a parameter file's name without folder and suffix, followed by the first letters of its hash."""
     return f"{Path(file).stem} {sha256[:SHORT]}"
 
 
 def controller_words(law: str, sha256: str, files: Iterable[FlownFile]) -> str:
-    """Return who flies, for people: ``my-design 1ada07e5 (smith)``, ``smith, models roll 5b0c2e11``, a file and hash.
+    """Return the flown controller for display: ``my-design 1ada07e5 (smith)``, ``smith, models roll 5b0c2e11``.
 
     ``law`` is the controller's label and ``sha256`` the hash of its files, or empty; it is left out of a bare name.
     """
     text = f"{law} {sha256[:SHORT]}" if sha256 and set(law) & {".", ":"} else law
-    for each in files:
-        words = file_words(each.file, each.sha256) + (", changed" if each.changed else "")
-        text = f"{words} ({text})" if each.kind == "design" else f"{text}, models {words}"
+    for file in files:
+        words = file_words(file.file, file.sha256) + (", changed" if file.changed else "")
+        text = f"{words} ({text})" if file.kind == "design" else f"{text}, models {words}"
     return text

@@ -1,4 +1,4 @@
-"""The folder of an aircraft of one's own, begun as a copy of one that is shipped."""
+"""Creation of a user's aircraft folder as a copy of a shipped aircraft."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ def new_aircraft(name: str, base: str, folder: Path) -> Path:
     Parameters
     ----------
     name : str
-        What it is called: letters, digits, - and _.
+        The new aircraft's name: letters, digits, - and _.
     base : str
-        One that is shipped.
+        Name of a shipped aircraft.
     folder : Path
-        Made if need be; it must not hold an aircraft already.
+        Created if it does not exist; it must not contain an aircraft already.
 
     Returns
     -------
     Path
-        The file.
+        The new ``vehicle.toml``.
 
     Raises
     ------
@@ -55,12 +55,12 @@ def new_aircraft(name: str, base: str, folder: Path) -> Path:
         find_aircraft(base)  # says which there are
         raise InputError(f"--from {base}: must be one that is shipped: {', '.join(aircraft_names())}")
     source = find_aircraft(base)
-    stated, path = load_vehicle(base)[0], folder / VEHICLE
+    original, path = load_vehicle(base)[0], folder / VEHICLE
     text = source.read_text(encoding="utf-8")
     begin = text.index("\nname = ") + 1
-    text = HEAD.format(name=name, base=base) + (MODELS.format(base=base) if stated.identified else "") + text[begin:]
-    text = text.replace(f'name = "{stated.name}"', f'name = "{name}"', 1)
-    text = text.replace(f'title = "{stated.title}"', f'title = "{name}, begun as a copy of {base}"', 1)
+    text = HEAD.format(name=name, base=base) + (MODELS.format(base=base) if original.identified else "") + text[begin:]
+    text = text.replace(f'name = "{original.name}"', f'name = "{name}"', 1)
+    text = text.replace(f'title = "{original.title}"', f'title = "{name}, begun as a copy of {base}"', 1)
     text = re.sub(r'^model = ".*"\n', "", text, flags=re.MULTILINE)
     if path.exists():
         raise InputError(f"{path}: is there already; choose another name, or another folder with --out")

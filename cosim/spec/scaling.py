@@ -1,12 +1,11 @@
-"""The same aircraft at another mass: Froude's law at equal density and equal thrust to weight.
+"""Scaling of an aircraft to another mass by Froude's law, at equal density and equal thrust-to-weight ratio.
 
 With ``L = (mass / mass_0)^(1/3)`` lengths grow by L, times by sqrt(L), masses and forces by L^3; gravity and angles
 stay.  Everything else follows from its unit, so that the scaled aircraft flies the same paths, L times as large and
 sqrt(L) times as slowly, wherever its engines do so too.  Real engines do not: gains that come from here are a first
 guess.
 
-What a vehicle states about electronics (the sensors) is not scaled, and identified models are left out: they belong to
-an engine.
+Sensors are not scaled, and identified models are left out because they belong to an engine.
 """
 
 from __future__ import annotations
@@ -88,21 +87,21 @@ _LAW: dict[str, Any] = {
 
 
 def length_scale(mass: float, original: float) -> float:
-    """L for a ``mass`` and that of the ``original``."""
+    """Return the length scale L of an aircraft of ``mass`` relative to the ``original`` mass, both in kg."""
     return float((mass / original) ** (1.0 / 3.0))
 
 
-def scaled(stated: Mapping[str, Any], mass: float) -> dict[str, Any]:
-    """The tables of a ``vehicle.toml`` as they would be at ``mass`` [kg]; what the law does not know stays as it is."""
-    data: dict[str, Any] = _scaled(stated, _LAW, length_scale(mass, stated["mass_kg"]))
+def scale_vehicle(tables: Mapping[str, Any], mass: float) -> dict[str, Any]:
+    """Return the tables of a ``vehicle.toml`` scaled to ``mass`` [kg]; keys that have no exponent stay as they are."""
+    data: dict[str, Any] = _scale_value(tables, _LAW, length_scale(mass, tables["mass_kg"]))
     return data | {"mass_kg": mass, "identified": {}}
 
 
-def _scaled(value: Any, law: Any, scale: float) -> Any:
+def _scale_value(value: Any, law: Any, scale: float) -> Any:
     if isinstance(value, list):
-        return [_scaled(item, law, scale) for item in value]
+        return [_scale_value(item, law, scale) for item in value]
     if value is False:
         return value
     if not isinstance(law, dict):
         return value * scale**law
-    return {key: _scaled(item, law[key], scale) if key in law else item for key, item in value.items()}
+    return {key: _scale_value(item, law[key], scale) if key in law else item for key, item in value.items()}

@@ -1,4 +1,4 @@
-"""A scenario as its TOML states it: who flies, what is asked of it, what disturbs it, and what is expected.
+"""Models of a scenario's TOML: vehicle, controller, commands, disturbances, faults and expected results.
 
 Angles in the file are in degrees where the key says ``_deg``; everything behind
 :mod:`cosim.simulation.script.commander` and :mod:`cosim.simulation.script.disturber` is in rad and SI.

@@ -1,4 +1,4 @@
-"""What a scenario asks of the vehicle: signals over time, places, velocities, ways."""
+"""Models of a scenario's commands: signals over time, positions, velocities, waypoints and tracks."""
 
 from __future__ import annotations
 

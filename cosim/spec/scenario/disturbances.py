@@ -1,4 +1,4 @@
-"""What acts on the vehicle from outside, and what is added to the controller's own signals."""
+"""Models of a scenario's disturbances: on the vehicle from outside, and added to the controller's signals."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class MomentDisturbance(Model):
 
 
 class TorqueCommandDisturbance(Model):
-    """Added to the rate controller's output on one axis, without the controller's knowledge.
+    """An addition to the rate controller's output on one axis, without the controller's knowledge.
 
     The unit is that output's: throttle on roll, rad of tilt on pitch and yaw.  It enters at the ``actuators``, or at
     the ``controller``: before the added delay, and if ``seen`` before the place where a predictor reads the command.

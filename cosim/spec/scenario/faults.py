@@ -1,4 +1,4 @@
-"""What fails in a flight: engines, servos, sensors."""
+"""Models of a scenario's faults: of engines, servos and sensors."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ Jets = Annotated[list[JetNumber], Field(min_length=1), BeforeValidator(_as_list)
 
 
 class FlameOut(Model):
-    """The engine goes out, and is lit again at the end."""
+    """The engine flames out at the start and is relit at the end."""
 
     kind: Literal["flame_out"]
     start_s: Seconds
@@ -57,7 +57,7 @@ class StuckThrottle(Model):
 
 
 class ThrustLoss(Model):
-    """``share`` of the thrust is missing."""
+    """The engine loses the fraction ``share`` of its thrust."""
 
     kind: Literal["thrust_loss"]
     start_s: Seconds
@@ -67,7 +67,7 @@ class ThrustLoss(Model):
 
 
 class SlowSpool(Model):
-    """A further first-order lag before the engine."""
+    """An additional first-order lag before the engine."""
 
     kind: Literal["slow_spool"]
     start_s: Seconds
@@ -77,7 +77,7 @@ class SlowSpool(Model):
 
 
 class DelayGrowth(Model):
-    """A further delay before the engine; at its end the commands on their way are lost."""
+    """An additional delay before the engine; at its end the commands still in the delay are dropped."""
 
     kind: Literal["delay_growth"]
     start_s: Seconds
@@ -87,7 +87,7 @@ class DelayGrowth(Model):
 
 
 class ServoJam(Model):
-    """A tilt servo stays where it stands, or runs to ``angle_deg`` and stays there."""
+    """A tilt servo stops at its angle, or moves to ``angle_deg`` and stays there."""
 
     kind: Literal["servo_jam"]
     start_s: Seconds
@@ -97,7 +97,7 @@ class ServoJam(Model):
 
 
 class SensorBias(Model):
-    """Added to what a sensor gives out: rad/s (gyro), rad about the body axes (attitude), m (gnss, NED; barometer)."""
+    """An addition to a sensor's output: rad/s (gyro), rad about the body axes (attitude), m (gnss, NED; barometer)."""
 
     kind: Literal["sensor_bias"]
     start_s: Seconds
@@ -119,13 +119,13 @@ class SensorBias(Model):
 
     @property
     def vector(self) -> Vector:
-        """``bias``, the barometer's in its first place."""
+        """``bias`` as a vector; the barometer's is its first element."""
         x, y, z = (*self.bias, 0.0, 0.0)[:3]
         return (x, y, z)
 
 
 class SensorDropout(Model):
-    """A sensor repeats the last it gave before the start."""
+    """A sensor repeats its last output before the start."""
 
     kind: Literal["sensor_dropout"]
     start_s: Seconds

@@ -1,4 +1,4 @@
-"""The scenarios that are shipped, and how one is found."""
+"""Names and files of the shipped scenarios."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What flies in place of the vehicle that the controller knows."""
+"""Differences between the simulated vehicle and the one the controller is designed for."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Factor = Annotated[float, Field(gt=0.0, le=10.0)]
 
 
 class Mismatch(Model):
-    """How what flies differs from what aircraft, identified models and engines state; no controller knows of it.
+    """Differences of the simulated vehicle from its nominal data, which the controller does not know.
 
     Keys of the aircraft and of the engine change both sides where the controller is made from them too: the hover
     throttle follows the mass, the allocation the places of the jets, height control and tilts the engine's curve.

@@ -1,4 +1,4 @@
-"""A file of parameters that a scenario's numbers come from."""
+"""Parameter files that a scenario's values come from."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ParameterFile(Model):
 
 
 def parameter_files(known: list[ParameterFile], kind: Literal["design", "models"], path: Path) -> list[dict[str, str]]:
-    """Return a scenario's parameter files, as tables, with ``path`` in the place of the one of its kind.
+    """Return a scenario's parameter files as tables, with ``path`` replacing the one of its kind.
 
     Raises InputError if the file cannot be read.
     """

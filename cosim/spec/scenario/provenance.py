@@ -1,4 +1,4 @@
-"""Where a scenario's numbers come from: files of parameters, and what was written over its own file."""
+"""Provenance of a scenario's values: parameter files, and changes to the scenario's own file."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from cosim.spec.scenario.scenario import Scenario
 from cosim.spec.vehicle import is_file, is_own
 from cosim.spec.vehicle.sensor_profile import load_with_profile
 
-# Keys that say how a flight is watched, judged or proved to be the same, and not what flies.
-_BESIDE_THE_FLIGHT = frozenset(
+# These keys say how a flight is observed, evaluated or reproduced; they do not change the flight.
+_NO_EFFECT_ON_FLIGHT = frozenset(
     (
         "changed",
         "controller_limit_s",
@@ -66,7 +66,7 @@ def flown_parameters(scenario: Scenario) -> list[FlownParameters]:
 
 
 def controller_shown(scenario: Scenario, law: str = "") -> str:
-    """Return who flies a scenario, for people; ``law`` in the place of the controller's own label.
+    """Return a scenario's controller for display, ``law`` in place of the controller's own label.
 
     Raises InputError as :func:`flown_parameters`.
     """
@@ -82,35 +82,35 @@ def copied_parameters(
     None gets a name that is ``reserved`` or that another file has.
     """
     entries = []
-    for each in parameters:
-        first = Path(each.file).name
+    for flown in parameters:
+        first = Path(flown.file).name
         name, number = first, len(files)
-        while name in reserved or files.get(name, each.content) != each.content:
+        while name in reserved or files.get(name, flown.content) != flown.content:
             name, number = f"{number}-{first}", number + 1
-        files[name] = each.content
-        entries.append(ParameterFile(kind=each.kind, file=name, sha256=each.sha256))
+        files[name] = flown.content
+        entries.append(ParameterFile(kind=flown.kind, file=name, sha256=flown.sha256))
     return entries
 
 
 def changes_of(scenario: Scenario, parameters: list[FlownParameters]) -> list[str]:
-    """Return what was written over the scenario's own file, ``key = value``, numbers of ``parameters`` left out.
+    """Return the changes to the scenario's own file as ``key = value``, values of ``parameters`` left out.
 
-    Aircraft, engine and controller come first, where they are others.
+    Aircraft, engine and controller come first, where they changed.
     """
     texts = {entry.partition(" = ")[0]: entry for entry in scenario.changed}
     if scenario.origin is not None:
-        for each in parameters:
-            if each.sha256 not in [file.sha256 for file in scenario.origin.parameter_files]:
-                texts[each.kind] = f"{each.kind} = {Path(each.file).name} {each.sha256[:SHORT]}"
+        for flown in parameters:
+            if flown.sha256 not in [file.sha256 for file in scenario.origin.parameter_files]:
+                texts[flown.kind] = f"{flown.kind} = {Path(flown.file).name} {flown.sha256[:SHORT]}"
         texts |= {key: f"{key} = {_text(value)}" for key, value in _differing(scenario, scenario.origin, parameters)}
     first = [key for key in ("aircraft", "engine", "controller") if key in texts]
     return [texts[key] for key in dict.fromkeys([*first, *texts])]
 
 
 def _differing(scenario: Scenario, origin: Scenario, parameters: list[FlownParameters]) -> Iterator[tuple[str, Any]]:
-    """Yield the keys whose values are others than the file's, but for those that a parameter file states so."""
+    """Yield keys and values that differ from the scenario's file and are not set by a parameter file."""
     now, before = (dict(_leaves(_comparable(one))) for one in (scenario, origin))
-    kinds = {each.kind: parsed(each.content, each.file) for each in parameters}
+    kinds = {file.kind: parsed(file.content, file.file) for file in parameters}
     design = kinds.get("design", {}).get("vehicle")
     stated = dict(_leaves(design if isinstance(design, dict) else {}, "vehicle."))
     for key in dict.fromkeys([*now, *before]):
@@ -120,8 +120,8 @@ def _differing(scenario: Scenario, origin: Scenario, parameters: list[FlownParam
 
 
 def _comparable(scenario: Scenario) -> dict[str, Any]:
-    """What flies, as a table; files by their whole paths, so that one file under two paths is one."""
-    table = {key: value for key, value in scenario.stated("json").items() if key not in _BESIDE_THE_FLIGHT}
+    """Return the keys that affect the flight; files as absolute paths, so that two paths to one file compare equal."""
+    table = {key: value for key, value in scenario.stated("json").items() if key not in _NO_EFFECT_ON_FLIGHT}
     if is_own(scenario.aircraft):
         table["aircraft"] = str((scenario.folder / scenario.aircraft).resolve())
     if is_file(scenario.engine):
@@ -130,7 +130,7 @@ def _comparable(scenario: Scenario) -> dict[str, Any]:
 
 
 def _not_in_effect(scenario: Scenario, stated: Mapping[str, Any]) -> list[str]:
-    """Return the keys of a vehicle that would be others if what a file states were written over it once more."""
+    """Return the keys of the flown vehicle that would change if a file's tables were merged over it again."""
     flown, _ = scenario.resolved_vehicle()
     try:
         again, _ = load_with_profile(

@@ -1,4 +1,4 @@
-"""A scenario as its TOML states it: who flies, what is asked of it, what disturbs it, and what is expected."""
+"""The validated model of a scenario's TOML: vehicle, controller, commands, disturbances and expected results."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from cosim.spec.vehicle.sensor_profile import STATED, load_with_profile, profile
 
 
 class Initial(Model):
-    """Where the flight begins."""
+    """Initial state of the flight."""
 
     on_ground: bool = False
     engines: Literal["idle", "off"] = "idle"  # on the ground, before an autopilot is armed
@@ -46,7 +46,7 @@ class Initial(Model):
 
 
 class Environment(Model):
-    """Place, steady wind and turbulence (JSBSim's MIL-F-8785C model)."""
+    """Location, steady wind and turbulence (JSBSim's MIL-F-8785C model)."""
 
     latitude_deg: Annotated[float, Field(ge=-89.0, le=89.0)] = 22.35
     longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 113.59
@@ -80,7 +80,7 @@ Most = Annotated[bool | float | None, BeforeValidator(_most)]
 
 
 class FlightLimits(Model):
-    """The most that a flight may come to; false: no limit, not stated: the default (:mod:`cosim.results.limits`)."""
+    """Upper limits on a flight's metrics; false: no limit, absent: the default of :mod:`cosim.results.limits`."""
 
     height_error_m: Most = None  # largest, from the height asked for
     place_error_m: Most = None  # largest, from the place asked for
@@ -96,7 +96,7 @@ class FlightLimits(Model):
 
 
 class Expectation(Model):
-    """What a flight with this controller, engine and aircraft must come to."""
+    """Expected outcome and metrics of a flight with this controller, engine and aircraft."""
 
     controller: str
     engine: str
@@ -106,7 +106,7 @@ class Expectation(Model):
 
 
 class Station(Model):
-    """What stands at one engine station instead of the scenario's engine, or that engine with other parameters."""
+    """Replacement of the scenario's engine, or of its parameters, at one engine station."""
 
     engine: str | None = None  # None: the scenario's
     parameters: dict[str, float] = {}  # over the scenario's engine_parameters if the engine is the scenario's
@@ -121,7 +121,7 @@ class Station(Model):
 class Scenario(Model):
     """One flight: the keys of a scenario's TOML are its attributes, and units are in their names.
 
-    ``vehicle`` and ``engine_parameters`` are written over what the aircraft and engine state.
+    ``vehicle`` and ``engine_parameters`` override values of the aircraft and the engine.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
@@ -171,8 +171,8 @@ class Scenario(Model):
 
     @model_validator(mode="before")
     @classmethod
-    def _expected_of_its_own_aircraft(cls, data: Any) -> Any:
-        """Said before anything is written over the scenario: it is not expected of another aircraft."""
+    def _fill_expected_aircraft(cls, data: Any) -> Any:
+        """Fill in the file's aircraft in its expectations before overrides apply: they hold for no other aircraft."""
         if not isinstance(data, dict) or not isinstance(data.get("expect"), list):
             return data
         own = {"aircraft": data.get("aircraft", "hexjet")}
@@ -201,51 +201,52 @@ class Scenario(Model):
 
     @property
     def folder(self) -> Path:
-        """What relative file names in the scenario start from."""
+        """Folder that relative file names in the scenario start from."""
         return self._folder
 
     @property
     def origin(self) -> Scenario | None:
-        """The scenario as its file states it, where something was written over it since."""
+        """The scenario as in its file, where it was changed since; None where it was not."""
         return self._origin
 
     def resolved_vehicle(self) -> tuple[Vehicle, Path]:
-        """The aircraft with :attr:`vehicle` written over it, and its folder; read and checked once.
+        """Return the aircraft with :attr:`vehicle` merged over it, and its folder; they are read and checked once.
 
         Returns
         -------
         tuple of Vehicle and Path
-            The vehicle as stated, and the folder of its aircraft.
+            The vehicle, and the folder of its aircraft.
 
         Raises
         ------
         InputError
             As :func:`cosim.spec.vehicle.load_vehicle`.
         """
-        known, of = self._resolved, (self.aircraft, self.sensors, self.step_s)
-        if known is None or known[0] != of or known[1] is not self.vehicle:  # a copy may have another
-            where, profile, filed = f"scenario {self.name}", self.sensor_profile, self._origin
-            if filed is not None and filed.sensor_profile != profile:
-                refuse_restated(filed.vehicle.get("sensors", {}), (filed.sensor_profile, profile), where)
+        cached, key = self._resolved, (self.aircraft, self.sensors, self.step_s)
+        # A copy of a scenario shares the cache, and may have another vehicle.
+        if cached is None or cached[0] != key or cached[1] is not self.vehicle:
+            where, profile, origin = f"scenario {self.name}", self.sensor_profile, self._origin
+            if origin is not None and origin.sensor_profile != profile:
+                refuse_restated(origin.vehicle.get("sensors", {}), (origin.sensor_profile, profile), where)
             vehicle = load_with_profile(
                 self.aircraft, self.vehicle, f"{where}: vehicle", self.folder, profile, self.step_s
             )
-            known = self._resolved = (of, self.vehicle, vehicle)
-        return known[2]
+            cached = self._resolved = (key, self.vehicle, vehicle)
+        return cached[2]
 
     @property
     def sensor_profile(self) -> str:
-        """The name of the profile that is written over the aircraft's sensors."""
+        """Name of the profile applied to the aircraft's sensors."""
         return self.sensors if self.sensors is not None and self.sensors in profile_names() else STATED
 
     @property
     def sensor_plugin(self) -> str | None:
-        """The name of the user's own sensors behind the built-in ones; None: there are none."""
+        """Name of the user-supplied sensors behind the built-in ones, or None."""
         return None if self.sensors is None or self.sensors in profile_names() else self.sensors
 
     @property
     def aircraft_name(self) -> str:
-        """What the aircraft is called, also where it is named by a path."""
+        """Name of the aircraft, also where the scenario gives a path."""
         return self.resolved_vehicle()[0].name if is_own(self.aircraft) else self.aircraft
 
     @property
@@ -256,7 +257,7 @@ class Scenario(Model):
         return any(not isinstance(fault, (ServoJam, SensorBias, SensorDropout)) for fault in self.fault)
 
     def after_the_end(self) -> list[str]:
-        """What begins when the flight has ended, so that the flight says nothing about it.
+        """Return the entries that begin only at or after the end of the flight and so have no effect on it.
 
         Returns
         -------
@@ -276,14 +277,14 @@ class Scenario(Model):
         return self.count(self.duration_s, "duration_s")
 
     def count(self, seconds: float, key: str) -> int:
-        """A time as a whole number of control steps.
+        """Convert a time to a whole number of control steps.
 
         Parameters
         ----------
         seconds : float
             The time [s].
         key : str
-            What it is called, for the error.
+            Name of the time in error messages.
 
         Returns
         -------
@@ -311,7 +312,7 @@ class Scenario(Model):
         name : str or Path
             Its name in ``scenarios/``, or the path of its file.
         settings : list of str or None
-            ``KEY=VALUE``, written over it; the value as TOML has it.
+            Overrides ``KEY=VALUE``, the value as in TOML.
 
         Returns
         -------
@@ -329,14 +330,14 @@ class Scenario(Model):
 
     @classmethod
     def read(cls, name: str | Path, settings: Sequence[str] | None = None) -> Scenario:
-        """As :meth:`load`, its vehicle not looked at: of a run of an older version, or before another aircraft.
+        """Read a scenario without its vehicle: one of an older version, or one that will get another aircraft.
 
         Parameters
         ----------
         name : str or Path
             Its name in ``scenarios/``, or the path of its file.
         settings : sequence of str or None
-            ``KEY=VALUE``, written over it; the value as TOML has it.
+            Overrides ``KEY=VALUE``, the value as in TOML.
 
         Returns
         -------
@@ -358,7 +359,7 @@ class Scenario(Model):
 
     @classmethod
     def as_filed(cls, path: Path) -> Scenario | None:
-        """Return the scenario of a file as it is, without settings.
+        """Return the scenario of a file without overrides.
 
         Parameters
         ----------
@@ -368,7 +369,7 @@ class Scenario(Model):
         Returns
         -------
         Scenario or None
-            Validated; None if the file is not whole without what is written over it.
+            Validated; None if the file is incomplete without overrides.
         """
         try:
             return cls.from_table(read_toml(path), path.parent, str(path))
@@ -382,13 +383,13 @@ class Scenario(Model):
         Parameters
         ----------
         data : dict
-            As TOML gives it.
+            The table as parsed from TOML.
         folder : Path
-            What relative file names in it start from.
+            Folder that relative file names in it start from.
         where : str
-            What the table is called, for the error.
+            Name of the table in error messages.
         origin : Scenario or None
-            As the scenario's file states it, where something was written over it; None: the table is that.
+            The scenario as in its file, where the table differs from it; None: it does not.
 
         Returns
         -------
@@ -403,10 +404,10 @@ class Scenario(Model):
         scenario = validate(cls, data, where)
         scenario._folder = folder
         scenario._origin = origin
-        return scenario if "step_s" in data else scenario._at_the_step_of_its_aircraft()
+        return scenario if "step_s" in data else scenario._with_aircraft_step()
 
-    def _at_the_step_of_its_aircraft(self) -> Scenario:
-        """The same with the step that was not stated; an aircraft that cannot be read is told where it is needed."""
+    def _with_aircraft_step(self) -> Scenario:
+        """Return the scenario with its aircraft's control step; an unreadable aircraft is reported where it is used."""
         try:
             step = self.resolved_vehicle()[0].control_step
         except InputError:
@@ -418,17 +419,17 @@ class Scenario(Model):
         return changed
 
     def stated(self, mode: Literal["python", "json"] = "python") -> dict[str, Any]:
-        """The scenario as a table, to be changed and read anew: without what follows from its aircraft.
+        """Return the scenario as a table to change and read again, without values that follow from its aircraft.
 
         Parameters
         ----------
         mode : {"python", "json"}
-            As pydantic has it: with tuples, or with what files can say alone.
+            Of pydantic: ``python`` keeps tuples, ``json`` has only types that files have.
 
         Returns
         -------
         dict
-            By key, without those that are None.
+            Values by key, without those that are None.
         """
         data = self.model_dump(mode=mode, exclude_none=True)
         if "step_s" not in self.model_fields_set:
@@ -436,14 +437,14 @@ class Scenario(Model):
         return data
 
     def replace(self, **changes: Any) -> Scenario:
-        """A copy with something changed.
+        """Return a copy with changed values.
 
-        Code that is named in the changes is named by whoever calls: it is trusted (:func:`cosim.trust`).
+        Code named in the changes is trusted (:func:`cosim.trust`), because the caller names it.
 
         Parameters
         ----------
         **changes : Any
-            By the scenario's keys: tables are merged into its own, everything else is replaced.
+            Values by the scenario's keys: tables are merged into its own, everything else is replaced.
 
         Returns
         -------
@@ -455,9 +456,9 @@ class Scenario(Model):
         InputError
             For a wrong key or value.
         """
-        mention(_named(changes), self.folder)
+        mention(_code_names(changes), self.folder)
         data = self.stated()
-        if changes.get("controller", self.controller) != self.controller:  # what was said of the other one
+        if changes.get("controller", self.controller) != self.controller:  # these keys belong to the old controller
             data = {
                 key: value for key, value in data.items() if key not in ("controller_parameters", "controller_sha256")
             }
@@ -465,7 +466,7 @@ class Scenario(Model):
         return self.from_table(data, self.folder, f"scenario {self.name}", self._origin or self)
 
     def resolved(self, **parts: Any) -> Scenario:
-        """Return a copy with parts that were checked already, as what a file of its own states from now on.
+        """Return a copy with validated parts replaced; the copy counts as read from a file of its own.
 
         Parameters
         ----------
@@ -499,8 +500,8 @@ class Scenario(Model):
         return copy
 
 
-def _named(changes: Mapping[str, Any]) -> Iterator[str]:
-    """The texts in a change that may name code."""
+def _code_names(changes: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the texts in a change that may name code."""
     for key in ("controller", "metrics", "observers", "sensors", "wind", "engine"):
         value = changes.get(key)
         yield from (text for text in (value if isinstance(value, list) else [value]) if isinstance(text, str))

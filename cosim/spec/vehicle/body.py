@@ -1,4 +1,4 @@
-"""What else a vehicle is of: tank, drag, contacts, what the ground does to its jets, and panels that are drawn."""
+"""Models of a vehicle's tank, drag, contact points, ground effect and drawn panels."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from cosim.base.storage.toml import Axis3, Model, NotNegative, Positive, Vector
 
 
 class Panel(Model):
-    """A flat part that is drawn and does nothing else: of a wing, a tail, a surface.
+    """A flat panel of a wing, tail or surface, for drawing only: it has no aerodynamic effect.
 
-    What a named surface moves turns right-handed about the edge from the first corner to the second.
+    A panel with a ``surface`` turns with it, right-handed about the edge from the first corner to the second.
     """
 
     corners_m: Annotated[list[Vector], Field(min_length=3, max_length=12)]  # body, one after the other around it
@@ -22,20 +22,19 @@ class Panel(Model):
 
     @model_serializer(mode="wrap")
     def _without_a_surface(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        stated: dict[str, Any] = handler(self)
-        return {key: value for key, value in stated.items() if key == "corners_m" or self.surface is not None}
+        table: dict[str, Any] = handler(self)
+        return {key: value for key, value in table.items() if key == "corners_m" or self.surface is not None}
 
 
 class Fuel(Model):
-    """What is in the tank at the start: a part of ``Vehicle.mass_kg``, all of it at one place."""
+    """Fuel in the full tank: a part of ``Vehicle.mass_kg``, concentrated at one point."""
 
     mass_kg: Positive
     position_m: Vector  # body
 
 
 class GroundEffect(Model):
-    """What jets do to the vehicle near the ground; see :mod:`cosim.vehicle.effects.ground_effect`.  Each effect has its
-    switch."""
+    """Effects of the jets near the ground, each with a switch; see :mod:`cosim.vehicle.effects.ground_effect`."""
 
     suckdown: bool = False  # lift loss by Wyatt's correlation
     planform_m: Positive  # angular mean diameter of what is above the jets: (1 / pi) times the integral of its radius

@@ -1,4 +1,4 @@
-"""Aircraft by name or by path: found, read with what they take from another, and refused where they cannot be."""
+"""Aircraft files: found by name or path, read, scaled from another aircraft where they say so, and validated."""
 
 from __future__ import annotations
 
@@ -10,68 +10,68 @@ from cosim.base.storage.cache import Memory
 from cosim.base.storage.paths import data_folder, names_in
 from cosim.base.storage.toml import Model, Positive, merge, read_toml, validate
 from cosim.spec.plausible import implausible
-from cosim.spec.scaling import scaled
+from cosim.spec.scaling import scale_vehicle
 from cosim.spec.vehicle.vehicle import Vehicle
 
 VEHICLE = "vehicle.toml"  # in an aircraft's folder
 
 
 class Scaled(Model):
-    """The table ``scaled``: everything that the file does not state is another aircraft's, at this mass."""
+    """The table ``scaled``: keys that the file does not have are taken from ``base``, scaled to this mass."""
 
     base: str
     mass_kg: Positive
 
 
 def aircraft_names() -> list[str]:
-    """Every aircraft that is shipped."""
+    """Return the names of all shipped aircraft."""
     return names_in("aircraft", VEHICLE)
 
 
 def is_own(aircraft: str) -> bool:
-    """Whether an aircraft is named by a path: a folder with a ``vehicle.toml``, or such a file."""
+    """Return whether an aircraft is named by a path: a folder with a ``vehicle.toml``, or such a file."""
     return "/" in aircraft or aircraft.lower().endswith(".toml") or aircraft in (".", "..")
 
 
 def aircraft_seen_from(aircraft: str, folder: Path) -> str:
-    """The same with an absolute path where it is one, which is relative to ``folder`` otherwise."""
+    """Return an aircraft's name; a path is made absolute, taken relative to ``folder``."""
     return str((folder / aircraft).absolute()) if is_own(aircraft) else aircraft
 
 
 def aircraft_name(aircraft: str, folder: Path = Path()) -> str:
-    """What it is called: by the library, or by its own file.  Raises InputError as :func:`load_vehicle`."""
+    """Return an aircraft's name, read from its file where a path is given; raise InputError as :func:`load_vehicle`."""
     return load_vehicle(aircraft, folder=folder)[0].name if is_own(aircraft) else aircraft
 
 
 def engine_of(aircraft: str, folder: Path = Path()) -> str | None:
-    """The engine that an aircraft is made for; a file is seen from the aircraft's folder.
+    """Return the engine an aircraft is designed for, a file as an absolute path; None where its file names none.
 
     Raises InputError as :func:`load_vehicle`.
     """
-    vehicle, place = load_vehicle(aircraft, folder=folder)
-    return None if vehicle.engine is None else file_seen_from(vehicle.engine, place)
+    vehicle, own_folder = load_vehicle(aircraft, folder=folder)
+    return None if vehicle.engine is None else file_seen_from(vehicle.engine, own_folder)
 
 
 def file_seen_from(engine: str, folder: Path) -> str:
-    """An engine with an absolute path where it is a file."""
+    """Return an engine's name; a file's path is made absolute, taken relative to ``folder``."""
     return str((folder / engine).absolute()) if is_file(engine) else engine
 
 
 def is_file(engine: str) -> bool:
-    """Whether an engine is given by a file: an FMU, a system of them (SSP), or a mapping file that names one."""
+    """Return whether an engine is given by a file: an FMU, a system of them (SSP), or a mapping file that names one."""
     return engine.lower().endswith((".fmu", ".ssp", ".toml")) or "/" in engine
 
 
 def find_aircraft(aircraft: str, folder: Path = Path()) -> Path:
-    """The ``vehicle.toml`` of an aircraft given by its name, or by a path that is relative to ``folder``.
+    """Return the ``vehicle.toml`` of an aircraft given by its name or by a path relative to ``folder``.
 
     Raises InputError for an unknown aircraft (lists the known ones) and for a path where none is.
     """
     if not is_own(aircraft):
         if aircraft not in aircraft_names():
-            known = nearest(aircraft, aircraft_names())
+            suggestion = nearest(aircraft, aircraft_names())
             here = f"./{aircraft}" if (folder / aircraft / VEHICLE).is_file() else "the path of a folder"
-            raise InputError(f"unknown aircraft {aircraft!r}; {known}, or {here}")
+            raise InputError(f"unknown aircraft {aircraft!r}; {suggestion}, or {here}")
         return data_folder("aircraft") / aircraft / VEHICLE
     path = folder / aircraft
     path = path / VEHICLE if path.is_dir() else path
@@ -80,24 +80,24 @@ def find_aircraft(aircraft: str, folder: Path = Path()) -> Path:
     return path
 
 
-_known: Memory[tuple[dict[str, Any], Vehicle]] = Memory(32)
+_vehicles: Memory[tuple[dict[str, Any], Vehicle]] = Memory(32)
 
 
 def load_vehicle(
     name: str, overrides: dict[str, Any] | None = None, where: str = "vehicle", folder: Path = Path()
 ) -> tuple[Vehicle, Path]:
-    """Read an aircraft's ``vehicle.toml`` with ``overrides`` merged over it, and say which folder it is in.
+    """Read an aircraft's ``vehicle.toml`` with ``overrides`` merged over it.
 
     Parameters
     ----------
     name : str
-        Of an aircraft that is shipped, or a path: a folder, or a file.
+        Name of a shipped aircraft, or a path: a folder, or a file.
     overrides : dict or None
-        Written over what the file states.
+        Tables that replace values of the file.
     where : str
-        What they are called, for the error.
+        Name of the overrides in error messages.
     folder : Path
-        What a relative path is seen from.
+        Folder that a relative path starts from.
 
     Returns
     -------
@@ -110,28 +110,31 @@ def load_vehicle(
         For an unknown aircraft (lists the known ones), a path where none is, or a wrong key.
     """
     path = find_aircraft(name, folder)
-    stated, vehicle = _known.get((path, *_texts(path)), lambda: _read(path))
+    tables, vehicle = _read_cached(path)
     if overrides:
-        vehicle = validate(Vehicle, merge(stated, _with_own_banks(overrides)), where)
+        vehicle = validate(Vehicle, merge(tables, _without_bank_inertia(overrides)), where)
     return vehicle, path.parent
 
 
 def as_read(name: str, folder: Path = Path()) -> dict[str, Any]:
-    """What the file of an aircraft states, with all that it takes from another.  Raises as :func:`load_vehicle`."""
-    path = find_aircraft(name, folder)
-    return _known.get((path, *_texts(path)), lambda: _read(path))[0]
+    """Return the tables of an aircraft's file, scaling applied; raise InputError as :func:`load_vehicle`."""
+    return _read_cached(find_aircraft(name, folder))[0]
 
 
-def _with_own_banks(overrides: dict[str, Any]) -> dict[str, Any]:
-    """A servo that is stated whole, in a file from before banks had an inertia, has none: not that of the aircraft."""
+def _read_cached(path: Path) -> tuple[dict[str, Any], Vehicle]:
+    return _vehicles.get((path, *_source_texts(path)), lambda: _read(path))
+
+
+def _without_bank_inertia(overrides: dict[str, Any]) -> dict[str, Any]:
+    """Set the bank inertia of a fully specified servo to zero: files older than that key had none."""
     servo = overrides.get("servo")
     if not isinstance(servo, dict) or not {"lag_s", "rate_limit_rad_s", "range_rad"} <= set(servo):
         return overrides
     return overrides | {"servo": {"bank_inertia_kg_m2": 0.0, "bank_imbalance_kg_m": 0.0} | servo}
 
 
-def _texts(path: Path) -> list[bytes]:
-    """The files that an aircraft is made from: its own, and that of the one that it is a scaled copy of."""
+def _source_texts(path: Path) -> list[bytes]:
+    """Return the contents of an aircraft's file and of the file that it is scaled from, where there is one."""
     law = read_toml(path).get("scaled")
     base = law.get("base") if isinstance(law, dict) else None
     files = [path, *([data_folder("aircraft") / base / VEHICLE] if base in aircraft_names() else [])]
@@ -139,8 +142,8 @@ def _texts(path: Path) -> list[bytes]:
 
 
 def _read(path: Path) -> tuple[dict[str, Any], Vehicle]:
-    stated = _stated(path)
-    vehicle = validate(Vehicle, stated, str(path))
+    tables = _read_tables(path)
+    vehicle = validate(Vehicle, tables, str(path))
     if path.parents[1] != data_folder("aircraft") and vehicle.name in aircraft_names():
         raise InputError(f"{path}: name = {vehicle.name!r}: is the name of an aircraft that is shipped; choose another")
     engines = ((f"jets.{number}.engine", jet.engine) for number, jet in enumerate(vehicle.jets, 1))
@@ -148,26 +151,26 @@ def _read(path: Path) -> tuple[dict[str, Any], Vehicle]:
         if file is not None and (key == "model" or is_file(file)) and not (path.parent / file).is_file():
             raise InputError(f"{path}: {key} = {file!r}: no such file, as seen from the folder of {path.name}")
     _refuse_implausible(vehicle, path)
-    return stated, vehicle
+    return tables, vehicle
 
 
 def _refuse_implausible(vehicle: Vehicle, path: Path) -> None:
-    places = {f"jets.{n}.position_m": jet.position_m for n, jet in enumerate(vehicle.jets)}
+    positions = {f"jets.{n}.position_m": jet.position_m for n, jet in enumerate(vehicle.jets)}
     contacts = {f"contacts.{n}.position_m": contact.position_m for n, contact in enumerate(vehicle.contacts)}
-    legs = {key: place for contact, (key, place) in zip(vehicle.contacts, contacts.items(), strict=True)
+    legs = {key: position for contact, (key, position) in zip(vehicle.contacts, contacts.items(), strict=True)
             if contact.kind == "leg"}  # fmt: skip
     fuel = {"fuel.position_m": vehicle.fuel.position_m} if vehicle.fuel else {}
-    if why := implausible(vehicle.mass_kg, vehicle.inertia_kg_m2, places | contacts | fuel, legs):
+    if why := implausible(vehicle.mass_kg, vehicle.inertia_kg_m2, positions | contacts | fuel, legs):
         raise InputError(f"{path}: {why}")
 
 
-def _stated(path: Path) -> dict[str, Any]:
-    """What a ``vehicle.toml`` states, over what it takes from the aircraft that it is a scaled copy of."""
-    stated = read_toml(path)
-    if "scaled" not in stated:
-        return stated
+def _read_tables(path: Path) -> dict[str, Any]:
+    """Return the tables of a ``vehicle.toml``, merged over those of the aircraft that it scales, if any."""
+    tables = read_toml(path)
+    if "scaled" not in tables:
+        return tables
     where = f"{path}: scaled"
-    table = stated.pop("scaled")
+    table = tables.pop("scaled")
     if not isinstance(table, dict):
         raise InputError(f"{where} = {table!r}: must be a table with base and mass_kg")
     law = validate(Scaled, table, where)
@@ -185,5 +188,4 @@ def _stated(path: Path) -> dict[str, Any]:
         )
     near = path.parents[1] == data_folder("aircraft")
     model = f"../{law.base}/{original['model']}" if near else str(folder / original["model"])
-    shared = {"model": model, "engine": None}
-    return merge(scaled(original, law.mass_kg) | shared, stated)
+    return merge(scale_vehicle(original, law.mass_kg) | {"model": model, "engine": None}, tables)

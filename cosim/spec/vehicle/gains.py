@@ -1,4 +1,4 @@
-"""What a vehicle is flown with: gains and limits of the controllers and of the autopilot."""
+"""Gains and limits of a vehicle's controllers and autopilot."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class RateControl(Model):
 
 
 class EngineLead(Model):
-    """Lags of an engine and what a lead on its command makes of them; see :mod:`cosim.control.lead`."""
+    """Poles of an engine, and where a lead on its command moves them; see :mod:`cosim.control.lead`."""
 
     natural_rad_s: Positive  # two poles of the engine; or, without a damping, one lag of 1 / this
     damping: Positive | None = None
@@ -42,7 +42,7 @@ class EngineLead(Model):
 
 
 class Leads(Model):
-    """A lead for each command that engines answer to; false is none, also where the aircraft states one."""
+    """The lead of each engine command; false removes a lead that the aircraft has."""
 
     roll: EngineLead | Literal[False] | None = None
     pitch: EngineLead | Literal[False] | None = None
@@ -51,7 +51,7 @@ class Leads(Model):
 
 
 class ScheduledGains(Model):
-    """What a thrust level makes of one command's gains: factors on those stated, and its lead there."""
+    """Factors on one command's nominal gains at a thrust level, and its lead there."""
 
     angle: Positive = 1.0  # on the attitude gain; of the height, on position_1_s
     p: Positive = 1.0  # of the height, on velocity_1_s
@@ -70,7 +70,7 @@ class ScheduledGains(Model):
 
 
 class ThrustLevel(Model):
-    """One level of a schedule."""
+    """One thrust level of a gain schedule."""
 
     share: Annotated[float, Field(ge=0.0, le=1.0)]  # the collective, in shares of the engines' range
     roll: ScheduledGains = ScheduledGains()
@@ -149,7 +149,7 @@ class PositionGains(Model):
 
 
 class PilotSettings(Model):
-    """What the autopilot flies with before anybody tells it otherwise."""
+    """Initial settings of the autopilot, which its parameters change."""
 
     speed_m_s: Positive
     acceleration_m_s2: Positive
@@ -166,7 +166,7 @@ class PilotSettings(Model):
 
 
 class MonitorSettings(Model):
-    """When the engine monitor calls an engine faulty."""
+    """Thresholds at which the engine monitor reports an engine as faulty."""
 
     threshold: Positive  # of a jet's thrust in hover, beyond what a healthy engine may do
     confirm_s: Positive  # for so long without a break
@@ -181,7 +181,7 @@ class MonitorSettings(Model):
 
 
 class WingControl(Model):
-    """Flight ahead on a wing; see :mod:`cosim.control.phases.wing`."""
+    """Settings of wing-borne forward flight; see :mod:`cosim.control.phases.wing`."""
 
     tilts: Annotated[list[str], Field(min_length=1)]  # the hinges that turn thrust ahead
     acceleration_m_s2: Positive  # with which the set-point of the speed rises
@@ -223,7 +223,7 @@ class Control(Model):
 
     @model_validator(mode="after")
     def _leads_at_every_level(self) -> Control:
-        """A lead is divided out in the same form at every level; without one, what the levels say of it is not read."""
+        """Require each lead's parameters at every level, in the lead's own form; those of absent leads are unused."""
         for number, level in enumerate(self.schedule.level if self.schedule else ()):
             for name, stated in (("roll", level.roll), ("altitude", level.altitude)):
                 lead = getattr(self.lead, name, None)

@@ -1,4 +1,4 @@
-"""How a vehicle's rates answer commands, as identified: in its own file, or in one of models alone."""
+"""Identified rate responses of a vehicle, in its own file or in a model file."""
 
 from __future__ import annotations
 
@@ -42,18 +42,18 @@ class RateModel(Model):
 
     @property
     def all_poles(self) -> list[float] | list[complex]:
-        """The real ones first, then both of each pair."""
+        """All poles: the real ones, then both of each conjugate pair."""
         return _with_pairs(self.poles, self.pole_pairs)
 
     @property
     def all_zeros(self) -> list[float] | list[complex]:
-        """The same of the zeros."""
+        """All zeros: the real ones, then both of each conjugate pair."""
         return _with_pairs(self.zeros, self.zero_pairs)
 
     @model_serializer(mode="wrap")
     def _without_empty_pairs(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        stated: dict[str, Any] = handler(self)
-        return {key: value for key, value in stated.items() if value or not key.endswith(("_pairs", "_sha256"))}
+        table: dict[str, Any] = handler(self)
+        return {key: value for key, value in table.items() if value or not key.endswith(("_pairs", "_sha256"))}
 
 
 class ModelFile(Model):
@@ -63,6 +63,6 @@ class ModelFile(Model):
 
 
 def read_models(path: Path) -> dict[str, Any]:
-    """The table ``identified`` of a model file.  Raises InputError if it cannot be read or is not one."""
+    """Return the table ``identified`` of a model file; raise InputError if it cannot be read or is none."""
     models: dict[str, Any] = validate(ModelFile, read_toml(path), str(path)).model_dump(mode="json")["identified"]
     return models

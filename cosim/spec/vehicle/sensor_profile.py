@@ -1,4 +1,4 @@
-"""Profiles of sensors, which a scenario names and which are written over the sensors of any aircraft."""
+"""Sensor profiles: named settings that a scenario applies to the sensors of any aircraft."""
 
 from __future__ import annotations
 
@@ -54,15 +54,15 @@ def load_with_profile(
     InputError
         As :func:`cosim.spec.vehicle.load_vehicle`.
     """
-    vehicle, place = load_vehicle(aircraft, overrides, where, folder)
+    vehicle, own_folder = load_vehicle(aircraft, overrides, where, folder)
     tables = _tables(profile)
     if not tables:
-        return vehicle, place
+        return vehicle, own_folder
     for table in tables.values():
         if _LATENCY[0] in table:
             table[_LATENCY[1]] = round(table.pop(_LATENCY[0]) / step)
     merged = merge(merge(vehicle.sensors.model_dump(), tables), overrides.get("sensors", {}))
-    return vehicle.model_copy(update={"sensors": validate(Sensors, merged, f"{where}.sensors")}), place
+    return vehicle.model_copy(update={"sensors": validate(Sensors, merged, f"{where}.sensors")}), own_folder
 
 
 def refuse_restated(stated: dict[str, Any], profiles: Iterable[str], where: str) -> None:
@@ -82,7 +82,7 @@ def refuse_restated(stated: dict[str, Any], profiles: Iterable[str], where: str)
     InputError
         If the file states a value that one of the profiles states.
     """
-    for sensor, table in (each for profile in profiles for each in _tables(profile).items()):
+    for sensor, table in (item for profile in profiles for item in _tables(profile).items()):
         for key in table:
             name = _LATENCY[1] if key == _LATENCY[0] else key
             if name in stated.get(sensor, {}):

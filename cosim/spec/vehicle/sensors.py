@@ -1,4 +1,4 @@
-"""What a vehicle measures with."""
+"""Models of a vehicle's sensors."""
 
 from __future__ import annotations
 

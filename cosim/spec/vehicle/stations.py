@@ -1,4 +1,4 @@
-"""What pushes a vehicle and what turns it: engine stations, tilt servos, hinges, surfaces, and their layout."""
+"""Models of a vehicle's engine stations, tilt servos, hinges and surfaces, and their layout."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cosim.base.storage.toml import Model, NotNegative, Positive, Vector
 
 
 def _unit(axis: Vector) -> Vector:
-    """The direction of a vector that is not zero; one of length 1 stays as it is, to the last bit."""
+    """Return a vector scaled to length 1; one of that length is returned unchanged, to the last bit."""
     length = hypot(*axis)
     if not length:
         raise ValueError("must have a direction, not [0, 0, 0]")
@@ -27,7 +27,7 @@ Direction = Annotated[Vector, AfterValidator(_unit)]
 
 
 class Airflow(Model):
-    """The air that one engine swallows: ``kg_s (thrust / at_thrust_n)^exponent``, and where on its axis it does so."""
+    """Air mass flow of one engine: ``kg_s (thrust / at_thrust_n)^exponent``, and its intake and exhaust."""
 
     kg_s: Positive
     at_thrust_n: Positive
@@ -52,10 +52,10 @@ class Jet(Model):
 
     @model_serializer(mode="wrap")
     def _without_the_usual(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        stated: dict[str, Any] = handler(self)
-        if stated.get("effort") == 1.0:
-            del stated["effort"]
-        return {key: value for key, value in stated.items() if value is not None or key == "servo"}
+        table: dict[str, Any] = handler(self)
+        if table.get("effort") == 1.0:
+            del table["effort"]
+        return {key: value for key, value in table.items() if value is not None or key == "servo"}
 
 
 class Servo(Model):
@@ -69,9 +69,9 @@ class Servo(Model):
 
 
 class Hinge(Model):
-    """What turns about an axis, by a servo of its own, and moves jets or their thrust: a bank, a gimbal, a vane.
+    """A bank, gimbal or vane that turns about an axis by its own servo and moves jets or their thrust.
 
-    Its servo is a first-order lag with rate and range limited.  What turns has ``mass_kg`` with its centre at
+    The servo is a first-order lag with rate and range limits.  The turning part has ``mass_kg`` with its centre at
     ``centre_m`` (hinge at zero) and ``inertia_kg_m2`` about the hinge's axis, all of it a part of the vehicle's.
     """
 
@@ -92,7 +92,7 @@ class Hinge(Model):
 
     @property
     def least_most(self) -> tuple[float, float]:
-        """The ends of its range, rad."""
+        """Least and greatest angle [rad]."""
         return self.range_rad if isinstance(self.range_rad, tuple) else (-self.range_rad, self.range_rad)
 
     @model_validator(mode="after")
@@ -145,7 +145,7 @@ _BANK: Vector = (0.0, -1.0, 0.0)  # positive leans the thrust forward
 
 
 def layout_of(jets: Sequence[Jet], hinges: Sequence[Hinge] = ()) -> Layout:
-    """Stations and hinges; the banks of jets with a ``servo`` turn the thrust of each about its own station."""
+    """Return the layout of stations and hinges; a bank of jets with a ``servo`` turns each about its station."""
     stations = [Station(jet.position_m, jet.axis or UP, -jet.reaction_m) for jet in jets]
     if any(jet.servo for jet in jets):
         turns = [

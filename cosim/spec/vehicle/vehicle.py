@@ -1,4 +1,4 @@
-"""A vehicle as its ``vehicle.toml`` states it, with all that one part asks of another.
+"""The validated model of a ``vehicle.toml``, with the rules between its parts.
 
 Body frame: forward-right-down (FRD), origin at the centre of gravity of the vehicle as built.
 """
@@ -26,7 +26,7 @@ Step = Annotated[float, Field(gt=0.0, le=0.1)]  # s, of control
 
 
 class Limits(Model):
-    """Where a flight is over."""
+    """Limits whose violation ends a flight."""
 
     tilt_deg: Annotated[float, Field(gt=0.0, le=180.0)]  # from upright, in the air: diverged
     rate_deg_s: Positive  # any axis: diverged
@@ -46,7 +46,7 @@ def _differ(where: str, names: Sequence[str]) -> None:
 
 
 class Vehicle(Model):
-    """Everything that ``aircraft/<name>/vehicle.toml`` says."""
+    """The contents of ``aircraft/<name>/vehicle.toml``."""
 
     name: Annotated[str, AfterValidator(_named)]
     title: str
@@ -80,21 +80,28 @@ class Vehicle(Model):
 
     @model_validator(mode="after")
     def _hinges_move_jets(self) -> Vehicle:
-        names = [hinge.name for hinge in self.hinges] + [surface.name for surface in self.surfaces]
-        _differ("hinges, surfaces", names)
+        _differ("hinges, surfaces", [part.name for part in (*self.hinges, *self.surfaces)])
         for number, hinge in enumerate(self.hinges):
             for jet in (*hinge.carries, *hinge.deflects):
                 if jet > len(self.jets):
                     raise ValueError(f"hinges.{number}: jet {jet}: there are jets 1 to {len(self.jets)}")
-        known = [surface.name for surface in self.surfaces]
+        return self
+
+    @model_validator(mode="after")
+    def _surfaces_turn_panels(self) -> Vehicle:
+        names = [surface.name for surface in self.surfaces]
         for number, panel in enumerate(self.panels):
-            if panel.surface is not None and panel.surface not in known:
-                there = f"there are: {', '.join(known)}" if known else "there are none"
+            if panel.surface is not None and panel.surface not in names:
+                there = f"there are: {', '.join(names)}" if names else "there are none"
                 raise ValueError(f"panels.{number}.surface: no surface is called {panel.surface!r}; {there}")
             if panel.turn_rad and panel.surface is None:
                 raise ValueError(f"panels.{number}.turn_rad {panel.turn_rad:g}: no surface is named that turns it")
         if self.surfaces and self.model is None:
             raise ValueError("surfaces: are moved in the vehicle's own JSBSim model, and model names none")
+        return self
+
+    @model_validator(mode="after")
+    def _banks_stand_alone(self) -> Vehicle:
         if self.servo is None:
             return self
         if self.hinges:
@@ -138,7 +145,7 @@ class Vehicle(Model):
 
     @property
     def allocation(self) -> Literal["banks", "rotors", "effectiveness"]:
-        """How commands become throttles and angles: as stated, or by what the vehicle has."""
+        """Allocation method of commands to throttles and angles: as configured, else chosen by the layout."""
         if self.control.allocation.method is not None:
             return self.control.allocation.method
         if self.servo is not None:
@@ -152,31 +159,31 @@ class Vehicle(Model):
 
     @property
     def actuators(self) -> tuple[str, ...]:
-        """The names of what servos move: hinges, then surfaces; the two banks where there is neither."""
+        """Names of the servo-driven actuators: hinges, then surfaces; the two banks where there is neither."""
         return (*(hinge.name for hinge in self.hinges), *(surface.name for surface in self.surfaces)) or SERVOS
 
     @property
     def turns(self) -> tuple[tuple[float, float], ...]:
-        """Least and most of each angle of :meth:`layout` [rad]; empty where no thrust turns."""
+        """Least and greatest value of each angle of :meth:`layout` [rad]; empty where no thrust turns."""
         if self.servo is not None:
             return ((-self.servo.range_rad, self.servo.range_rad),) * len(SERVOS)
         return tuple(hinge.least_most for hinge in self.hinges)
 
     @property
     def ranges(self) -> tuple[tuple[float, float], ...]:
-        """Least and most of each of :attr:`actuators`; empty where nothing moves."""
+        """Least and greatest position of each of :attr:`actuators`; empty where nothing moves."""
         return (*self.turns, *(surface.range for surface in self.surfaces))
 
     @property
     def rest(self) -> tuple[float, ...]:
-        """Where each of :attr:`actuators` stands when nothing is asked of it."""
+        """Rest position of each of :attr:`actuators`."""
         if not self.hinges and not self.surfaces:
             return (0.0, 0.0)
         return (*(hinge.rest_rad for hinge in self.hinges), *(0.0 for _ in self.surfaces))
 
     @property
     def tensor(self) -> tuple[Vector, Vector, Vector]:
-        """Of inertia, kg m^2, by rows, body: the products of inertia stand in it with the other sign."""
+        """Inertia tensor [kg m^2, body frame] by rows, the products of inertia with negative sign."""
         (a, b, c), (xy, xz, yz) = self.inertia_kg_m2, self.products_kg_m2
         return ((a, -xy, -xz), (-xy, b, -yz), (-xz, -yz, c))
 
@@ -190,14 +197,14 @@ class Vehicle(Model):
         inertia = [j + shift * (sum(squares) - own) for j, own in zip(self.inertia_kg_m2, squares, strict=True)]
         return self.model_copy(update={"mass_kg": self.mass_kg + mass_kg, "inertia_kg_m2": tuple(inertia)})
 
-    def with_fuel(self, share: float) -> Vehicle:
-        """Return the vehicle with that share of its fuel; itself without a tank."""
+    def with_fuel(self, fraction: float) -> Vehicle:
+        """Return the vehicle with that fraction (0 to 1) of its full fuel; the same vehicle if it has no tank."""
         if self.fuel is None:
             return self
-        return self.with_point_mass(-(1.0 - share) * self.fuel.mass_kg, self.fuel.position_m)
+        return self.with_point_mass(-(1.0 - fraction) * self.fuel.mass_kg, self.fuel.position_m)
 
     def layout(self) -> Layout:
-        """Where jets stand and push while hinges turn; its angles are the hinges', or those of the two banks."""
+        """Return the layout of jets and hinges; its angles are those of the hinges, or of the two banks."""
         return layout_of(self.jets, self.hinges)
 
     @model_validator(mode="after")
@@ -227,13 +234,13 @@ class Vehicle(Model):
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_there(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        stated: dict[str, Any] = handler(self)
+        table: dict[str, Any] = handler(self)
         for key in ("hinges", "surfaces", "panels"):
-            if not stated.get(key, True):
-                del stated[key]
+            if not table.get(key, True):
+                del table[key]
         if not any(self.products_kg_m2):
-            stated.pop("products_kg_m2", None)
-        return stated
+            table.pop("products_kg_m2", None)
+        return table
 
     @model_validator(mode="after")
     def _banks_are_a_part(self) -> Vehicle:
@@ -248,26 +255,24 @@ class Vehicle(Model):
     def _exists_without_fuel(self) -> Vehicle:
         if self.fuel is None:
             return self
-        whole, fuel, place = self.mass_kg, self.fuel.mass_kg, self.fuel.position_m
+        whole, fuel, position = self.mass_kg, self.fuel.mass_kg, self.fuel.position_m
         if fuel >= whole:
             raise ValueError(f"fuel.mass_kg {fuel:g} is a part of mass_kg {whole:g} and must be below it")
         # about the empty vehicle's own centre of gravity, by the theorem of parallel axes
-        squares = [x * x for x in place]
+        squares = [x * x for x in position]
         shift = fuel * whole / (whole - fuel)
         empty = [moment - shift * (sum(squares) - own) for moment, own in zip(self.inertia_kg_m2, squares, strict=True)]
         a, b, c = sorted(empty)
         if a <= 0.0 or a + b < c:
             raise ValueError(
-                f"fuel: {fuel:g} kg at {list(place)} leave an empty vehicle with the moments of inertia "
+                f"fuel: {fuel:g} kg at {list(position)} leave an empty vehicle with the moments of inertia "
                 f"{[round(moment, 6) for moment in empty]} kg m^2, which no body has"
             )
         return self
 
     @property
     def control_step(self) -> float:
-        """The control step [s] of scenarios that state none: its own, else the sample time of its identified models
-        where all have the same, else :data:`STEP_S`.
-        """
+        """Default control step [s]: ``step_s``, else the common sample time of all identified models, else STEP_S."""
         if self.step_s is not None:
             return self.step_s
         steps = {model.sample_time_s for models in self.identified.values() for model in models.values()}

@@ -191,12 +191,12 @@ def test_half_a_tank_stands_where_it_began() -> None:
 
 def test_the_law_knows_a_schedule() -> None:
     """A scaled copy of a vehicle with a schedule: rates by the law of rates, factors and shares as they are."""
-    from cosim.spec.scaling import scaled
+    from cosim.spec.scaling import scale_vehicle
 
     vehicle, _ = load_vehicle("hexjet")
     stated = vehicle.model_dump(mode="json", exclude_none=True)
     stated["control"]["schedule"] = STATED.model_dump(mode="json", exclude_none=True)
-    twice = scaled(stated, stated["mass_kg"] * 64.0)["control"]["schedule"]  # L = 4, times twice as long
+    twice = scale_vehicle(stated, stated["mass_kg"] * 64.0)["control"]["schedule"]  # L = 4, times twice as long
     assert twice["filter_s"] == pytest.approx(4.0)
     for new, old in zip(twice["level"], stated["control"]["schedule"]["level"], strict=True):
         assert new["share"] == old["share"]

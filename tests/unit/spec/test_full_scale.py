@@ -29,7 +29,7 @@ from cosim.flight import check_expected, expectation, fly
 from cosim.results.report.marks import parts_of
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import read_controller
-from cosim.spec.scaling import _LAW, length_scale, scaled
+from cosim.spec.scaling import _LAW, length_scale, scale_vehicle
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
 from cosim.vehicle.airframe import Airframe, standing_height
@@ -82,7 +82,7 @@ def test_the_law_by_hand() -> None:
     """L = 2 and 4, where the powers are exact or roots of two."""
     for scale in (2.0, 4.0):
         root = sqrt(scale)
-        found = Vehicle.model_validate(scaled(STATED, STATED["mass_kg"] * scale**3))
+        found = Vehicle.model_validate(scale_vehicle(STATED, STATED["mass_kg"] * scale**3))
         assert length_scale(scale**3, 1.0) == pytest.approx(scale, rel=1e-15)
 
         def same(a: Any, b: Any) -> None:
@@ -126,7 +126,7 @@ def standing_sink(vehicle: Vehicle) -> float:
 
 
 def test_the_same_mass_is_the_same_aircraft() -> None:
-    assert scaled(STATED, STATED["mass_kg"]) == STATED | {"identified": {}}
+    assert scale_vehicle(STATED, STATED["mass_kg"]) == STATED | {"identified": {}}
 
 
 def test_thrust_to_weight_is_the_papers(name: str) -> None:

@@ -13,7 +13,7 @@ from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
 from cosim.flight import fly
 from cosim.simulation.build import build
-from cosim.spec.scaling import scaled
+from cosim.spec.scaling import scale_vehicle
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import GroundEffect, Vehicle, load_vehicle
 from cosim.vehicle.airframe import standing_height
@@ -101,7 +101,7 @@ def test_hot_gas_reaches_engines_that_take_the_temperature() -> None:
 def test_grows_with_the_vehicle() -> None:
     base, _ = load_vehicle("hexjet")
     stated = base.model_dump(mode="json", exclude_none=True) | {"ground_effect": {**PLATE, **GAS}}
-    grown = scaled(stated, 8.0 * base.mass_kg)["ground_effect"]
+    grown = scale_vehicle(stated, 8.0 * base.mass_kg)["ground_effect"]
     assert (grown["planform_m"], grown["jet_m"]) == pytest.approx((0.8, 0.2), rel=1e-12)
     assert grown["hot_gas_height_m"] == pytest.approx([1.0, 2.0, 4.0], rel=1e-12)
     assert grown["hot_gas_rise_k"] == GAS["hot_gas_rise_k"]
