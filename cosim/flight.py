@@ -43,7 +43,7 @@ from cosim.results.run import (
 )
 from cosim.simulation.build import build
 from cosim.simulation.code import need_trust_of
-from cosim.simulation.controllers.controller_file import with_controller
+from cosim.simulation.controllers.controller_file import design_notes, with_controller
 from cosim.simulation.controllers.source import OBJECT, Source, of_object
 from cosim.simulation.controllers.source import names as own_controllers
 from cosim.simulation.ending import Ending
@@ -420,10 +420,11 @@ def _mapping(path: Path, archive: str) -> Path | bytes:
 
 def _setup(simulation: Simulation, resolved: Scenario) -> Setup:
     scenario, engine = simulation.scenario, simulation.engine
+    flown = flown_parameters(scenario)
     parameters = [
         ParametersRecord(kind=each.kind, file=copy.file, sha256=copy.sha256, controller=each.controller,
                          changed=tuple(each.changed))
-        for each, copy in zip(flown_parameters(scenario), resolved.parameter_files, strict=True)
+        for each, copy in zip(flown, resolved.parameter_files, strict=True)
     ]  # fmt: skip
     model = simulation.vehicle.model or f"{simulation.vehicle.name}.xml"
     model = Path(model).name if is_own(scenario.aircraft) else model
@@ -456,6 +457,7 @@ def _setup(simulation: Simulation, resolved: Scenario) -> Setup:
         yardstick=yardstick(scenario, simulation.vehicle),
         expectation=expectation(scenario),
         notes=[
+            *design_notes(flown, engine),
             *flight_notes(scenario, simulation.vehicle, engine),
             *idle_notes(scenario, simulation.vehicle, simulation.stations),
         ],

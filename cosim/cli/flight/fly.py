@@ -128,7 +128,7 @@ def _warn(scenario: Scenario, controller: str | None) -> None:
     if controller is not None and is_design(controller):
         from cosim.simulation.controllers.controller_file import differences
 
-        for text in differences(scenario, Path(controller)):
+        for text in differences(scenario, Path(controller), noted=False):
             click.echo(f"hexjet: warning: {controller}: {text}", err=True)
     for text in scenario.after_the_end():
         click.echo(f"hexjet: warning: scenario {scenario.name}: {text}", err=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,9 @@ from cosim.base.storage.toml import (
     validate,
 )
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.engine import load_engine
-from cosim.spec.scenario import Scenario, find_scenario, parameter_files
+from cosim.engine import EngineSpec, load_engine
+from cosim.spec.scenario import FlownParameters, Scenario, find_scenario, parameter_files
+from cosim.spec.scenario.parameter_file import parsed
 from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_names, aircraft_seen_from, load_vehicle
 
 SAME_STEP_S = 1e-9  # control steps nearer to each other than this are one
@@ -215,19 +216,20 @@ def with_controller(
     return changed
 
 
-def differences(scenario: Scenario, path: Path) -> list[str]:
-    """In which ways a flight is not what its controller file was designed for."""
+def differences(scenario: Scenario, path: Path, noted: bool = True) -> list[str]:
+    """Return in which ways a flight is not what its controller file was designed for.
+
+    Without ``noted`` those are left out that the flight's own record has (:func:`design_notes`).
+    """
 
     file = validate(ControllerFile, read_toml(path), str(path))
     made = file.design
     engine, unchecked, apart = str(scenario.engine), scenario.engine_unchecked, scenario.engine_isolated
     spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, apart=apart)
-    lines = [f"its proof failed: {made.proof.failed}"] if made.proof and made.proof.failed else []
-    if made.engine_sha256 not in (spec.identity, spec.sha256):
-        lines.append(f"designed for engine {made.engine} ({made.engine_sha256[:12]}), flown with {spec.name} "
-                     f"({spec.identity[:12]})")  # fmt: skip
-    elif any(spec.parameters.get(key) != value for key, value in made.engine_parameters.items()) or any(
-        made.engine_parameters.get(key) != value for key, value in scenario.engine_parameters.items()
+    lines = _proof_and_engine(made, spec) if noted else []
+    if made.engine_sha256 in (spec.identity, spec.sha256) and (
+        any(spec.parameters.get(key) != value for key, value in made.engine_parameters.items())
+        or any(made.engine_parameters.get(key) != value for key, value in scenario.engine_parameters.items())
     ):
         lines.append(
             f"designed for engine parameters {made.engine_parameters or 'of its own'}, flown with "
@@ -245,6 +247,29 @@ def differences(scenario: Scenario, path: Path) -> list[str]:
     for key in ("substeps", "added_delay_samples"):
         if getattr(scenario, key) != getattr(made, key):
             lines.append(f"designed for {key} = {getattr(made, key)}, flown with {getattr(scenario, key)}")
+    return lines
+
+
+def design_notes(parameters: Iterable[FlownParameters], engine: EngineSpec) -> list[str]:
+    """Return what the record of a flight says of its design: that its proof failed, that it is for another engine.
+
+    Empty where no design is among ``parameters``.  Raises InputError for one that is none.
+    """
+    return [
+        f"{Path(each.file).name}: {line}"
+        for each in parameters
+        if each.kind == "design"
+        for line in _proof_and_engine(
+            validate(ControllerFile, parsed(each.content, each.file), each.file).design, engine
+        )
+    ]
+
+
+def _proof_and_engine(made: Purpose, spec: EngineSpec) -> list[str]:
+    lines = [f"its proof failed: {made.proof.failed}"] if made.proof and made.proof.failed else []
+    if made.engine_sha256 not in (spec.identity, spec.sha256):
+        lines.append(f"designed for engine {made.engine} ({made.engine_sha256[:12]}), flown with {spec.name} "
+                     f"({spec.identity[:12]})")  # fmt: skip
     return lines
 
 

@@ -41,6 +41,7 @@ from cosim.design.loop.frequency import (
 )
 from cosim.design.loop.tuning import Tuning, candidates
 from cosim.engine import load_engine
+from cosim.flight import fly
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import Requirements, differences, read_controller, with_controller
 from cosim.simulation.delay_ledger import total_samples
@@ -561,7 +562,22 @@ def test_a_file_whose_proof_failed_later_is_told(tmp_path: Path) -> None:
     table["design"]["proof"] = {"flights": 4, "lean_deg": 20.0, "failed": "doublet to 20 deg: diverged"}
     path = tmp_path / "older.toml"
     path.write_text(toml_text(table), encoding="utf-8")
-    assert differences(with_controller("roll-doublet", path), path) == ["its proof failed: doublet to 20 deg: diverged"]
+    flown = with_controller("roll-doublet", path)
+    assert differences(flown, path) == ["its proof failed: doublet to 20 deg: diverged"]
+    assert differences(flown, path, noted=False) == []
+
+
+def test_a_run_keeps_what_its_design_is_not_for(tmp_path: Path) -> None:
+    """On standard error it would be gone with the terminal: summary and page have it, and so has the flight again."""
+    short = with_controller("roll-doublet", DESIGNS / "edf.toml", ["duration_s=0.1"])
+    run = fly(short, tmp_path / "run")
+    (note,) = (text for text in run.summary.notes if text.startswith("edf.toml: "))
+    assert note.startswith("edf.toml: designed for engine edf (")
+    assert ", flown with edf-as-flown (" in note
+    assert note in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert fly(tmp_path / "run" / "scenario.toml").summary.notes == run.summary.notes
+    fits = with_controller("roll-doublet", DESIGNS / "edf-as-flown.toml", ["duration_s=0.1"])
+    assert not [text for text in fly(fits).summary.notes if "edf-as-flown.toml: " in text]
 
 
 @pytest.mark.usefixtures("quick")
