@@ -167,7 +167,7 @@ def fly(
 
 
 def opened(scenario: Scenario | str | Path, controller: Any = None) -> tuple[Scenario, Source | None]:
-    """A scenario with the controller that it is to fly, and that controller where a program handed it over.
+    """Return a scenario with the controller to fly, and that controller where a program handed it over.
 
     The parameters are those of :func:`fly`.  Raises InputError.
     """
@@ -184,7 +184,7 @@ def opened(scenario: Scenario | str | Path, controller: Any = None) -> tuple[Sce
 
 
 def with_page(run: Run, shared_assets: bool = False) -> Run:
-    """The run, with its page beside its log where it has a folder.  Raises FlightError if that cannot be written."""
+    """Write the page of a run beside its log where it has a folder; return the run.  Raises FlightError."""
     if run.folder is not None:
         from cosim.results.report.flight import write_report
 
@@ -216,7 +216,7 @@ def record(
 
 
 def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
-    """The scenario as it flies, with every number of vehicle and engines in it, and the files to go beside it."""
+    """Return the scenario as it flies, with all numbers of vehicle and engines, and the files to go beside it."""
     scenario = simulation.flown
     files: dict[str, Path | bytes] = {}
     if scenario.requests is not None:
@@ -266,8 +266,9 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
 def copied_aircraft(
     simulation: Simulation, files: dict[str, Path | bytes]
 ) -> tuple[str, dict[str, Any], dict[int, str]]:
-    """What the aircraft is called beside a resolved scenario, its numbers, and the names of the engines (their specs'
-    ids) there; its own files and theirs are added to ``files``.
+    """Return the name of the aircraft beside a resolved scenario, its numbers, and the names of the engines there.
+
+    The engines are those of their specs' ids; files of the user's, of aircraft and engines, are added to ``files``.
 
     Raises InputError where another file has the name of one of its own.
     """
@@ -295,8 +296,10 @@ def copied_aircraft(
 
 
 def _with_engines(table: dict[str, Any], folder: Path, called: Mapping[Path, str]) -> dict[str, Any]:
-    """What a vehicle states, its engines that are files, seen from ``folder``, by what they are called beside a
-    scenario; one that does not fly is left out."""
+    """Return a vehicle's table, its engine files seen from ``folder``, by their names beside a scenario.
+
+    An engine that does not fly is left out.
+    """
 
     def renamed(part: dict[str, Any]) -> dict[str, Any]:
         engine = part.get("engine")
@@ -310,7 +313,7 @@ def _with_engines(table: dict[str, Any], folder: Path, called: Mapping[Path, str
 
 
 def copied_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) -> str:
-    """What one of several own aircraft is called beside a scenario; what it is made of is added to ``files``.
+    """Return the name of one of several aircraft of the user's beside a scenario, whose files are added to ``files``.
 
     Its files begin with its name.  Raises InputError as :func:`cosim.spec.vehicle.load_vehicle`, for its engine, and
     where another file has the name of one of them.
@@ -337,7 +340,7 @@ def copied_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) 
 
 
 def _written(table: Mapping[str, Any]) -> dict[str, Any]:
-    """A table without what TOML has no word for."""
+    """Return a table without the None that TOML cannot express."""
     return {
         key: _written(value) if isinstance(value, Mapping) else value
         for key, value in table.items()
@@ -361,7 +364,7 @@ def _floats(values: Mapping[str, float]) -> dict[str, float]:
 
 
 def copied_controller(own: Source, files: dict[str, Path | bytes]) -> str:
-    """What a controller is called beside a resolved scenario; what it is made of is added to ``files``.
+    """Return the name of a controller beside a resolved scenario; the files it is made of are added to ``files``.
 
     Raises InputError where another file has the name of one that it imports.
     """
@@ -380,7 +383,7 @@ def copied_controller(own: Source, files: dict[str, Path | bytes]) -> str:
 
 
 def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) -> dict[int, str]:
-    """What each spec (by its id) is called beside a resolved scenario; foreign ones add their files to ``files``.
+    """Return the name of each spec (by its id) beside a resolved scenario; foreign ones add their files to ``files``.
 
     A mapping file goes along with its archive and names that archive there.
     """
@@ -408,7 +411,7 @@ def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) ->
 
 
 def _mapping(path: Path, archive: str) -> Path | bytes:
-    """A mapping file as it is, or written anew: if it names its archive otherwise, and with a parameter set in it."""
+    """Return a mapping file as it is, or written anew with this name of its archive and its parameter set's values."""
     stated = read_toml(path)
     if "parameter_set" in stated:
         del stated["parameter_set"]
@@ -565,19 +568,19 @@ def check_expected(scenario: Scenario) -> None:
 
 
 def known_metrics(scenario: Scenario) -> list[str]:
-    """The names of the built-in metrics and of the scenario's own.  Raises InputError."""
+    """Return the names of the built-in metrics and of the scenario's own.  Raises InputError."""
     return [*metric_names(), *(name for metric in metrics_of(scenario) for name in metric.names)]
 
 
 def _controllers_like(controller: str) -> list[str]:
-    """The names of ours, and this one where it is named as one from outside is."""
+    """Return the names of the built-in ones, and this one where it is named as a user's is."""
     if controller in PREDICTORS or ":" in controller or file_name(controller):
         return [*PREDICTORS, controller]
     return [*PREDICTORS, *(name for name, _ in own_controllers())]
 
 
 def expectation(scenario: Scenario) -> Expectation | None:
-    """What the scenario expects of its controller with its engine on its aircraft, if it says so."""
+    """Return what the scenario expects of its controller with its engine on its aircraft, if it does."""
     flown = (scenario.controller, scenario.engine, scenario.aircraft)
     return next((e for e in scenario.expect if (e.controller, e.engine, e.aircraft) == flown), None)
 

@@ -56,7 +56,7 @@ Vary = Callable[[Scenario, np.random.Generator], Scenario]
 
 
 def time_on_target(flight: Stepper, sample: Sample, command: Command) -> float:
-    """The reward unless another is given: the control step [s], less the further the vehicle is from what is asked for.
+    """Return the default reward: the control step [s], less the further the vehicle is from what is asked for.
 
     ``dt exp(-(angle / ANGLE)^2 - (height / HEIGHT)^2)``, of the true state at the end of the step, and 0 where the
     flight is lost: the sum over a flight is at most its seconds, and a flight that is lost gets no more.
@@ -187,7 +187,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         return tuple(signals)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """A new flight, of other noise; ``options`` has nothing to choose."""
+        """Start a new flight, of other noise; ``options`` has nothing to choose."""
         super().reset(seed=seed)
         noise = int(self.np_random.integers(2**31))
         scenario = self._scenario if self._vary is None else self._vary(self._scenario, self.np_random)
@@ -279,7 +279,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
 
 
 def _moved(vehicle: Vehicle, ending: str) -> list[Signal]:
-    """What servos move, each in shares of the farther end of its range."""
+    """Return the signals of what servos move, each normalised by the farther end of its range."""
     turning = len(vehicle.actuators) - len(vehicle.surfaces)
     signals = []
     for n, (low, high) in enumerate(vehicle.ranges):

@@ -302,7 +302,7 @@ class Stepper:
         return self.measured
 
     def snapshot(self) -> Snapshot:
-        """This place, to be gone back to.
+        """Return a snapshot of this step, to which the flight can return.
 
         Returns
         -------
@@ -377,7 +377,7 @@ class Stepper:
         return sha256("\n".join(parts).encode()).hexdigest()
 
     def run(self) -> Run:
-        """What was flown so far, or to the end: summary, metrics, log.  It is flown by :func:`cosim.fly` no more.
+        """Finish the flight here and return it: summary, metrics, log.  It is flown by :func:`cosim.fly` no more.
 
         Returns
         -------
@@ -425,7 +425,7 @@ def _numbers(values: Sequence[float], count: int, what: str) -> tuple[float, ...
 
 
 def _checked(command: Any) -> Command:
-    """A command of plain finite numbers.  Raises InputError."""
+    """Return a command of plain finite numbers.  Raises InputError."""
     if not isinstance(command, Command):
         raise InputError(f"command: {type(command).__name__}: must be a cosim.Command")
     roll, pitch, yaw = _numbers(command.attitude, 3, "command.attitude")

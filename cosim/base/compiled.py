@@ -81,7 +81,7 @@ def fingerprint(package: Path) -> str:
 
 
 def edited() -> list[str]:
-    """The modules whose source is not what was compiled; all of them where nothing was, for this Python."""
+    """Return the modules whose source is not what was compiled; all where nothing was, for this Python."""
     if not (PACKAGE / SHARED).is_file():
         return list(MODULES)
     try:
@@ -115,7 +115,7 @@ def from_source() -> bool:
 
 
 def environment() -> dict[str, str]:
-    """A copy for another process: it runs the modules as this one does, and does not say once more that it does."""
+    """Return the environment for a child process, which runs the modules as this one does, without a second notice."""
     return {**os.environ, PURE: "1"} if from_source() else dict(os.environ)
 
 

@@ -53,7 +53,7 @@ LEVEL_BY_OUTPUT = {
 
 
 def input_names(level: str, jets: int, servos: Sequence[str] = SERVOS, ahead: bool = False) -> tuple[str, ...]:
-    """The names of what a block of this level is told; ``servos``: of the vehicle's actuators."""
+    """Return the names of the numbers sent to a block of this level; ``servos``: of the vehicle's actuators."""
     if level == "predictor":
         return ("rate", "applied")
     if level == "rate":
@@ -70,7 +70,7 @@ def _tilt(servo: str) -> str:
 
 
 def output_names(level: str, jets: int, servos: Sequence[str], extras: Sequence[str] = ()) -> tuple[str, ...]:
-    """The names of what it answers; ``servos``: those that it moves, none where nothing moves."""
+    """Return the names of the numbers it answers; ``servos``: those that it moves, none where nothing moves."""
     if level == "predictor":
         return ("predicted_rate",)
     if level == "rate":
@@ -89,7 +89,7 @@ def output_names(level: str, jets: int, servos: Sequence[str], extras: Sequence[
 
 
 def answer_whole(values: Sequence[float], jets: int, servos: int, extras: Sequence[str]) -> WholeAnswer:
-    """What the numbers of :func:`output_names` say."""
+    """Return the actuation and signals that the numbers of :func:`output_names` stand for."""
     left = list(values)
 
     def take(count: int) -> tuple[float, ...]:
@@ -109,7 +109,7 @@ def answer_whole(values: Sequence[float], jets: int, servos: int, extras: Sequen
 
 
 def whole_numbers(ahead: bool, command: Command, measured: Measured, applied: Any) -> tuple[float, ...]:
-    """The numbers of :func:`input_names` for a whole controller."""
+    """Return the numbers of :func:`input_names` for a whole controller."""
     rate: Vector3 = command.rate or (0.0, 0.0, 0.0)
     engines = applied.engines
     return (
@@ -142,7 +142,7 @@ def frame(count: int) -> struct.Struct:
 
 
 def numbers(arguments: Sequence[Any], level: str, ahead: bool = False) -> tuple[float, ...]:
-    """What ``update`` is told as the numbers of a frame; ``ahead`` as for :func:`input_names`."""
+    """Return the arguments of ``update`` as the numbers of a frame; ``ahead`` as for :func:`input_names`."""
     if level == "controller":
         return whole_numbers(ahead, *arguments)
     if level == "attitude":

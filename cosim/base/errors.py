@@ -49,6 +49,6 @@ def nearest(name: str, allowed: Iterable[str]) -> str:
 
 
 def similar(name: str, allowed: Iterable[str]) -> str:
-    """A clause that names what is like it, where too many are allowed for a line: ``hexjet list`` has them all."""
+    """Return a clause with similar names, where too many are allowed for a line: ``hexjet list`` has them all."""
     close = ", ".join(map(repr, difflib.get_close_matches(name, sorted(allowed))))
     return f"{f'did you mean {close}? ' if close else ''}see: hexjet list"

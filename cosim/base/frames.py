@@ -45,7 +45,7 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def conjugate(q: Quaternion) -> Quaternion:
-    """The inverse of a unit quaternion."""
+    """Return the inverse of a unit quaternion."""
     return (q[0], -q[1], -q[2], -q[3])
 
 
@@ -57,7 +57,7 @@ def normalize(q: Quaternion) -> Quaternion:
 
 
 def rotate(q: Quaternion, v: Vector3) -> Vector3:
-    """A body vector in NED, for the unit quaternion of the body's attitude."""
+    """Return a body vector in NED, for the unit quaternion of the body's attitude."""
     w, x, y, z = q
     vx, vy, vz = v
     # v + 2 w (r x v) + 2 r x (r x v), r = (x, y, z)
@@ -70,10 +70,10 @@ def rotate(q: Quaternion, v: Vector3) -> Vector3:
 
 
 def cross(a: Vector3, b: Vector3) -> Vector3:
-    """``a x b``."""
+    """Return the cross product ``a x b``."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 def jet_axis(tilt: float) -> Vector3:
-    """Unit thrust, body, of a jet tilted by ``tilt`` rad: 0 is straight up (-z), positive is forward (+x)."""
+    """Return the unit thrust, body, of a jet tilted by ``tilt`` rad: 0 is straight up (-z), positive forward (+x)."""
     return (sin(tilt), 0.0, -cos(tilt))

@@ -94,7 +94,7 @@ class Layout:
         self._still: list[Vector3] = [axis for axis, _ in kinds]
 
     def axes(self, angles: Sequence[float]) -> list[Vector3]:
-        """Unit thrust, body, of each group, with the hinges at ``angles`` rad."""
+        """Return the unit thrust, body, of each group, with the hinges at ``angles`` rad."""
         if not self.turns:
             return self._still
         return [self.axis(group, angles) for group in range(len(self._still))]
@@ -149,7 +149,7 @@ class Layout:
         return answer
 
     def hinge_axes(self, angles: Sequence[float], jet: int) -> list[tuple[int, float, bool, Vector3, Vector3]]:
-        """The chain of a jet as it stands: number, effect, whether it carries, axis and point of each hinge."""
+        """Return the hinges of a jet at ``angles`` rad: number, effect, whether it carries, axis and point of each."""
         chain, carriers = self.chains[jet], self._carriers[jet]
         answer = []
         for at, (number, effect) in enumerate(chain):

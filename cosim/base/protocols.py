@@ -79,7 +79,7 @@ class Pilot(Protocol):
         """What the controller flies the step of the last update with: the sensors, or what stands in for them."""
 
     def reset(self, measured: Measured) -> None:
-        """A new flight begins.
+        """Start a new flight.
 
         Parameters
         ----------
@@ -88,7 +88,7 @@ class Pilot(Protocol):
         """
 
     def update(self, k: int, measured: Measured, report: Report) -> Command:
-        """The command of a step, once a step, in order.
+        """Return the command of a step; called once a step, in order.
 
         Parameters
         ----------
@@ -110,7 +110,7 @@ class Disturbances(Protocol):
     """Wind, gusts, forces and loads from outside, and what is added to the controller's own signals."""
 
     def at(self, k: int) -> Disturbance:
-        """What acts over a step; called once a step, and once at every reset for step 0.
+        """Return what acts over a step; called once a step, and once at every reset for step 0.
 
         Nothing is kept: the answer depends on ``k`` alone.
 
@@ -148,7 +148,7 @@ class Controller(Protocol):
         """What is to be seen of the predictors of roll, pitch and yaw; NaN where there is none."""
 
     def reset(self, on_ground: bool, burnt: float) -> PerJet:
-        """A new flight begins.
+        """Start a new flight and return the throttles before step 0.
 
         Parameters
         ----------
@@ -164,7 +164,7 @@ class Controller(Protocol):
         """
 
     def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
-        """What the actuators are to do over a step.
+        """Return what the actuators are to do over a step.
 
         Parameters
         ----------
@@ -184,7 +184,7 @@ class Controller(Protocol):
         """
 
     def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
-        """What the engines report at the step's end.
+        """Take the engines' reports at the end of the step and return the health of each jet.
 
         Parameters
         ----------
@@ -200,7 +200,7 @@ class Controller(Protocol):
         """
 
     def forgive(self) -> None:
-        """The vehicle is repaired: believe in every engine again as soon as all stand idle."""
+        """Trust every engine again as soon as all stand idle: the vehicle is repaired."""
 
 
 class Predictor(Protocol):
@@ -213,7 +213,7 @@ class Predictor(Protocol):
         """Forget everything: at rest, nothing applied."""
 
     def update(self, measured: float, applied: float) -> float:
-        """The rate to feed back at ``t_k``, once a step.
+        """Return the rate to feed back at ``t_k``; called once a step.
 
         Parameters
         ----------
@@ -264,7 +264,7 @@ class RateLoop(Protocol):
         """At rest, nothing applied."""
 
     def update(self, setpoint: Vector3, measured: Vector3, applied: Vector3) -> Vector3:
-        """What to turn with over a step, once a step.
+        """Return the torque to apply over a step; called once a step.
 
         Parameters
         ----------
@@ -283,15 +283,16 @@ class RateLoop(Protocol):
 
 
 class AttitudeLoop(Protocol):
-    """An attitude loop of one's own, ``level = "attitude"``: above our rate loop, which is fed by the predictor that
-    its attribute ``predictor`` names.  What else it may have: see :class:`RateLoop`.
+    """An attitude loop of one's own, ``level = "attitude"``, above our rate loop.
+
+    That is fed by the predictor that its attribute ``predictor`` names.  What else it may have: see :class:`RateLoop`.
     """
 
     def reset(self) -> None:
         """At rest."""
 
     def update(self, command: Command, measured: Measured) -> Vector3:
-        """The body rates to ask for over a step; not called while the command is a rate itself.
+        """Return the body rates to ask for over a step; not called while the command is a rate itself.
 
         Parameters
         ----------
@@ -317,7 +318,7 @@ class WholeController(Protocol):
         """At rest; the engines hold the vehicle up, or idle where it stands on the ground."""
 
     def update(self, command: Command, measured: Measured, applied: Applied) -> Any:
-        """What the actuators are to do over a step, once a step.
+        """Return what the actuators are to do over a step; called once a step.
 
         Parameters
         ----------
@@ -343,7 +344,7 @@ class Allocator(Protocol):
     rest: PerServo  # where servos stand while nothing is asked of them
 
     def trim(self, collective: float) -> PerJet:
-        """The shares in balance, with nothing asked of the servos.
+        """Return the balanced throttles of the jets, with nothing asked of the servos.
 
         Parameters
         ----------
@@ -357,7 +358,7 @@ class Allocator(Protocol):
         """
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
-        """What the actuators can do of what is asked for, once a step.
+        """Return what the actuators can do of what is asked for; called once a step.
 
         Parameters
         ----------
@@ -494,7 +495,7 @@ class Shows(Protocol):
 
 
 def columns_of(block: object) -> tuple[Column, ...]:
-    """What a block shows of its own; none where it does not show."""
+    """Return the columns of its own that a block shows in the log; none where it shows none."""
     return tuple(getattr(block, "columns", ()))
 
 
@@ -502,7 +503,7 @@ class Sensors(Protocol):
     """What the controller and the pilot are told of the motion.  Filters, latencies and noise are its to keep."""
 
     def reset(self, state: State) -> Measured:
-        """A new flight begins; the same noise follows.
+        """Start a new flight, with the same noise again.
 
         Parameters
         ----------
@@ -534,7 +535,7 @@ class Observer(Protocol):
     """Looks at every step and touches nothing; the last of a step."""
 
     def observe(self, sample: Sample) -> None:
-        """Called once a step, after it; once more with the state that ended a flight before its time.
+        """Look at a step after it; once more at the state that ended a flight before its time.
 
         Parameters
         ----------
@@ -556,7 +557,7 @@ class Metric(Protocol):
     """What a finished log says in numbers, once after the flight: a pure function, such as ``flight_metrics``."""
 
     def __call__(self, log: Columns, step_s: float, /) -> Any:
-        """Called once, when a flight is over.
+        """Evaluate the log of a flight; called once, when it is over.
 
         Parameters
         ----------
@@ -581,7 +582,7 @@ class OwnSensors(Protocol):
     """
 
     def reset(self, state: State, measured: Measured) -> Measured:
-        """A new flight begins.
+        """Start a new flight.
 
         Parameters
         ----------

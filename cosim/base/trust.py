@@ -51,7 +51,7 @@ class Code:
     arguments: str = ""  # of a program, from the blank on
 
     def __str__(self) -> str:
-        """The file with its arguments, in one line, and nothing in it that a terminal would obey."""
+        """Return the file with its arguments in one line, with nothing in it that a terminal would obey."""
         text = f"{self.path}{self.arguments}"
         return "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in text)
 
@@ -133,12 +133,12 @@ def mention(texts: Iterable[str], folder: Path) -> None:
 
 
 def process_name(path: Path, arguments: str) -> str:
-    """What names a program with its arguments: with others it does something else."""
+    """Return the name of a program with its arguments: with others it does something else."""
     return f"process:{path.resolve()}{arguments}"
 
 
 def _names(text: str, folder: Path) -> Iterator[Path | str]:
-    """The code that a text names: files of Python and engines by path, programs, and what may be modules.
+    """Yield the code that a text names: files of Python and engines by path, programs, and what may be modules.
 
     What is data is never taken for code, whatever else names it.
     """
@@ -155,14 +155,14 @@ def _names(text: str, folder: Path) -> Iterator[Path | str]:
 
 
 def _mapping(text: str, folder: Path) -> Iterator[Path]:
-    """The mapping file that a text names as an engine or a controller, which names its FMU."""
+    """Yield the mapping file that a text names as an engine or a controller, which names its FMU."""
     for word in (text, text.partition("=")[2]):
         if word.lower().endswith(".toml"):
             yield (folder / word).resolve()
 
 
 def _named_in(arguments: Sequence[str]) -> Iterator[Path | str]:
-    """The code that the arguments of a command name."""
+    """Yield the code that the arguments of a command name."""
     for before, text in zip(["", *arguments], arguments, strict=False):
         yield from _names(text, Path())
         engine = text.startswith(_ENGINES) or before in _ENGINES or arguments[0] in ("fmu", "identify")
@@ -231,7 +231,7 @@ def trust_everything() -> None:
 
 
 def decision() -> Decision:
-    """What was decided here, for a process that works for this one."""
+    """Return the decision made here, for a process that works for this one."""
     return _decision
 
 
@@ -271,7 +271,7 @@ def _is_accepted(file: Code) -> bool:
 
 
 def _remembered() -> frozenset[str]:
-    """The hashes in the user's settings; a line that is none of ours is none."""
+    """Return the hashes in the user's settings; a line that is no hash is skipped."""
     try:
         place = settings_folder() / REMEMBERED
         found = place.stat()

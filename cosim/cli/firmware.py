@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def firmware_for(autopilot: str, aircraft: str, settings: Sequence[str]) -> Firmware:
-    """The loops, in the units of the aircraft.  Raises InputError for one that the autopilot has no parameters for."""
+    """Return the loops in the units of the aircraft.  Raises InputError where the autopilot lacks parameters for it."""
     from cosim.autopilots.betaflight import MOST_GAIN, units
     from cosim.autopilots.dump import parameters_of
     from cosim.design.loop.firmware import Firmware
@@ -61,7 +61,7 @@ def search_gains(autopilot: str, scenario: Scenario, settings: Sequence[str], ou
 
 
 def write_parameters(autopilot: str, aircraft: str, controller: Path, step: float) -> Path:
-    """The parameter file beside the controller file.  Raises FlightError."""
+    """Write the parameter file beside the controller file and return its path.  Raises FlightError."""
     from cosim.autopilots.dump import parameters_of
 
     vehicle, _ = load_scenario("hover", str(controller), (), None, (), None, aircraft).resolved_vehicle()

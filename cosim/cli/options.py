@@ -180,12 +180,12 @@ def load_scenario(
 
 
 def _set_at_once(settings: tuple[str, ...]) -> set[str]:
-    """The keys of ``--set`` that are the scenario's own."""
+    """Return the keys of ``--set`` that are the scenario's own."""
     return {text.partition("=")[0].strip() for text in settings}
 
 
 def _controller_without_a_model(aircraft: str, scenario: Any) -> dict[str, str]:
-    """The baseline where the scenario's predictor needs a model and the other aircraft states none; with a note."""
+    """Return the baseline where the predictor needs a model and the other aircraft states none; print a note."""
     from cosim.control.predictors.registry import BASELINE, PREDICTORS
     from cosim.spec.vehicle import load_vehicle
 
@@ -218,13 +218,13 @@ def brought_changes(
 
 
 def brought_settings(metrics: tuple[str, ...], wind: str | None = None) -> list[str]:
-    """The same as settings of a study, ``KEY=VALUE``."""
+    """Return the same as settings of a study, ``KEY=VALUE``."""
 
     return [f"{key}={json.dumps(value)}" for key, value in brought_changes(metrics, wind=wind).items()]
 
 
 def engine_for(aircraft: str, engine: str | None) -> str:
-    """The engine that is named, or else the aircraft's own.  Raises InputError where it has none."""
+    """Return the engine that is named, or else the aircraft's own.  Raises InputError where it has none."""
     from cosim.spec.vehicle import aircraft_seen_from, engine_of
 
     chosen = engine or engine_of(aircraft_seen_from(aircraft, Path()))

@@ -13,7 +13,7 @@ from cosim.base.runtime.kernels import set_for_command
 
 
 def main() -> None:
-    """The command ``hexjet``."""
+    """Run the command ``hexjet``."""
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
     set_for_command()
     open_standard_streams()

@@ -83,7 +83,7 @@ class StreamSink:
 
 @cache
 def _batch_head(columns: int, rows: int) -> bytes:
-    """What comes before the columns in a record batch of so many columns and rows.
+    """Return what comes before the columns in a record batch of so many columns and rows.
 
     Behind it a batch of float64 without nulls is its columns, one after the other: whole multiples of 8 bytes, as Arrow
     aligns them.
@@ -115,7 +115,7 @@ class ParquetLog(Columnar):
             return np.concatenate([np.empty(0), *map(_numbers, column.chunks)])
 
     def blocks(self, names: tuple[str, ...], rows: int = ROW_GROUP) -> Iterator[dict[str, Array]]:
-        """The named columns, at most ``rows`` rows at a time."""
+        """Yield the named columns, at most ``rows`` rows at a time."""
         chosen = [known(name, self.columns) for name in names]
         with _parquet(self._path) as file:
             for batch in file.iter_batches(batch_size=rows, columns=chosen, use_threads=False):
@@ -127,7 +127,7 @@ def _numbers(column: pa.Array) -> Array:
 
 
 def read_note(stream: Path) -> str | None:
-    """The note in a stream's metadata; None if the stream is torn before its end."""
+    """Return the note in a stream's metadata; None if the stream is torn before its end."""
     import pyarrow as pa
 
     try:
@@ -216,7 +216,7 @@ def _schema(columns: Sequence[Column], note: str = "") -> pa.Schema:
 
 
 def _described(schema: pa.Schema) -> tuple[Column, ...]:
-    """The columns of a log, with what its file says of them."""
+    """Return the columns of a log, with unit, frame and meaning from its file."""
     made = []
     for field in schema:
         said = {str(key, "utf-8"): str(value, "utf-8") for key, value in (field.metadata or {}).items()}
@@ -225,7 +225,7 @@ def _described(schema: pa.Schema) -> tuple[Column, ...]:
 
 
 def _opened(file: pa.OSFile) -> pa.ipc.RecordBatchStreamReader:
-    """A stream; one of no rows if it is torn before its first, where the columns are said."""
+    """Open a stream; return one of no rows if it is torn before its first, where its columns are described."""
     import pyarrow as pa
 
     try:
@@ -235,7 +235,7 @@ def _opened(file: pa.OSFile) -> pa.ipc.RecordBatchStreamReader:
 
 
 def _complete_batches(reader: pa.ipc.RecordBatchStreamReader) -> Iterator[pa.RecordBatch]:
-    """The batches of a stream up to its end or to the place where it is torn."""
+    """Yield the batches of a stream up to its end or to the point where it is torn."""
     import pyarrow as pa
 
     while True:
@@ -247,7 +247,7 @@ def _complete_batches(reader: pa.ipc.RecordBatchStreamReader) -> Iterator[pa.Rec
 
 
 def _regrouped(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:
-    """The same rows in tables of ROW_GROUP rows, the last one shorter."""
+    """Yield the same rows in tables of ROW_GROUP rows, the last one shorter."""
     import pyarrow as pa
 
     waiting: list[pa.RecordBatch] = []
@@ -293,7 +293,7 @@ def write_table(
 def read_table(
     paths: Path | Sequence[Path], names: Sequence[str] | None = None, lacking: bool = False
 ) -> dict[str, list[Value]]:
-    """The columns of one file, or of several one after the other; only the ``names``, if they are given.
+    """Return the columns of one file, or of several one after the other; only the ``names``, if they are given.
 
     Where a file lacks a column, its rows have None; with ``lacking`` also where every file does.  Raises InputError if
     a file cannot be read, or none has a name.
@@ -326,7 +326,7 @@ class Sorted(NamedTuple):
 
 
 def read_numbers(path: Path) -> Sorted:
-    """The columns of a Parquet file.
+    """Return the columns of a Parquet file.
 
     Raises InputError for what cannot be read, and for two columns of one name.
     """
@@ -336,7 +336,7 @@ def read_numbers(path: Path) -> Sorted:
 
 
 def read_csv_numbers(path: Path, rows: bytes, names: Sequence[str], separator: str, decimal: str) -> tuple[Sorted, int]:
-    """The columns of ``rows`` of text, which are of ``path``, and how many rows have not a cell for each name."""
+    """Return the columns of ``rows`` of text from ``path``, and how many rows have not a cell for each name."""
     import pyarrow as pa
     from pyarrow import csv
 
@@ -393,7 +393,7 @@ def _sorted_out(path: Path, table: pa.Table) -> Sorted:
 
 
 def read_table_note(path: Path) -> dict[str, str]:
-    """What :func:`write_table` was given as ``note``.  Raises InputError if the file cannot be read."""
+    """Return the ``note`` that :func:`write_table` put into a file.  Raises InputError if it cannot be read."""
     with _parquet(path) as file:
         metadata = file.schema_arrow.metadata or {}
     return {str(key, "utf-8"): str(value, "utf-8") for key, value in metadata.items()}

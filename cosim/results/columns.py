@@ -307,7 +307,7 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
 
 
 def log_columns(vehicle: LoggedVehicle = HEXJET, own: Sequence[Column] = ()) -> tuple[Column, ...]:
-    """The columns of a flight of a vehicle whose blocks show ``own``.
+    """Return the log's columns for a vehicle whose blocks show ``own``.
 
     At least six of everything that a jet has, so that the logs of all vehicles can be laid side by side.  Raises
     InputError for a column of a block's own that cannot be one.
@@ -337,19 +337,19 @@ def jets_in(columns: Iterable[str]) -> int:
 
 
 def logged_vehicle(vehicle: Vehicle) -> LoggedVehicle:
-    """What the log of a flight of this vehicle has columns of."""
+    """Return the jets, servos and surfaces of a vehicle that its log has columns of."""
     surfaces = tuple(surface.name for surface in vehicle.surfaces)
     servos = vehicle.actuators[: len(vehicle.actuators) - len(surfaces)]
     return LoggedVehicle(len(vehicle.jets), servos, surfaces, vehicle.allocation == "effectiveness")
 
 
 def servos_in(columns: Iterable[str]) -> tuple[str, ...]:
-    """The names of the banks and hinges that a log has columns of, in their order."""
+    """Return the names of the banks and hinges that a log has columns of, in their order."""
     return _named(r"tilt_(.+)_command_rad", columns)
 
 
 def surfaces_in(columns: Iterable[str]) -> tuple[str, ...]:
-    """The same of surfaces."""
+    """Return the names of the surfaces that a log has columns of, in their order."""
     return _named(r"deflection_(.+)_command", columns)
 
 
@@ -359,7 +359,7 @@ def _named(pattern: str, columns: Iterable[str]) -> tuple[str, ...]:
 
 
 def flown_in(columns: Iterable[str]) -> LoggedVehicle:
-    """What a log with these columns was flown by, as far as their names tell it."""
+    """Return the vehicle that a log with these columns was flown by, as far as their names tell."""
     names = tuple(columns)
     return LoggedVehicle(jets_in(names), servos_in(names), surfaces_in(names))
 
@@ -432,7 +432,7 @@ class Program(NamedTuple):
 
 
 def program(columns: Sequence[Column]) -> Program:
-    """The sources of the columns, each looked up once.  Raises InputError for a place that a sample has not."""
+    """Return the sources of the columns, each looked up once.  Raises InputError for one that a sample has not."""
     compiled = _Compiler()
     angles: list[Angle] = []
     quaternions: dict[str, int] = {}
@@ -486,7 +486,7 @@ class _Compiler:
         return nodes, self._reads
 
     def _find(self, place: str) -> tuple[int, int]:
-        """The node in which a place is, opened if need be, and the element there."""
+        """Return the node that holds a source, opened if need be, and the element there."""
         parent, _, element = place.rpartition(".")
         node = self._open(parent)
         if parent in _RECORDS:

@@ -84,7 +84,10 @@ def pairs(flights: Sequence[ComparedFlight]) -> list[Pair]:
 
 
 def base_of(first: Log, second: Log) -> Base:
-    """The steps of the log with the shorter ones, over the time that both cover; the other's values are held.
+    """Return the time base of two logs: the steps of the log with the shorter ones, over the time that both cover.
+
+    The other's values are held.  A row is in force from its time on, for as long as a step.  With equal steps both are
+    taken as they are.
 
     A row is in force from its time on, for as long as a step.  With equal steps both are taken as they are.
     """
@@ -105,17 +108,17 @@ def base_of(first: Log, second: Log) -> Base:
 
 
 def difference(first: Log, second: Log, name: str, base: Base) -> Array:
-    """A column of the second less that of the first on a base, angles the short way round."""
+    """Return a column of the second less that of the first on a base, angles the short way round."""
     return _less(first[name][base.first], second[name][base.second], name, first)
 
 
 def step_of(times: Array) -> float:
-    """The step of a log [s]: the median, of one that has no step of its own."""
+    """Return the median step of a log [s]; 1 s for one of fewer than two rows."""
     return float(np.median(np.diff(times))) if times.size > 1 else 1.0
 
 
 def inputs_differ(first: Run, second: Run) -> list[tuple[str, str, str]]:
-    """What of two runs' scenarios, versions and files is not the same: its key, and both values as texts."""
+    """Return what differs between two runs' scenarios, versions and files: its key, and both values as texts."""
     try:
         left, right = (_flat(side) for side in (first, second))
     except InputError:  # a scenario that cannot be read any more
@@ -182,7 +185,7 @@ def _less(left: Array, right: Array, name: str, log: Log) -> Array:
 
 
 def _canonical(values: Array) -> NDArray[np.int64]:
-    """The bits of numbers, every NaN the same."""
+    """Return the bits of numbers, every NaN the same."""
     same = np.array(values, "<f8")
     same[np.isnan(same)] = np.nan
     return same.view(np.int64)

@@ -28,14 +28,14 @@ class Digest:
         self._columns = [(name, sha256()) for name in names]
 
     def update(self, table: Array) -> None:
-        """The rows that follow, shape (columns, rows)."""
+        """Add the rows that follow, shape (columns, rows)."""
         same = table.astype("<f8", order="C")  # a copy
         same[np.isnan(table)] = np.nan
         for (_, column), values in zip(self._columns, same, strict=True):
             column.update(values)
 
     def hexdigest(self) -> str:
-        """The digest of the rows so far."""
+        """Return the digest of the rows so far."""
         whole = sha256()
         for name, column in self._columns:
             whole.update(name.encode() + b"\0" + column.digest())
@@ -43,7 +43,7 @@ class Digest:
 
 
 def log_digest(log: Log) -> str:
-    """The :class:`Digest` of a finished log, of which few rows are held at a time."""
+    """Return the :class:`Digest` of a finished log, of which few rows are held at a time."""
     digest = Digest(log.columns)
     for block in log.blocks(log.columns, _ROWS):
         digest.update(np.stack(list(block.values())))
@@ -76,9 +76,9 @@ class DigestSink:
         self._kept.append(table[self._indices])
 
     def hexdigest(self) -> str:
-        """The digest of everything that was recorded."""
+        """Return the digest of everything that was recorded."""
         return self._digest.hexdigest()
 
     def log(self) -> Log:
-        """What was kept."""
+        """Return the rows that were kept."""
         return MemoryLog(self._kept, self._names, self._described)

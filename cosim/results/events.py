@@ -67,7 +67,7 @@ def events_of(run: Run) -> list[Event]:
 
 
 def spans(mask: NDArray[np.bool_], step: float) -> list[tuple[float, float | None]]:
-    """The times between which a mask is true; None for an end that lies beyond the log."""
+    """Return the times [s] between which a mask is true; None for an end that lies beyond the log."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
     return [
         (float(start * step), None if end == mask.size else float(end * step))
@@ -114,7 +114,7 @@ def _acts(fault: Fault, start: float, end: float | None, step: float) -> bool:
 
 
 def fault_text(fault: Fault) -> str:
-    """A fault in words, without its place and time."""
+    """Describe a fault without its station and time."""
     match fault.kind:
         case "flame_out":
             return "flame-out"
@@ -167,7 +167,7 @@ def contacts(log: Log, step: float) -> Iterator[Event]:
 
 
 def disturbances(scenario: Scenario, end: float) -> Iterator[Event]:
-    """What the scenario does to the vehicle from outside, as far as the flight lasts."""
+    """Yield what the scenario does to the vehicle from outside, as far as the flight lasts."""
     if any(scenario.environment.wind_ned_m_s):
         yield Event(time_s=0.0, kind="disturbance", text=f"wind of {_speed(scenario.environment.wind_ned_m_s)}")
     for entry in scenario.disturbance:
@@ -202,7 +202,7 @@ def _speed(velocity: Iterable[float]) -> str:
 
 
 def said(folder: Path | None, step: float) -> Iterator[Event]:
-    """What the autopilot of a run said, its modes among it."""
+    """Yield the messages of a run's autopilot, its modes among them."""
     for line in read_pilot_record(folder) if folder is not None else ():
         if line["kind"] == "message":
             yield Event(

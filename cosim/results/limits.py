@@ -70,7 +70,7 @@ class Yardstick(Record):
 
 
 def yardstick(scenario: Scenario, vehicle: Vehicle) -> Yardstick:
-    """What a flight of this scenario with this vehicle is held to."""
+    """Return the inputs of the limits of a flight of this scenario with this vehicle."""
     gains = vehicle.control.altitude
     stated = scenario.limits.model_dump(exclude_none=True)
     return Yardstick(
@@ -90,7 +90,7 @@ def yardstick(scenario: Scenario, vehicle: Vehicle) -> Yardstick:
 
 
 def flight_limits(held: Yardstick, log: Columns, step_s: float) -> dict[str, float]:
-    """The most that each limited metric may be in this flight, by the metric's name.
+    """Return the most that each limited metric may be in this flight, by the metric's name.
 
     The height's error may be ``HEIGHT_SPANS`` beyond what the height law leaves by itself, the drift ``DRIFT_SPANS``
     beyond the way that the commanded leans explain, the speed ``SPEEDS`` beyond the speed that they explain.  There is
@@ -122,7 +122,7 @@ def flight_limits(held: Yardstick, log: Columns, step_s: float) -> dict[str, flo
 
 
 def height_lag(setpoint: Array, altitude: Array, law: tuple[float, float, float], step_s: float) -> float:
-    """The largest height error (m) that a vehicle has which follows the height law without any error of its own.
+    """Return the largest height error (m) of a vehicle that follows the height law without any error of its own.
 
     ``h' = clip(K (h_set - h), -descent, climb)``: a step leaves its size, a ramp its rate over K.  Where the height is
     asked for anew the law begins where the vehicle is.
@@ -150,7 +150,7 @@ def height_lag(setpoint: Array, altitude: Array, law: tuple[float, float, float]
 def lean_motion(
     roll: Array, pitch: Array, yaw: Array, velocity: tuple[Array, Array], step_s: float
 ) -> tuple[float, float] | None:
-    """The way (m) and the largest speed (m/s) that commanded leans explain: in still air, without drag.
+    """Return the way (m) and the largest speed (m/s) that commanded leans explain: in still air, without drag.
 
     ``a = g tan(lean)`` of thrust along the body's -z axis that holds the weight, added up from the ``velocity`` at the
     start.  None where an angle is not commanded.
@@ -167,7 +167,7 @@ def lean_motion(
 
 
 def track_speed(north: Array, east: Array, step_s: float) -> float:
-    """The largest speed (m/s) of the place asked for."""
+    """Return the largest speed (m/s) of the commanded position."""
     speed = np.hypot(np.diff(north), np.diff(east)) / step_s
     known = speed[np.isfinite(speed)]
     return float(np.max(known)) if known.size else 0.0
@@ -186,7 +186,7 @@ def beyond(limits: Mapping[str, float], flat: Mapping[str, float | None]) -> lis
 
 
 def exceedance(name: str, limits: Mapping[str, float], flat: Mapping[str, float | None]) -> str:
-    """A metric and its limit in words: ``drift from the start 125.7 m, limit 10 m``."""
+    """Describe a metric and its limit: ``drift from the start 125.7 m, limit 10 m``."""
     of, value = metric(name), flat[name]
     shown = "none, not settled" if value is None else f"{of.factor * value:.4g} {of.unit}"
     return f"{of.label} {shown}, limit {of.factor * limits[name]:.4g} {of.unit}"

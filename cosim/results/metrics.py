@@ -125,7 +125,7 @@ class Step(NamedTuple):
 
 
 def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> Metrics:
-    """The metrics of a whole flight; ``step_s`` is the control step.  A few columns at a time are held.
+    """Return the metrics of a whole flight; ``step_s`` is the control step.  A few columns at a time are held.
 
     Without ``reach`` only what allocation refused counts as saturation.
     """
@@ -148,7 +148,7 @@ def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> M
 
 
 def columns(vehicle: LoggedVehicle = HEXJET, waypoints: bool = False) -> tuple[str, ...]:
-    """The names of the columns that :func:`flight_metrics` and the limits of a flight read, of such a vehicle's log.
+    """Return the columns that :func:`flight_metrics` and the limits of a flight read, of such a vehicle's log.
 
     ``waypoints``: of a flight along some.
     """
@@ -173,7 +173,7 @@ def columns(vehicle: LoggedVehicle = HEXJET, waypoints: bool = False) -> tuple[s
 
 
 def _moved(vehicle: LoggedVehicle) -> list[str]:
-    """The columns of where servos are told to go: banks and hinges, and behind them surfaces."""
+    """Return the command columns of servos: banks and hinges, and behind them surfaces."""
     return [TILT.format(name) for name in vehicle.servos] + [DEFLECTION.format(name) for name in vehicle.surfaces]
 
 
@@ -191,7 +191,7 @@ def _axis_of(log: Columns, axis: str, rate: str, step_s: float) -> AxisMetrics:
 
 
 def axis_metrics(setpoint: Array, angle: Array, rate_setpoint: Array, rate: Array, step_s: float) -> AxisMetrics:
-    """The metrics of one axis from its columns (rad, rad/s)."""
+    """Return the metrics of one axis from its columns (rad, rad/s)."""
     error = wrap(setpoint - angle)
     last = _last(error, step_s)
     steps = find_steps(setpoint, angle, step_s)
@@ -208,7 +208,7 @@ def axis_metrics(setpoint: Array, angle: Array, rate_setpoint: Array, rate: Arra
 
 
 def find_steps(setpoint: Array, angle: Array, step_s: float) -> list[Step]:
-    """The steps of a set-point (rad); none if it ever moves in another way or is missing on some row."""
+    """Return the steps of a set-point (rad); none if it ever moves in another way or is missing on some row."""
     if not setpoint.size or not np.all(np.isfinite(setpoint)):
         return []
     changes = np.flatnonzero(np.diff(setpoint) != 0.0) + 1
@@ -274,18 +274,20 @@ def speed_metrics(speed: Array) -> SpeedMetrics:
 
 
 def touching(log: Columns) -> NDArray[np.bool_]:
-    """The rows on which a leg or the hull touches the ground."""
+    """Return the rows on which a leg or the hull touches the ground."""
     return (log["on_ground"] > 0.0) | (log["hull_contact"] > 0.0)
 
 
 def saturated_in_flight(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
-    """The rows that count as saturation, of :func:`saturated` those in the air: what the metric counts, pages mark."""
+    """Return the rows of :func:`saturated` in the air: those that the metric counts and reports mark."""
     return saturated(log, reach) & ~touching(log)
 
 
 def saturated(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
-    """The rows on which allocation refused something, or a throttle, tilt, hinge or surface was told to go to an end
-    of its range.
+    """Return the rows with an allocation residual, or with an actuator commanded to an end of its range.
+
+    Actuators are throttles, tilts, hinges and surfaces.  A jet that the monitor has given up, whose throttle is closed
+    for that, does not count.
 
     A jet that the monitor has given up, whose throttle is closed for that, does not count.
     """
@@ -342,7 +344,9 @@ def share_percent(rows: NDArray[np.bool_], of: NDArray[np.bool_]) -> float | Non
 
 
 def activity(commands: Iterable[Array], step_s: float) -> float | None:
-    """The way that a command goes per second, up and down added: sum |u_k+1 - u_k| / time, mean over the commands.
+    """Return the total variation of commands per second: sum |u_k+1 - u_k| / time, mean over the commands.
+
+    It is the common measure of a control signal's effort.  A command without a number is left out.
 
     The total variation of a control signal, the common measure of its effort.  A command without a number is left out.
     """
@@ -447,7 +451,7 @@ def _span(low: float | None, high: float | None) -> str:
 
 
 def _last(values: Array, step_s: float) -> Array:
-    """What is known of the last second."""
+    """Return the finite values of the last second."""
     last = values[-round(FINAL_S / step_s) :]
     return last[np.isfinite(last)]
 
@@ -470,6 +474,6 @@ def _largest(values: Array) -> float | None:
 
 
 def _worst(values: list[float | None]) -> float | None:
-    """The largest; None if there are none, or if one of them is None."""
+    """Return the largest; None if there are none, or if one of them is None."""
     known = [value for value in values if value is not None]
     return max(known) if known and len(known) == len(values) else None

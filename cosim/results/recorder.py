@@ -36,10 +36,10 @@ class KeepingSink(Sink, Protocol):
     """Keeps the blocks, or something of them, in memory."""
 
     def begin(self, columns: Sequence[Column]) -> None:
-        """The log's columns, before the first block; COLUMNS where nobody says so.  Raises InputError."""
+        """Take the log's columns, before the first block; COLUMNS where nobody says so.  Raises InputError."""
 
     def log(self) -> Log:
-        """What was kept."""
+        """Return the rows that were kept."""
 
 
 class Log(Protocol):
@@ -132,7 +132,7 @@ class MemorySink:
         self.tables.append(table.copy())
 
     def log(self) -> Log:
-        """What was recorded so far; what is recorded later is not in it."""
+        """Return what was recorded so far; what is recorded later is not in it."""
         return MemoryLog(list(self.tables), tuple(column.name for column in self._columns), self._columns)
 
 
@@ -150,7 +150,7 @@ class OneRow:
         self._table = table.copy()
 
     def __call__(self, sample: Sample) -> Array:
-        """The columns of a sample, each an array of one row: shape (columns, 1)."""
+        """Return the columns of a sample, each an array of one row: shape (columns, 1)."""
         self._recorder.observe(sample)
         self._recorder.flush()
         return self._table
@@ -170,7 +170,7 @@ class BackgroundSink:
         self._thread.start()
 
     def write(self, table: Array) -> None:
-        """Raises FlightError if a block before could not be written, or too many wait."""
+        """Queue a block of rows.  Raises FlightError if one before could not be written, or too many wait."""
         self._complain()
         try:
             self._blocks.put_nowait(table.copy())
@@ -215,7 +215,7 @@ class MemoryLog(Columnar):
         return np.concatenate([np.empty(0), *(table[index] for table in self._tables)])
 
     def blocks(self, names: tuple[str, ...], rows: int = ROW_GROUP) -> Iterator[dict[str, Array]]:
-        """The named columns, block by block; ``rows`` does not matter here."""
+        """Yield the named columns, block by block; ``rows`` does not matter here."""
         indices = [self.columns.index(known(name, self.columns)) for name in names]
         for table in self._tables:
             yield {name: table[index] for name, index in zip(names, indices, strict=True)}

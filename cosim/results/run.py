@@ -335,7 +335,7 @@ class Run:
         return Scenario.read(self.folder / SCENARIO)
 
     def _repr_html_(self) -> str:
-        """What a notebook shows of it."""
+        """Return a table for notebooks: outcome, what flew, and the metrics."""
         summary = self.summary
         said = f"{summary.scenario}: {summary.ending}"
         flown = f"{summary.aircraft}, engine {summary.engine_shown}, controller {summary.controller_shown}, "
@@ -392,28 +392,28 @@ class Recording:
         self.columns = len(columns)
 
     def restate(self, scenario: Scenario) -> None:
-        """The scenario as it was flown in the end, with what came by command.  Raises FlightError."""
+        """Take the scenario as it was flown in the end, with what came by command.  Raises FlightError."""
         self._scenario = scenario
         if isinstance(self._sink, StreamSink):
             self._scenario = scenario.seen_from(self._sink.path.parent)
             write_whole(self._sink.path.with_name(SCENARIO), scenario_toml(scenario), FlightError)
 
     def repeats(self, same: bool | None) -> None:
-        """What was found out of a controller outside this process: whether it answers the same again."""
+        """Note whether a controller outside this process answers the same again; None: not asked."""
         own = self._setup.own_controller
         if own is not None and same is not None:
             changed = own.model_copy(update={"repeatable": same})
             self._setup = self._setup.model_copy(update={"own_controller": changed})
 
     def shorten(self, steps: int) -> None:
-        """A flight without a planned end is over: its scenario flies as many steps as it did.  Raises FlightError."""
+        """End the scenario of a flight without a planned end after the steps that it flew.  Raises FlightError."""
         if steps:
             duration = steps * self._setup.step_s
             self._setup = self._setup.model_copy(update={"planned_s": duration})
             self.restate(self._scenario.replace(duration_s=duration))
 
     def stepped(self, steps: int, by_hand: int) -> None:
-        """A program stepped it so far, and gave ``by_hand`` of its commands: nothing is expected of it."""
+        """Note the steps so far and how many commands of them a program gave: nothing is expected of the flight."""
         changed = {"planned_s": steps * self._setup.step_s, "by_hand": by_hand, "expectation": None}
         self._setup = self._setup.model_copy(update=changed)
 
@@ -551,7 +551,7 @@ def summarize(
     pace: PaceReport | None = None,
     own: Sequence[OwnMetric] = (),
 ) -> Summary:
-    """The summary of a flight from its log; ``own`` are the user's metrics, beside the built-in ones."""
+    """Return the summary of a flight from its log; ``own`` are the user's metrics, beside the built-in ones."""
     metrics = flight_metrics(log, setup.step_s, setup.reach)
     said, failed = _own(own, log, setup.step_s)
     flat = flatten(metrics) | said
@@ -597,7 +597,7 @@ def summarize(
 
 
 def _own(metrics: Sequence[OwnMetric], log: Log, step_s: float) -> tuple[dict[str, float | None], list[str]]:
-    """What metrics of the user's say, and a line for each that could not; without a step they say nothing."""
+    """Return the values of the user's metrics, and a line for each that failed; without a step all are None."""
     values: dict[str, float | None] = {name: None for metric in metrics for name in metric.names}
     failed = []
     for each in metrics if len(log) else ():
@@ -625,7 +625,7 @@ def _versions() -> dict[str, str]:
 
 
 def now() -> str:
-    """The time of day for :attr:`Setup.started`."""
+    """Return the time of day, UTC, for :attr:`Setup.started`."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
@@ -703,7 +703,7 @@ def scenario_toml(scenario: Scenario) -> bytes:
 
 
 def _json(summary: Summary) -> str:
-    """The summary with what is asked for first on top; a table or list is one line, a long one a line an entry."""
+    """Return the summary as JSON, main entries first; a table or list is one line, a long one a line an entry."""
     data = summary.model_dump(mode="json")
     first: tuple[str, ...] = (
         "outcome",

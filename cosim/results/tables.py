@@ -32,19 +32,19 @@ class Columnar:
         raise NotImplementedError
 
     def _read(self, names: Sequence[str]) -> dict[str, Array]:
-        """These columns, in one reading."""
+        """Return these columns, in one reading."""
         parts = list(self.blocks(tuple(names)))
         return {name: np.concatenate([np.empty(0), *[part[name] for part in parts]]) for name in names}
 
     def keys(self) -> tuple[str, ...]:
-        """The columns' names."""
+        """Return the columns' names."""
         return self.columns
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.columns)
 
     def table(self, *names: str) -> Any:
-        """The log as a ``pandas.DataFrame``, which the extra ``notebook`` brings.
+        """Return the log as a ``pandas.DataFrame``, which the extra ``notebook`` brings.
 
         Parameters
         ----------
@@ -81,7 +81,7 @@ class Columnar:
         return frame
 
     def _repr_html_(self) -> str:
-        """What a notebook shows of it: every column, what it means, and from where to where it goes."""
+        """Return a table for notebooks: every column, what it means, and from where to where it goes."""
         said = {column.name: column for column in self.described}
         rows = []
         for name, values in self._read(self.columns).items():

@@ -91,7 +91,7 @@ NONE = "–"
 
 
 def metric(name: str) -> Metric:
-    """A metric in words: ``roll.rmse_rad`` is the roll RMSE in deg."""
+    """Return the label, unit and factor of a metric: ``roll.rmse_rad`` is the roll RMSE in deg."""
     *axis, last = name.split(".")
     for end, unit, factor in UNITS:
         if last.endswith(end):
@@ -102,10 +102,10 @@ def metric(name: str) -> Metric:
 
 
 def unit_shown(unit: str) -> tuple[str, float]:
-    """The unit in which a log's quantity is shown, and the factor to it."""
+    """Return the unit in which a log's quantity is shown, and the factor to it."""
     return {"rad": ("deg", degrees(1.0)), "rad/s": ("deg/s", degrees(1.0))}.get(unit, (unit, 1.0))
 
 
 def shown(value: float | None, factor: float = 1.0, digits: int = 3) -> str:
-    """A value of a table; a dash for what a flight cannot tell."""
+    """Format a value of a table; return a dash for what a flight cannot tell."""
     return NONE if value is None else f"{factor * value:.{digits}f}"

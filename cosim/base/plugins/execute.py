@@ -42,7 +42,7 @@ _RUNNABLE = tuple(all_suffixes())
 
 
 def executed(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
-    """The module of a file, and the files beside it that it imports.  Raises InputError."""
+    """Execute a Python file; return its module and the files beside it that it imports.  Raises InputError."""
     folder = path.resolve().parent
     text = path.read_bytes()
     need_trust([Code(path, hashlib.sha256(text).hexdigest()), *_imports(path, path)], where)
@@ -88,7 +88,7 @@ def program_code(path: Path, arguments: str) -> list[Code]:
 
 
 def _imports(path: Path, name: Path | str) -> list[Code]:
-    """The files beside one of Python that it, or one of these, is seen to import, as code that ``name`` names."""
+    """Return the files beside a Python file that it, or one of these, seems to import, as code that ``name`` names."""
     found, waiting = dict[Path, None](), [path]
     while waiting:
         with suppress(OSError, SyntaxError, ValueError):  # what is wrong with it is said when it is run
@@ -105,7 +105,7 @@ def _imports(path: Path, name: Path | str) -> list[Code]:
 
 
 def _names(path: Path) -> set[str]:
-    """The modules that a file of Python imports, anywhere in it, by the first part of their names."""
+    """Return the modules that a Python file imports, anywhere in it, by the first part of their names."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_bytes())):
         if isinstance(node, ast.Import):
@@ -116,7 +116,7 @@ def _names(path: Path) -> set[str]:
 
 
 def _files_of(folder: Path, name: str) -> list[Path]:
-    """The files in a folder that an import of this name may run."""
+    """Return the files in a folder that an import of this name may run."""
     endings = (".py", ".pyc", *EXTENSION_SUFFIXES)
     files = [folder / f"{name}{ending}" for ending in endings]
     return [file for file in (*files, *(folder / name / f"__init__{ending}" for ending in endings)) if file.is_file()]
@@ -147,7 +147,7 @@ class _Neighbours(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """A module of the folder, or one in a package of it; None for any other."""
+        """Find a module of the folder, or one in a package of it; return None for any other."""
         if path is not None and fullname.rpartition(".")[0] not in self._found:
             return None
         spec = PathFinder.find_spec(fullname, [self._folder] if path is None else path)
@@ -208,7 +208,7 @@ def _beside(folder: Path, finder: MetaPathFinder) -> Iterator[list[Path]]:
 
 
 def imported(module_name: str, where: str) -> tuple[ModuleType, Path, dict[str, Path]]:
-    """A module that Python finds, its path, and its file by name where it has one.  Raises InputError."""
+    """Import an installed module; return it, its path, and its file by name where it has one.  Raises InputError."""
     if is_looking():
         raise CodeRefusedError(f"{where}: {module_name} is code, and nothing is run to look at something")
     try:
@@ -268,7 +268,7 @@ def _need_trust_of(spec: ModuleSpec, where: str, *names: str) -> bool:
 
 
 def _runnable(folder: Path) -> Iterator[Path]:
-    """The files below a folder that Python may import, compiled copies too, and through links."""
+    """Yield the files below a folder that Python may import, compiled copies too, and through links."""
     seen = set[str]()
     for place, inner, names in os.walk(folder, followlinks=True):
         real = os.path.realpath(place)
@@ -295,7 +295,7 @@ def _is_installed(path: Path, top: str) -> bool:
 
 @cache
 def _installed_places() -> frozenset[Path]:
-    """The folders where Python and its packages are installed."""
+    """Return the folders where Python and its packages are installed."""
     stated = get_paths()
     user = [site.getusersitepackages()] if site.ENABLE_USER_SITE else []
     names = [*(stated[name] for name in ("stdlib", "platstdlib", "purelib", "platlib")), *site.getsitepackages(), *user]

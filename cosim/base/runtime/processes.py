@@ -1,5 +1,7 @@
-"""Processes that work for this one: started so that they see no stranger's modules, held to limits, asked how they
-ended, and ended with everything that they have started themselves.
+"""Child processes with limits.
+
+They are started so that they see no stranger's modules, held to limits, asked how they ended, and ended with
+everything that they have started themselves.
 """
 
 from __future__ import annotations
@@ -142,7 +144,7 @@ def _kill_marked(mark: bytes) -> None:
 
 
 def _marked(mark: bytes) -> Iterator[int]:
-    """Processes that a child has started; one that is killed has no environment any more."""
+    """Yield the processes that a child has started; one that is killed has no environment any more."""
     for file in Path("/proc").glob("[0-9]*/environ"):
         with suppress(OSError):  # somebody else's, or gone
             if mark in file.read_bytes():

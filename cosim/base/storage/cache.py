@@ -21,7 +21,7 @@ class Memory(Generic[T]):
         self._known: OrderedDict[Hashable, T] = OrderedDict()
 
     def get(self, key: Hashable, make: Callable[[], T]) -> T:
-        """What is known under ``key``, or else what ``make`` returns; what it raises is not remembered."""
+        """Return the value under ``key``, or else store what ``make`` returns; what it raises is not remembered."""
         try:
             value = self._known.pop(key)
         except KeyError:

@@ -16,7 +16,7 @@ from cosim.base.errors import FlightError, InputError
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary file beside ``path`` that takes its name if all goes well and is removed if not."""
+    """Yield a temporary file beside ``path`` that takes its name if all goes well and is removed if not."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with suppress(OSError):
         temporary.unlink()  # what has the name already: a link, in a folder from elsewhere, that leads to another file
@@ -67,7 +67,7 @@ def write_records(path: Path, kind: type[Any], records: Iterable[Any]) -> None:
 
 
 def finite(record: Any) -> dict[str, Any]:
-    """A dataclass as a table that JSON can hold: None where a number is not finite."""
+    """Return a dataclass as a table that JSON can hold: None where a number is not finite."""
     values = asdict(record)
     return {name: None if isinstance(x, float) and not isfinite(x) else x for name, x in values.items()}
 
@@ -106,6 +106,6 @@ def lock(file: int) -> bool | None:
 
 
 def one_line(error: BaseException) -> str:
-    """An error in one line; of a failed system call, what the system said."""
+    """Return an error in one line; of a failed system call, what the system said."""
     text = getattr(error, "strerror", None) or (str(error).splitlines() or [type(error).__name__])[0]
     return str(text).rpartition("Detail: [errno ")[2].rpartition("] ")[2] if "Detail: [errno " in text else str(text)

@@ -14,10 +14,10 @@ def data_folder(name: str) -> Path:
 
 
 def names_in(folder: str, marker: str) -> list[str]:
-    """The names of the sub-folders of ``folder`` that hold a file called ``marker``."""
+    """Return the names of the sub-folders of ``folder`` that hold a file called ``marker``."""
     return sorted(path.parent.name for path in data_folder(folder).glob(f"*/{marker}"))
 
 
 def files_in(folder: str) -> list[str]:
-    """The names of the TOML files in ``folder``."""
+    """Return the names of the TOML files in ``folder``."""
     return sorted(path.stem for path in data_folder(folder).glob("*.toml"))

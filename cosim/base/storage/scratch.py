@@ -35,7 +35,7 @@ def scratch() -> Path:
 
 @contextmanager
 def temporary(prefix: str) -> Iterator[Path]:
-    """A new folder below :func:`scratch`, until the end of the block, or of the process however that comes.
+    """Yield a new folder below :func:`scratch`, until the end of the block, or of the process however that comes.
 
     Raises InputError where there is no place for one.
     """

@@ -39,7 +39,7 @@ class Model(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _places_over_defaults(cls, data: Any) -> Any:
-        """A table of places of a list that nobody states is written over the list's default."""
+        """Write a table whose keys are indices of a list, where the list is not stated, over the list's default."""
         if not isinstance(data, dict):
             return data
         lists = _lists(cls)
@@ -49,14 +49,14 @@ class Model(BaseModel):
 
 @cache
 def _lists(model: type[BaseModel]) -> Mapping[str, list[Any]]:
-    """The fields whose default is a tuple, with it."""
+    """Return the fields whose default is a tuple, with it as a list."""
     defaults = {name: field.default for name, field in model.model_fields.items()}
     return {name: list(default) for name, default in defaults.items() if isinstance(default, tuple)}
 
 
 @cache
 def _numeric(model: type[BaseModel]) -> frozenset[str]:
-    """The fields that are numbers, or lists of numbers, and nothing else."""
+    """Return the fields that are numbers, or lists of numbers, and nothing else."""
     annotations = {name: repr(field.annotation) for name, field in model.model_fields.items()}
     return frozenset(
         name
@@ -99,14 +99,14 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def _copy(table: Any) -> Any:
-    """A table that may be changed."""
+    """Return a deep copy of a table, which may be changed."""
     if isinstance(table, dict):
         return {key: _copy(value) for key, value in table.items()}
     return [_copy(value) for value in table] if isinstance(table, list) else table
 
 
 def toml_text(table: Mapping[str, Any], multiline: bool = False) -> str:
-    """A table as TOML; ``multiline``: texts with line ends over several lines."""
+    """Return a table as TOML; ``multiline``: texts with line ends over several lines."""
     import tomli_w
 
     return tomli_w.dumps(table, multiline_strings=multiline)
@@ -124,7 +124,7 @@ def validate(model: type[M], data: Mapping[str, Any], where: str) -> M:
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """``base`` with the leaves of ``over`` written over it; neither is changed.
+    """Return ``base`` with the leaves of ``over`` written over it; neither is changed.
 
     A table whose keys are all places in a list, counted from 0, is written over those entries of it.
     """
@@ -161,7 +161,7 @@ def parse_setting(text: str) -> tuple[list[str], Any]:
 
 
 def split_key(key: str) -> list[str]:
-    """A dotted key in its parts.
+    """Return the parts of a dotted key.
 
     The name of an engine's parameter and that of an engine's file may have dots of their own: they stay whole.
     """
@@ -256,8 +256,10 @@ def _is_off(complaint: ErrorDetails) -> bool:
 
 
 def _path(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """The keys as the file has them: pydantic names the kind of a list's entry behind its number, and of a value that
-    may be of several kinds the one that it tried.
+    """Return the keys of an error's location as the file has them.
+
+    Pydantic names the kind of a list's entry behind its number, and of a value that may be of several kinds the one
+    that it tried.
     """
     names = {submodel.__name__ for submodel in _all_models(model)}
     return [
@@ -269,7 +271,7 @@ def _path(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
 
 
 def _all_models(model: type[BaseModel]) -> set[type[BaseModel]]:
-    """A model and those below it."""
+    """Return a model and those below it."""
     models, waiting = {model}, [model]
     while waiting:
         for field in waiting.pop().model_fields.values():
@@ -284,7 +286,7 @@ def _is_kind(location: tuple[int | str, ...], part: str) -> bool:
 
 
 def _keys_beside(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """The keys that the table holding ``location`` knows."""
+    """Return the keys that the table holding ``location`` may have."""
     models: list[type[BaseModel]] = [model]
     for part in location[:-1]:
         stepped: list[type[BaseModel]] = []

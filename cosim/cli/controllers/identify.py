@@ -204,7 +204,7 @@ def _identify_log(log: FlightLog, options: FromLog) -> int:
 
 
 def print_channels(log: FlightLog) -> None:
-    """What a log holds: its remarks, and each channel with its rate and span."""
+    """Print what a log holds: its remarks, and each channel with its rate and span."""
     held = log.to_dict()
     click.echo(f"{held['log']}: {held['kind']}")
     for note in held["notes"]:
@@ -215,7 +215,7 @@ def print_channels(log: FlightLog) -> None:
 
 
 def print_from_log(identified: LogIdentification, paths: dict[str, Path]) -> None:
-    """The forms side by side, what is to be said of them, and where the files are."""
+    """Print the forms side by side, what is to be said of them, and where the files are."""
     from cosim.identify.prediction_error.result import rows, summary
 
     say(summary(identified))
@@ -233,7 +233,7 @@ def _show_side_by_side(labels: Sequence[str], rows: Sequence[Sequence[str]]) -> 
 
 
 def print_identification(identification: Identification, paths: dict[str, Path]) -> None:
-    """The models side by side, the chosen one's discrete form, how the stated one compares, and where the files are."""
+    """Print the models side by side, the discrete form of the best, how the specified one compares, and the files."""
     from cosim.identify.sweep.result import equations, fit_rows
 
     sweep, response = identification.sweep, identification.response

@@ -178,7 +178,7 @@ def _shown(scenario: Scenario, flightgear: str | None) -> Iterator[Sequence[Obse
 
 @contextmanager
 def flight_progress(scenario: Scenario, quiet: bool) -> Iterator[Sequence[Observer]]:
-    """An observer that shows how far the flight is, on a terminal; none in a pipe."""
+    """Yield an observer that shows how far the flight is, on a terminal; none in a pipe."""
     if quiet or not sys.stderr.isatty():
         yield ()
         return
@@ -206,7 +206,7 @@ def print_again(again: RepeatedFlight) -> None:
 
 
 def _others(summary: Summary) -> str:
-    """The engines of another kind, and the stations where they are."""
+    """Return the engines of another kind, and the stations where they are, as text."""
     at: dict[str, list[str]] = {}
     for number, station in enumerate(summary.stations, 1):
         if station.engine != summary.engine:

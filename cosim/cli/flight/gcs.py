@@ -84,7 +84,7 @@ class Gcs(Flight, opt.Output):
 @click.command(epilog=example("hexjet gcs --engine edf-as-flown --place 22.35,113.59 --web"))
 @opt.takes(Gcs)
 def gcs(options: Gcs) -> int:
-    """A vehicle on the ground that waits for a ground station: QGroundControl, MAVProxy, MAVSDK.
+    """Run a vehicle that waits on the ground for a ground station: QGroundControl, MAVProxy, MAVSDK.
 
     Every flight leaves a run's folder, with telemetry.tlog and with requests.jsonl: hexjet fly on its scenario.toml
     repeats it without a ground station.  Status as of hexjet fly, for the last flight: 0 completed within its
@@ -200,7 +200,7 @@ def _where(url: str) -> str:
 
 @contextmanager
 def live_line(links: Links, quiet: bool) -> Iterator[None]:
-    """A line about the flight, twice a second, on a terminal; from a thread, because a terminal may be slow."""
+    """Show a line about the flight, twice a second, on a terminal; from a thread, because a terminal may be slow."""
     if quiet or not sys.stderr.isatty():
         yield
         return

@@ -21,7 +21,7 @@ _TITLES = {"px4": "PX4", "ardupilot": "ArduPilot"}
 
 @click.group()
 def sitl() -> None:
-    """An autopilot of others flies the vehicle: a program of its own, in strict lockstep with the flight.
+    """Let an external autopilot fly the vehicle: a program of its own, in strict lockstep with the flight.
 
     Vehicle, sensors, engines, wind and faults are those of the scenario; the autopilot is in the place of the
     controller.  The run's folder has its commands in actuators.csv, and hexjet fly on its scenario.toml repeats the
@@ -245,7 +245,7 @@ class Parameters(opt.Record):
 @sitl.command(epilog=example("hexjet sitl params px4 > hexjet.params"))
 @opt.takes(Parameters)
 def params(options: Parameters) -> int:
-    """The vehicle as an autopilot's parameters, on standard output: geometry, mixing, gains, filters, sticks.
+    """Print the vehicle as an autopilot's parameters: geometry, mixing, gains, filters, sticks.
 
     What cannot be said in its parameters stands in the lines that begin with #. For Betaflight they are lines for its
     console.
@@ -312,7 +312,7 @@ def _print(done: AutopilotRun, gains: str) -> None:
 
 
 def lockstep_line(done: AutopilotRun) -> str:
-    """The counts of the lockstep in a line."""
+    """Return the counts of the lockstep in a line."""
     counts = done.counts
     missing = counts.frames - counts.boot - counts.answers
     return (

@@ -95,7 +95,7 @@ def compare(options: Compare) -> int:
 
 @looks
 def write_page(names: Sequence[str], folder: Path) -> Path:
-    """The comparison of these flights as a page in a new folder; none is flown."""
+    """Write the comparison of these flights as a page in a new folder and return its path; none is flown."""
     from cosim.results.comparison import pairs
     from cosim.results.report.comparison import write_comparison
 
@@ -106,7 +106,7 @@ def write_page(names: Sequence[str], folder: Path) -> Path:
 
 
 def _expanded(names: Sequence[str], flights: Sequence[int]) -> list[str]:
-    """The flights that are meant, one text each; a campaign's folder stands for the ``flights`` of it."""
+    """Return the flights that are meant, one text each; a campaign's folder stands for the ``flights`` of it."""
     from cosim.campaign.folder import is_campaign
 
     requested: list[str] = []
@@ -178,7 +178,7 @@ def _load_flight(letter: str, name: str) -> ComparedFlight:
 
 
 def _chosen(compared: Sequence[Pair], patterns: Sequence[str]) -> list[list[str]]:
-    """The signals of each pair's table.  Raises InputError for a pattern that is nowhere met."""
+    """Return the signals of each pair's table.  Raises InputError for a pattern that matches none."""
     from cosim.results.report.comparison import by_time
 
     for pattern in patterns:

@@ -47,14 +47,14 @@ def open_(folder: Path, port: int, browser: bool) -> int:
 
 
 def _way_to(url: str) -> Path:
-    """A page that leads there: what is on a browser's command line every account of the machine can read."""
+    """Write a page that redirects there: every account of the machine can read a browser's command line."""
     page = scratch() / "open.html"  # in a folder that nobody else may enter
     page.write_text(f'<!doctype html><meta http-equiv="refresh" content="0;url={escape(url)}">', encoding="utf-8")
     return page
 
 
 def _compared(folders: Sequence[Path], runs: Path) -> Path:
-    """A comparison of these flights in a new folder of ``runs``.  Raises InputError where some are no flights."""
+    """Compare these flights in a new folder of ``runs``.  Raises InputError where some are no flights."""
     from cosim.cli.results.compare import write_page
     from cosim.flight import new_folder
 

@@ -84,7 +84,7 @@ def print_catalogue(catalogues: dict[str, list[dict[str, Any]]]) -> None:
 
 
 def catalogue(kind: str) -> list[dict[str, Any]]:
-    """The entries of one kind, each with ``name`` and ``title``."""
+    """Return the entries of one kind, each with ``name`` and ``title``."""
     if kind in ("scenarios", "studies"):
         return [_entry(name, read_toml(data_folder(kind) / f"{name}.toml")) for name in files_in(kind)]
     if kind == "controllers":

@@ -98,7 +98,7 @@ def show(options: Show) -> int:
 
 
 def _table(kind: str, name: str) -> dict[str, Any]:
-    """The file of it as it stands; empty for a controller, which has none."""
+    """Return the content of its file; empty for a controller, which has none."""
     if kind == "controllers":
         return {}
     inside = {"aircraft": f"{name}/vehicle.toml", "engines": f"{name}/engine.toml"}.get(kind, f"{name}.toml")
@@ -120,7 +120,7 @@ def _numbers(kind: str, name: str) -> Iterator[Number]:
 
 
 def _scenario(name: str) -> Iterator[Number]:
-    """What flies, where the file leaves that to the defaults too, and what the file states."""
+    """Yield what flies, where the file leaves that to the defaults too, and what the file states."""
     from cosim.spec.scenario import Scenario
 
     scenario, table = Scenario.load(name), _table("scenarios", name)
@@ -231,7 +231,7 @@ def _engine(name: str) -> Iterator[Number]:
 
 
 def _loaded(engine: str) -> Any:
-    """An engine, measured at its own step.  Raises InputError."""
+    """Load an engine at its own step.  Raises InputError."""
     from cosim.engine import load_engine
     from cosim.engine.spec import find_source
 
@@ -255,7 +255,7 @@ def _controller(name: str) -> Iterator[Number]:
 
 
 def _stated(table: Mapping[str, Any]) -> Iterator[Number]:
-    """What a file states, a row a key; a row each for what it has several of."""
+    """Yield a row for each key of a file; one for each entry of a list of tables."""
     for key, value in table.items():
         if key in _TEXTS:
             continue

@@ -89,7 +89,7 @@ class PilotRecord:
             self._write("estimate", k, **_estimate(pilot.status))
 
     def close(self) -> None:
-        """What was said after the last step, and everything is in the file; may be called twice."""
+        """Write the messages since the last step and close the file; may be called twice."""
         if self._file >= 0:
             try:
                 self._messages()

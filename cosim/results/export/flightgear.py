@@ -74,7 +74,7 @@ def parse(address: str) -> tuple[str, int]:
 
 
 def packet(sample: Sample, where: Geodesy) -> bytes:
-    """The state of one step, as FlightGear reads it.
+    """Return the state of one step as the packet that FlightGear reads.
 
     The speed of the instruments is the true air speed; fuel, gear and controls are left at zero.
     """

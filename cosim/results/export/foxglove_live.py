@@ -71,7 +71,7 @@ class LiveExport:
     # --- a flight ---------------------------------------------------------------------------------------------
 
     def begin(self, scenario: Scenario, own: Sequence[Column] = ()) -> None:
-        """A flight begins, whose blocks show ``own``: its channels take the place of the last one's."""
+        """Start a flight whose blocks show ``own``: its channels take the place of the last one's."""
         for channel in self._channels:
             channel.close()
         self._schemas, self._channels = [], []
@@ -85,7 +85,7 @@ class LiveExport:
         self._still = next(number for number, channel in enumerate(self._channels) if channel.topic() == "/scene")
 
     def tell(self, sample: Sample) -> None:
-        """The flight at one step, to those who look; what nobody looks at is not made."""
+        """Send the flight at one step to the clients; a channel without a client is not computed."""
         looked_at = [number for number, channel in enumerate(self._channels) if channel.has_sinks()]
         if self._row is None or not looked_at:
             return
@@ -98,7 +98,7 @@ class LiveExport:
             self._channels[number].log(content, log_time=time)
 
     def draw(self, time: float) -> None:
-        """The vehicle once more, for those who have come since; ``time`` [s] of the flight."""
+        """Send the vehicle once more, for clients that came since; ``time`` [s] of the flight."""
         if self._row is not None and self._channels[self._still].has_sinks():
             stamp = round(1e9 * time)
             self._channels[self._still].log(
@@ -106,7 +106,7 @@ class LiveExport:
             )
 
     def say(self, lines: Iterable[LogLine]) -> None:
-        """What was said in the flight."""
+        """Send the lines of text of the flight."""
         for line in lines:
             _, time, number, content = self._mcap.text_of(self._log, line)
             self._channels[number].log(content, log_time=time)

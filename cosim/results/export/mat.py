@@ -88,7 +88,7 @@ def fields(names: tuple[str, ...]) -> dict[str, str]:
 
 
 def _cells(texts: list[str]) -> np.ndarray[Any, np.dtype[Any]]:
-    """A column of MATLAB cells, each with a text."""
+    """Return a column of MATLAB cells, each with a text."""
     cells = np.empty((len(texts), 1), dtype=object)
     cells[:, 0] = texts
     return cells

@@ -111,7 +111,7 @@ def _write(writer: Any, messages: Sequence[Timed]) -> None:
 
 
 def subjects(columns: Sequence[Column]) -> dict[str, list[Column]]:
-    """The columns of a log by the channel that has them; ``time_s`` is in one of its own."""
+    """Return the columns of a log by the channel that has them; ``time_s`` is in one of its own."""
     own = {column.name for column in own_columns(columns)}
     made: dict[str, list[Column]] = {}
     for column in columns:
@@ -122,7 +122,7 @@ def subjects(columns: Sequence[Column]) -> dict[str, list[Column]]:
 
 
 def channels_of(writer: Any, columns: Sequence[Column]) -> list[Channel]:
-    """The channels of a log's columns, registered."""
+    """Register and return the channels of a log's columns."""
     from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 
     made = []
@@ -154,7 +154,7 @@ def channels_of(writer: Any, columns: Sequence[Column]) -> list[Channel]:
 
 
 def _varint(number: int) -> bytes:
-    """A number as Protocol Buffers write it: seven bits a byte, the lowest first."""
+    """Return a number as Protocol Buffers write it: seven bits a byte, the lowest first."""
     made = []
     while number > 0x7F:
         made.append(number & 0x7F | 0x80)
@@ -176,7 +176,7 @@ def messages_of(channels: Sequence[Channel], block: Block, first: int) -> Iterat
 
 
 def nanoseconds(block: Block) -> list[int]:
-    """The times of a block's rows, ns from the start."""
+    """Return the times of a block's rows, ns from the start."""
     return [round(1e9 * time) for time in block["time_s"].tolist()]
 
 
@@ -186,7 +186,7 @@ def _texts(writer: Any, lines: Sequence[LogLine]) -> list[Timed]:
 
 
 def log_channel(writer: Any) -> int:
-    """The channel of what was said, registered."""
+    """Register the channel for lines of text and return its number."""
     from foxglove_schemas_protobuf.Log_pb2 import Log
     from mcap_protobuf.schema import register_schema
 
@@ -195,7 +195,7 @@ def log_channel(writer: Any) -> int:
 
 
 def text_of(channel: int, line: LogLine) -> Timed:
-    """A line of text as a message."""
+    """Return a line of text as a message."""
     from foxglove_schemas_protobuf.Log_pb2 import Log
 
     time = round(1e9 * line.time_s)

@@ -57,7 +57,7 @@ def log_lines(run: Run, lines: Sequence[ulog_autopilot.Line]) -> list[LogLine]:
 
 
 def facts(summary: Summary) -> dict[str, str]:
-    """What a run is, by names that are the same in every format."""
+    """Return what a run is, by names that are the same in every format."""
     return {
         "scenario": summary.scenario,
         "aircraft": summary.aircraft,
@@ -75,7 +75,7 @@ def facts(summary: Summary) -> dict[str, str]:
 
 
 def described(run: Run) -> list[Column]:
-    """The columns of a log with what they mean: as its file says, or as today's do where an older file is silent."""
+    """Return the columns of a log with their meanings: from its file, or as today's where an older file is silent."""
     stated = {column.name: column for column in run.log.described}
     empty = Column("", "", "", "")
     return [
@@ -87,12 +87,12 @@ def described(run: Run) -> list[Column]:
 
 
 def meaning(column: Column) -> str:
-    """Unit, frame and meaning in a line, for formats whose fields have no units."""
+    """Return unit, frame and meaning in a line, for formats whose fields have no units."""
     return f"[{column.unit}] {f'{column.frame}: ' if column.frame else ''}{column.meaning}"
 
 
 def scenario_of(run: Run) -> Scenario | None:
-    """The scenario as flown; None where that is of another version or gone, while the log is still there."""
+    """Return the scenario as flown; None where it is of another version or gone, while the log is still there."""
     try:
         scenario = run.scenario
         scenario.resolved_vehicle()
@@ -144,7 +144,7 @@ def quaternions(roll: Array, pitch: Array, yaw: Array) -> Array:
 
 @contextmanager
 def output(run: Run, path: Path) -> Iterator[Path]:
-    """A temporary file that becomes ``path`` if all goes well.  Raises InputError if it cannot be written."""
+    """Yield a temporary file that becomes ``path`` if all goes well.  Raises InputError if it cannot be written."""
     if path.name in RUN_FILES and run.folder is not None and path.resolve().parent == run.folder.resolve():
         raise InputError(f"{path}: belongs to the run itself; choose another name")
     try:

@@ -172,18 +172,18 @@ def reach(vehicle: Vehicle) -> float:
 
 
 def hover_n(vehicle: Vehicle) -> float:
-    """A jet's share of the weight, N: its arrow is as long as the vehicle reaches."""
+    """Return a jet's share of the weight [N]: its arrow is as long as the vehicle reaches."""
     return vehicle.mass_kg * GRAVITY / len(vehicle.jets)
 
 
 def along(x: float, y: float, z: float) -> tuple[float, float, float, float]:
-    """The quaternion that turns +x to this direction by a yaw and a pitch; none of it for no direction at all."""
+    """Return the quaternion that turns +x to a direction by a yaw and a pitch; the identity for no direction at all."""
     yaw, pitch = 0.5 * atan2(y, x), -0.5 * atan2(z, hypot(x, y))
     return cos(yaw) * cos(pitch), -sin(yaw) * sin(pitch), cos(yaw) * sin(pitch), sin(yaw) * cos(pitch)
 
 
 def _upwards_to(axis: Vector3) -> Quaternion:
-    """The least turn that brings a thrust along -z to a unit axis."""
+    """Return the smallest rotation that turns -z, the direction of thrust, to a unit axis."""
     x, y, z = axis
     w = sqrt(max(0.0, 0.5 * (1.0 - z)))
     if w < 1e-9:
@@ -197,14 +197,14 @@ def _position(block: Block, row: int) -> tuple[float, ...]:
 
 
 def _entity(update: SceneUpdate, name: str, frame: str, time: int) -> SceneEntity:
-    """A new entity, which takes the place of the last of its name and stays."""
+    """Add an entity, which takes the place of the last of its name and stays."""
     entity: SceneEntity = update.entities.add(id=name, frame_id=frame, frame_locked=True)
     entity.timestamp.FromNanoseconds(time)
     return entity
 
 
 def _arrow(entity: SceneEntity, at: Any, turned: Any, length: float, thickness: float, colour: Any) -> None:
-    """An arrow; none where it has no length, so that the entity says that there is none now."""
+    """Add an arrow; none where it has no length, so that the entity says that there is none now."""
     if isfinite(length) and length > 0.0:
         head = min(2.0 * thickness, 0.5 * length)
         arrow = entity.arrows.add(pose=_posed(at, turned), shaft_length=length - head, head_length=head)

@@ -104,7 +104,7 @@ _Timed = tuple[int, bytes]  # a message and its step
 
 
 def _of(lines: Sequence[ulog_autopilot.Line], names: Sequence[str]) -> list[tuple[str, list[Field]]]:
-    """The topics of the rows: with an autopilot its own words stand for what follows from the loops."""
+    """Return the topics of the rows: those of an autopilot replace what follows from the loops."""
     rows = topics(flown_in(names))
     if not any(line["kind"] == "state" for line in lines):
         return list(rows.items())
@@ -116,7 +116,7 @@ def _topic(fields: list[Field], seconds: float, step: float) -> _Topic:
 
 
 def _messages(topic: _Topic, number: int, block: Block, first: int, last: int) -> Iterator[_Timed]:
-    """The data messages of one topic in a block whose first row is step ``first``; that of the ``last`` step always."""
+    """Yield the data messages of a topic in a block from step ``first`` on; that of the ``last`` step always."""
     count = len(block["time_s"])
     steps = [*range(first + -first % topic.every, first + count, topic.every)]
     if first <= last < first + count and last % topic.every:
@@ -130,7 +130,7 @@ def _messages(topic: _Topic, number: int, block: Block, first: int, last: int) -
 
 
 def _held(estimates: ulog_autopilot.Series, first: int, count: int) -> Block:
-    """The autopilot's estimates as columns of a block: each holds until the next."""
+    """Return the autopilot's estimates as columns of a block: each holds until the next."""
     at = np.searchsorted(estimates.k, np.arange(first, first + count), side="right") - 1
     return {
         f"autopilot_{name}": np.where(at < 0, np.nan, values[np.maximum(at, 0)])
@@ -155,7 +155,7 @@ def _series_messages(pilot: Mapping[str, ulog_autopilot.Series], number: int, st
 
 
 def _keyed(numbers: Mapping[str, float]) -> dict[str, float]:
-    """The numbers that a parameter can hold, by names of the characters that a ULog's name may have."""
+    """Return the numbers that a parameter can hold, by names of the characters that a ULog's name may have."""
     named = {re.sub(r"[^A-Za-z0-9_/-]", "_", name): value for name, value in numbers.items()}
     return {
         name: value

@@ -77,7 +77,7 @@ def estimates(lines: Sequence[Line]) -> Series | None:
 
 
 def _trusted(line: Line) -> tuple[float, ...]:
-    """What is valid, height, climb and heading as estimated, deviations; NaN for what an older record does not say."""
+    """Return validity, height, climb and heading as estimated, and deviations; NaN for what an older record lacks."""
     positioned = line.get("positioned", True)
     valid, deviation = line.get("valid", {}), line.get("deviation", {})
     told = [deviation.get(name) for name in ("place_m", "speed_m_s", "height_m", "climb_m_s")]
@@ -105,7 +105,7 @@ def messages(lines: Sequence[Line]) -> list[tuple[int, int, str]]:
 
 
 def mode_changes(lines: Sequence[Line]) -> list[tuple[int, str]]:
-    """Changes of mode, arming and failsafe as lines of text, for a log's list of messages."""
+    """Return changes of mode, arming and failsafe as lines of text, for a log's list of messages."""
     changes: list[tuple[int, str]] = []
     before: Line = {}
     for line in (line_read for line_read in lines if line_read["kind"] == "state"):
@@ -118,7 +118,7 @@ def mode_changes(lines: Sequence[Line]) -> list[tuple[int, str]]:
 
 
 def parameter(name: str, value: float) -> bytes:
-    """The content of a parameter message: an int32 where the vehicle counts, else a float32."""
+    """Return the content of a parameter message: an int32 where the vehicle counts, else a float32."""
     whole = isinstance(value, int)
     key = f"{'int32_t' if whole else 'float'} {name}".encode()
     return bytes([len(key)]) + key + struct.pack("<i" if whole else "<f", value)
@@ -127,7 +127,7 @@ def parameter(name: str, value: float) -> bytes:
 def _repeated(
     lines: Sequence[Line], fields: dict[str, Callable[[Line], float]], steps: int, again: int
 ) -> Series | None:
-    """The lines' fields at each line, and again in between."""
+    """Return the lines' fields at each line, and repeated every ``again`` steps in between; None without lines."""
     if not lines:
         return None
     rows: list[tuple[int, Line]] = []

@@ -30,17 +30,17 @@ class Field(NamedTuple):
 
 
 def _columns(kind: str, name: str, *columns: str) -> Field:
-    """An array field of columns as they are."""
+    """Return an array field of columns as they are."""
     return Field(kind, name, len(columns), lambda block: np.stack([block[column] for column in columns], axis=1))
 
 
 def column(kind: str, name: str, column: str, factor: float = 1.0) -> Field:
-    """A scalar field: a column times a factor."""
+    """Return a scalar field: a column times a factor."""
     return Field(kind, name, 0, lambda block: factor * block[column])
 
 
 def _known(kind: str, name: str, *columns: str, length: int = 0) -> Field:
-    """A field of columns as they are, NaN for those that an older log has not."""
+    """Return a field of columns as they are, NaN for those that an older log has not."""
 
     def values(block: Block) -> Array:
         missing = np.full(len(block["time_s"]), np.nan)
@@ -55,23 +55,23 @@ def _constant(kind: str, name: str, value: float) -> Field:
 
 
 def _sampled() -> Field:
-    """The time of the sample: there is no delay between sampling and publishing."""
+    """Return the field of the sample's time: there is no delay between sampling and publishing."""
     return Field("uint64_t", "timestamp_sample", 0, lambda block: np.rint(1e6 * block["time_s"]))
 
 
 def _quaternion(name: str, pattern: str) -> Field:
-    """The quaternion, body to NED, of three columns of angles."""
+    """Return the quaternion field, body to NED, of three columns of angles."""
     return Field("float", name, 4, lambda block: quaternions(*(block[pattern.format(axis)] for axis in AXES)))
 
 
 def _thrust_body(block: Block) -> Array:
-    """The collective as PX4 has it: along -z, 0 to 1."""
+    """Return the collective as PX4 has it: along -z, 0 to 1."""
     still = np.zeros_like(block["collective"])
     return np.stack((still, still, -block["collective"]), axis=1)
 
 
 def _accelerometer(block: Block) -> Array:
-    """What the accelerometer gives; the true specific force stands in where a log is older than its model."""
+    """Return the accelerometer's output; the true specific force where a log is older than the sensor's model."""
     names = [f"specific_force_{axis}_measured_m_s2" for axis in _XYZ]
     if names[0] not in block:
         names = [f"specific_force_{axis}_m_s2" for axis in _XYZ]
@@ -140,7 +140,7 @@ def _rates(suffix: str) -> list[str]:
 
 
 def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
-    """What is in each topic, of a log of such a vehicle."""
+    """Return the fields of each topic, for the log of such a vehicle."""
     jets, servos, surfaces, _ = vehicle
     moved = [*servos, *surfaces]
 

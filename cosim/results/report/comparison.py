@@ -93,7 +93,7 @@ def _headline(summaries: Sequence[Summary]) -> tuple[str, str]:
 
 
 def flight_data(flight: ComparedFlight, number: int) -> tuple[dict[str, Any], dict[str, str]]:
-    """What replay and strips draw of one of several flights, in its colour."""
+    """Return the data of one of several flights for replay and strips, in its colour."""
     colour = run_colour(number)
     if flight.run is None:
         times = flight.log[TIME]
@@ -142,7 +142,7 @@ def by_time(signals: Sequence[Signal]) -> list[Signal]:
 
 
 def signal_cells(signal: Signal) -> tuple[str, str, str, str, str, str]:
-    """A signal's name, first step that differs [s], largest difference, when [s], RMS and unit, as a table has them."""
+    """Return a signal's name, first differing step [s], largest difference, its time [s], RMS and unit, as texts."""
     unit, factor = unit_shown(signal.unit)
     numbers = [signal.largest, signal.rms]
     largest, rms = (NONE if value is None else f"{factor * value:.3g}" for value in numbers)
@@ -152,12 +152,12 @@ def signal_cells(signal: Signal) -> tuple[str, str, str, str, str, str]:
 
 
 def inputs_between(first: ComparedFlight, second: ComparedFlight) -> list[tuple[str, str, str]]:
-    """What of two flights' inputs is not the same; nothing where one is a log alone."""
+    """Return what differs between two flights' inputs; nothing where one is a log alone."""
     return [] if first.run is None or second.run is None else inputs_differ(first.run, second.run)
 
 
 def comparison_rows(summaries: Sequence[Summary | None]) -> list[dict[str, Any]]:
-    """The metrics of the axes that any run commands, and of the whole flight, one row each; None has none of them.
+    """Return the metrics of the commanded axes and of the whole flight, a row each; a summary of None has none.
 
     The least of a row is marked where all fly the same scenario: of different ones it would say nothing.
     """
@@ -204,7 +204,7 @@ def run_labels(summaries: Sequence[Summary]) -> list[str]:
 
 
 def _link(run: Run, path: Path) -> str:
-    """The run's own report as seen from a page, if it is there."""
+    """Return the relative path from a page to the run's own report, or an empty string."""
     if run.folder is None or not (run.folder / REPORT).is_file():
         return ""
     return Path(os.path.relpath(run.folder / REPORT, path.parent)).as_posix()

@@ -57,7 +57,7 @@ def _delay(report: CheckReport, way: str) -> float:
 
 
 def _mark(report: CheckReport, way: str, colour: str) -> Figure:
-    """A dotted line where the delay ends."""
+    """Return a dotted line where the delay ends."""
     at = _delay(report, way)
     line = {"color": colour, "width": 1.2, "dash": "dot"}
     return {"type": "line", "x0": at, "x1": at, "yref": "paper", "y0": 0.0, "y1": 1.0, "line": line}

@@ -109,7 +109,7 @@ def verdict_badge(summary: Summary) -> tuple[str, str]:
 
 
 def verdict(summary: Summary) -> str:
-    """What came of the flight, in one or two sentences."""
+    """Describe the outcome of the flight in a few sentences."""
     flown = f"{summary.duration_s:.2f} s"
     if summary.outcome == "completed":
         parts = [f"Flew all {flown}{', but beyond its limits' if summary.beyond else ''}."]
@@ -169,9 +169,7 @@ def axis_limits_line(summary: Summary) -> str:
 
 
 def whole_rows(summary: Summary) -> list[dict[str, Any]]:
-    """What is measured of the whole flight, as far as this one can tell: label, value, unit, limit, and whether it is
-    beyond that.
-    """
+    """Return the metrics of the whole flight that are known: label, value, unit, limit, and whether it is exceeded."""
     flat, rows = summary.flat_metrics, []
     for name, digits in WHOLE_ROWS:
         of, value, most = metric(name), flat.get(name), summary.limits.get(name)
@@ -190,7 +188,7 @@ def whole_rows(summary: Summary) -> list[dict[str, Any]]:
 
 
 def event_rows(events: Sequence[Event]) -> list[dict[str, str]]:
-    """What happened, as texts: when, until when, of which kind, and what."""
+    """Return the events as texts: start and end [s], kind and text."""
     return [
         {
             "time": f"{event.time_s:.3f}",
@@ -204,7 +202,7 @@ def event_rows(events: Sequence[Event]) -> list[dict[str, str]]:
 
 
 def expectation_rows(summary: Summary) -> list[dict[str, Any]]:
-    """What was expected, what came of it, and whether that is good enough."""
+    """Return what was expected, the value of this flight, and whether it is good enough, a row each."""
     expectation = summary.expectation
     if expectation is None:
         return []
@@ -258,7 +256,7 @@ def ledgers(summary: Summary) -> list[AxisLedger]:
 
 
 def jet_drawing(summary: Summary) -> list[dict[str, Any]]:
-    """The jets seen from above, nose up, in a square of 100 by 100."""
+    """Return the jets seen from above, nose up, in a square of 100 by 100."""
     if not summary.jets_m:
         return []
     reach = max(max(abs(x), abs(y)) for x, y, _ in summary.jets_m) or 1.0

@@ -74,7 +74,7 @@ def _setpoint(column: str) -> Trace:
 
 
 def _followed(name: str, si: str, unit: str, scale: float, least_span: float) -> Panel:
-    """A quantity of which a set-point is followed: as measured, true, and asked for; its columns end with ``si``."""
+    """Return the panel of a quantity and its set-point: measured, true, and asked for; its columns end with ``si``."""
     traces = [
         Trace(f"{name}_measured_{si}", "measured", ORANGE, width=1.2),
         Trace(f"{name}_{si}", "true", BLUE),
@@ -120,7 +120,7 @@ RATE = [
 
 
 def _tilt(log: Log) -> list[Panel]:
-    """What servos do: banks and hinges, and surfaces."""
+    """Return the panels of servos: banks and hinges, and surfaces."""
     angles = [
         Panel(
             f"{name.capitalize().replace('_', ' ')} servo",
@@ -143,7 +143,7 @@ def _tilt(log: Log) -> list[Panel]:
 
 
 def _efforts(log: Log) -> list[Panel]:
-    """What the loops ask for, in the units of the vehicle's allocation."""
+    """Return the panels of what the loops ask for, in the units of the vehicle's allocation."""
     if not any(column.name == "torque_roll" and column.unit == "rad/s^2" for column in log.described):
         return EFFORT
     return [EFFORT[0], *(Panel(axis.capitalize(), "rad/s²", _effort(axis), least_span=0.5) for axis in AXES)]
@@ -207,7 +207,7 @@ TANK = Panel("Fuel on board", "kg", [Trace("fuel_kg", "fuel", BLUE)])
 
 
 def run_figures(log: Log, summary: Summary) -> dict[str, Figure]:
-    """The strips of one run that its page shows at first, by the name of their place: panels and their signals.
+    """Return the strips of one run that its page shows at first, by their figure's name: panels and their signals.
 
     ``shared``: one scale for all panels.  ``equal``: cross-plots with both axes to one scale, east and north.
     """
@@ -251,7 +251,7 @@ def strips(reader: Reader, panels: Sequence[Panel]) -> Figure:
 
 
 def _strip(panel: Panel, traces: Sequence[tuple[int, Trace]]) -> dict[str, Any]:
-    """A panel with these traces, each of the run of that number."""
+    """Return a panel with these traces, each of the run of that number."""
     return {
         "title": panel.title,
         "unit": panel.unit,
@@ -274,7 +274,7 @@ def _strip(panel: Panel, traces: Sequence[tuple[int, Trace]]) -> dict[str, Any]:
 
 
 def engine_panels(reader: Reader) -> list[Panel]:
-    """What the engines report beside their thrust, their spools' moment and the tank, as far as there is any of it."""
+    """Return the panels of engine reports other than thrust, spools' moment and tank, where there are any."""
     panels = []
     jets = range(1, jets_in(reader.log.columns) + 1)
     for title, unit, pattern, scale in ENGINES:
@@ -290,8 +290,9 @@ def engine_panels(reader: Reader) -> list[Panel]:
 
 
 def comparison_figures(flights: Sequence[ComparedFlight], less: Mapping[int, Log]) -> dict[str, Figure]:
-    """The strips of several flights: attitudes, rates, efforts, heights and tracks, each over the others, and what each
-    is less the first; figures of columns that no log has are left out.
+    """Return the strips of several flights: attitudes, rates, efforts, heights and tracks, each over the others.
+
+    What each is less the first is among them.  Figures of columns that no log has are left out.
 
     ``less``: by the number of a flight its :func:`less_the_first`, on the page as runs after the flights, in order.
     """
@@ -326,8 +327,10 @@ def comparison_figures(flights: Sequence[ComparedFlight], less: Mapping[int, Log
 
 
 def less_the_first(flights: Sequence[ComparedFlight]) -> dict[int, MemoryLog]:
-    """By the number of each further flight: its true attitude [rad] and height [m] less those of the first, and how far
-    both are from each other, level [m], at the times that both have; as far as both have the columns.
+    """Return the differences of each further flight from the first, by its number.
+
+    They are of true attitude [rad], height [m] and level distance [m], at the times that both flights have; as far as
+    both have the columns.
     """
     first, differences = flights[0].log, {}
     level = ("north_m", "east_m")
@@ -402,14 +405,14 @@ class Reader:
 
     @classmethod
     def of(cls, flight: ComparedFlight) -> Reader:
-        """A reader of a flight that is compared."""
+        """Return a reader of a flight that is compared."""
         if flight.run is not None:
             return cls(flight.log, flight.run.summary.step_s)
         times = flight.log[TIME]
         return cls(flight.log, step_of(times), times)
 
     def xy(self, values: Array) -> Figure:
-        """The x and y of a trace for one value a row."""
+        """Return the x and y of a trace for one value a row."""
         rows = thinned(values)
         if self._times is not None:
             x, y = (self._times, values) if rows is None else (self._times[rows], values[rows])
@@ -427,14 +430,14 @@ class Reader:
         return column in self.log.columns and bool(np.any(np.isfinite(self.log[column])))
 
     def upsets(self) -> list[tuple[float, float]]:
-        """The times at which something disturbs the vehicle, wind apart."""
+        """Return the intervals [s] in which something disturbs the vehicle, wind apart."""
         disturbed = np.zeros(len(self.log), dtype=bool)
         for column in _UPSETS:
             disturbed |= self.log[column] != 0.0
         return self.stretches(disturbed)
 
     def stretches(self, mask: NDArray[np.bool_]) -> list[tuple[float, float]]:
-        """The times between which a mask is true, gaps of less than 0.1 s closed; none if there are too many to see."""
+        """Return the intervals [s] of a mask, gaps of less than 0.1 s closed; none if there are too many to see."""
         edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
         starts, ends = edges[::2] * self.step_s, edges[1::2] * self.step_s
         apart = starts[1:] - ends[:-1] >= 0.1
@@ -445,8 +448,10 @@ class Reader:
 
 
 def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp] | None:
-    """The rows to draw, at most ``most``: the first, the last, and the least and the greatest of each of many equal
-    stretches, so that no peak is lost; None for all rows.  A stretch without a number stays a gap.
+    """Return the rows to draw, at most ``most``, so that no peak is lost; None for all rows.
+
+    They are the first, the last, and the least and the greatest of each of many equal stretches.  A stretch without a
+    number stays a gap.
     """
     if values.size <= most:
         return None
@@ -479,8 +484,9 @@ def stacked(reader: Reader, panels: Sequence[Panel]) -> Figure:
 def over(
     readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str
 ) -> list[tuple[Panel, list[tuple[int, Trace]]]]:
-    """Panels above each other; in each the trace ``which`` of every run that has it, by the run's number, and the
-    set-point: the longest run's where the others ask for the same as long as they last, else each run's own.
+    """Return panels above each other, each with the trace ``which`` of every run that has it, by the run's number.
+
+    The set-point is the longest run's where the others ask for the same as long as they last, else each run's own.
     """
     longest = max(range(len(readers)), key=lambda run: len(readers[run].log))
     drawn = []
@@ -507,7 +513,7 @@ def over(
 
 
 def overlaid(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str) -> Figure:
-    """The same as a figure of Plotly."""
+    """Return the panels of :func:`over` as a figure of Plotly."""
     figures = over(readers, labels, panels, which)
     data = [_line(readers[run], panel, n, trace) for n, (panel, traces) in enumerate(figures) for run, trace in traces]
     return {"data": _named_once(data), "layout": _stacked_layout([panel for panel, _ in figures], data)}
@@ -524,7 +530,7 @@ def _asks_as(reader: Reader, other: Reader, column: str) -> bool:
 
 
 def thrust_panels(summary: Summary) -> list[Panel]:
-    """A panel for each jet, where the jet sits: the thrust at rest for its throttle, and the thrust it delivered."""
+    """Return a panel for each jet, front to back: the thrust at rest for its throttle, and the thrust delivered."""
     curves = thrust_curves(summary)
     return [
         Panel(
@@ -578,7 +584,7 @@ def jet_rows(jets_m: Sequence[Sequence[float]]) -> tuple[tuple[int, ...], ...]:
 
 
 def _line(reader: Reader, panel: Panel, number: int, trace: Trace) -> Figure:
-    """A trace in the panel with this number, counted from 0."""
+    """Return a trace in the panel with this number, counted from 0."""
     return _values(reader, panel.scale * reader.log[trace.column], panel, trace) | {"yaxis": axis_name("y", number)}
 
 

@@ -52,8 +52,10 @@ def render(
     shared: Path | None = None,
     **values: Any,
 ) -> None:
-    """Write the page of ``template``, a file beside others that it may include, with ``values``, ``figures`` (dicts
-    of Plotly's schema) and ``flights``.  Raises FlightError if the file cannot be written.
+    """Write the page of ``template`` with ``values``, ``figures`` and ``flights``.
+
+    ``template`` may include files beside it, and ``figures`` are dicts of Plotly's schema.  Raises FlightError if the
+    file cannot be written.
 
     ``shared``: the folder that gets what draws ``flights``, once for all pages; None: it is in the page.
     """
@@ -90,7 +92,7 @@ def licence_file(part: str) -> str:
 
 
 def flight_parts(flights: Flights, path: Path, shared: Path | None) -> dict[str, Any]:
-    """What the page's script elements for ``flights`` hold; the library of three dimensions deflated, as the data."""
+    """Return the contents of the page's script elements for ``flights``; three.js is deflated, as the data."""
     told = {"name": flights.name, "runs": [said for said, _ in flights.runs], "figures": flights.figures}
     data = [(f"data-{n}-{name}", text) for n, (_, data) in enumerate(flights.runs) for name, text in data.items()]
     parts: dict[str, Any] = {"told": figure_json(told), "data": data, "shared": None}
@@ -105,7 +107,7 @@ def flight_parts(flights: Flights, path: Path, shared: Path | None) -> dict[str,
 
 
 def shared_assets(folder: Path) -> Path:
-    """The folder within ``folder`` that has what pages share, by its hash; what is not there is written.
+    """Return the folder within ``folder`` that has what pages share, by its hash; what is not there is written.
 
     Raises FlightError if that is not possible.
     """
@@ -129,12 +131,12 @@ def _asset(name: str) -> str:
 
 @cache
 def deflated(path: Path) -> str:
-    """A file of the package, deflated, as base64."""
+    """Return a file of the package, deflated, as base64."""
     return base64.b64encode(zlib.compress(path.read_bytes(), 9)).decode()
 
 
 def drawn(figure: dict[str, Any]) -> Any:
-    """A figure as Plotly's own, which a notebook draws.  Raises InputError where Plotly is not installed."""
+    """Return a figure as Plotly's own, which a notebook draws.  Raises InputError where Plotly is not installed."""
     try:
         from plotly.graph_objects import Figure
     except ImportError:
@@ -143,7 +145,7 @@ def drawn(figure: dict[str, Any]) -> Any:
 
 
 def figure_json(figure: dict[str, Any]) -> str:
-    """A figure as JSON that may stand in a script element; arrays in Plotly's base64 form, bit for bit."""
+    """Return a figure as JSON that may stand in a script element; arrays in Plotly's base64 form, bit for bit."""
     text = json.dumps(figure, default=_array_json, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 

@@ -17,7 +17,7 @@ HOVER = {"hovermode": "x unified"}  # of a layout: all curves at the pointer's p
 
 
 def run_colour(number: int) -> str:
-    """The colour of the n-th of several runs."""
+    """Return the colour of the n-th of several runs."""
     return RUN_COLOURS[number % len(RUN_COLOURS)]
 
 
@@ -39,7 +39,7 @@ def share(position: int, count: int, gap: float, *, from_top: bool = True) -> tu
 
 
 def trace(label: str, colour: str, x: ArrayLike, y: ArrayLike, panel: int = 0, **more: Any) -> Figure:
-    """A line in one of the panels, which share the horizontal axis."""
+    """Return a line in one of the panels, which share the horizontal axis."""
     drawn: Figure = {
         "type": "scatter",
         "mode": "lines",

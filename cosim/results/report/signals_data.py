@@ -49,7 +49,7 @@ class Packed(NamedTuple):
 
 
 def packed(values: Array) -> Packed | None:
-    """A column packed; None where it has no number at all."""
+    """Pack a column; return None where it has no number at all."""
     known = np.isfinite(values)
     if not known.any():
         return None
@@ -73,7 +73,7 @@ def packed(values: Array) -> Packed | None:
 
 
 def step_of(values: Array, low: float, high: float) -> float:
-    """The power of two that a column of numbers between ``low`` and ``high`` is rounded to."""
+    """Return the power of two that a column of numbers between ``low`` and ``high`` is rounded to."""
     if max(abs(low), abs(high)) < _MOST and np.array_equal(values, np.rint(values)):
         return 1.0
     first, last = np.percentile(values, (1.0, 99.0))
@@ -84,7 +84,7 @@ def step_of(values: Array, low: float, high: float) -> float:
 
 
 def unpacked(column: Packed, rows: int) -> Array:
-    """What a page makes of a packed column: the inverse of :func:`packed`."""
+    """Return the values of a packed column as a page restores them: the inverse of :func:`packed`."""
     if not column.data:
         return np.full(rows, column.base)
     raw = np.frombuffer(zlib.decompress(base64.b64decode(column.data)), dtype=np.uint8)
@@ -135,7 +135,7 @@ def run_data(
     upsets: Sequence[tuple[float, float]] = (),
     reach: Reach | None = None,
 ) -> tuple[dict[str, Any], dict[str, str]]:
-    """What a page says of a run, as JSON has it, and its columns' data by name.
+    """Return what a page says of a run, as JSON has it, and its columns' data by name.
 
     ``times`` are those of the rows where they are not 0, ``step_s``, ...; ``derived`` are columns that the log has not;
     ``upsets`` the times when something disturbs the flight as the log has it; ``reach`` that by which the flight's
@@ -195,7 +195,7 @@ def _banded(event: Event) -> bool:
 
 
 def vehicle_of(run: Run) -> Vehicle | None:
-    """The vehicle of a run; None where its scenario is of another version, or gone."""
+    """Return the vehicle of a run; None where its scenario is of another version, or gone."""
     try:
         vehicle: Vehicle = run.scenario.resolved_vehicle()[0]
     except (InputError, FlightError, OSError):
@@ -204,7 +204,7 @@ def vehicle_of(run: Run) -> Vehicle | None:
 
 
 def shape(vehicle: Vehicle) -> dict[str, Any]:
-    """What is drawn of a vehicle, m and rad in the body frame: from ``vehicle.toml``.
+    """Return what is drawn of a vehicle, m and rad in the body frame: from ``vehicle.toml``.
 
     A jet has its place and its thrust's direction, both with all hinges at zero, and what turns it from the body
     outwards: the column of the angle, a point of the axis, the axis, and whether it turns the thrust alone.  A panel
@@ -247,14 +247,15 @@ def shape(vehicle: Vehicle) -> dict[str, Any]:
 
 
 def _places(jets_m: Sequence[Sequence[float]]) -> dict[str, Any]:
-    """A vehicle of which no more is known than where its jets are."""
+    """Return a vehicle of which no more is known than the positions of its jets."""
     jets = [{"position": list(place), "axis": UP, "turns": []} for place in jets_m]
     return {"name": "", "title": "", "mass": None, "jets": jets, "contacts": [], "panels": []}
 
 
 def _saturated(log: Log, reach: Reach | None, step_s: float) -> list[tuple[float, float | None]]:
-    """When the flight was in saturation, as its metric counts it; where that changes more than ``MOST_BANDS`` times,
-    the shortest gaps are closed.
+    """Return the intervals [s] in which the flight was in saturation, as its metric counts it.
+
+    Where that changes more than ``MOST_BANDS`` times, the shortest gaps are closed.
     """
     if not {"on_ground", "hull_contact", *REFUSED}.issubset(log.columns):  # of another tool
         return []

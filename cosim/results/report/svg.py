@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 
 
 def begun(name: str, width: float, height: float, style: str) -> ET.Element:
-    """The root of a drawing [px] with its title and its style sheet."""
+    """Return the root of a drawing [px] with its title and its style sheet."""
     root = ET.Element("svg", xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {width:g} {height:g}", role="img")
     ET.SubElement(root, "title").text = name
     ET.SubElement(root, "style").text = style
@@ -19,5 +19,5 @@ def text(root: ET.Element, x: float, y: float, words: str, kind: str, anchor: st
 
 
 def ended(root: ET.Element) -> str:
-    """The document."""
+    """Return the document as text."""
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"

@@ -29,7 +29,7 @@ STYLE = (
 
 
 def three_views(vehicle: Vehicle) -> str:
-    """The drawing: jets with their numbers, thrust and reach of tilts, panels, legs, hull, centre of gravity, a scale.
+    """Draw jets with their numbers, thrust and reach of tilts, panels, legs, hull, centre of gravity, and a scale.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def _along(place: Vector3, axis: Vector3, length: float) -> Vector3:
 
 
 def _hull(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """The convex polygon around points, by Andrew's monotone chain."""
+    """Return the convex polygon around points, by Andrew's monotone chain."""
     ordered = sorted(set(points))
 
     def half(part: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -168,7 +168,7 @@ def _hull(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def _ruler(root: ET.Element, scale: float, reach: float) -> None:
-    """A length that is easily read, drawn to scale."""
+    """Draw a length that is easily read, to scale."""
     length = max(step for step in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0) if step <= max(reach, 0.01))
     y = TITLE + VIEW + TITLE - 14
     ET.SubElement(
