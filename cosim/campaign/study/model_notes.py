@@ -1,4 +1,4 @@
-"""What is said before a study is flown of identified models that its flights do not keep: once, whatever varies."""
+"""What is said before a study is flown of models and designs that its flights do not keep: once, whatever varies."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from cosim.campaign.study.keys import Value
 from cosim.campaign.study.plan import Flight, flights, scenario_of
 from cosim.campaign.study.study import Study
 from cosim.control.predictors.registry import PREDICTORS
+from cosim.simulation.controllers.controller_file import design_notes
 from cosim.simulation.engines import engines_of
 from cosim.simulation.model_agreement import ModelAgreement, flown_agreements
+from cosim.spec.scenario import flown_parameters
 
 LOOKED_AT = 1000  # flights whose values are compared for the ends of what varies: they cost nothing to draw
 UNSEEN = ("mismatch.", "command.", "controller_parameters.")  # of keys that change neither model nor stated vehicle
@@ -46,6 +48,24 @@ def model_notes(study: Study) -> list[str]:
         f"{agreement.note}; that is flight {flight.number}, the farthest off of {noted} among {looked_at} at the ends "
         "of what varies"
     ]
+
+
+def designs_off(study: Study) -> list[str]:
+    """Return what is said of the designs that a study flies: a proof that failed, another engine that one is for.
+
+    Of the first draw with each controller; one that cannot be built is passed over, and is a row of the campaign.
+    """
+    if study.autopilot is not None:
+        return []
+    planned, notes = flights(study), []
+    for number in range(len(study.controller_names)):
+        try:
+            scenario = scenario_of(study, planned[number])
+            vehicle, _ = scenario.resolved_vehicle()
+            notes += design_notes(flown_parameters(scenario), engines_of(scenario, vehicle)[0])
+        except (InputError, FlightError):
+            continue
+    return list(dict.fromkeys(notes))
 
 
 def _ends(study: Study) -> Iterator[Flight]:

@@ -87,14 +87,14 @@ def sweep(options: Sweep) -> int:
     from cosim.campaign.analysis.page import write_campaign_report
     from cosim.campaign.analysis.summary import campaign_summary
     from cosim.campaign.run import opened, run_campaign, workers_at
-    from cosim.campaign.study.model_notes import model_notes
+    from cosim.campaign.study.model_notes import designs_off, model_notes
 
     settings = options.study_settings()
     if options.keys is not None:
         return _list_keys(settings, options.keys, options)
     drawn = options.chosen("vary", "runs", "repeats", "design", "controllers", "correlate", "success", "seed")
     study, folder = opened(options.name, options.out, options.resume, settings=settings, **drawn)
-    notes = (*study.notes(), *model_notes(study)) if study is not None else ()
+    notes = (*study.notes(), *designs_off(study), *model_notes(study)) if study is not None else ()
     with output_to_stderr(options.as_json), sweep_progress(folder, quiet=options.as_json) as tell:
         with workers_at(options.workers, options.cluster, options.time_limit) as flying:
             for text in notes:

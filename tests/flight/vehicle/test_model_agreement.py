@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 from command_tools import Hexjet
-from places import DOCS
+from places import DOCS, ROOT
 
 from cosim import Scenario, fly
-from cosim.campaign.study.model_notes import model_notes
+from cosim.campaign.study.model_notes import designs_off, model_notes
 from cosim.campaign.study.options import open_study
 from cosim.campaign.surveys.aircraft_check import check_aircraft
 from cosim.simulation.build import build
@@ -259,6 +259,14 @@ def test_a_study_says_it_once() -> None:
     assert "the farthest off of 2 among 3 at the ends of what varies" in note
     quiet = open_study("roll-doublet", vary=["mismatch.delay_samples=0:20"], runs=5)
     assert model_notes(quiet) == []
+
+
+def test_a_study_says_which_design_is_for_another_engine() -> None:
+    design = str(ROOT / "tests" / "designs" / "edf.toml")
+    study = open_study("roll-doublet", controllers=[design, "smith"], vary=["environment.ground_m=0:10"], runs=2)
+    (note,) = designs_off(study)
+    assert note.startswith("edf.toml: designed for engine edf (")
+    assert designs_off(open_study("roll-doublet", controllers=["smith"], vary=["mismatch.delay_samples=0:20"])) == []
 
 
 def test_an_edit_after_new_is_not_fit_to_fly(hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch) -> None:
