@@ -18,7 +18,7 @@ from cosim.spec.vehicle import RateModel
 
 
 def controller_table(design: Design) -> dict[str, Any]:
-    """The file's content.  Raises InputError for a design that was not found."""
+    """Return the content of a controller file as a table.  Raises InputError for a design that was not found."""
     if not design.ok:
         raise InputError(f"no acceptable design: {design.reason}")
     chosen = {axis: axis_design.after for axis, axis_design in design.axes.items() if axis_design.after is not None}
@@ -127,12 +127,12 @@ def _all_rounded(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _rounded(value: float) -> float:
-    """Six digits: more are not meant."""
+    """Round to six significant digits, which is as exact as a gain is meant."""
     return float(f"{value:.6g}")
 
 
 def _model(channel: Channel, chosen: Assessment, design: Design) -> RateModel:
-    """Without the delay that the controller adds itself, of which the flight tells the predictor."""
+    """Return the predictor's model without the delay that the controller adds: the flight reports that to the predictor."""
     own = chosen.tuning.model
     known = {"source": design.model_source, "engine_sha256": design.engine.fingerprint}
     return own.model_copy(update={"delay_samples": own.delay_samples - channel.added_delay, **known})

@@ -237,7 +237,7 @@ def design(
 
 
 def needed(axis: str, need: Requirements) -> Requirements:
-    """What is asked of one channel: a bandwidth of roll and pitch alone."""
+    """Return the requirements of one channel: those of the design, with a least bandwidth for roll and pitch alone."""
     return need if axis in ("roll", "pitch") else need.model_copy(update={"min_bandwidth_hz": 0.0})
 
 
@@ -267,7 +267,7 @@ def _burn(
     scheduled: bool,
     say: Say,
 ) -> tuple[Schedule | None, list[LevelDesign], str]:
-    """The schedule, where one is needed, every level, and what is wrong with them."""
+    """Return the gain schedule (None where none is needed), the design at each fuel level, and why it fails (or "")."""
     full = {
         axis: axis_design.after.tuning
         for axis, axis_design in axes.items()
@@ -308,7 +308,7 @@ def _burn(
 def _begin(
     start: Path, plants: Mapping[str, Channel], aircraft: str, vehicle: Vehicle, spec: EngineSpec
 ) -> dict[str, dict[float, Tuning]]:
-    """Where a search begins that goes on from a controller file: by axis, and by fuel."""
+    """Return the tunings of a controller file from which a search goes on: by axis, then by fraction of fuel."""
     file = read_controller(start, aircraft)
     stated = merge(file.vehicle, {"mass_kg": vehicle.mass_kg})
     designed, _ = load_vehicle(aircraft, stated, f"{start}: vehicle")
@@ -329,7 +329,7 @@ def _begin(
 
 
 def _again(channel: Channel, asked: _Asked, roll: Tuning | None, start: Tuning) -> AxisDesign:
-    """An axis from where a search begins, with the candidate that it has there."""
+    """Design an axis by a search that begins at ``start``, with the candidate that ``start`` has."""
     axis, vehicle, need = channel.name, asked.vehicle, needed(channel.name, asked.need)
     asked.say(f"{axis}: {start.controller}")
     model, predictor = believed(channel, asked.source), roll.predictor if roll else start.predictor
@@ -345,13 +345,13 @@ def _again(channel: Channel, asked: _Asked, roll: Tuning | None, start: Tuning) 
 
 
 def believed(channel: Channel, source: str) -> RateModel:
-    """A channel's model as its predictor has it: the flight adds to it the delay that the controller adds itself."""
+    """Return a channel's model as its predictor has it in flight, with the delay that the controller adds itself."""
     own = channel.model(source)
     return own.model_copy(update={"delay_samples": own.delay_samples + channel.added_delay})
 
 
 def _scenario(engine: str, aircraft: str, settings: Sequence[str]) -> tuple[Scenario, Vehicle]:
-    """Hover with this engine, at the sample time of the aircraft's own models."""
+    """Return the scenario of a hover with this engine and its aircraft, at the sample time of the aircraft's models."""
     table: dict[str, Any] = {"name": "design", "duration_s": 1.0}
     table["aircraft"] = aircraft_seen_from(aircraft, Path())
     table["engine"] = file_seen_from(engine, Path())
@@ -366,7 +366,7 @@ def _scenario(engine: str, aircraft: str, settings: Sequence[str]) -> tuple[Scen
 
 
 def identify_there(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, amplitude: float | None) -> Identification:
-    """The engine's response around hover."""
+    """Identify the engine around the throttle of hover."""
     throttle = throttle_for(spec, vehicle)
     if amplitude is None:
         # an engine that never stands still has to be moved by more than it moves by itself
@@ -376,7 +376,7 @@ def identify_there(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, ampli
 
 
 def dynamics_of(identified: Identification, unsure: tuple[tuple[float, float], ...] = ()) -> Dynamics:
-    """One lag and a delay, as identified; where that does not follow the response, what does, and what it leaves."""
+    """Return the identified lag and delay, or larger dynamics with their misfit where these miss the response."""
     model = identified.chosen.model
     if identified.chosen.misfit <= MISFIT and model.rate > 0.0:
         one = lags([1.0 / model.rate], model.delay_samples, model.step)
@@ -386,7 +386,7 @@ def dynamics_of(identified: Identification, unsure: tuple[tuple[float, float], .
 
 
 def throttle_for(spec: EngineSpec, vehicle: Vehicle) -> float:
-    """The throttle at which each engine carries its part of the weight."""
+    """Return the throttle, 0 to 1, at which each engine carries its part of the weight."""
     curve = spec.curve
     thrust = curve.thrust[0] + hover_share(vehicle, spec) * (curve.thrust[-1] - curve.thrust[0])
     return float(np.interp(thrust, curve.thrust, curve.throttle))
@@ -410,12 +410,12 @@ class _Asked:
 
 
 def _follows_roll(axis: str, vehicle: Vehicle) -> bool:
-    """Jets that tilt give pitch and yaw by servo; rotors give them like roll, through the same predictor."""
+    """Return whether an axis flies through roll's predictor: pitch and yaw of rotors, but not of jets that tilt."""
     return axis in ("pitch", "yaw") and vehicle.allocation == "rotors"
 
 
 def _there(firmware: Firmware | None, axis: str, roll: Tuning | None) -> Firmware | None:
-    """The autopilot's loop on another axis, with what roll has chosen for all; the height is held by ours."""
+    """Return the autopilot's loop on another axis, with what roll has chosen for all; None for the height."""
     if firmware is None or axis == "altitude":
         return None
     smooth = roll.gains.d_filter_s if roll is not None and firmware.common_filter else None
@@ -424,7 +424,7 @@ def _there(firmware: Firmware | None, axis: str, roll: Tuning | None) -> Firmwar
 
 
 def _axis(channel: Channel, asked: _Asked, roll: Tuning | None) -> AxisDesign:
-    """The best candidate on an axis, tuned; ``roll`` is what roll has chosen, None where nothing, and for itself."""
+    """Tune all candidates on an axis and take the best; ``roll`` is the tuning of roll, None for roll itself."""
     axis, vehicle, say, need = channel.name, asked.vehicle, asked.say, needed(channel.name, asked.need)
     predicted = roll is not None and _follows_roll(axis, vehicle)
     names = asked.names if axis == "roll" else (roll.controller if predicted and roll else BASELINE.name,)
@@ -460,7 +460,7 @@ def _axis(channel: Channel, asked: _Asked, roll: Tuning | None) -> AxisDesign:
 
 
 def _simplest(objectives: Mapping[str, float]) -> str:
-    """The first of the candidates, which are in the order of what they take, that is as good as the best.
+    """Return the name of the first candidate, in the order of what they take, that is as good as the best.
 
     Those with a lead only where it pays.
     """
@@ -473,7 +473,7 @@ def _simplest(objectives: Mapping[str, float]) -> str:
 
 
 def shipped(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
-    """The aircraft's own gains on a channel, with Smith's predictor where it states a model for the engine."""
+    """Return the aircraft's own gains on a channel, with Smith's predictor where it has a model of the engine."""
     control = vehicle.control
     lead = getattr(control.lead, channel.name, None) or None
     if channel.name == "altitude":
@@ -492,7 +492,7 @@ def shipped(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
 
 
 def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
-    """Everything that is reported of a tuning, with more points than the search takes."""
+    """Compute everything that is reported of a tuning, at more frequencies than the search takes."""
     closed = ClosedLoop(FrequencyGrid(channel, close=FINE), tuning)
     if closed.unstable_poles:
         return Assessment(tuning.controller, tuning, False, *[None] * 10)
@@ -523,7 +523,7 @@ def margins(closed: ClosedLoop) -> LeastMargins:
 
 
 def _limits(channel: Channel, after: Assessment, need: Requirements, lead: EngineLead | None) -> dict[str, float]:
-    """The bandwidth that the same controller would reach without one of its limits."""
+    """Compute the bandwidth, Hz, that the same controller would reach without each limit, by the limit's name."""
     free = need.model_copy(update={"min_bandwidth_hz": 0.0})
     kept = lead if after.tuning.lead else None
     cases: dict[str, tuple[Channel, Requirements]] = {"delay": (channel.with_delay(0.0), free)}
@@ -540,7 +540,7 @@ def _limits(channel: Channel, after: Assessment, need: Requirements, lead: Engin
 
 
 def tolerance_checks(channel: Channel, tuning: Tuning, need: Requirements) -> dict[str, bool]:
-    """Stable at every whole sample of the delay's tolerance times a grid of gains; and with lags 30 % off."""
+    """Check that a loop is stable at all tolerated whole samples of delay and gains, and with lags 30 % off."""
     wide = need.delay_samples(channel.transport_samples)
     own = channel.actuator_delay
     delays = sorted({max(0.0, own - wide), own, own + wide, *_whole(own - wide, own + wide)})
@@ -588,7 +588,7 @@ def _why_not(axes: Mapping[str, AxisDesign], need: Requirements) -> str:
 def _allowing(
     roll: AxisDesign, names: Sequence[str], need: Requirements, say: Say, with_lead: bool
 ) -> dict[str, float]:
-    """The longest delay, and the largest part of the lags, with which roll could keep the requirements."""
+    """Return the longest delay, s, and the largest factor of the lags with which roll could keep the requirements."""
     channel = roll.channel
     if roll.after is not None:
         return {}
@@ -612,7 +612,7 @@ def _allowing(
 
 
 def _largest(works: Callable[[float], bool]) -> float | None:
-    """The largest part of 1 that works, by bisection; None if 0 does not."""
+    """Return the largest factor from 0 to 1 that works, found by bisection; None if 0 does not."""
     if not works(0.0):
         return None
     low, high = 0.0, 1.0

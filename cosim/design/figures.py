@@ -17,7 +17,7 @@ TIMES = 25.0  # delays of the channel that are drawn in time
 
 
 def design_figures(design: Design) -> dict[str, Figure]:
-    """Plotly figures by name: ``bode_roll``, ``nyquist_roll``, ``sensitivity_roll``, ``step_roll``, ..."""
+    """Draw Plotly figures, by name: ``bode_roll``, ``nyquist_roll``, ``sensitivity_roll``, ``step_roll``, ..."""
     figures: dict[str, Figure] = {}
     for axis, axis_design in design.axes.items():
         loops = _loops(axis_design)

@@ -47,7 +47,7 @@ class Level:
 def levels(
     scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, dynamics: Callable[[Vehicle], Actuator]
 ) -> list[Level]:
-    """The levels at which a design is proved, a full tank first; ``dynamics`` of the engine that carries a vehicle.
+    """Return the fuel levels at which a design is proved, a full tank first; ``dynamics`` gives a vehicle's engine.
 
     With less thrust in hover there is less room below it, for a step as for noise, and the requirements stay the same.
     Of an axis that hinges give they are those of a full tank: allocation turns more where there is less to turn.
@@ -63,12 +63,12 @@ def levels(
 
 
 def keeps(channel: Channel, tuning: Tuning, need: Requirements) -> bool:
-    """Whether a tuning keeps the requirements on a channel."""
+    """Return whether a tuning keeps the requirements on a channel."""
     return acceptable(ClosedLoop(FrequencyGrid(channel, close=FINE), tuning), need)
 
 
 def lead_there(lead: EngineLead | None, channel: Channel) -> EngineLead | None:
-    """A lead of the same form against the engine's poles of a channel."""
+    """Return a lead of the same form that cancels the engine's poles of this channel."""
     if lead is None:
         return None
     slowest, *others = sorted(channel.actuator.dynamics.poles, key=abs)
@@ -83,7 +83,7 @@ def follow(
     axis: str, levels: Sequence[Level], full: Tuning, need: Requirements, begin: Mapping[float, Tuning],
     designed: Collection[float] = DESIGNED,
 ) -> dict[float, Tuning] | None:  # fmt: skip
-    """A tuning at each level that is ``designed`` for, by its fuel; None where one cannot keep the requirements.
+    """Tune each level that is ``designed`` for, by its fuel; return None where one cannot keep the requirements.
 
     ``begin``: where the search begins, for levels at which that is known.
     """
@@ -108,7 +108,7 @@ def follow(
 
 
 def schedule(levels: Sequence[Level], tunings: Mapping[str, Mapping[float, Tuning]]) -> Schedule:
-    """The schedule of the tunings at each level, as a vehicle states it."""
+    """Return the gain schedule of the tunings at each level, in the form of a vehicle's file."""
     rows = [level for level in reversed(levels) if all(level.fuel in of for of in tunings.values())]
     return Schedule(
         filter_s=FILTER_S,
@@ -136,13 +136,13 @@ def _factors(here: Tuning, full: Tuning) -> ScheduledGains:
 
 
 def at_share(stated: Schedule, full: Mapping[str, Tuning], share: float, step: float) -> dict[str, Tuning]:
-    """The tunings that act in flight at a collective."""
+    """Return the tunings that act in flight at a collective, a fraction of the engines' range."""
     there = GainSchedule(stated, Leads(**{axis: tuning.lead for axis, tuning in full.items()}), step).at(share)
     return {"roll": scaled(full["roll"], there.roll), "altitude": scaled(full["altitude"], there.altitude)}
 
 
 def scaled(full: Tuning, factors: Factors) -> Tuning:
-    """A tuning as the schedule has it."""
+    """Return a tuning with the gains multiplied by the schedule's factors."""
     gains = full.gains
     changed = {"p": factors.p * gains.p, "i": factors.i * gains.i, "d": factors.d * gains.d}
     return replace(

@@ -51,7 +51,7 @@ class Proof:
     lean_deg: float = 0.0  # to which the doublets went; 0 where nothing was flown
 
     def lines(self) -> list[str]:
-        """A sentence each."""
+        """Describe the proof by measured response and the one by flights, in a sentence each."""
         said = []
         if isfinite(self.measured_hz):
             said.append(

@@ -49,7 +49,7 @@ Again = Callable[[tuple[tuple[float, float], ...]], Design]
 
 
 def proved(design: Design, say: Callable[[str], None] = lambda text: None, again: Again | None = None) -> Design:
-    """A design that was checked against the engine's own response and flown; not acceptable where that failed.
+    """Check a design against the engine's own response and fly it; it is not acceptable where one of these fails.
 
     ``again`` makes another one for an engine that differs from its model by shares at frequencies
     (:attr:`cosim.design.loop.dynamics.Dynamics.unsure`): where the measured response is too far from the model, one is
@@ -160,6 +160,6 @@ def _measured(design: Design, dynamics: Dynamics) -> Proof:
 
 
 def _crossover(closed: ClosedLoop, gain: float = 1.0) -> float:
-    """Hz, the highest at which the loop has this gain."""
+    """Return the highest frequency, Hz, at which the loop has this gain."""
     over = np.flatnonzero(np.abs(closed.open_loop) >= gain)
     return float(closed.points.theta[over[-1]] / (2.0 * pi * closed.points.channel.step)) if len(over) else 0.0

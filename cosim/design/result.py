@@ -73,7 +73,7 @@ def write(design: Design, out: Path | None) -> dict[str, Path]:
 
 
 def to_dict(design: Design, paths: Mapping[str, Path] | None = None) -> dict[str, Any]:
-    """Everything but the curves, for JSON; None where something is not finite."""
+    """Return everything but the curves, for JSON; None where something is not finite."""
     identification = design.identification
     return {
         "ok": design.ok,
@@ -195,7 +195,7 @@ def _same_said_once(said: Iterable[tuple[str, str]]) -> list[str]:
 
 
 def _firmware_lines(design: Design, firmware: Firmware) -> list[str]:
-    """Whose loops these are, what of them is common, and the margins before it flies."""
+    """Describe whose loops these are, what they have in common, and their margins before any flight."""
     lines = [
         f"the loops of roll, pitch and yaw are {firmware.name}'s, with its filters and delays; the height's is ours. "
         "The design has no proof in flight: hexjet sitl flies it"
@@ -268,7 +268,7 @@ def _model_lines(design: Design) -> list[str]:
 
 
 def _compared(roll: AxisDesign) -> str:
-    """The candidates by what they reach, the best as 100 %."""
+    """Compare the candidates' speed of response in words, the best as 100 %."""
     best = min(roll.candidates.values())
     parts = []
     for name, value in sorted(roll.candidates.items(), key=lambda item: item[1]):
@@ -278,7 +278,7 @@ def _compared(roll: AxisDesign) -> str:
 
 
 def _lead_words(lead: EngineLead) -> str:
-    """What a lead does, and what it asks for at first."""
+    """Describe what a lead does to the engine's poles, and what it commands at first."""
     w, a = lead.natural_rad_s, lead.pole_rad_s
     if lead.damping is None:
         moved, times = f"lag of {1e3 / w:.4g} ms to {1e3 / a:.4g} ms", a / w
@@ -305,7 +305,7 @@ def _limit_lines(roll: AxisDesign) -> list[str]:
 
 
 def _level_lines(design: Design) -> list[str]:
-    """What burning the fuel does, and what answers it."""
+    """Describe what burning the fuel does to the loops, and how the schedule answers it."""
     if not design.levels:
         return []
     least = design.levels[-1]
@@ -430,7 +430,7 @@ def row_lines(design: Design) -> list[str]:
 
 
 def _level_cells(design: Design) -> Iterator[tuple[str, str, float, list[str]]]:
-    """Every level of fuel by axis: with the gains of a full tank, and as the schedule has it where there is one."""
+    """Yield every fuel level by axis: with the gains of a full tank, and as scheduled where there is a schedule."""
     for level in design.levels:
         for axis, state in level.held.items():
             channel = level.level.channels[axis]

@@ -65,7 +65,7 @@ def add_to_page(page: Path, row: Row) -> None:
 
 
 def rows_of(page: Path) -> dict[str, str]:
-    """The rows of the table of a page, by engine."""
+    """Return the rows of a page's table, by engine."""
     before = marks.parts_of(page.read_text(encoding="utf-8"), page)[MARK].splitlines()[2:]
     return {line.split("|")[1].strip(): line for line in before}
 
@@ -88,7 +88,7 @@ def _one(path: Path, controller: str, limit: float, folder: Path) -> tuple[str, 
 
 
 def judged(made: dict[str, Any]) -> tuple[str, str, str]:
-    """A design as ``--json`` prints it: the design, the proof and the verdict in words."""
+    """Describe a design that ``--json`` printed: the design, the flights that kept it, and the verdict."""
     proof, roll = made["proof"], made["axes"]["roll"]["after"]
     flights = proof["flights"] if proof else []
     kept = f"{sum(not flight['fault'] for flight in flights)} of {len(flights)}" if flights else ""
@@ -99,7 +99,7 @@ def judged(made: dict[str, Any]) -> tuple[str, str, str]:
 
 
 def _run(arguments: Sequence[str], limit: float) -> tuple[int, dict[str, Any] | None, str]:
-    """Status, what was printed as JSON, and what was said otherwise."""
+    """Run ``hexjet`` and return its status, what it printed as JSON, and its last complaint or line on stderr."""
     try:
         done = run_child(python_command(_MAIN, *arguments), limit)
     except subprocess.TimeoutExpired:

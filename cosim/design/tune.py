@@ -47,7 +47,7 @@ class TuningResult:
 
 
 def objective(closed: ClosedLoop) -> float:
-    """``ln`` of the integrated absolute error of a step of the set-point, plus a third of that of a step of load.
+    """Return ``ln`` of the integral of absolute error of a step of the set-point, plus a third of that of a step of load.
 
     The logarithm needs no units and no sizes of the steps.  At a bandwidth w the first goes with 1/w, the second with
     1/w^3, so the third makes both count as bandwidth.
@@ -56,7 +56,7 @@ def objective(closed: ClosedLoop) -> float:
 
 
 def excess(closed: ClosedLoop, need: Requirements, spare: float = 0.0) -> float:
-    """By how much the requirements are missed, as a sum of relative parts; 0 where all are kept."""
+    """Return by how much the requirements are missed, as a sum of relative parts; 0 where all are kept."""
     channel = closed.points.channel
     step = STEP_M if channel.name == "altitude" else need.step_rad
     tolerated = closed.tolerated(need.delay_samples(channel.transport_samples), need.gain_tolerance)
@@ -76,7 +76,7 @@ def excess(closed: ClosedLoop, need: Requirements, spare: float = 0.0) -> float:
 
 
 def acceptable(closed: ClosedLoop, need: Requirements) -> bool:
-    """Stable, and within the requirements."""
+    """Return whether a loop is stable and within the requirements."""
     return closed.unstable_poles == 0 and excess(closed, need) == 0.0
 
 
@@ -114,7 +114,7 @@ class TuningBounds:
         self.high = np.array([log(ends[k][1]) for k in self.free])
 
     def tuning(self, x: Array) -> Tuning:
-        """The tuning at a point of the bounds."""
+        """Return the tuning at a point ``x`` of the bounds."""
         value = np.zeros(self._size)
         value[self.free] = np.exp(np.clip(x, self.low, self.high))
         tau, lead = self._tau, self._lead
@@ -137,7 +137,7 @@ class TuningBounds:
 
 
 def lead_delay(lead: EngineLead) -> float:
-    """Delay at low frequency that a lead adds, s: less than nothing."""
+    """Return the delay at low frequency that a lead adds, s, which is negative."""
     if lead.damping is None:
         return 1.0 / lead.pole_rad_s - 1.0 / lead.natural_rad_s
     return 2.0 / lead.pole_rad_s - 2.0 * lead.damping / lead.natural_rad_s
@@ -152,7 +152,7 @@ def tune(
     predictor: bool = True,
     lead: EngineLead | None = None,
 ) -> TuningResult:
-    """The tuning with the least objective that keeps the requirements.
+    """Find the tuning with the least objective that keeps the requirements.
 
     Deterministic: differential evolution from a Sobol sequence with a fixed seed, then Nelder and Mead's simplex, with
     what is missed added to the objective.  ``fixed`` holds what is not searched: without ``predictor``, its tuning too.
@@ -209,7 +209,7 @@ def tune(
 def settle(
     channel: Channel, start: Tuning, need: Requirements, predictor: bool = True, level: bool = False
 ) -> Tuning | None:
-    """The tuning in numbers of three digits near ``start`` that no change of a last digit improves.
+    """Find the tuning in numbers of three digits near ``start`` that no change of a last digit improves.
 
     More digits are not meant, and where the optimum is flat a search does not tell them from its own error: what is
     written down is where this descent stops, and from there it stops at once.  None where no such tuning near
@@ -238,7 +238,7 @@ def settle(
 
 
 def _settle_whole(channel: Channel, start: Tuning, need: Requirements) -> Tuning | None:
-    """As :func:`settle`, in an autopilot's whole numbers: one more or one less of one, or of two of them at a time.
+    """Settle in an autopilot's whole numbers, as :func:`settle`: by one more or less of one, or of two of them.
 
     They are coarse for a slow vehicle, so the nearest ones may miss what was searched: what is missed comes first.
     """
@@ -275,7 +275,7 @@ def _settle_whole(channel: Channel, start: Tuning, need: Requirements) -> Tuning
 def near(
     channel: Channel, start: Tuning, need: Requirements, predictor: bool = True, level: bool = False
 ) -> Tuning | None:
-    """The tuning in three digits that a simplex finds from ``start``; where it is no better, ``start`` in three digits.
+    """Find the tuning in three digits by a simplex from ``start``, or ``start`` in three digits where that is no worse.
 
     So a second call finds what the first one did.  None where nothing near ``start`` keeps the requirements.
     """
@@ -310,7 +310,7 @@ def near(
 
 
 def digits(value: float) -> Digits:
-    """A number above 0 to three digits: 100 to 999, and the power of ten that they are times."""
+    """Round a number above 0 to three digits: 100 to 999, and the power of ten by which they are multiplied."""
     mantissa, _, power = f"{value:.2e}".partition("e")
     return int(mantissa.replace(".", "")), int(power) - 2
 
@@ -320,7 +320,7 @@ def _to_float(number: Digits) -> float:
 
 
 def _beside(number: Digits, way: int) -> Digits:
-    """The next number of three digits, up or down."""
+    """Return the next number of three digits, up or down."""
     figures, power = number[0] + way, number[1]
     if figures == 1000:
         return 100, power + 1
@@ -328,7 +328,7 @@ def _beside(number: Digits, way: int) -> Digits:
 
 
 def _searched(tuning: Tuning, predictor: bool) -> dict[str, float]:
-    """What is searched on a channel, by name; a part that is 0 is not there and stays away."""
+    """Return the numbers that are searched on a channel, by name; a part that is 0 is absent and stays so."""
     gains = tuning.gains
     values = {"angle_gain": tuning.angle_gain, "p": gains.p, "i": gains.i, "d": gains.d}
     if tuning.firmware is not None and tuning.firmware.angle_gain is not None:
@@ -342,7 +342,7 @@ def _searched(tuning: Tuning, predictor: bool) -> dict[str, float]:
 
 
 def _written(start: Tuning, values: Mapping[str, Digits], step: float, level: bool) -> Tuning:
-    """``start`` with numbers of three digits in place of those that were searched."""
+    """Return ``start`` with numbers of three digits in place of those that were searched."""
     tuning = _with(start, {name: _to_float(number) for name, number in values.items()}, step, level)
     smooth = _to_float(digits(tuning.gains.d_filter_s))
     if tuning.firmware is not None:
@@ -351,7 +351,7 @@ def _written(start: Tuning, values: Mapping[str, Digits], step: float, level: bo
 
 
 def _with(start: Tuning, value: Mapping[str, float], step: float, level: bool) -> Tuning:
-    """``start`` with other numbers in place of those that were searched."""
+    """Return ``start`` with other numbers in place of those that were searched."""
     gains: dict[str, float] = {name: value[name] for name in ("p", "i", "d") if name in value}
     if "d" in gains and not level:
         gains["d_filter_s"] = _smooth(gains["d"] / gains["p"], step)
@@ -371,5 +371,5 @@ def _with(start: Tuning, value: Mapping[str, float], step: float, level: bool) -
 
 
 def _smooth(leads_by: float, step: float) -> float:
-    """A derivative is filtered at a tenth of what it leads by, as far as the step allows, s."""
+    """Return the derivative's filter, s: a tenth of what the derivative leads by, but at least a step."""
     return max(step, 0.1 * leads_by)

@@ -26,17 +26,17 @@ class Actuator:
 
     @classmethod
     def of(cls, name: str, dynamics: Dynamics) -> Actuator:
-        """Sampled once."""
+        """Make an actuator of its continuous dynamics, whose sampled model is computed here once."""
         return cls(name, dynamics, dynamics.discrete(name))
 
     def with_delay(self, samples: float) -> Actuator:
-        """With another transport delay."""
+        """Return the actuator with another transport delay, samples."""
         dynamics = replace(self.dynamics, delay_samples=samples)
         return replace(self, dynamics=dynamics, model=self.model.model_copy(update={"delay_samples": samples}))
 
 
 def servo_actuator(servo: Servo | Hinge, step: float, slower: float = 1.0) -> Actuator:
-    """A tilt servo, or a hinge's, while its rate limit is not reached; ``slower`` by that factor."""
+    """Return a servo of a tilt or a hinge as it acts below its rate limit, its lag multiplied by ``slower``."""
     return Actuator.of(SERVO, lags([slower * servo.lag_s], 0.0, step))
 
 

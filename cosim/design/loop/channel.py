@@ -177,7 +177,7 @@ class Channel:
         return 1.0 / float(np.exp(np.interp(1.0, turned[part], np.log(omega[part]))))
 
     def model(self, source: str) -> RateModel:
-        """Command to measured rate as a predictor reads it, exact where the delay is a whole number of samples.
+        """Return the model from command to measured rate for a predictor, exact where the delay is whole samples.
 
         A delay that the controller adds itself is not in it: the flight adds that to the predictor's model.
         """
@@ -214,7 +214,7 @@ class Channel:
         )
 
     def responses(self, z: Complex) -> tuple[Complex, Complex, Complex]:
-        """Command to measured rate, to measured angle, and to the angle itself."""
+        """Return the responses from command to measured rate, to measured angle, and to the angle itself."""
         integral = 0.5 * self.step * (z + 1.0) / (z - 1.0)
         late = z ** -float(self.added_delay)
         if self.identified is not None:
@@ -230,19 +230,19 @@ class Channel:
         )
 
     def measuring(self, z: Complex) -> Complex:
-        """Rate to measured rate: low-pass, latency, and the mean effect of a measurement that is kept for a while."""
+        """Return the response from rate to measured rate: low-pass, latency, and the mean effect of a hold."""
         return measuring(z, self.gyro_pole, self.rate_latency, self.rate_hold)
 
     # ---- the same channel, changed
 
     def with_delay(self, samples: float) -> Channel:
-        """With another transport delay of the actuator (of everything, where the response was given as a whole)."""
+        """Return the channel with another delay of the actuator, samples (of all where it was identified whole)."""
         if self.identified is not None:
             return replace(self, identified=self.identified.model_copy(update={"delay_samples": samples}))
         return replace(self, actuator=self.actuator.with_delay(samples))
 
     def with_lags(self, factor: float) -> Channel:
-        """With the actuator slower by a factor; 0 takes its lags away, but for what a step does not show."""
+        """Return the channel with the actuator's lags times a factor; 0 takes them away, but for what no step shows."""
         if self.identified is not None:
             raise InputError("a response given as a whole does not say which of its lags are the engine's")
         if not self.hinged:
@@ -264,18 +264,18 @@ class Channel:
 
 
 def thrust_span(engine: EngineSpec) -> float:
-    """Thrust that a command of 1 (a share of the engine's range) adds at rest, N."""
+    """Return the thrust that a command of 1 (a fraction of the engine's range) adds at rest, N."""
     return engine.curve.thrust[-1] - engine.curve.thrust[0]
 
 
 def hover_share(vehicle: Vehicle, engine: EngineSpec) -> float:
-    """Share of its range at which each engine carries its part of the weight."""
+    """Return the fraction of its range at which each engine carries its part of the weight."""
     thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
     return (thrust - engine.curve.thrust[0]) / thrust_span(engine)
 
 
 def channels(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> dict[str, Channel]:
-    """Roll, pitch, yaw and altitude of a vehicle with engines of these dynamics, at hover."""
+    """Return the channels of roll, pitch, yaw and altitude at hover, with engines of these dynamics."""
     by_axis = {axis: _axis(axis, scenario, vehicle, engine, dynamics) for axis in AXES}
     by_axis["altitude"] = _altitude(scenario, vehicle, engine, dynamics)
     return by_axis
@@ -308,7 +308,7 @@ def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, d
 def _by_effectiveness(
     axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator
 ) -> Channel:
-    """Angular acceleration asked for, through what gives most of it in hover: thrusts, or hinges.
+    """Return the channel of an angular acceleration, rad/s^2, by what gives most of it in hover: thrusts or hinges.
 
     What the other gives of it is carried as an uncertainty: :func:`_beside`.
     """
@@ -388,7 +388,7 @@ def _room(vehicle: Vehicle, engine: EngineSpec) -> float:
 
 
 def _servo_room(servo: Servo | Hinge | None) -> float:
-    """A step of the command that neither range nor rate limit cuts: a lag sets out at step / lag."""
+    """Return the largest step, rad, that neither range nor rate limit cuts: a lag sets out at step / lag."""
     if servo is None:
         return inf
     if isinstance(servo, Hinge):
@@ -400,7 +400,7 @@ def _servo_room(servo: Servo | Hinge | None) -> float:
 
 
 def _altitude(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> Channel:
-    """Acceleration asked for, through all engines alike, to climb rate (GNSS) and height (barometer)."""
+    """Return the channel of vertical acceleration, by all engines, to climb rate (GNSS) and height (barometer)."""
     gnss, barometer = vehicle.sensors.gnss, vehicle.sensors.barometer
     authority = len(vehicle.jets) * thrust_span(engine) / vehicle.mass_kg  # m/s^2 per unit of share
     return Channel(
@@ -421,7 +421,7 @@ def _altitude(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics
 
 
 def engine_lead(channel: Channel) -> EngineLead | None:
-    """A lead for the slowest lag of the engines, or for the slowest two poles; None where no engine answers.
+    """Return a lead for the engines' slowest lag, or for their slowest two poles; None where no engine answers.
 
     Its own poles are where the engine's are, for the search to move.
     """
@@ -443,12 +443,12 @@ def engine_lead(channel: Channel) -> EngineLead | None:
 
 
 def angles(z: Complex) -> Array:
-    """rad per sample."""
+    """Return the frequency of points on the unit circle, rad per sample."""
     return np.asarray(np.angle(z), np.float64)
 
 
 def without_instant(poles: Sequence[float], zeros: Sequence[float]) -> tuple[list[float], list[float], int]:
-    """Poles and zeros in z without those of lags that are over within a step, and the samples of delay they leave.
+    """Return poles and zeros in z without lags that are over within a step, and the samples of delay that these leave.
 
     ``1 / (z - p)`` with ``p`` below :data:`INSTANT` is a delay of a sample to rounding, which a zero at 0 takes back.
     An observer would have such a state corrected by ``1 / p``, and double precision does not place its poles.

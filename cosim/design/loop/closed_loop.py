@@ -134,7 +134,7 @@ class ClosedLoop:
         return float(np.max(unsure * np.abs(self.outer / self.characteristic))) - 1.0
 
     def tolerated(self, delay: float, gain: float) -> float:
-        """By which factor the tolerances could grow until a gain and a delay inside them make a pole on the circle.
+        """Return by what factor the tolerances could grow until a gain and delay inside put a pole on the unit circle.
 
         ``delay`` in samples, ``gain`` relative, either way.  ``1 + g e^(-j theta tau) L`` is 0 only where
         ``g = |1 / L|`` and ``tau = -arg(-1 / L) / theta``: every frequency has one pair that matters, and the
@@ -243,7 +243,7 @@ class ClosedLoop:
 
 
 def steps_by_response(channel: Channel, tuning: Tuning, samples: int) -> Steps:
-    """Unit steps from the loop's response alone, where a predictor states no state space.
+    """Compute unit steps from the loop's frequency response alone, for a predictor without a state space.
 
     ``h_k = r^k IFFT(H(r e^(j theta)))`` on a circle outside the unit circle: the pole at 1 of a step lies within it,
     and of what comes a period later, which is at least four times ``samples``, only :data:`FADED` of it is left.
@@ -261,7 +261,7 @@ def steps_by_response(channel: Channel, tuning: Tuning, samples: int) -> Steps:
 
 
 def _nearest(x: Array, y: Array, angle: Array) -> float:
-    """Least ``max(|x|, |y|)`` along the straight lines between points that follow each other.
+    """Return the least ``max(|x|, |y|)`` along the straight lines between points that follow each other.
 
     Where the angle behind ``y`` jumps by a turn there is no line.
     """

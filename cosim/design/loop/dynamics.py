@@ -51,13 +51,13 @@ class Dynamics:
         return float(sum((-1.0 / p).real for p in self.poles) - sum((-1.0 / z).real for z in self.zeros))
 
     def slower(self, factor: float) -> Dynamics:
-        """As many times slower; with 0, lags that a step leaves nothing of."""
+        """Return dynamics as many times slower; with 0, a lag that a step leaves nothing of."""
         if factor == 0.0:
             return lags([0.0], self.delay_samples, self.step)
         return replace(self, poles=tuple(p / factor for p in self.poles), zeros=tuple(z / factor for z in self.zeros))
 
     def held(self, hertz: Array) -> Complex:
-        """The response behind the hold, gain 1 at rest."""
+        """Return the frequency response behind the hold, with gain 1 at rest."""
         s = 2j * np.pi * hertz
         value = (1.0 - np.exp(-s * self.step)) / (s * self.step) * np.exp(-s * self.delay_samples * self.step)
         for pole in self.poles:
@@ -67,7 +67,7 @@ class Dynamics:
         return np.asarray(value)
 
     def uncertainty(self, hertz: Array) -> Array | None:
-        """By which share of this the engine may answer otherwise, straight lines between the points of the sweep.
+        """Return the relative uncertainty of the response, by straight lines between the points of the sweep.
 
         Outside the swept band it is that of the band's end.  None where the engine follows.
         """
@@ -77,14 +77,14 @@ class Dynamics:
         return np.asarray(np.interp(np.log(np.maximum(hertz, 1e-9)), np.log(at), share))
 
     def unsure_words(self) -> str:
-        """How far the engine may be off this; empty where it follows."""
+        """Describe how far the engine may be off these dynamics; "" where it follows them."""
         if not self.unsure:
             return ""
         at, most = max(self.unsure, key=lambda point: point[1])
         return f"what was measured, up to {100.0 * most:.2g} % at {at:.2g} Hz"
 
     def words(self) -> str:
-        """The dynamics as a person reads them."""
+        """Describe the lags, poles and zeros in words."""
         said = [f"lag {-1e3 / p.real:.4g} ms" for p in self.poles if not p.imag]
         said += [
             f"two poles at {abs(p):.4g} rad/s with damping {-p.real / abs(p):.2f}" for p in self.poles if p.imag > 0.0
@@ -98,7 +98,7 @@ class Dynamics:
         return ", ".join(said)
 
     def discrete(self, source: str) -> RateModel:
-        """Held and sampled."""
+        """Return the transfer function in z behind a zero-order hold."""
         from scipy.signal import cont2discrete, zpk2ss
 
         gain = np.prod([-p for p in self.poles]) / np.prod([-z for z in self.zeros] or [1.0])
@@ -138,12 +138,12 @@ def _in_z(poles: Sequence[complex], step: float) -> tuple[list[float], list[tupl
 
 
 def lags(constants: Sequence[float], delay: float, step: float) -> Dynamics:
-    """Lags in a row; none is taken shorter than a fifth of a step, of which a step leaves 0.7 %."""
+    """Return lags, s, in a row; none is taken shorter than a fifth of a step, of which a step leaves 0.7 %."""
     return Dynamics(tuple(complex(-1.0 / max(lag, 0.2 * step)) for lag in constants), (), delay, step)
 
 
 def fit_dynamics(response: FrequencyResponse, delay: float, lag: float) -> Dynamics:
-    """The smallest of the forms that follows an engine's response, or the closest.
+    """Fit the smallest of the forms that follows an engine's response, or the closest one.
 
     ``delay`` [samples] and ``lag`` [s] are where the search begins.
     """
@@ -163,7 +163,7 @@ def fit_dynamics(response: FrequencyResponse, delay: float, lag: float) -> Dynam
 
 
 def with_misfit(dynamics: Dynamics, response: FrequencyResponse) -> Dynamics:
-    """The same with what the model leaves of the response as an uncertainty, where that is worth to be carried.
+    """Add what the model leaves of the response as an uncertainty, where it is large enough to matter.
 
     Each point has the largest of its own misfit and its neighbours', because the response between points is not known.
     """
@@ -177,7 +177,7 @@ def with_misfit(dynamics: Dynamics, response: FrequencyResponse) -> Dynamics:
 
 
 def bounds(hertz: Array, off: Array) -> tuple[tuple[float, float], ...]:
-    """What a fine response is off its model, as :attr:`Dynamics.unsure`: no narrow mode is lost between two points.
+    """Return how far a response is off its model, as :attr:`Dynamics.unsure`, without losing a mode between two points.
 
     The band in :data:`BANDS` parts, and at each end of a part the largest of the parts on both its sides.
     """
@@ -190,7 +190,7 @@ def bounds(hertz: Array, off: Array) -> tuple[tuple[float, float], ...]:
 
 
 def _runs(dynamics: Dynamics) -> bool:
-    """Whether a predictor can run it: two zeros that swing are a section with two poles that do."""
+    """Return whether a predictor can run it: each pair of complex zeros needs a pair of complex poles."""
     model = dynamics.discrete("")
     return len(model.zero_pairs) <= len(model.pole_pairs)
 
@@ -233,7 +233,7 @@ def _fit(response: FrequencyResponse, form: Sequence[str], delay: float, lag: fl
         return np.concatenate([weight * off.real, weight * off.imag])
 
     def fitted(start: Array, free: Sequence[int]) -> tuple[float, Array]:
-        """Cost and place of the least squares from ``start`` over the entries ``free``, the others held."""
+        """Return cost and solution of the least squares from ``start`` over the entries ``free``, the others fixed."""
         free = list(free)
 
         def put(part: Array) -> Array:

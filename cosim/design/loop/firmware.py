@@ -44,7 +44,7 @@ Loop = Callable[[list[float], float, float, float, float], tuple[list[float], fl
 
 
 def share(hertz: float, period: float) -> float:
-    """Gain of a first-order low-pass in one loop; the three autopilots have the same: backward Euler."""
+    """Return the gain of a first-order low-pass in one loop, by backward Euler as in all three autopilots."""
     return 2.0 * pi * hertz * period / (2.0 * pi * hertz * period + 1.0)
 
 
@@ -90,7 +90,7 @@ _STATES = {"betaflight": 8, "px4": 4, "ardupilot": 4}
 
 
 def law(name: str, axis: str) -> Loop:
-    """One loop of an autopilot on an axis."""
+    """Return an autopilot's rate loop on an axis as a function of one pass."""
     if name == "betaflight":
         return _betaflight(axis != "yaw", axis == "yaw")  # heading is held with the sticks, by whoever holds them
     return _px4 if name == "px4" else _ardupilot
@@ -118,7 +118,7 @@ class Firmware:
     angle_gain: float | None = None
 
     def responses(self, gains: RateGains, step: float, z: Complex) -> tuple[Complex, Complex]:
-        """Command per rate set-point, and less command per measured rate."""
+        """Return the response of the command to the rate set-point, and the negative one to the measured rate."""
         at = z.tobytes()
         p, i = _parts(self.name, self.axis, step, 0.0, at)[:2]
         of_set, of_rate = gains.p * p[0] + gains.i * i[0], gains.p * p[1] + gains.i * i[1]
@@ -128,13 +128,13 @@ class Firmware:
         return of_set, -of_rate
 
     def unit(self, name: str) -> float | None:
-        """Of ``angle_gain``, ``p``, ``i`` or ``d``; None where it need not be whole."""
+        """Return the unit that ``angle_gain``, ``p``, ``i`` or ``d`` is a multiple of; None where it is free."""
         if self.units is None:
             return None
         return self.units[self.axis][("angle_gain", "p", "i", "d").index(name)]
 
     def smooth(self, seconds: float) -> float:
-        """The filter of the derivative that comes nearest: its cutoff in whole hertz where gains are whole."""
+        """Return the nearest allowed time constant of the derivative's filter, s: of whole hertz where gains are whole."""
         if self.d_filter_s is not None:
             return self.d_filter_s
         return seconds if self.units is None else 1.0 / (2.0 * pi * max(1.0, round(1.0 / (2.0 * pi * seconds))))
@@ -142,7 +142,7 @@ class Firmware:
 
 @lru_cache(maxsize=64)
 def _parts(name: str, axis: str, step: float, hertz: float, at: bytes) -> Complex:
-    """P, I and D part of a unit of set-point and of gyro, at the points of the circle: 3 x 2 x points."""
+    """Return the response of P, I and D part to set-point and gyro, at points of the unit circle: 3 x 2 x points."""
     z = np.frombuffer(at, np.complex128)
     a, b, c, d = matrices(name, axis, step, hertz or 1.0)
     # few states each: those that a part does not read are left out, so the equations stay small
@@ -157,7 +157,7 @@ def _parts(name: str, axis: str, step: float, hertz: float, at: bytes) -> Comple
 
 
 def _reached(a: Array, c: Array) -> list[int]:
-    """States that an output depends on."""
+    """Return the indices of the states that an output depends on."""
     reached = {int(i) for i in np.flatnonzero(c)}
     while more := {int(j) for i in reached for j in np.flatnonzero(a[i])} - reached:
         reached |= more
@@ -165,7 +165,7 @@ def _reached(a: Array, c: Array) -> list[int]:
 
 
 def matrices(name: str, axis: str, step: float, hertz: float) -> tuple[Array, Array, Array, Array]:
-    """The law over a step of the flight: of the state, of what goes in, and of the first loop's P, I and D part."""
+    """Return the law's A and B over a step of the flight, and C and D of the first loop's P, I and D part."""
     size, loop = _STATES[name], law(name, axis)
     count = max(1, round(step / BETAFLIGHT_LOOP_S)) if name == "betaflight" else 1
     period = step / count

@@ -74,7 +74,7 @@ def _impulse(predictor: Predictor, model: RateModel, unit: tuple[float, float]) 
 
 
 def _transform(taps: Array, z: Complex) -> Complex:
-    """``sum_k h_k z^-k``: by powers for a few points, by Horner's rule for many."""
+    """Compute ``sum_k h_k z^-k``: by powers for a few points, by Horner's rule for many."""
     inverse = 1.0 / z
     if z.size < 8:
         return np.asarray(inverse[:, None] ** np.arange(len(taps)) @ taps)
@@ -150,7 +150,7 @@ def _least(values: Array) -> float | None:
 
 
 def crossings(loop: Complex, omega: Array, step: float = 0.0) -> tuple[Array, Array, Array]:
-    """Where a loop's response meets the negative real axis and the unit circle, straight lines between its points.
+    """Find where a loop's response meets the negative real axis and the unit circle, by lines between its points.
 
     The factors that put it on -1; then at every gain of 1 the angle [rad, 0 to 2 pi] down to -1, and ``omega`` there.
     A last point at half the sampling rate, ``omega step = pi``, is on the real axis itself.
@@ -167,7 +167,7 @@ def crossings(loop: Complex, omega: Array, step: float = 0.0) -> tuple[Array, Ar
 
 
 def _passing(value: Array) -> tuple[NDArray[np.intp], Array]:
-    """Where ``value`` changes its sign: the point before, and the part of the way to the next."""
+    """Find where ``value`` changes its sign: the point before, and the fraction of the way to the next."""
     below = value < 0.0
     at = np.flatnonzero(below[:-1] != below[1:])
     return at, value[at] / (value[at] - value[at + 1])
@@ -226,5 +226,5 @@ def _bisect(function: Callable[[float], float], low: float, high: float) -> floa
 
 
 def wrapped(degrees: float) -> float:
-    """An angle between -180 and 180 degrees."""
+    """Return the same angle between -180 and 180 degrees."""
     return (degrees + 180.0) % 360.0 - 180.0

@@ -86,16 +86,16 @@ class Space:
         self._next[self._slots[name]] = rows
 
     def _shift(self, name: str, newest: Array) -> None:
-        """A line of what was, the newest first."""
+        """Put the newest value in front of a delay line, whose oldest one drops out."""
         line = self._x[name]
         self._keep(name, np.vstack([newest[None, :], line[:-1]]))
 
     def _ago(self, command: Array, samples: int) -> Array:
-        """The command of so many steps ago."""
+        """Return the command of so many steps ago."""
         return command if samples == 0 else np.asarray(self._x["sent"][samples - 1])
 
     def _step(self) -> Array:
-        """One step: what is remembered after it goes to ``_next``; the command is returned."""
+        """Compute one step: keep the states after it in ``_next`` and return the command."""
         channel, gains, x, T = self.channel, self.tuning.gains, self._x, self.channel.step
         measured = x["rate"][0]
         if channel.identified is None:
@@ -128,7 +128,7 @@ class Space:
         return np.asarray(C @ state + over[0] * command)
 
     def _fly(self, command: Array) -> None:
-        """The plant over the step."""
+        """Move the plant over the step by the commands that reach it."""
         channel, plant, x, T = self.channel, self._plant, self._x, self.channel.step
         acting = self._ago(command, self._late) + self._w
         entering = acting[None, :]
@@ -155,7 +155,7 @@ class Space:
     # ---- in time
 
     def steps(self, samples: int) -> Steps:
-        """The answers to a unit step of the set-point and of the load over so many samples.
+        """Return the answers to a unit step of the set-point and of the load over so many samples.
 
         ``C A^(i + j m) B`` by doubling: powers up to ``m`` on the left, those of ``A^m`` on the right.
         """

@@ -18,12 +18,12 @@ from cosim.spec.vehicle import (
 
 
 def candidates() -> tuple[str, ...]:
-    """What a design chooses from, in the order of what it takes."""
+    """Return the names of the predictors that a design chooses from, the simplest first."""
     return tuple(name for name, spec in PREDICTORS.items() if spec.automatic)
 
 
 def designable(name: str, where: str, others: Iterable[str] = ()) -> PredictorSpec:
-    """A predictor that a design can use; ``others``: what else could be said there.
+    """Return the predictor of a name that a design can use; ``others`` are further names that an error line offers.
 
     Raises InputError for an unknown one, and for one that states no frequency response.
     """
@@ -48,12 +48,12 @@ class Tuning:
     firmware: Firmware | None = None  # whose loop has these gains; None: ours
 
     def answer(self) -> PairResponse:
-        """``P_y`` and ``P_u`` of the predictor.  Raises InputError for one that states none."""
+        """Return the responses ``P_y`` and ``P_u`` of the predictor.  Raises InputError for one that states none."""
         spec = designable(self.controller, f"controller {self.controller!r}")
         assert spec.response is not None
         return spec.response(self.model, spec.own(self.predictor))
 
     def space(self) -> PredictorSpace | None:
-        """The predictor in state space; None for one that states its frequency response alone."""
+        """Return the predictor in state space; None for one that states its frequency response alone."""
         spec = designable(self.controller, f"controller {self.controller!r}")
         return None if spec.space is None else spec.space(self.model, spec.own(self.predictor))

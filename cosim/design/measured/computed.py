@@ -67,7 +67,7 @@ def tunings_of(plants: Plants, scenario: Scenario, vehicle: Vehicle, axes: Seque
 
 
 def computed(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[str]) -> dict[str, Computed] | str:
-    """By axis; or why it cannot be computed.  What the scenario's mismatch changes is not in it.
+    """Compute the margins by axis, or say why that fails.  What the scenario's mismatch changes is not in them.
 
     The engine is swept around the thrust that the vehicle hovers with.
     """
@@ -89,7 +89,7 @@ def computed(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[
 
 
 def _tuning(channel: Channel, scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
-    """What flies on a channel: as :func:`cosim.simulation.controllers.models.predictors` gives it a predictor."""
+    """Return what flies on a channel, its predictor as by :func:`cosim.simulation.controllers.models.predictors`."""
     own = shipped(channel, vehicle, spec)
     if channel.name == "altitude":
         return own

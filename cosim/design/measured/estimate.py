@@ -52,7 +52,7 @@ class Response:
 
 
 def measured(sensitivity: Complex, hertz: Array, step: float = 0.0, transport_s: float | None = None) -> Response:
-    """Loop and margins of ``S`` by period and line, (periods, lines); two periods at least.
+    """Estimate loop and margins from ``S`` by period and line, (periods, lines), of two periods at least.
 
     ``step`` and ``transport_s``: see :func:`cosim.design.loop.frequency.loop_margins`.
 
@@ -103,7 +103,7 @@ def _jackknife(value: float, without: list[float | None]) -> Bounded:
 
 
 def apart(one: Mapping[str, Bounded], other: Mapping[str, Bounded]) -> dict[str, float]:
-    """By how much each of two sets of margins is off the other, relative; of gains in dB the factor's."""
+    """Return by how much each margin of ``one`` is off that of ``other``, relative; of gains in dB by their factors."""
     margins = {}
     for name in one.keys() & other.keys():
         a, b = one[name].value, other[name].value

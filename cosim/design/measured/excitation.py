@@ -61,7 +61,7 @@ class Multisine:
 
 
 def multisine(period_s: float, step: float, low: float, high: float) -> Multisine:
-    """Lines evenly over the logarithm of the frequency; of :data:`DRAWS` of random phases those with the lowest peak.
+    """Make a multisine, even over the logarithm of Hz, with the lowest peak of :data:`DRAWS` draws of random phases.
 
     Raises InputError for a band that the period or the step has no lines in.
     """
@@ -111,7 +111,7 @@ class Tap:
     def _by_effectiveness(
         self, axis: str, scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]
     ) -> None:
-        """As the allocation splits a small angular acceleration in hover, and what each part gives of it."""
+        """Set the tap as the allocation splits a small angular acceleration in hover, with the effect of each part."""
         shares, effects = effectiveness_of(scenario, vehicle, stations[0]).split(AXES.index(axis))
         jets, weight = len(vehicle.jets), vehicle.mass_kg * GRAVITY
         if not any(shares):
@@ -126,7 +126,7 @@ class Tap:
         self.usual = float(f"{1.0 / max(parts):.2g}")
 
     def read(self, given: Actuation) -> float:
-        """The command of the axis: in shares of thrust, rad of tilt, or rad/s^2."""
+        """Return the command of the axis: a fraction of thrust, rad of tilt, or rad/s^2."""
         if self.tilts:
             left, right = given.tilt
             return 0.5 * (self._sides[0] * left + self._sides[1] * right)
@@ -134,7 +134,7 @@ class Tap:
         return turned + sum([weight * throttle for weight, throttle in zip(self._weights, given.throttle, strict=True)])
 
     def add(self, given: Actuation, value: float) -> Actuation:
-        """The same with ``value`` more of the axis, throttles kept from 0 to 1."""
+        """Return the actuation with ``value`` more on the axis, throttles limited to 0 to 1."""
         if self.tilts:
             left, right = given.tilt
             return given._replace(tilt=(left + self._sides[0] * value, right + self._sides[1] * value))
@@ -146,7 +146,7 @@ class Tap:
 
 
 def _slope(spec: EngineSpec, thrust: float) -> float:
-    """Of an engine's static curve where it carries its part of the weight, over that of its chord."""
+    """Return the slope of an engine's static curve at a thrust, N, over that of the curve's chord."""
     curve = spec.curve
     span = curve.thrust[-1] - curve.thrust[0]
     at = float(np.interp(thrust, curve.thrust, curve.throttle))
@@ -168,7 +168,7 @@ class Tapped:
         return getattr(self._inner, name)
 
     def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
-        """What the controller asks for, and what is added to it: see :class:`cosim.base.protocols.Controller`."""
+        """Return the controller's command and the multisine: see :class:`cosim.base.protocols.Controller`."""
         given = self._inner.update(command, measured, injected, engines)
         sent = self._tap.add(given, self._wave(len(self.before)))
         self.before.append(self._tap.read(given))
@@ -188,7 +188,7 @@ class Record:
     clipped: bool  # an actuator, or allocation, was at an end of its range
 
     def sensitivity(self) -> Complex:
-        """``S = behind / added`` of each period and line, (periods, lines).
+        """Return ``S = behind / added`` of each period and line, (periods, lines).
 
         What drifts over the periods, as a throttle does while something warms up, is taken off as a straight line.
         """
@@ -200,14 +200,14 @@ class Record:
 
 
 def _level(values: Array) -> Array:
-    """Periods without the slope that their means have."""
+    """Return values by period and step without the straight line along which the periods' means drift."""
     periods, steps = values.shape
     slope = np.polyfit(np.arange(periods) * steps, values.mean(axis=1), 1)[0] if periods > 1 else 0.0
     return np.asarray(values - slope * np.arange(values.size).reshape(values.shape))
 
 
 def still(scenario: Scenario) -> Scenario:
-    """The scenario's vehicle in its air, holding still: without commands, faults, and what disturbs for a while.
+    """Return the scenario with the vehicle at rest in its air: without commands, faults and passing disturbances.
 
     Engines are not watched, since a monitor takes what is added for an engine's own.  Raises InputError for one that
     stands on the ground or is flown by the autopilot.

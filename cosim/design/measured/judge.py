@@ -56,7 +56,7 @@ class LoopJudge:
         self._lock = Lock()
 
     def prepare(self) -> None:
-        """Sweep the engine, which every verdict needs; what stands against it is found again by the first verdict."""
+        """Sweep the engine, which every verdict needs; an error is met again, and reported, by the first verdict."""
         with self._lock, suppress(InputError, ValueError, ArithmeticError):
             self._known_plants()
 

@@ -62,7 +62,7 @@ class AxisMargins:
         return float(heard[0]), float(heard[-1])
 
     def off(self, name: str) -> float | None:
-        """The measured number less the computed, over that; of gains that of their factors.  None: one is not there."""
+        """Return how far the measured number is off the computed, relative (of gains by factors); None without both."""
         if self.computed is None or name not in self.response.margins:
             return None
         ours, theirs = self.response.margins[name].value, getattr(self.computed.margins, name)
@@ -91,7 +91,7 @@ class MeasuredMargins:
         return controller_shown(self.scenario)
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything that is not a curve, for JSON."""
+        """Return everything that is not a curve, for JSON."""
         scenario, own = self.scenario, self.own
         return {
             "aircraft": scenario.aircraft,
@@ -272,7 +272,7 @@ class _Asked:
         return measured(record.sensitivity(), sine.hertz, sine.step, self.transport_s)
 
     def _fitting(self, sine: Multisine, size: float) -> tuple[float, Record]:
-        """The flight with that amplitude, or with one that fits.  Raises InputError where it was asked for."""
+        """Fly with that amplitude, or a smaller one that fits.  Raises InputError if a requested one does not fit."""
         why = ""
         for _ in range(TRIES):
             self.say(f"{self.axis}: amplitude {size:.2g}")
@@ -292,14 +292,14 @@ class _Asked:
 
 
 def _slow(response: Response) -> bool:
-    """Whether what is looked for is near the band's lower end, or below it."""
+    """Return whether the crossover is near the band's lower end, or below it."""
     crossing = response.margins.get("crossover_hz")
     within = WITHIN if "gain_down_db" in response.margins else 2.0 * WITHIN
     return crossing is None or crossing.value * PERIOD_S < within
 
 
 def _stays_up(response: Response) -> bool:
-    """Whether the loop's gain does not fall towards the band's end, so that it may bind above."""
+    """Return whether the loop's gain does not fall towards the band's end, so that a margin may lie above it."""
     hertz, size = response.hertz[response.used], abs(response.loop[response.used])
     octave = float(size[abs(hertz - 0.5 * hertz[-1]).argmin()])
     return bool(size[-1] > LITTLE and size[-1] > FALLS * octave)

@@ -32,7 +32,7 @@ SHOWN = (  # quantity, what it is called, and its numbers
 
 
 def rows(measured: AxisMargins) -> list[list[str]]:
-    """A line a quantity, as :data:`COLUMNS` head them."""
+    """Return a row of cells for each quantity, as :data:`COLUMNS` head them."""
     lines = []
     for name, title, form in SHOWN:
         ours = measured.response.margins.get(name)
@@ -49,7 +49,7 @@ def rows(measured: AxisMargins) -> list[list[str]]:
 
 
 def _none(name: str, measured: AxisMargins) -> str:
-    """That there is none, and where it was looked for; of lead and less delay the crossovers are what was found."""
+    """Say that there is no such margin, and in what band; of lead and less delay the crossovers settle it."""
     if name in ("phase_lead_deg", "delay_less_s") and "crossover_hz" in measured.response.margins:
         return "none"
     least, most = measured.band_hz
@@ -60,7 +60,7 @@ def _none(name: str, measured: AxisMargins) -> str:
 
 
 def heading(measured: AxisMargins) -> str:
-    """What was done on an axis."""
+    """Describe the excitation of an axis: band, lines, periods, peak, and above what frequency nothing was measured."""
     sine = measured.sine
     band = f"{measured.axis.capitalize()}: {sine.hertz[0]:.3g} to {sine.hertz[-1]:.3g} Hz"
     heard = measured.band_hz[1]
@@ -101,7 +101,7 @@ def _csv(margins: MeasuredMargins) -> str:
 
 
 def _curves(measured: AxisMargins) -> list[tuple[str, str, Any, Any, dict[str, Any]]]:
-    """Computed and measured: label, colour, Hz, L, how it is drawn."""
+    """Return the computed and the measured curve, each as label, colour, Hz, L, and options of the drawing."""
     curves: list[tuple[str, str, Any, Any, dict[str, Any]]] = []
     hertz = measured.sine.hertz
     if measured.computed is not None:
