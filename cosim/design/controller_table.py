@@ -132,7 +132,7 @@ def _rounded(value: float) -> float:
 
 
 def _model(channel: Channel, chosen: Assessment, design: Design) -> RateModel:
-    """Return the predictor's model without the delay that the controller adds: the flight reports that to the predictor."""
+    """Return the predictor's model without the delay that the controller adds, which the flight adds to it."""
     own = chosen.tuning.model
     known = {"source": design.model_source, "engine_sha256": design.engine.fingerprint}
     return own.model_copy(update={"delay_samples": own.delay_samples - channel.added_delay, **known})

@@ -47,7 +47,7 @@ class TuningResult:
 
 
 def objective(closed: ClosedLoop) -> float:
-    """Return ``ln`` of the integral of absolute error of a step of the set-point, plus a third of that of a step of load.
+    """Return ``ln`` of the integrated absolute error of a set-point step, plus a third of that of a load step.
 
     The logarithm needs no units and no sizes of the steps.  At a bandwidth w the first goes with 1/w, the second with
     1/w^3, so the third makes both count as bandwidth.

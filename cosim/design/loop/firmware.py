@@ -134,7 +134,7 @@ class Firmware:
         return self.units[self.axis][("angle_gain", "p", "i", "d").index(name)]
 
     def smooth(self, seconds: float) -> float:
-        """Return the nearest allowed time constant of the derivative's filter, s: of whole hertz where gains are whole."""
+        """Return the nearest time constant, s, that the derivative's filter may have: whole hertz with whole gains."""
         if self.d_filter_s is not None:
             return self.d_filter_s
         return seconds if self.units is None else 1.0 / (2.0 * pi * max(1.0, round(1.0 / (2.0 * pi * seconds))))

@@ -43,7 +43,7 @@ ESTIMATED = "attitude, position and velocity are its estimates, and not the trut
 
 
 def as_columns(log: FlightLog) -> tuple[MemoryLog, tuple[str, ...]]:
-    """The columns that the log has, at the times of its fastest, and what is to be said of it.
+    """Return a log under our column names, at the times of its fastest channel, and remarks on it.
 
     Slower ones hold their values, NaN before the first.  Times count from its first row.  Raises InputError where it
     has none.
@@ -67,7 +67,7 @@ def as_columns(log: FlightLog) -> tuple[MemoryLog, tuple[str, ...]]:
 
 
 def read_log(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
-    """A CSV or Parquet log of another tool, and what is to be said of it.
+    """Read a CSV or Parquet log of another tool, and return it with remarks on it.
 
     Its columns are ours where they are called as ours; its time [s] is called and grows as
     :mod:`cosim.identify.logs.table` has it.  Columns without numbers are left out.  Raises InputError.
@@ -109,7 +109,7 @@ def _matching(log: FlightLog) -> dict[str, Channel]:
 
 
 def _rates(log: FlightLog) -> dict[str, Channel]:
-    """Measured and asked for, of the axes that the log's kind has."""
+    """Return measured rates and rate set-points, rad/s, of the axes that the log's kind has."""
     columns: dict[str, Channel] = {}
     for axis, rate in zip(AXES, RATES, strict=True):
         try:
@@ -125,7 +125,7 @@ def _rates(log: FlightLog) -> dict[str, Channel]:
 
 
 def _engines(log: FlightLog) -> dict[str, Channel]:
-    """Throttles and thrusts."""
+    """Return the engines' throttles, 0 to 1, and thrusts, N, by our column names."""
     columns: dict[str, Channel] = {}
     for jet in range(1, MOST_JETS + 1):
         throttle, thrust = f"actuator_motors.control[{jet - 1}]", f"hexjet_thrust.newton[{jet - 1}]"
@@ -138,7 +138,7 @@ def _engines(log: FlightLog) -> dict[str, Channel]:
 
 
 def _a_step_earlier(thrust: Channel, throttle: Array) -> Channel:
-    """A thrust at the times of the commands that it answers; of a log that was cut or damaged not all may be there."""
+    """Return a thrust at the times of the commands that it answers, of which a damaged log may lack some."""
     before = np.searchsorted(throttle, thrust.times, side="left") - 1
     step = (
         float(np.median((thrust.times - throttle[np.maximum(before, 0)])[before >= 0])) if (before >= 0).any() else 0.0
@@ -149,14 +149,14 @@ def _a_step_earlier(thrust: Channel, throttle: Array) -> Channel:
 
 
 def _held(channel: Channel, clock: Array) -> Array:
-    """Its values at these times: from each of its rows to the next; half the clock's step of slack."""
+    """Return the values held from each row to the next, at these times, with half the clock's step of slack."""
     slack = 0.5 * float(np.median(np.diff(clock)))
     row = np.searchsorted(channel.times, clock + slack, side="right") - 1
     return np.where(row >= 0, channel.values[np.maximum(row, 0)], np.nan)
 
 
 def _euler(w: Array, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
-    """Roll, pitch and yaw of quaternions, body to NED."""
+    """Return roll, pitch and yaw, rad, of quaternions from body to NED."""
     arcs: Callable[[Array, Array], Array] = np.arctan2
     return (
         arcs(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
@@ -166,5 +166,5 @@ def _euler(w: Array, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]
 
 
 def _wrapped(channel: Channel) -> Channel:
-    """An angle that is told from 0 to a full turn, as ours: to half a turn either way."""
+    """Return an angle, which a log may give from 0 to 2 pi, between -pi and pi as our columns have it."""
     return channel._replace(values=np.angle(np.exp(1j * channel.values)))

@@ -38,12 +38,12 @@ _NAME = re.compile(r"(.*)\[(\d+)\]$")
 
 
 def recognises(head: bytes) -> bool:
-    """Whether a file begins so."""
+    """Return whether the first bytes of a file are a blackbox log's."""
     return head.startswith(MARKER)
 
 
 def read(path: Path, number: int | None = None) -> FlightLog:
-    """The main frames' fields by their names, with those of slow and GNSS frames; gyro and set-point in deg/s.
+    """Read the fields of main, slow and GNSS frames by their names; gyro and set-point in deg/s.
 
     ``axisSum[n]`` is the sum of the terms of an axis that are logged.  A file may hold several logs: ``number`` counts
     from 1, and None is the longest.  Raises InputError.
@@ -90,7 +90,7 @@ class Head:
     stated: dict[str, str]
 
     def number(self, name: str, default: float) -> float:
-        """The first number of a line, which may be hexadecimal: a float's bits; the default for what is none."""
+        """Return the first number of a line of the head, which may be a float's bits in hexadecimal, or the default."""
         text = self.stated.get(name, "").split(",")[0].strip()
         try:
             bits = text.lower().startswith("0x")
@@ -100,7 +100,7 @@ class Head:
         return float(value) if isfinite(value) else default
 
     def whole(self, name: str, default: int) -> int:
-        """The same as a whole number of 32 bits; the default for what is none."""
+        """Return the first number of a line of the head as a whole one of 32 bits, or the default."""
         value = self.number(name, default)
         return int(value) if abs(value) < 2**31 else default
 
@@ -210,7 +210,7 @@ class _Frames:
         self.motor = names.index("motor[0]") if "motor[0]" in names else 0
 
     def read(self, at: int) -> None:
-        """All of them from ``at``; what cannot be one is passed over to the next that can."""
+        """Read all frames from ``at``, and skip bytes that cannot be a frame up to the next that can."""
         damaged = False  # several bytes in a row count once
         while at < len(self.data) and not self.ended:
             kind = chr(self.data[at])
@@ -229,7 +229,7 @@ class _Frames:
                 at = after
 
     def _frame(self, kind: str, at: int) -> tuple[int, Callable[[], None] | None]:
-        """Where a frame ends and what it does; None if it is none: the next one must begin behind it."""
+        """Return where a frame ends and what applies it; None for no frame, which the next one must follow at once."""
         if kind == "E":
             after, done = self._event(at + 1)
         else:
@@ -293,7 +293,7 @@ class _Frames:
         self.rows.extend(values)
 
     def _predicted(self, kind: str, layout: Layout, values: list[int]) -> None:
-        """Each value with what its predictor adds, as 32 bits."""
+        """Add to each value what its predictor says, in 32 bits."""
         last, before, homes = self.last or (), self.before or (), 0
         for n, code in enumerate(layout.predictors):
             value = values[n]
@@ -318,14 +318,15 @@ class _Frames:
             values[n] = ((value + 0x80000000) & MASK) - 0x80000000 if layout.signed[n] else value & MASK
 
     def _next(self, count: int) -> int:
-        """The first count from this one on of which a main frame is logged, an I frame at the latest."""
+        """Return the first count from this one on of which a main frame is logged, an I frame at the latest."""
         phase = count % self.every
         late = (phase + self.share - 1) % self.of
         return count + min(self.of - late, self.every - phase) if late >= self.share else count
 
     def _follows(self, kind: str, values: list[int]) -> bool:
-        """Whether count and time go on from the last main frame.  Two I frames that do not, but one after the other,
-        are believed: the clock has jumped, or the last main frame was noise.
+        """Return whether count and time go on from the last main frame.
+
+        Two I frames that go on from each other are believed: the clock jumped, or the last main frame was noise.
         """
         count = values[self.counted] if self.counted is not None else 0
         time = values[self.timed] if self.timed is not None else 0
@@ -340,7 +341,7 @@ class _Frames:
         return False
 
     def _event(self, at: int) -> tuple[int, Callable[[], None] | None]:
-        """Where an event ends and what it does; None for one that is not known, behind which nothing can be found."""
+        """Return where an event ends and what applies it; None for an unknown one, whose length is unknown too."""
         data = self.data
         kind = data[at]
         at += 1
@@ -382,7 +383,7 @@ class _Frames:
 
 
 def _goes_on(before: tuple[int, int], here: tuple[int, int]) -> bool:
-    """Neither count nor time back, nor far ahead; both are of 32 bits and may roll over."""
+    """Return whether neither count nor time goes back, nor far ahead; both are of 32 bits and may roll over."""
     return (here[0] - before[0]) & MASK < MOST_COUNTS and (here[1] - before[1]) & MASK < MOST_US
 
 

@@ -11,7 +11,7 @@ MASK = (1 << 32) - 1
 
 
 def unsigned(data: bytes, at: int) -> tuple[int, int]:
-    """Seven bits a byte, the lowest first; five bytes at most."""
+    """Read a number of seven bits a byte, the lowest first, five bytes at most; return it and where it ends."""
     value, shift = 0, 0
     while shift < 35:
         byte = data[at]
@@ -24,7 +24,7 @@ def unsigned(data: bytes, at: int) -> tuple[int, int]:
 
 
 def signed(data: bytes, at: int) -> tuple[int, int]:
-    """Zigzag: 0, -1, 1, -2 as 0, 1, 2, 3."""
+    """Read a signed number in zigzag, 0, -1, 1, -2 as 0, 1, 2, 3; return it and where it ends."""
     value, at = unsigned(data, at)
     return (value >> 1) ^ -(value & 1), at
 
@@ -35,14 +35,14 @@ def extended(value: int, bits: int) -> int:
 
 
 def _bytes(data: bytes, at: int, count: int) -> tuple[int, int]:
-    """A whole number of so many bytes, the lowest first, with its sign."""
+    """Read a signed integer of so many bytes, the lowest first; return it and where it ends."""
     if at + count > len(data):
         raise IndexError
     return int.from_bytes(data[at : at + count], "little", signed=True), at + count
 
 
 def tag8(data: bytes, at: int, count: int) -> tuple[list[int], int]:
-    """A bit for each value that is not 0; one value alone has no such byte."""
+    """Read values behind a byte with a bit for each that is not 0; one value alone has no such byte."""
     tags, at = (1, at) if count == 1 else (data[at], at + 1)
     values = []
     for _ in range(count):
@@ -55,7 +55,7 @@ def tag8(data: bytes, at: int, count: int) -> tuple[list[int], int]:
 
 
 def tag2_3(data: bytes, at: int, packed: Sequence[tuple[int, Sequence[tuple[int, int]]]]) -> tuple[list[int], int]:
-    """Three values whose width two bits say: one of three packings, or whole bytes for each."""
+    """Read three values whose width two bits say: one of three packings, or whole bytes for each."""
     lead = data[at]
     if lead >> 6 < 3:
         length, places = packed[lead >> 6]
@@ -79,7 +79,7 @@ UNEVEN = (_TWO, (2, ((9, 5), (4, 5), (0, 4))), (3, ((14, 8), (7, 7), (0, 7))))
 
 
 def tag8_4(data: bytes, at: int) -> tuple[list[int], int]:
-    """Four values of 0, 4, 8 or 16 bits, which two bits each say; packed by half bytes, the high one first."""
+    """Read four values of 0, 4, 8 or 16 bits, as two bits each say; packed by half bytes, the high one first."""
     tags = data[at]
     at = 2 * (at + 1)  # in half bytes
     values = []

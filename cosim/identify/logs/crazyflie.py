@@ -19,12 +19,12 @@ UNITS = {"acc": "g", "gyro": "deg/s"}  # by the group of the firmware's variable
 
 
 def recognises(head: bytes) -> bool:
-    """Whether a file begins so."""
+    """Return whether the first bytes of a file are a Crazyflie log's."""
     return len(head) >= 5 and head[0] == MAGIC and struct.unpack("<H", head[1:3])[0] in (1, 2)
 
 
 def read(path: Path) -> FlightLog:
-    """The fields by their names (``gyro.x``); those of a second kind of event as ``event/name``.  Raises InputError."""
+    """Read the fields by their names (``gyro.x``), of several kinds of event as ``event/name``.  Raises InputError."""
     data = path.read_bytes()
     version, count = struct.unpack("<HH", data[1:5])
     clock, unit = ("<u4", 1e-3) if version == 1 else ("<u8", 1e-6)
@@ -67,7 +67,7 @@ def read(path: Path) -> FlightLog:
 def _rows(
     data: bytes, at: int, end: int, kinds: dict[int, tuple[str, np.dtype[np.void]]]
 ) -> tuple[dict[int, list[np.ndarray]], int]:
-    """The events by kind, each run of one kind in one piece, and how many bytes at the end are none."""
+    """Return the events by kind, each run of one kind in one piece, and how many bytes at the end are none."""
     events: dict[int, list[np.ndarray]] = {}
     reach = 64  # events looked at together; more after a long run of one kind
     while at + 2 <= end:

@@ -35,12 +35,12 @@ _WHOLE = "bBhHiIqQM"  # format characters of whole numbers
 
 
 def recognises(head: bytes) -> bool:
-    """Whether a file begins so."""
+    """Return whether the first bytes of a file are a DataFlash log's."""
     return head.startswith(HEAD + bytes([FMT]))
 
 
 def read(path: Path) -> FlightLog:
-    """Every message's fields as ``NAME.Field``, ``NAME[1].Field`` where messages have an instance.
+    """Read every message's fields as ``NAME.Field``, or ``NAME[1].Field`` where messages have an instance.
 
     Raises InputError where nothing can be read.
     """
@@ -96,7 +96,7 @@ def parameter_names(path: Path) -> frozenset[str] | None:
 def _rows(
     raw: NDArray[np.uint8], places: Sequence[int], length: int, columns: str, labels: Sequence[str]
 ) -> np.ndarray | None:
-    """The messages of one kind as a table; None where there are none, or its format is none that can be read."""
+    """Return the messages of one kind as a table; None where there are none, or the format cannot be read."""
     at = np.array(places, np.int64)
     if not at.size or not columns or any(column not in TYPES for column in columns):
         return None
@@ -107,7 +107,7 @@ def _rows(
 
 
 def _units(formats: Mapping[int, _Format], tables: Mapping[int, np.ndarray]) -> dict[int, str]:
-    """What FMTU says of each kind of message: a character a field, its unit."""
+    """Return the units that FMTU gives each kind of message, a character a field."""
     said: dict[int, str] = {}
     for kind, rows in tables.items():
         if formats[kind][0] == "FMTU" and {"FmtType", "UnitIds"} <= set(formats[kind][3]):
@@ -117,7 +117,7 @@ def _units(formats: Mapping[int, _Format], tables: Mapping[int, np.ndarray]) -> 
 
 
 def _instance(columns: str, labels: Sequence[str], units: str | None) -> str:
-    """The field that tells instances apart: what FMTU says so of, else whole numbers that are called so; "" for none.
+    """Return the field that numbers instances, by FMTU or else by the name of a whole number; "" for none.
 
     The integrator of a PID message is called I too.
     """
@@ -128,7 +128,7 @@ def _instance(columns: str, labels: Sequence[str], units: str | None) -> str:
 
 
 def _instances(name: str, rows: np.ndarray, field: str) -> list[tuple[str, NDArray[np.int64]]]:
-    """The rows of each instance, under its name."""
+    """Return the name and the row numbers of each instance of a message."""
     everything = [(name, np.arange(len(rows)))]
     if not field:
         return everything
@@ -142,8 +142,9 @@ def _instances(name: str, rows: np.ndarray, field: str) -> list[tuple[str, NDArr
 
 
 def _places(data: bytes) -> tuple[dict[int, _Format], dict[int, list[int]], int, int]:
-    """The formats by type, where the messages of each begin, how many bytes were none, and how many at the end are
-    the beginning of a message.
+    """Find the messages of each type.
+
+    Return the formats by type, where messages begin, and how many bytes were skipped and are cut at the end.
     """
     formats: dict[int, _Format] = {FMT: ("FMT", FMT_LENGTH, "BBnNZ", ["Type", "Length", "Name", "Format", "Columns"])}
     lengths = [0] * 256
@@ -172,7 +173,7 @@ def _places(data: bytes) -> tuple[dict[int, _Format], dict[int, list[int]], int,
 
 
 def _whole(formats: Mapping[int, _Format]) -> dict[int, _Format]:
-    """Those with a label for each character, and no label twice."""
+    """Return the formats with a label for each character, and no label twice."""
     return {
         kind: (name, size, columns, labels)
         for kind, (name, size, columns, labels) in formats.items()

@@ -41,7 +41,7 @@ class Channel(NamedTuple):
     unit: str = ""
 
     def extent(self) -> dict[str, float | int | str]:
-        """How many values, over how many seconds, and at which rate; 0 where the times say none."""
+        """Return the count of values, their span in s and their rate in Hz, which are 0 without usable times."""
         seconds = float(self.times[-1] - self.times[0]) if len(self.times) else 0.0
         seconds = seconds if np.isfinite(seconds) else 0.0
         rate = (len(self.times) - 1) / seconds if seconds > 0.0 else 0.0
@@ -70,13 +70,13 @@ class FlightLog:
     engine: str = ""  # what flew, where the log says so
 
     def signal(self, text: str, notes: list[str] | None = None) -> Channel:
-        """A channel, or a sum such as ``m1 + m2 - 0.5*m3``; ``deg(NAME)`` is one in degrees, brought to radians, and
-        ``square(NAME)`` its square, as a rotor's thrust goes with that of its speed.
+        """Return a channel, or a sum such as ``m1 + m2 - 0.5*m3``.
 
-        A text that is a channel's name is that channel; in a sum quotes hold a name with blanks or brackets:
-        ``deg('gyro (deg/s)')``.  Rows of a sum whose stamp not all of its channels have are left out, which ``notes``
-        then says.  Raises InputError for a name that the log has not, and for channels of which fewer than half the
-        rows have equal times.
+        ``deg(NAME)`` is a channel in degrees brought to radians, ``square(NAME)`` its square, as a rotor's thrust goes
+        with that of its speed.  A text that is a channel's name is that channel; in a sum quotes hold a name with
+        blanks or brackets: ``deg('gyro (deg/s)')``.  Rows of a sum whose stamp not all of its channels have are left
+        out, which ``notes`` then says.  Raises InputError for a name that the log has not, and for channels of which
+        fewer than half the rows have equal times.
         """
         total: Channel | None = None
         longest = 0
@@ -103,7 +103,7 @@ class FlightLog:
         return total
 
     def to_dict(self) -> dict[str, Any]:
-        """What the log holds, for JSON: of each channel its unit, how many values, over which time and how fast."""
+        """Return what the log holds, for JSON: each channel's unit, count of values, span in s and rate in Hz."""
         return {
             "log": str(self.path),
             "kind": self.kind,
@@ -112,17 +112,17 @@ class FlightLog:
         }
 
     def has(self, text: str) -> bool:
-        """Whether the log has all channels of a sum."""
+        """Return whether the log has all channels of a sum."""
         return bool(text) and all(_inner(name)[1] in self.channels for _, name in self._terms(text))
 
     def _terms(self, text: str) -> list[tuple[float, str]]:
-        """The factors and names of a sum, or the one channel that is called so."""
+        """Return the factors and names of a sum, or the one channel of that name."""
         name = text.strip()
         return [(1.0, repr(name))] if name in self.channels and not {"'", '"'} & set(name) else terms(text)
 
 
 def _shared(first: Channel, second: Channel) -> tuple[Channel, Channel]:
-    """The rows of two channels that have the same time, in the order of the first; of equal times the first row."""
+    """Return the rows of two channels at common times, in the order of the first; of equal times the first row."""
     times, rows = np.unique(second.times, return_index=True)
     alone = np.zeros(len(first.times), bool)
     alone[np.unique(first.times, return_index=True)[1]] = True
@@ -143,7 +143,7 @@ _TAKEN: dict[str, Callable[[Array], Array]] = {
 
 
 def _inner(name: str) -> tuple[str, str]:
-    """What is made of a channel in a term, such as ``deg(NAME)``, and the channel, without its quotes."""
+    """Split a term such as ``deg(NAME)`` into the function, "" for none, and the channel's name without quotes."""
     taken, bracket, rest = name.partition("(")
     if bracket and taken in _TAKEN and rest.endswith(")"):
         return taken, _unquoted(rest[:-1].strip())
@@ -155,14 +155,14 @@ def _unquoted(name: str) -> str:
 
 
 def numbers(values: Any) -> Array:
-    """As floats; bytes that are damaged may be any number, or none, which is a NaN that does not signal."""
+    """Return values as floats; damaged bytes may be any number, or a NaN, which is made a quiet one."""
     with np.errstate(invalid="ignore"):
         made = np.asarray(values).astype(np.float64)
     return np.where(np.isnan(made), np.nan, made)
 
 
 def terms(text: str) -> list[tuple[float, str]]:
-    """The factors and names of a sum.  Raises InputError for what is none."""
+    """Return the factors and names of a sum of channels.  Raises InputError for a text that is no sum."""
     summands, at = [], 0
     while at < len(text.rstrip()):
         match = _TERM.match(text, at)

@@ -52,7 +52,7 @@ _OTHERS = (  # what else a file may begin with, and what it is then
 
 
 def is_flight_log(path: Path) -> bool:
-    """Whether a file is the log of a flight controller that can be read; ``FILE:N`` as its file is."""
+    """Return whether a file, or that of ``FILE:N``, is the log of a flight controller that can be read."""
     try:
         with _file_and_number(path)[0].open("rb") as file:
             return _reader(file.read(SEARCHED)) is not None
@@ -61,7 +61,7 @@ def is_flight_log(path: Path) -> bool:
 
 
 def _reader(head: bytes) -> tuple[Callable[[Path], FlightLog], int] | None:
-    """What reads the log of a flight controller that begins so, and how many bytes do not belong to it."""
+    """Return the reader of a flight controller's log by its first bytes, and how many bytes come before the log."""
     for recognises, read in _READERS:
         if recognises(head[:HEAD]):
             return read, 0
@@ -72,7 +72,7 @@ def _reader(head: bytes) -> tuple[Callable[[Path], FlightLog], int] | None:
 
 
 def _file_and_number(path: Path) -> tuple[Path, int | None]:
-    """The file, and the number of the log in it where the name says one."""
+    """Return the file, and the number of the log in it where the name ends in one."""
     name, _, digits = str(path).rpartition(":")
     if name and digits.isdecimal() and not path.exists() and Path(name).is_file():
         return Path(name), int(digits[:9])
@@ -80,8 +80,7 @@ def _file_and_number(path: Path) -> tuple[Path, int | None]:
 
 
 def read_flight_log(path: Path, time: str | None = None, time_unit: str | None = None) -> FlightLog:
-    """Read a log of any kind that is known, whatever it is called: by its first bytes, by a head that is found behind
-    others, or as a table.
+    """Read a log of any known kind: by its first bytes, by a head that is found behind others, or as a table.
 
     ``time`` and ``time_unit`` are a table's.  ``FILE:N`` is log number N of a file that holds several, as Betaflight's
     do.  Raises InputError for what is no log or cannot be read.
@@ -109,7 +108,7 @@ def read_flight_log(path: Path, time: str | None = None, time_unit: str | None =
 
 
 def _table_or_refusal(path: Path, head: bytes, time: str | None, time_unit: str | None) -> FlightLog:
-    """A table, or the reason why the file is no log: what it is instead."""
+    """Read a table.  Raises InputError for another file, and says what it is instead."""
     if not table.is_parquet(head):
         begins = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")[:HEAD]
         other = next((words for mark, words in _OTHERS if begins.startswith(mark)), "")
@@ -124,7 +123,7 @@ def _table_or_refusal(path: Path, head: bytes, time: str | None, time_unit: str 
 
 
 def signals_of(log: FlightLog, what: str) -> LogSignals:
-    """What of this log is ``roll``, ``pitch``, ``yaw`` or ``engine:N``, as far as its kind tells.
+    """Return the signals of ``roll``, ``pitch``, ``yaw`` or ``engine:N`` by the names of the log's kind.
 
     Raises InputError where it does not.
     """

@@ -67,12 +67,12 @@ class _Columns:
 
 
 def is_parquet(head: bytes) -> bool:
-    """Whether a file begins so."""
+    """Return whether the first bytes of a file are Parquet's."""
     return head.startswith(PARQUET)
 
 
 def columns_with_time(path: Path, name: str | None = None, unit: str | None = None) -> Table:
-    """The columns of a table; ``name`` is its time, in ``unit``, which its name or its line of units says otherwise.
+    """Read the columns of a table; ``name`` is its time, in ``unit`` or as its name or line of units says.
 
     Without a name the time is the first of those that are called so and run.  Raises InputError where there is none.
     """
@@ -129,7 +129,7 @@ def _add_texts(held: _Columns, texts: dict[str, list[str | None]]) -> None:
 
 
 def _numbers(values: list[str | None]) -> tuple[Array, int] | None:
-    """A column of texts as numbers, NaN for what is none, and how many are none; None where most are none."""
+    """Return texts as numbers, NaN for what is none, and how many are none; None where most are none."""
     texts = [(text or "").strip() for text in values]
     good = [text for text in texts if text and is_number(text)]
     if len(good) < max(LEAST_NUMBERS * sum(map(bool, texts)), 1):
@@ -168,13 +168,13 @@ def _time(path: Path, held: _Columns, name: str | None) -> str:
 
 
 def _plain(name: str) -> str:
-    """A name without its unit, in small letters."""
+    """Return a name without its unit, in small letters."""
     match = _UNIT.fullmatch(name)
     return (match.group(1) if match else name).strip().lower()
 
 
 def _unit(name: str, stated: str) -> str:
-    """The unit of a time, by the line of units or by its name; seconds where neither says one."""
+    """Return the unit of a time, by the line of units or by its name; seconds where neither says one."""
     match = _UNIT.fullmatch(name)
     texts = [
         stated,
@@ -190,13 +190,13 @@ def _unit(name: str, stated: str) -> str:
 
 
 def _runs(values: Array) -> bool:
-    """Whether it grows nearly always from row to row."""
+    """Return whether values grow from nearly every row to the next."""
     values = values[np.isfinite(values)]
     return len(values) > 1 and float(np.mean(np.diff(values) > 0.0)) >= LEAST_RUNNING
 
 
 def _since_first(times: Array) -> tuple[Array, str]:
-    """Dates, or times of a day, which may pass midnight, from the first one on."""
+    """Return dates, or times of day that may pass midnight, as seconds from the first one, with a remark."""
     good = np.flatnonzero(np.isfinite(times))
     if not good.size:
         return times, "no cell of it is a date"
@@ -212,7 +212,7 @@ def _since_first(times: Array) -> tuple[Array, str]:
 
 
 def read_table(path: Path, time: str | None = None, unit: str | None = None) -> FlightLog:
-    """A table of text or Parquet; ``time`` names its time, in ``unit``.  Raises InputError.
+    """Read a table of text or Parquet; ``time`` names its time, in ``unit``.  Raises InputError.
 
     A table that has our ``time_s``, and is not told otherwise by ``time``, has our stamps: a thrust stands in the row
     of the step at whose end the engine has it, and is a step of the table later than that row's time.
@@ -240,7 +240,7 @@ def read_table(path: Path, time: str | None = None, unit: str | None = None) -> 
 
 
 def read_run(folder: Path) -> FlightLog:
-    """The rows of a run.  Raises InputError if there is none."""
+    """Read the log of a run's folder.  Raises InputError if there is none."""
     run = open_run(folder)
     times = np.asarray(run.log[TIME])
     units = {column.name: column.unit for column in run.log.described}

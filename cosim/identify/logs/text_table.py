@@ -44,7 +44,7 @@ class TextTable(NamedTuple):
 
 
 def decoded(data: bytes) -> tuple[str, str] | None:
-    """A file's text and its encoding; None for what is no text."""
+    """Return a file's text and its encoding; None for what is no text."""
     for mark, codec in BOMS:
         if data.startswith(mark):
             text = data[len(mark) :].decode(codec, "replace")
@@ -67,7 +67,7 @@ def _without_mark(data: bytes) -> tuple[str, str]:
 
 
 def read_text(path: Path) -> TextTable:
-    """What a table of text has.  Raises InputError for what is none."""
+    """Read a table of text.  Raises InputError for a file that is none."""
     found = decoded(path.read_bytes())
     if found is None:
         raise InputError(f"{path}: neither a log that is known nor text: it holds bytes that no table has")
@@ -98,7 +98,7 @@ def read_text(path: Path) -> TextTable:
 
 
 def cells(line: str, separator: str) -> list[str]:
-    """The cells of a line, without blanks around them."""
+    """Return the cells of a line, without blanks around them."""
     if separator == " ":
         return line.split()
     try:
@@ -108,7 +108,7 @@ def cells(line: str, separator: str) -> list[str]:
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell is a number, with a point or a comma, or what stands where there is none."""
+    """Return whether a cell is a number, with a point or a comma, or a mark of a missing one."""
     return bool(_NUMBER.fullmatch(cell)) or cell.lower() in _NO_NUMBERS
 
 
@@ -117,7 +117,7 @@ def _is_value(cell: str) -> bool:
 
 
 def _separator(lines: Sequence[str], stated: str) -> tuple[str, int]:
-    """What stands between the cells, and how many there are; "" where nothing cuts the lines alike."""
+    """Return the separator and how many cells it makes of a line; "" where nothing cuts the lines alike."""
     best, chosen = 0.0, ("", 0)
     for separator in (stated,) if stated else (*SEPARATORS, " "):
         rows = [cells(line, separator) for line in lines if line.strip()]
@@ -133,7 +133,7 @@ def _separator(lines: Sequence[str], stated: str) -> tuple[str, int]:
 
 
 def _names(lines: Sequence[str], first: int, separator: str, width: int) -> tuple[int, tuple[str, ...]]:
-    """Which line has the names, and they; one less than the first of the rows where none has."""
+    """Return the number of the line with the names, and the names; the line before the rows where none has them."""
     at = next(n for n in range(first, len(lines)) if len(cells(lines[n], separator)) == width)
     row = cells(lines[at].lstrip("#% "), separator)
     if not any(map(_is_value, row)):
@@ -146,7 +146,7 @@ def _names(lines: Sequence[str], first: int, separator: str, width: int) -> tupl
 
 
 def _units(lines: Sequence[str], head: int, separator: str, names: Sequence[str]) -> tuple[dict[str, str], int]:
-    """The units that a line below the names has, and where the rows begin."""
+    """Return the units by name from a line below the names, if there is one, and where the rows begin."""
     body = next((n for n in range(head + 1, len(lines)) if lines[n].strip()), len(lines))
     row = cells(lines[body], separator) if body < len(lines) else []
     if head < 0 or not any(row) or any(map(_is_value, row)) or len(row) > len(names):
@@ -156,14 +156,14 @@ def _units(lines: Sequence[str], head: int, separator: str, names: Sequence[str]
 
 
 def _decimal(sample: Sequence[str], separator: str) -> str:
-    """The decimal mark: a comma where numbers have it, and hardly any has a point."""
+    """Return the decimal mark: a comma where numbers have it and hardly any has a point."""
     numbers = [cell for cell in sample if _NUMBER.fullmatch(cell)]
     commas, points = (sum(mark in cell for cell in numbers) for mark in ",.")
     return "," if separator != "," and commas > 10 * points else "."
 
 
 def seconds(texts: Sequence[str | None]) -> list[float] | None:
-    """Dates, or times of day, in seconds, NaN for what is none; None where fewer than nine of ten are some."""
+    """Return dates, or times of day, in seconds, NaN for what is none; None unless nine of ten are some."""
     some = [text for text in texts[:SAMPLE] if text]
     for layout in ("", *DATES):
         if some and sum(_moment(text, layout) is not None for text in some) > 0.9 * len(some):
@@ -173,7 +173,7 @@ def seconds(texts: Sequence[str | None]) -> list[float] | None:
 
 
 def _moment(text: str, layout: str) -> float | None:
-    """Seconds since 1970, or of the day; by ISO 8601 where no layout is given."""
+    """Return seconds since 1970, or of the day; by ISO 8601 where the layout is "".  None for another text."""
     text = text.strip()
     try:
         if not layout:

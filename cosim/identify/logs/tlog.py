@@ -60,7 +60,7 @@ class Frame(NamedTuple):
 
 
 def recognises(head: bytes) -> bool:
-    """Whether a file begins with a time and a frame, and goes on with the next, as far as ``head`` shows it."""
+    """Return whether a file begins with a time and a frame, and goes on with the next, as far as ``head`` goes."""
     frame = _frame(head, 0)
     if frame is None or not EARLIEST_US < frame.stamp < LATEST_US:
         return False
@@ -69,11 +69,11 @@ def recognises(head: bytes) -> bool:
 
 
 def read(path: Path) -> FlightLog:
-    """The fields as ``MESSAGE.field``, an array's as ``MESSAGE.field[0]``; ``MESSAGE[1/1].field`` where several systems
-    and components send it, ``MESSAGE[0].field`` where it has several instances.
+    """Read the fields as ``MESSAGE.field``, an array's as ``MESSAGE.field[0]``.
 
-    Times count from the first frame [s].  They are the vehicle's own where a message has one, when it was measured,
-    and else when the frame was taken.  Raises InputError.
+    ``MESSAGE[1/1].field`` where several systems and components send it, ``MESSAGE[0].field`` where it has several
+    instances.  Times count from the first frame [s].  They are the vehicle's own where a message has one, when it was
+    measured, and else when the frame was received.  Raises InputError.
     """
     data = path.read_bytes()
     found = _places(data)
@@ -106,7 +106,7 @@ def read(path: Path) -> FlightLog:
 
 @cache
 def _kinds() -> dict[int, list[Kind]]:
-    """What a message of each number may be: of two dialects the checksum tells which."""
+    """Return what a message of each number may be: of several dialects the checksum tells which."""
     made: dict[int, list[Kind]] = {}
     for name in DIALECTS:
         try:
@@ -133,7 +133,7 @@ def _kind(message: Any, extra: bytes) -> Kind:
 
 
 def _frame(data: bytes, at: int) -> Frame | None:
-    """The frame whose time stands at ``at``, as its head says; None for what has no head of one."""
+    """Read the head of the frame whose time is at ``at``; None for what is no frame's head."""
     start = at + STAMP
     if len(data) < start + SHORTEST or data[start] not in (MAGIC_1, MAGIC_2):
         return None
@@ -152,8 +152,9 @@ def _frame(data: bytes, at: int) -> Frame | None:
 
 
 def _whole(data: bytes, at: int) -> tuple[Frame, int | None] | None:
-    """The frame at ``at``, and which kind of its number it is, None for a number that is not known; None where there is
-    no frame, or a damaged one.
+    """Return the frame at ``at`` and which kind of its number it is, None for an unknown number.
+
+    None alone where there is no frame, or a damaged one.
     """
     from fastcrc.crc16 import mcrf4xx
 
@@ -181,7 +182,7 @@ class _Found:
     cut: int = 0  # bytes at the end that are the beginning of one
 
     def remarks(self, begin: int) -> tuple[str, ...]:
-        """What is to be said of the file, whose first frame was taken at ``begin`` [us]."""
+        """Return remarks on the file, whose first frame was received at ``begin`` [us]."""
         date = datetime.fromtimestamp(1e-6 * begin, UTC) if EARLIEST_US < begin < LATEST_US else None
         remarks = [f"times count from its first frame{f', {date:%Y-%m-%d %H:%M:%S} UTC' if date else ''}"]
         if self.passed:
@@ -218,7 +219,7 @@ def _places(data: bytes) -> _Found:
 
 
 def _next(data: bytes, at: int) -> int:
-    """Where the time of the next frame may stand, from ``at`` on: eight bytes before a magic byte."""
+    """Return where the time of the next frame may be, from ``at`` on: eight bytes before a magic byte."""
     places = [place for magic in (MAGIC_1, MAGIC_2) if (place := data.find(magic, at + STAMP)) >= 0]
     return min(places) - STAMP if places else len(data)
 
@@ -227,13 +228,13 @@ def _next(data: bytes, at: int) -> int:
 
 
 def _table(data: bytes, kind: Kind, frames: list[Frame]) -> np.ndarray:
-    """The payloads as rows: zeros at the end, which the wire leaves out, are there again."""
+    """Return the payloads as rows, with the zeros at the end that the wire leaves out."""
     size = kind.layout.itemsize
     return np.frombuffer(b"".join(data[f.payload][:size].ljust(size, b"\0") for f in frames), kind.layout)
 
 
 def _clocks(tables: dict[Key, np.ndarray], taken: dict[Key, Array]) -> dict[Sender, float]:
-    """Of each sender, when its own clock was at 0, by the frame that was taken the soonest."""
+    """Return when each sender's own clock was at 0, s, by the frame that was received the soonest."""
     clocks: dict[Sender, float] = {}
     for key, table in tables.items():
         if "time_boot_ms" in (table.dtype.names or ()):
@@ -243,7 +244,7 @@ def _clocks(tables: dict[Key, np.ndarray], taken: dict[Key, Array]) -> dict[Send
 
 
 def _times(table: np.ndarray, taken: Array, zero: float | None) -> Array:
-    """The sender's own times where it has some that agree with those at which its frames were taken."""
+    """Return the sender's own times, s, where they agree with those at which its frames were received, or these."""
     for name, unit in OWN_CLOCKS.items():
         if zero is not None and name in (table.dtype.names or ()):
             own = zero + unit * table[name].astype(np.float64)
@@ -253,7 +254,7 @@ def _times(table: np.ndarray, taken: Array, zero: float | None) -> Array:
 
 
 def _instances(name: str, kind: Kind, table: np.ndarray) -> list[tuple[str, NDArray[np.int64]]]:
-    """The rows of each instance, where there are several."""
+    """Return the name and the row numbers of each instance, of which there may be one."""
     values, which = np.unique(table[kind.instance] if kind.instance else np.zeros(len(table)), return_inverse=True)
     if not 1 < len(values) <= MOST_INSTANCES:
         return [(name, np.arange(len(table)))]

@@ -27,12 +27,12 @@ _RUN = 'import runpy; del sys.argv[0]; runpy.run_path(sys.argv[0], run_name="__m
 
 
 def recognises(head: bytes) -> bool:
-    """Whether a file begins so."""
+    """Return whether the first bytes of a file are a ULog's."""
     return head.startswith(MAGIC)
 
 
 def read(path: Path) -> FlightLog:
-    """Every topic's fields as ``topic.field``, those of further instances as ``topic#1.field``.
+    """Read every topic's fields as ``topic.field``, those of further instances as ``topic#1.field``.
 
     Times are those of ``timestamp_sample`` where a topic has it: when it was measured, not when it was published.
     Raises InputError.
@@ -101,14 +101,14 @@ def _channels(said: dict[str, Any], columns: Array) -> dict[str, Channel]:
 
 
 def _step(stated: float | None, times: Array) -> float:
-    """The control step of a log of ours: stated where it is not the default, which is as often as rows are written."""
+    """Return the control step of a log of ours, s: as stated in the log, or else that of its rows, the default."""
     if stated is not None or times.size < 2:
         return stated or 0.0
     return float(np.median(np.diff(times)))
 
 
 def _ends(data: bytes, begin: int) -> bool:
-    """Whether the last message of a log that begins there ends where the file does: each says its size first."""
+    """Return whether the log's last message ends where the file does; each says its size first."""
     at, end = begin + HEAD_BYTES, len(data)
     while at + 3 <= end:
         at += 3 + (data[at] | data[at + 1] << 8)

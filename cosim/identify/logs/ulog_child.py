@@ -36,7 +36,7 @@ class _Rest(io.BytesIO):
 
 
 def _load(file: IO[bytes], begin: int) -> Any:
-    """The log as pyulog has it.  Raises DamagedError with the byte of the file by which it stopped."""
+    """Load the log with pyulog.  Raises DamagedError with the byte of the file by which it stopped."""
     from pyulog import ULog
     from pyulog.core import ULogException
 
@@ -50,7 +50,7 @@ def _load(file: IO[bytes], begin: int) -> Any:
 
 
 def read(path: Path, begin: int) -> tuple[dict[str, Any], list[Columns]]:
-    """What the log that begins at a byte says, and the columns of its topics.  Raises DamagedError.
+    """Read the log that begins at a byte: its facts, and the columns of its topics.  Raises DamagedError.
 
     What is in the log and fits nothing raises whatever it may.
     """

@@ -77,7 +77,7 @@ class Estimate:
         return self.deviance + log(self.count) * self.parameters
 
     def deviation(self, index: int) -> float:
-        """Standard deviation of ``x[index]``, by the linearised problem."""
+        """Return the standard deviation of ``x[index]``, by the linearised problem."""
         return float(np.sqrt(max(self.covariance[index, index], 0.0)))
 
     @property
@@ -99,7 +99,7 @@ class Estimate:
 
 @cache
 def spread(order: int) -> Array:
-    """What each estimated term of A gives to its coefficients, (order, terms): the first ``EACH`` one each.
+    """Return the matrix from estimated terms to coefficients of A, (order, terms): the first ``EACH`` have their own.
 
     Those beyond are linear between ``ORDERS``, because noise that goes through an airframe fades slowly and smoothly.
     """

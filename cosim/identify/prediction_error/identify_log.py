@@ -87,13 +87,13 @@ class LogIdentification:
         return self.chosen.form.engine
 
     def model(self, step: float) -> Model:
-        """As a model behind a hold of this step."""
+        """Return the chosen estimate as a model behind a hold of this step, s."""
         x = self.chosen.x
         gain = self.chosen.gain * (float(x[0]) if self.engine else 1.0)
         return Model(gain, float(x[0]), tuple(float(lag) for lag in x[1:-1]), float(x[-1]) / step, step)
 
     def rate_model(self, step: float) -> RateModel:
-        """As a predictor reads it."""
+        """Return the chosen estimate as a sampled model, as a predictor reads it."""
         low, high = self.delay_bounds
         return self.model(step).discrete(
             f"identified from {self.path.name} ({self.kind}): {self.signals.command} to {self.signals.output}, "
@@ -101,7 +101,7 @@ class LogIdentification:
         )
 
     def to_dict(self, step: float) -> dict[str, Any]:
-        """All of it but the signals, for JSON."""
+        """Return everything but the signals, for JSON."""
         return {
             "log": str(self.path),
             "kind": self.kind,
@@ -125,7 +125,7 @@ class LogIdentification:
 
 
 def estimate_dict(estimate: Estimate, sample: float) -> dict[str, Any]:
-    """One form: parameters, standard deviations, bounds and criteria."""
+    """Return one form's parameters, standard deviations, bounds and criteria, for JSON."""
     value, deviation = estimate.all_delay
     low, high = estimate.delay_bounds
     bounded = bool(np.isfinite(low))
@@ -206,7 +206,7 @@ def identify_log(
 def _estimated(
     prepared: Prepared, engine: bool, hold: dict[str, float], lags: int | None
 ) -> tuple[Problem, list[Estimate], str]:
-    """By the stamps, and by an even clock where there is one: whichever leaves less."""
+    """Estimate by the stamps, and by an even clock where there is one, and take what leaves less."""
     problem = Problem(prepared.by_stamps, prepared.working_step, prepared.longest_delay)
     clock = "stamps"
     if prepared.by_clock:
@@ -224,7 +224,7 @@ def _estimated(
 
 
 def bounds(estimates: Sequence[Estimate]) -> tuple[float, float]:
-    """Bounds of the delay by the richest form: it holds the others, so that no data refute it."""
+    """Return bounds of the delay, s, by the richest form, which contains the others, so that no data refute it."""
     return max(estimates, key=lambda estimate: estimate.form.lags).delay_bounds
 
 
@@ -258,7 +258,7 @@ def _refuse(problem: Problem, estimates: Sequence[Estimate], prepared: Prepared,
 
 
 def _not_determined(chosen: Estimate) -> str:
-    """Which of gain and the sum of delay and lags, if any, has bounds that exceed it: the split may be unknown."""
+    """Name gain, or the sum of delay and lags, where its bounds exceed it; their split may be unknown."""
     total, wide = chosen.all_delay
     known = {"the gain": (chosen.gain, chosen.gain_deviation), "delay and lags together": (total, wide)}
     return " and ".join(name for name, (value, one) in known.items() if not DEVIATIONS_95 * one <= abs(value))
@@ -322,7 +322,7 @@ def _checks(problem: Problem, estimate: Estimate, setpoint: Channel | None) -> l
 
 
 def _on_blocks(problem: Problem, channel: Channel | None) -> Array:
-    """The command, or a channel, at the working samples, 0 between stretches."""
+    """Return the command, or a channel, less its mean at the working samples, 0 between stretches."""
     parts = []
     for stretch in problem.stretches:
         first = stretch.averaged(stretch.times)
@@ -343,19 +343,19 @@ def _noisy(problem: Problem, chosen: Estimate) -> bool:
 
 
 def _explained(problem: Problem, chosen: Estimate) -> float:
-    """The sum of squares by which the command lowers that of what is left over, made white."""
+    """Return by how much the command lowers the sum of squares of the whitened residuals."""
     return float(np.exp(problem.without_command(chosen) / chosen.count) * chosen.count - chosen.loss)
 
 
 def _follows(problem: Problem, chosen: Estimate, command: Check) -> bool:
-    """Whether more of what the command does is left over than a small misfit of the form leaves."""
+    """Return whether the residuals follow the command by more than a small misfit of the form makes them."""
     if not command.failed or command.share <= MISFIT or not _noisy(problem, chosen):
         return False
     return command.share * chosen.loss > SMALL_MISFIT * _explained(problem, chosen)
 
 
 def _why_refused(problem: Problem, chosen: Estimate, checks: Sequence[Check]) -> str:
-    """Why what is left over and the command hang together: the form, or a disturbance that is fed back; or nothing.
+    """Say why the residuals follow the command: the form, or a disturbance that is fed back; "" where they do not.
 
     A form that does not fit leaves a part of what the command did before, and it leaves the set-point too.  Where the
     command explains little, and about as much of what is left over goes with the command of that time as it explains
@@ -386,7 +386,7 @@ def _why_refused(problem: Problem, chosen: Estimate, checks: Sequence[Check]) ->
 
 
 def _against(name: str, white: Array, use: NDArray[np.bool_], signal: Array, spread: int, first: int = 1) -> Check:
-    """Regress the residuals on what a signal was before each of them: the F test of nothing.
+    """Regress the residuals on a signal's past, and test by F that this explains nothing.
 
     ``first``: working samples before; 1 at least for a test of the form, because what the command is at the time of a
     residual or after contains that very noise where a controller is at work, and would be found there whatever the form
@@ -445,7 +445,7 @@ def _response(estimate: Estimate, hertz: Array) -> NDArray[np.complex128]:
 
 
 def information(estimate: Estimate, hertz: Array, step: float) -> Array:
-    """What a command of unit power at each frequency tells of the delay: |w G A|^2 over the power of e."""
+    """Return the information on the delay of a command of unit power at each frequency: |w G A|^2 / power of e."""
     z = np.exp(-2j * np.pi * hertz * step)
     whitening = np.polyval(np.concatenate([[1.0], estimate.ar])[::-1], z)
     slope = 2.0 * np.pi * hertz * np.abs(_response(estimate, hertz) * whitening)
@@ -477,7 +477,7 @@ def _advice(estimate: Estimate, ends: tuple[float, float], prepared: Prepared, b
 
 
 def _coherence(problem: Problem) -> tuple[Array, Array]:
-    """Of command with output, by Welch's method, the stretches one after the other, lost samples bridged."""
+    """Return Hz and the coherence of command and output, by Welch's method over all stretches, gaps bridged."""
     from scipy.signal import coherence
 
     command = _on_blocks(problem, None)

@@ -58,7 +58,7 @@ def write(result: LogIdentification, folder: Path, step: float, family: str) -> 
 
 
 def engine_table(result: LogIdentification) -> dict[str, object]:
-    """A mapping file: the library's first-order engine (a lag behind a whole delay) with what was identified.
+    """Return a mapping file's table: the library's first-order engine (a lag behind a whole delay) as identified.
 
     Its internal step is 4 ms, which the delay is rounded to; the shorter lag of two is added to the delay, which is
     what low frequencies see of it.
@@ -80,7 +80,7 @@ def engine_table(result: LogIdentification) -> dict[str, object]:
 
 
 def summary(result: LogIdentification) -> str:
-    """The log and what of it was used, in a line."""
+    """Describe the log and what of it was used, in a line."""
     output, prepared = result.prepared.output, result.prepared
     clock = f"{1.0 / output.step:.4g} Hz"
     if np.isfinite(output.jitter) and output.jitter > 0.005:
@@ -95,7 +95,7 @@ def summary(result: LogIdentification) -> str:
 
 
 def rows(result: LogIdentification) -> list[list[str]]:
-    """The forms side by side, one row a quantity, each with its 95 % bounds."""
+    """Return the table of the forms side by side, one row a quantity, each with its 95 % bounds."""
     made: list[list[str]] = []
     unit = f"{result.signals.output_unit} per {result.signals.command_unit}"
     gain = (
@@ -153,13 +153,13 @@ def _held(estimate: Estimate, name: str, value: float, text: str) -> str:
 
 
 def _slow_pole(value: float, deviation: float) -> str:
-    """A slow pole may be anything near 0: then it is known from above alone."""
+    """Describe a slow pole, which may be anything near 0: then it is bounded from above alone."""
     high = value + DEVIATIONS_95 * deviation
     return _about(value, deviation) if high < 2.0 * value else f"below {high:.2g}"
 
 
 def _about(value: float, deviation: float) -> str:
-    """Value and bound; none of a lag that ended at its limit, and no number where the bound exceeds it."""
+    """Describe a value and its bound: "none" for a lag at its limit, no number where the bound exceeds it."""
     half = DEVIATIONS_95 * deviation
     if not half > 0.0:
         return "none"
@@ -181,7 +181,7 @@ def _delay(estimate: Estimate) -> str:
 
 
 def _signals(result: LogIdentification) -> dict[str, Any]:
-    """Command, measured output and what the model makes of the command, over time; and the residuals."""
+    """Draw command, measured output, the model's output from the command alone, and the residuals over time."""
     problem, estimate = result.problem, result.chosen
     whole = problem.simulated(estimate)
     white, use = problem.residuals(estimate)
@@ -209,7 +209,7 @@ def _signals(result: LogIdentification) -> dict[str, Any]:
 
 
 def _tells(result: LogIdentification) -> dict[str, Any]:
-    """Coherence, and what a command of each frequency would tell of the delay."""
+    """Draw the coherence, and the information on the delay that a command of each frequency would give."""
     hertz, value = result.coherence
     grid = np.geomspace(0.05, 0.45 / result.problem.working_step, 300)
     density = information(result.chosen, grid, result.problem.working_step)

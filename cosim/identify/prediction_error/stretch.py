@@ -47,18 +47,18 @@ class Stretch:
         return self._counts > 0.0
 
     def commanded(self, times: Array) -> Array:
-        """The command that acts at these times."""
+        """Return the command that acts at these times, s."""
         return self.command[self._cell(times)]
 
     def _cell(self, times: Array) -> Ints:
         return np.clip((times / self.step).astype(np.int64), 0, len(self.command) - 1)
 
     def averaged(self, values: Array) -> Array:
-        """The mean over each working sample, 0 for one that there is not."""
+        """Return the mean over each working sample, 0 for a sample without values."""
         return np.bincount(self.block, values, minlength=self.blocks) / np.maximum(self._counts, 1.0)
 
     def answer(self, pole: float, delay: float) -> Array:
-        """Of ``1 / (s + pole)`` to the delayed command at ``times``, from rest at the first value."""
+        """Return the answer of ``1 / (s + pole)`` to the delayed command at ``times``, from rest at the first value."""
         states = self._states(pole)
         cell, within, begun = self._late(delay)
         fade = np.exp(-pole * within)
@@ -82,7 +82,7 @@ class Stretch:
         return kept[pole]
 
     def _late(self, delay: float) -> tuple[Ints, Array, Array]:
-        """The cell of each sample, less the delay, the time within it, and 0 where that is before the stretch."""
+        """Return the cell of each delayed sample, the time within it, s, and 0 before the stretch or else 1."""
         kept = self._kept[1]
         if delay not in kept:
             if len(kept) >= _CACHE_SIZE:
@@ -94,5 +94,5 @@ class Stretch:
 
 
 def hold_response(pole: float, seconds: float | Array) -> Array:
-    """The answer of ``1 / (s + pole)`` to a command of 1 over so long."""
+    """Return the answer of ``1 / (s + pole)`` to a command of 1 after so many seconds."""
     return np.asarray(-np.expm1(-pole * seconds) / pole if pole > 1e-6 else seconds)

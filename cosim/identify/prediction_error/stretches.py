@@ -63,7 +63,7 @@ def prepare(
     begin: float | None = None,
     end: float | None = None,
 ) -> Prepared:
-    """The stretches of ``output`` in which ``command`` moved; times from ``begin`` to ``end`` [s] of the log alone.
+    """Find the stretches of ``output`` in which ``command`` moved, from ``begin`` to ``end`` [s] of the log.
 
     ``step`` is that of the working samples.  Raises InputError where nothing is usable, which says why.
     """
@@ -118,7 +118,7 @@ def prepare(
 
 
 def clock_of(times: Array) -> Clock:
-    """Step, jitter and loss of a channel's times."""
+    """Return step, jitter and loss of a channel's times."""
     step = float(np.median(np.diff(times)))
     index, even = _index(times)
     if even is None:
@@ -133,7 +133,7 @@ def clock_of(times: Array) -> Clock:
 
 
 def _sound(channel: Channel, what: str, notes: list[str]) -> Channel:
-    """Without what is no number, in the order of time; of a clock that went back, the longest part."""
+    """Return a channel without what is no number, in the order of time; of a clock that went back, the longest part."""
     times, values = channel.times, channel.values
     good = np.isfinite(times) & np.isfinite(values)
     if good.sum() < 2:
@@ -159,7 +159,7 @@ def _sound(channel: Channel, what: str, notes: list[str]) -> Channel:
 
 
 def _index(times: Array) -> tuple[NDArray[np.int64], Array | None]:
-    """Which tick of an even clock each time is nearest to, and the ticks' times; None where there is no such clock."""
+    """Return which tick of an even clock each time is nearest to, and the ticks' times, None without such a clock."""
     from scipy.ndimage import median_filter
 
     step, ticks = float(np.median(np.diff(times))), np.arange(len(times))
@@ -190,7 +190,7 @@ def _within(channel: Channel, low: float, high: float) -> Channel:
 
 
 def _unbroken(output: Array, command: Array, clocks: tuple[Clock, Clock]) -> list[tuple[float, float]]:
-    """From where to where neither has a gap."""
+    """Return the spans, s, from where to where neither output nor command has a gap."""
     edges = []
     for times, clock in ((output, clocks[1]), (command, clocks[0])):
         wide = np.flatnonzero(np.diff(times) > MOST_MISSING * clock.step * 1.05)
@@ -209,7 +209,7 @@ def _unbroken(output: Array, command: Array, clocks: tuple[Clock, Clock]) -> lis
 
 
 def _moving(command: Channel, spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """The parts of the spans in which the command moves, less the edges towards rest."""
+    """Return the parts of the spans in which the command moves, less the edges towards rest."""
     size = float(np.std(command.values))
     stretches = []
     if not size > 0.0:
@@ -234,7 +234,7 @@ def _moving(command: Channel, spans: Sequence[tuple[float, float]]) -> list[tupl
 
 
 def _bridged(moving: list[bool], most: int) -> list[bool]:
-    """Pauses of at most so many windows between movement are no rest."""
+    """Count pauses of at most so many windows between movement as movement."""
     made, last = list(moving), -1
     for n, yes in enumerate(moving):
         if yes:
@@ -245,7 +245,7 @@ def _bridged(moving: list[bool], most: int) -> list[bool]:
 
 
 def _filled(command: Channel) -> Channel:
-    """Where values of an even clock are lost, those between their neighbours: to hold the last one would be late."""
+    """Interpolate the values that an even clock has lost: to hold the last one would be late."""
     index, even = _index(command.times)
     if even is None:
         return command
@@ -272,7 +272,7 @@ def _stretch(
     factor: int,
     steady: Array | None = None,
 ) -> Stretch:
-    """``steady``: the times of the output by an even clock, instead of its stamps."""
+    """Cut a stretch out; ``steady`` are the times of the output by an even clock, instead of its stamps."""
     begin, end = span
     count = int((end - begin) / cell + 1e-6) + 1
     edges = begin + np.arange(count + 1) * cell
@@ -287,7 +287,7 @@ def _stretch(
 
 
 def _integral(command: Channel, at: Array) -> Array:
-    """Of a command that holds from each of its times to the next."""
+    """Return the integral, at these times, of a command that holds from each of its times to the next."""
     whole = np.concatenate([[0.0], np.cumsum(command.values[:-1] * np.diff(command.times))])
     row = np.clip(np.searchsorted(command.times, at, side="right") - 1, 0, None)
     return np.asarray(whole[row] + command.values[row] * (at - command.times[row]))
@@ -307,7 +307,7 @@ def _why(command: Channel, output: Channel, longest_delay: float) -> str:
 
 
 def halves(stretches: Sequence[Stretch]) -> tuple[list[Stretch], list[Stretch]] | None:
-    """The first and the second half of the output; None where that would leave too little."""
+    """Split the stretches into the first and the second half of the output; None where that leaves one empty."""
     total = sum(stretch.blocks for stretch in stretches)
     first: list[Stretch] = []
     second: list[Stretch] = []

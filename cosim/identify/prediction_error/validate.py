@@ -58,7 +58,7 @@ class Validation:
     notes: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return everything, for JSON."""
         return {
             "model": str(self.model.path),
             "log": str(self.log),
@@ -77,7 +77,7 @@ class Validation:
 
 
 def read_model(path: Path, axis: str | None = None) -> StatedModel:
-    """``identification.json`` of ``hexjet identify log``, its folder, or a model file of any ``hexjet identify``.
+    """Read ``identification.json`` of ``hexjet identify log``, its folder, or any ``hexjet identify`` model file.
 
     ``axis`` chooses from a model file of more than one.  Raises InputError.
     """
@@ -101,7 +101,7 @@ def read_model(path: Path, axis: str | None = None) -> StatedModel:
 
 
 def _of_model_file(file: Path, axis: str | None) -> StatedModel:
-    """From z back to the continuous form; the file does not say which channels of a log it is of."""
+    """Read a model file, from z back to the continuous form; it does not say which channels of a log it is of."""
     stated = [
         (name, RateModel.model_validate(model))
         for models in read_models(file).values()
@@ -175,7 +175,7 @@ def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end
 
 
 def _simulated(problem: Problem, model: StatedModel, x: Array) -> Array:
-    """With the stated gain; offset and what was under way as suit the output best."""
+    """Simulate with the model's own gain; offset and initial states are those that suit the output best."""
     columns = problem.columns(model.form, x)
     answer, others = model.gain * columns[:, 0], columns[:, 1:]
     use = problem.present
@@ -184,7 +184,7 @@ def _simulated(problem: Problem, model: StatedModel, x: Array) -> Array:
 
 
 def _better_delay(problems: Sequence[Problem], model: StatedModel, longest: float) -> float:
-    """By how much another delay would lower the error of the output's changes from sample to sample."""
+    """Return by how much, s, the delay must change for the least error of the output's changes between samples."""
     best = (np.inf, 0.0)
     step = problems[0].stretches[0].step
     for delay in np.arange(0.0, longest, step):
@@ -207,7 +207,7 @@ def _correlation(errors: Sequence[Array], lag: int) -> float:
 
 
 def rows(validation: Validation) -> list[tuple[str, str]]:
-    """What the table says."""
+    """Return the rows of the table: what was measured, and its value as text."""
     made = [
         ("fit of the simulation (1: perfect, 0: no better than its mean)", f"{validation.fit:.3f}"),
         ("NRMSE, over the output's standard deviation", f"{validation.nrmse:.3f}"),

@@ -226,7 +226,7 @@ def _scenario(
     seed: int | None,
     settings: Sequence[str],
 ) -> Scenario:
-    """Hover at the sample time of the aircraft's models; with the Smith predictor where there is one for the engine."""
+    """Return a hover at the sample time of the aircraft's models, without a predictor where the engine has no model."""
     data: dict[str, Any] = {"name": f"identify-{axis}", "duration_s": 1.0}
     data["aircraft"] = aircraft_seen_from(aircraft, Path())
     given = {"controller": controller, "substeps": substeps, "seed": seed}
@@ -315,7 +315,7 @@ def _fly(base: Scenario, axis: str, sweep: Sweep) -> _Flight:
 
 
 def _granted(command: Array, refused: Array, cut: Array) -> float:
-    """The least share of the command that was granted; a collective that gave way to roll counts as refused roll."""
+    """Return the least granted fraction of the command; a collective that gave way to roll counts as refused roll."""
     short = np.maximum(np.abs(refused), np.abs(cut))
     hit = short > 0.0
     if not hit.any():
@@ -327,7 +327,7 @@ def _granted(command: Array, refused: Array, cut: Array) -> float:
 
 
 def _response(record: Record, sweep: Sweep, what: str, lags: int) -> tuple[FrequencyResponse, list[str]]:
-    """Estimated twice, the second time around a first model; with what is to be said about it."""
+    """Estimate the response twice, the second time around a first model; return it with notes."""
     response = estimate(record, sweep.from_hz, sweep.to_hz)
     need_coherence(response, what, sweep.amplitude)
     first = fit(response, lags, "first").model
@@ -338,7 +338,7 @@ def _response(record: Record, sweep: Sweep, what: str, lags: int) -> tuple[Frequ
 def _fits(
     response: FrequencyResponse, lags: int, hold: Mapping[str, float] | None, delay: float | None
 ) -> tuple[Fit, ...]:
-    """The chosen form, then those it is worth comparing with."""
+    """Fit the chosen form, then those it is worth comparing with."""
     kept = dict(hold or {})
     name = "1 lag" if lags == 1 else f"{lags} lags"
     fits = [fit(response, lags, name + _said(kept), kept)]

@@ -87,7 +87,7 @@ def identify_engine(
 
 
 def _fits(response: FrequencyResponse, lags: int, hold: Mapping[str, float] | None) -> tuple[Fit, ...]:
-    """The chosen form: with a whole delay, where that is what comes out free."""
+    """Fit the form: first with a whole delay, where a free one comes out whole, then with a free one."""
     free = fit(response, lags, "all free" if not hold else ", ".join(hold) + " held", hold)
     whole = round(free.model.delay_samples)
     if "delay_samples" in free.held or abs(free.model.delay_samples - whole) > WHOLE:
@@ -98,7 +98,7 @@ def _fits(response: FrequencyResponse, lags: int, hold: Mapping[str, float] | No
 def _band(
     engine: EngineSpec, throttle: float, size: float, step: float, low: float | None, high: float | None
 ) -> tuple[float, float]:
-    """What is not given: a decade either side of the corners that a step of the throttle shows, as low as may be."""
+    """Return the band, Hz: where not given, a decade either side of the corners that a step of the throttle shows."""
     if low is not None and high is not None:
         return low, high
     quick, slow = (1.0 / (2.0 * np.pi * lag) for lag in _lags(engine, throttle, size, step))
@@ -145,7 +145,7 @@ def _lags(engine: EngineSpec, throttle: float, size: float, step: float) -> tupl
 
 
 def fly_sweep(engine: EngineSpec, throttle: float, sweep: Sweep, step: float) -> Record:
-    """From rest through the sweep to rest: the deviations of throttle and thrust."""
+    """Run an engine from rest through the sweep to rest; record the deviations of throttle and thrust, N."""
     low, high = sweep.chirp_hz(step)
     length = round(sweep.duration_s / step)
     wave = chirp(step, LEAD_STEPS, length, sweep.amplitude, low, high)

@@ -46,7 +46,7 @@ class Model:
         return tuple(exp(-pole * self.step) for pole in self.poles_1_s)
 
     def modes(self) -> list[tuple[float, float]]:
-        """``(c, pole in 1/s)`` of ``sum c / (z - p)``: the held and sampled model without its delay."""
+        """Return ``(c, pole in 1/s)`` of ``sum c / (z - p)``: the model behind a hold, sampled, without its delay."""
         poles = apart(self.poles_1_s)
         modes = []
         for i, pole in enumerate(poles):
@@ -57,7 +57,7 @@ class Model:
         return modes
 
     def response(self, hertz: Array) -> Complex:
-        """Of the held and sampled model with its delay."""
+        """Return the frequency response of the model behind a hold, sampled, with its delay."""
         z = np.exp(2j * np.pi * hertz * self.step)
         whole = int(self.delay_samples)
         fraction = self.delay_samples - whole
@@ -68,7 +68,7 @@ class Model:
         return np.asarray(total * z**-whole)
 
     def discrete(self, source: str) -> RateModel:
-        """The form that a predictor reads: gain, zeros and poles in z, and the delay in samples."""
+        """Return the form that a predictor reads: gain, zeros and poles in z, and the delay in samples."""
         poles = self.poles
         numerator = np.zeros(len(poles))
         for i, (c, _) in enumerate(self.modes()):
@@ -85,7 +85,7 @@ class Model:
 
 
 def apart(poles: Iterable[float]) -> list[float]:
-    """The poles, those that are equal moved a little: partial fractions need different ones."""
+    """Move equal poles apart a little: partial fractions need different ones."""
     made = list(poles)
     for i in range(1, len(made)):
         while any(abs(made[i] - other) <= 1e-6 * made[i] for other in made[:i]):
@@ -94,7 +94,7 @@ def apart(poles: Iterable[float]) -> list[float]:
 
 
 def _share(decay: float, fraction: float) -> float:
-    """How much of the held input of this step is in the next sample's state, for a delay of a fraction of a sample."""
+    """Return the fraction of this step's held input in the next sample's state, for a fractional delay, samples."""
     if decay < 1e-9:
         return 1.0 - fraction
     return float(np.expm1(-decay * (1.0 - fraction)) / np.expm1(-decay))
@@ -120,18 +120,18 @@ class Fit:
 
 
 def names(lags: int) -> list[str]:
-    """What is fitted, in order: ``gain``, ``rate_1_s``, ``lag_s`` (``lag_2_s``, ...), ``delay_samples``."""
+    """Return the parameters in order: ``gain``, ``rate_1_s``, ``lag_s`` (``lag_2_s``, ...), ``delay_samples``."""
     return ["gain", "rate_1_s", *(f"lag_{i + 1}_s" if i else "lag_s" for i in range(lags)), "delay_samples"]
 
 
 def counts(response: FrequencyResponse) -> Array:
-    """The weight of each point: ``(1.58 (1 - exp(-coherence)))^2`` (Tischler and Remple), 0 below LEAST_COHERENCE."""
+    """Weigh each point by ``(1.58 (1 - exp(-coherence)))^2`` (Tischler and Remple), by 0 below LEAST_COHERENCE."""
     weight = (1.58 * (1.0 - np.exp(-response.coherence))) ** 2
     return np.asarray(np.where(response.coherence >= LEAST_COHERENCE, weight, 0.0))
 
 
 def fit(response: FrequencyResponse, lags: int, label: str, hold: Mapping[str, float] | None = None) -> Fit:
-    """Least squares on log magnitude and phase, weighted by coherence, with the values in ``hold`` kept.
+    """Fit log magnitude and phase by least squares, weighted by coherence, with the values in ``hold`` fixed.
 
     1 dB weighs as 6.6 deg, which is what the complex logarithm gives.  The bounds are those of the linearised problem
     with the misfit taken for independent errors: where the form itself does not fit, they say how well the numbers are
@@ -193,7 +193,7 @@ class _Problem:
         )
 
     def error(self, model: Model) -> Complex:
-        """ln(model / response), its phase between -pi and pi."""
+        """Return ln(model / response), its phase between -pi and pi."""
         return np.asarray(np.log(model.response(self.hertz) / self.value))
 
     def residuals(self, x: Array) -> Array:
@@ -201,7 +201,7 @@ class _Problem:
         return np.concatenate([self.weight * error.real, self.weight * error.imag])
 
     def start(self) -> Array:
-        """Magnitude first, which knows no delay and no sign; then the delay and the sign that fit the phase best."""
+        """Fit the magnitude, which has no delay and no sign, then the delay and the sign that suit the phase best."""
         from scipy.optimize import least_squares
 
         low_hz, high_hz = float(self.hertz[0]), float(self.hertz[-1])
@@ -247,7 +247,7 @@ class _Problem:
         self.sign, x[last] = best[1], best[2]
 
     def _ends(self, name: str, value: float, wide: float) -> tuple[float, float]:
-        """The bounds in the parameter's own unit; those of a pole's rate and of a delay do not go below 0."""
+        """Return the bounds in the parameter's own unit; those of a pole's rate and of a delay do not go below 0."""
         low, high = value - wide, value + wide
         if not _logarithmic(name):
             return max(low, 0.0), high

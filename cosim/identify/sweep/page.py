@@ -106,7 +106,7 @@ def response_figure(identification: Identification) -> Figure:
 def _model_curves(
     label: str, colour: str, model: Callable[[Array], Complex], hertz: Array, identification: Identification, dash: str
 ) -> list[Figure]:
-    """A model's curve, its phase on the same turn of the circle as the measured one, and model over measured."""
+    """Draw a model, its phase on the same turn of the circle as the measured one, and model over measured."""
     value = model(hertz)
     phase = np.degrees(np.unwrap(np.angle(value)))
     turns = np.round((identification.response.phase_deg[0] - phase[0]) / 360.0)

@@ -60,14 +60,14 @@ class FrequencyResponse:
 
 
 def shortest_record(low: float) -> float:
-    """Seconds that a record must have for a group of bins at ``low`` Hz."""
+    """Return the least length of a record, s, for a group of bins at ``low`` Hz."""
     return (BINS - 1) / (2.0 * WIDEST * low)
 
 
 def estimate(
     record: Record, low: float, high: float, model: Callable[[Array], Complex] | None = None
 ) -> FrequencyResponse:
-    """The response between ``low`` and ``high`` Hz.
+    """Estimate the response between ``low`` and ``high`` Hz.
 
     With a first ``model`` (a function of Hz) what is estimated is the ratio of the response to it, which is flat: that
     takes away the last of the parabola's error.  The coherence is the lesser of those of the injected signal with
@@ -101,7 +101,7 @@ def estimate(
 
 
 def _groups(seconds: float, low: float, high: float, count: int) -> list[tuple[int, int]]:
-    """First bin and the one behind the last of each group: evenly spaced in log frequency where the bins allow it."""
+    """Return each group's first bin and the one behind its last: even in log frequency where the bins allow it."""
     first = max(1, round(low * seconds) - BINS // 2)
     end = min(round(high * seconds) + BINS // 2 + 1, count)
     edges = [first]
@@ -114,7 +114,7 @@ def _groups(seconds: float, low: float, high: float, count: int) -> list[tuple[i
 
 
 def _local(offset: Array, injected: Complex, command: Complex, output: Complex) -> tuple[complex, float, float]:
-    """Response at the centre, coherence and relative standard deviation, over one group of bins."""
+    """Estimate response at the centre, coherence and relative standard deviation over one group of bins."""
     basis = np.vander(offset / np.abs(offset).max(), 3, increasing=True)
     regressors, instruments = command[:, None] * basis, injected[:, None] * basis
     gram = instruments.conj().T @ regressors
@@ -133,7 +133,7 @@ def _local(offset: Array, injected: Complex, command: Complex, output: Complex) 
 
 
 def _explained(signal: Complex, instruments: Complex) -> float:
-    """Share of a signal's power that follows the injected one by a parabola in frequency."""
+    """Return the fraction of a signal's power that follows the injected one by a parabola in frequency."""
     power = float(np.mean(np.abs(signal) ** 2))
     if power == 0.0:
         return 0.0
@@ -142,5 +142,5 @@ def _explained(signal: Complex, instruments: Complex) -> float:
 
 
 def _left(signal: Complex, regressors: Complex, solution: Complex) -> float:
-    """Power per bin that three complex unknowns leave."""
+    """Return the power per bin that three complex unknowns leave."""
     return float(np.sum(np.abs(signal - regressors @ solution) ** 2)) / (len(signal) - 3)

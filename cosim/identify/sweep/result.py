@@ -40,7 +40,7 @@ class Sweep:
     duration_s: float
 
     def chirp_hz(self, step: float) -> tuple[float, float]:
-        """First and last frequency, below the Nyquist frequency."""
+        """Return the chirp's first and last frequency, Hz, below the Nyquist frequency."""
         return CHIRP_MARGIN[0] * self.from_hz, min(CHIRP_MARGIN[1] * self.to_hz, 0.49 / step)
 
 
@@ -81,7 +81,7 @@ class Identification:
         return model.model_copy(update={"engine_sha256": self.engine_sha256}) if self.kind == "axis" else model
 
     def reference_deviation(self) -> tuple[float, float] | None:
-        """How far the stated model is from the measured response where that has coherence: most dB, most deg."""
+        """Return how far the reference is at most from the coherent response, dB and deg; None without a reference."""
         if self.reference is None:
             return None
         use = self.response.coherence >= LEAST_COHERENCE
@@ -89,7 +89,7 @@ class Identification:
         return float(np.abs(error.real).max() * 20.0 / np.log(10.0)), float(np.degrees(np.abs(error.imag).max()))
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything but the points of the response, for JSON."""
+        """Return everything but the points of the response, for JSON."""
         deviation = self.reference_deviation()
         return {
             "kind": self.kind,
@@ -115,12 +115,12 @@ class Identification:
         }
 
     def model_table(self) -> dict[str, Any]:
-        """The table of the model file: ``identified.<engine>.<axis>``."""
+        """Return the table of the model file: ``identified.<engine>.<axis>``."""
         return {"identified": {self.engine: {self.channel: self.model.model_dump()}}}
 
 
 def fit_dict(fit: Fit, source: str, engine: bool) -> dict[str, Any]:
-    """A fit for JSON: continuous parameters with their bounds, the discrete form, and the misfit."""
+    """Return a fit for JSON: continuous parameters with their bounds, the discrete form, and the misfit."""
     model = fit.model
     values: dict[str, Any] = dict(fit.values)
     axis = {} if engine else {"low_frequency_delay_samples": low_frequency_delay(fit)}
@@ -142,7 +142,7 @@ def fit_dict(fit: Fit, source: str, engine: bool) -> dict[str, Any]:
 
 
 def rate_response(model: RateModel, hertz: Array) -> Complex:
-    """Of a stated discrete model, the fraction of a sample in its delay taken as pure phase."""
+    """Return a discrete model's frequency response, the fraction of a sample in its delay taken as pure phase."""
     z = np.exp(2j * np.pi * hertz * model.sample_time_s)
     over = np.prod([z - zero for zero in model.all_zeros], axis=0) if model.all_zeros else np.ones(len(hertz))
     under = np.prod([z - pole for pole in model.all_poles], axis=0)
@@ -170,7 +170,7 @@ def check_band(low: float, high: float, duration: float | None, step: float) -> 
 
 
 def suitable_duration(low: float) -> float:
-    """Whole seconds for a sweep from ``low`` Hz."""
+    """Return a sweep's duration, whole s, from ``low`` Hz."""
     return min(float(ceil(CYCLES / low)), LONGEST_SWEEP_S)
 
 
@@ -222,7 +222,7 @@ _TITLES = {
 
 
 def fit_rows(identification: Identification) -> list[list[str]]:
-    """The fits side by side: one row a parameter, its name first."""
+    """Return the table of the fits side by side: one row a parameter, its name first."""
     rows = []
     for name in sorted({name for fit in identification.fits for name in fit.values}, key=list(_TITLES).index):
         title, scale, invert = _TITLES[name], 1e3 if name.startswith("lag") else 1.0, False
@@ -271,12 +271,12 @@ def _all_delay(fit: Fit) -> str:
 
 
 def low_frequency_delay(fit: Fit) -> float:
-    """Samples of delay towards zero frequency, the slow pole taken as ideal integration: delay, lags, half a hold."""
+    """Return the delay towards zero frequency, samples: delay, lags, half a hold; the slow pole is an integrator."""
     return fit.model.delay_samples + sum(fit.model.lags) / fit.model.step + 0.5
 
 
 def equation(model: RateModel, unit: float = 1.0) -> str:
-    """The discrete form in the way it is printed: ``gain (z - zero) / ((z - pole) (z - pole)) z^-delay``."""
+    """Format the discrete form: ``gain (z - zero) / ((z - pole) (z - pole)) z^-delay``."""
     over = " ".join([f"{model.gain / unit:.4g}", *(_factor(zero) for zero in model.zeros)])
     factors = [_factor(pole) for pole in model.poles]
     under = factors[0] if len(factors) == 1 else f"({' '.join(factors)})"
@@ -289,7 +289,7 @@ def _factor(root: float) -> str:
 
 
 def equations(identification: Identification) -> list[str]:
-    """The chosen discrete form, for an engine also in kgf, the unit in which the paper states its engines."""
+    """Format the chosen discrete form, for an engine also in kgf, the unit in which the paper gives its engines."""
     lines = [f"{equation(identification.model)}  [{identification.output_unit} per {identification.command_unit}]"]
     if identification.output_unit == "N":
         lines.append(f"{equation(identification.model, GRAVITY)}  [kgf per {identification.command_unit}]")
