@@ -499,7 +499,7 @@ def _own_controller(simulation: Simulation) -> OwnController | None:
 
 
 def integration(scenario: Scenario) -> Integration:
-    """How the airframe of a flight is integrated: see :mod:`cosim.vehicle.airframe`."""
+    """Return how the airframe of a flight is integrated: see :mod:`cosim.vehicle.airframe`."""
     return Integration(
         runs=scenario.substeps,
         run_s=scenario.step_s / scenario.substeps,
@@ -512,7 +512,7 @@ def integration(scenario: Scenario) -> Integration:
 
 
 def reach(simulation: Simulation) -> Reach:
-    """How far the throttles and the tilts of a flight can be told to go: by the built-in allocation, or at all."""
+    """Return the range of the throttles and tilts of a flight: by the built-in allocation, or at all."""
     vehicle, limits = simulation.vehicle, simulation.vehicle.control.allocation
     jets = len(vehicle.jets)
     least, most = (0.0,) * jets, (1.0,) * jets
@@ -535,7 +535,7 @@ def _station(spec: EngineSpec, reference: EngineSpec) -> StationEngine:
 
 
 def _engine_hashes(specs: Sequence[EngineSpec]) -> dict[str, str]:
-    """Of every archive and every mapping file, by name; what is not the same under one name, by path."""
+    """Return the hashes of every archive and mapping file, by name; what differs under one name, by path."""
     hashes: dict[str, str] = {}
     for spec in specs:
         files = {spec.path: spec.sha256}
@@ -586,7 +586,7 @@ def expectation(scenario: Scenario) -> Expectation | None:
 
 
 def new_folder(parent: Path, name: str) -> Path:
-    """``parent/name-001``, or the first number that is free."""
+    """Return ``parent/name-001``, or the first number that is free."""
     number = 1
     while (folder := parent / f"{name}-{number:03d}").exists():
         number += 1
@@ -594,7 +594,7 @@ def new_folder(parent: Path, name: str) -> Path:
 
 
 def reserve_folder(parent: Path, name: str) -> Path:
-    """As :func:`new_folder`, and made at once: two that ask at the same time get two.  Raises InputError."""
+    """Make the folder of :func:`new_folder` at once: two that ask at the same time get two.  Raises InputError."""
     while True:
         folder = new_folder(parent, name)
         try:

@@ -264,7 +264,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         return bounded
 
     def render(self) -> str | None:
-        """One line: time, true angles, height, and the throttles of the last step; None without a mode."""
+        """Return one line: time, true angles, height, and the throttles of the last step; None without a mode."""
         if self.render_mode is None:
             return None
         state = self.flight.state

@@ -74,7 +74,7 @@ class _Hand:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing is held yet."""
+        """Clear what a program holds."""
         self.throttle: PerJet | None = None
         self.tilt: Tilts | None = None
 
@@ -136,7 +136,7 @@ class Stepper:
         self._begin()
 
     def _begin(self) -> None:
-        """At the start of a flight, which is there already."""
+        """Begin the bookkeeping of a flight that is built already."""
         self.ending: Ending | None = None
         self._given: list[Given] = []
         self._by_hand = 0
@@ -247,7 +247,7 @@ class Stepper:
         return sample
 
     def _show(self, sample: Sample) -> None:
-        """To the log, and to the observers that the scenario brings."""
+        """Pass a step to the log, and to the observers that the scenario brings."""
         if self._recording is not None:
             self._recording.observe(sample)
         try:
@@ -258,7 +258,7 @@ class Stepper:
             raise
 
     def _let_go(self) -> None:
-        """Of a flight that goes on no more, and of what watched it."""
+        """Close a flight that goes on no more, and what watched it."""
         watching, self._watching = self._watching, ()
         try:
             for observer in watching:
@@ -268,7 +268,7 @@ class Stepper:
             self.simulation.close()
 
     def reset(self, seed: int | None = None, scenario: Scenario | None = None) -> Measured:
-        """Back to ``t = 0``.
+        """Return to ``t = 0``.
 
         Parameters
         ----------
@@ -414,7 +414,7 @@ def _refuse_autopilot(scenario: Scenario) -> None:
 
 
 def _numbers(values: Sequence[float], count: int, what: str) -> tuple[float, ...]:
-    """So many finite numbers.  Raises InputError."""
+    """Return so many finite numbers.  Raises InputError."""
     try:
         numbers = tuple([float(value) for value in values])
     except (TypeError, ValueError):

@@ -76,7 +76,7 @@ PURE = "HEXJET_PURE"  # environment: set, build without and run without
 
 
 def fingerprint(package: Path) -> str:
-    """One line a module: the hash of its source, and its path in the package."""
+    """Return one line a module: the hash of its source, and its path in the package."""
     return "".join(f"{sha256((package / name).read_bytes()).hexdigest()}  {name}\n" for name in MODULES)
 
 
@@ -92,7 +92,7 @@ def edited() -> list[str]:
 
 
 def choose() -> None:
-    """From here on import the compiled modules if they are up to date, else all of them from source.
+    """Import the compiled modules from here on if they are up to date, else all of them from source.
 
     One line on standard error says so where an edit is why.
     """
@@ -110,7 +110,7 @@ def choose() -> None:
 
 
 def from_source() -> bool:
-    """Whether this process runs the modules from source."""
+    """Return whether this process runs the modules from source."""
     return any(isinstance(finder, _FromSource) for finder in sys.meta_path)
 
 

@@ -137,7 +137,7 @@ def whole_numbers(ahead: bool, command: Command, measured: Measured, applied: An
 
 
 def frame(count: int) -> struct.Struct:
-    """Of so many numbers behind the step's."""
+    """Return the binary layout of a frame: the step's number and ``count`` others."""
     return struct.Struct(f"<{count + 1}d")
 
 

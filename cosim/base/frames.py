@@ -13,7 +13,7 @@ IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
 def from_euler(roll: float, pitch: float, yaw: float) -> Quaternion:
-    """Quaternion of the yaw-pitch-roll sequence (rad): body to NED."""
+    """Return the quaternion of the yaw-pitch-roll sequence (rad): body to NED."""
     cr, sr = cos(0.5 * roll), sin(0.5 * roll)
     cp, sp = cos(0.5 * pitch), sin(0.5 * pitch)
     cy, sy = cos(0.5 * yaw), sin(0.5 * yaw)
@@ -22,7 +22,7 @@ def from_euler(roll: float, pitch: float, yaw: float) -> Quaternion:
 
 
 def to_euler(q: Quaternion) -> Vector3:
-    """Roll, pitch, yaw (rad) of a unit quaternion; pitch in [-pi/2, pi/2], the others in [-pi, pi]."""
+    """Return roll, pitch, yaw (rad) of a unit quaternion; pitch in [-pi/2, pi/2], the others in [-pi, pi]."""
     w, x, y, z = q
     sine = 2.0 * (w * y - x * z)
     return (
@@ -33,7 +33,7 @@ def to_euler(q: Quaternion) -> Vector3:
 
 
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Hamilton product ``a b``: rotate by ``b`` first, then by ``a``."""
+    """Return the Hamilton product ``a b``: rotate by ``b`` first, then by ``a``."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return (
@@ -50,7 +50,7 @@ def conjugate(q: Quaternion) -> Quaternion:
 
 
 def normalize(q: Quaternion) -> Quaternion:
-    """``q`` scaled to unit length.  Raises ZeroDivisionError for the zero quaternion."""
+    """Return ``q`` scaled to unit length.  Raises ZeroDivisionError for the zero quaternion."""
     w, x, y, z = q
     scale = 1.0 / sqrt(w * w + x * x + y * y + z * z)
     return (w * scale, x * scale, y * scale, z * scale)

@@ -43,7 +43,7 @@ class Geodesy:
         self._origin = _cartesian(latitude, longitude, ground)
 
     def to_geodetic(self, north: float, east: float, altitude: float = 0.0) -> tuple[float, float, float]:
-        """Latitude, longitude (deg) and height above the sea (m) of a place at ``altitude`` above the ground."""
+        """Return latitude, longitude (deg) and height above the sea (m) of a point at ``altitude`` above the ground."""
         height = self.ground + altitude
         up, latitude, longitude = altitude, 0.0, 0.0
         for _ in range(_ROUNDS):
@@ -55,7 +55,7 @@ class Geodesy:
         return degrees(latitude), degrees(longitude), height
 
     def to_local(self, latitude_deg: float, longitude_deg: float, height: float = 0.0) -> tuple[float, float, float]:
-        """North, east and height above the ground (m) of a place at ``height`` above the sea."""
+        """Return north, east and height above the ground (m) of a point at ``height`` above the sea."""
         place = _cartesian(radians(latitude_deg), radians(longitude_deg), height)
         x, y, z = (a - b for a, b in zip(place, self._origin, strict=True))
         outward = self._cl * x + self._sl * y
@@ -72,7 +72,7 @@ class Geodesy:
 
 
 def _cartesian(latitude: float, longitude: float, height: float) -> tuple[float, float, float]:
-    """Earth-centred, Earth-fixed, m, of geodetic coordinates (rad, m)."""
+    """Return the Earth-centred, Earth-fixed position, m, of geodetic coordinates (rad, m)."""
     s, c = sin(latitude), cos(latitude)
     normal = SEMI_MAJOR / sqrt(1.0 - _E2 * s * s)
     across = (normal + height) * c
@@ -80,7 +80,7 @@ def _cartesian(latitude: float, longitude: float, height: float) -> tuple[float,
 
 
 def _geodetic(x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Latitude, longitude (rad) and height (m) of an Earth-fixed point away from the poles' axis."""
+    """Return latitude, longitude (rad) and height (m) of an Earth-fixed point away from the poles' axis."""
     across = hypot(x, y)
     latitude, height = atan2(z, across * (1.0 - _E2)), 0.0
     for _ in range(_ROUNDS):

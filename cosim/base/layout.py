@@ -42,7 +42,7 @@ class Turn(NamedTuple):
 
 
 def turned(axis: Vector3, angle: float, vector: Vector3) -> Vector3:
-    """``vector`` turned about the unit vector ``axis`` by ``angle`` rad, right-handed: Rodrigues' formula."""
+    """Return ``vector`` turned about the unit vector ``axis`` by ``angle`` rad, right-handed: Rodrigues' formula."""
     x, y, z = axis
     vx, vy, vz = vector
     c, s = cos(angle), sin(angle)
@@ -100,14 +100,14 @@ class Layout:
         return [self.axis(group, angles) for group in range(len(self._still))]
 
     def axis(self, group: int, angles: Sequence[float]) -> Vector3:
-        """As :meth:`axes`, of one group."""
+        """Return the unit thrust, body, of one group, as :meth:`axes` of all."""
         axis = self._still[group]
         for about, number, effect in self._turning[group]:
             axis = turned(about, effect * angles[number], axis)
         return axis
 
     def frames(self, angles: Sequence[float]) -> list[tuple[Vector3, Vector3, Vector3]]:
-        """Thrust, forward and right of each group, body: the body's axes turned with the thrust.
+        """Return thrust, forward and right of each group, body: the body's axes turned with the thrust.
 
         From straight up to the axis as stated by the least turn (half a turn about y where it points straight down),
         then by the hinges.
@@ -135,7 +135,7 @@ class Layout:
         return answer
 
     def standing(self, angles: Sequence[float]) -> list[Vector3]:
-        """Where each jet is [m, body]."""
+        """Return the position of each jet [m, body]."""
         if not self.moves:
             return self.places
         answer: list[Vector3] = []
@@ -165,7 +165,7 @@ class Layout:
         return answer
 
     def wrench(self, thrust: Sequence[float], angles: Sequence[float]) -> tuple[Vector3, Vector3]:
-        """Force [N] and moment [N m] of all jets on the body, about the origin of its places."""
+        """Return force [N] and moment [N m] of all jets on the body, about the origin of their positions."""
         axes, places = self.axes(angles), self.standing(angles)
         fx = fy = fz = mx = my = mz = 0.0
         for jet, newton in enumerate(thrust):

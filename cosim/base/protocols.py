@@ -261,7 +261,7 @@ class RateLoop(Protocol):
     """
 
     def reset(self) -> None:
-        """At rest, nothing applied."""
+        """Return to rest, with nothing applied."""
 
     def update(self, setpoint: Vector3, measured: Vector3, applied: Vector3) -> Vector3:
         """Return the torque to apply over a step; called once a step.
@@ -289,7 +289,7 @@ class AttitudeLoop(Protocol):
     """
 
     def reset(self) -> None:
-        """At rest."""
+        """Return to rest."""
 
     def update(self, command: Command, measured: Measured) -> Vector3:
         """Return the body rates to ask for over a step; not called while the command is a rate itself.
@@ -315,7 +315,7 @@ class WholeController(Protocol):
     """
 
     def reset(self) -> None:
-        """At rest; the engines hold the vehicle up, or idle where it stands on the ground."""
+        """Return to rest; the engines hold the vehicle up, or idle where it stands on the ground."""
 
     def update(self, command: Command, measured: Measured, applied: Applied) -> Any:
         """Return what the actuators are to do over a step; called once a step.
@@ -377,7 +377,7 @@ class Allocator(Protocol):
         """
 
     def replan(self, health: Sequence[JetHealth]) -> bool:
-        """From the next step on allocate for engines in this health.
+        """Allocate for engines in this health from the next step on.
 
         Parameters
         ----------
@@ -391,7 +391,7 @@ class Allocator(Protocol):
         """
 
     def reset(self) -> None:
-        """All engines are healthy."""
+        """Return to the allocation for healthy engines."""
 
 
 class Engines(Protocol):
@@ -400,7 +400,7 @@ class Engines(Protocol):
     wants_ambient: bool  # the air around them changes what they give
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
-        """In equilibrium, ready for step 0.
+        """Bring the engines into equilibrium, ready for step 0.
 
         Parameters
         ----------
@@ -416,7 +416,7 @@ class Engines(Protocol):
         """
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
-        """One step, throttles and air held over it.
+        """Advance one step, throttles and air held over it.
 
         Parameters
         ----------
@@ -517,7 +517,7 @@ class Sensors(Protocol):
         """
 
     def sample(self, state: State) -> Measured:
-        """One measurement, once a step, after the airframe.
+        """Return one measurement; called once a step, after the airframe.
 
         Parameters
         ----------
@@ -598,7 +598,7 @@ class OwnSensors(Protocol):
         """
 
     def sample(self, state: State, measured: Measured) -> Measured:
-        """One measurement, once a step; the parameters are those of :meth:`reset`.
+        """Return one measurement; called once a step; the parameters are those of :meth:`reset`.
 
         Parameters
         ----------
@@ -621,7 +621,7 @@ class Wind(Protocol):
     """
 
     def velocity(self, time: float, north: float, east: float, height: float) -> Vector3:
-        """Of the air, asked once a step for the vehicle's centre of gravity and for every engine's station.
+        """Return the velocity of the air; asked once a step for the centre of gravity and for every engine's station.
 
         Parameters
         ----------

@@ -205,7 +205,7 @@ def looking() -> Iterator[None]:
 
 
 def is_looking() -> bool:
-    """Whether something is only looked at."""
+    """Return whether something is only looked at."""
     return _looking.get()
 
 

@@ -67,7 +67,7 @@ class Check(opt.Output):
 @aircraft.command("check", epilog=example("hexjet aircraft check ./mine"))
 @opt.takes(Check)
 def aircraft_check(options: Check) -> int:
-    """Frames, signs, units, inertia, hover, authority with every engine and without any one of them, and a flight.
+    """Check frames, signs, units, inertia, hover, authority with every engine and without any one, and a flight.
 
     Draws it in three views, and the moments that it can make in hover.  Status 1: something is not as it must be.
     """

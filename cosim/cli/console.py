@@ -41,7 +41,7 @@ def without_bars() -> Iterator[None]:
 
 @contextmanager
 def output_to_stderr(active: bool) -> Iterator[None]:
-    """While a flight must leave standard output alone, send what an FMU or a library prints there to standard error."""
+    """Send what an FMU or a library prints to standard error, while a flight must leave standard output alone."""
     if not active:
         yield
         return

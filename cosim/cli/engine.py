@@ -93,7 +93,7 @@ class Survey(opt.Output):
 @fmu.command("survey", epilog=example("hexjet fmu survey engines/*.fmu engines/*.toml"))
 @opt.takes(Survey)
 def fmu_survey(options: Survey) -> int:
-    """One line for each of many engines: is it fit, is there a design for it, does that fly as promised.
+    """Print a line for each of many engines: is it fit, is there a design for it, does that fly as promised.
 
     Checked, designed for and flown in processes of their own.  Status 1: a command of ours failed on one of them.
     """

@@ -97,7 +97,7 @@ def refuse_others(why: str, *allowed: str) -> None:
 
 
 def offer_to_compile(*engines: str) -> None:
-    """On a terminal, ask once whether an FMU that brings sources alone is to be compiled; elsewhere say nothing.
+    """Ask once, on a terminal, whether an FMU that brings sources alone is to be compiled; elsewhere say nothing.
 
     Raises InputError if it is and cannot be.
     """
@@ -206,7 +206,7 @@ def _controller_without_a_model(aircraft: str, scenario: Any) -> dict[str, str]:
 def brought_changes(
     metrics: tuple[str, ...], observers: tuple[str, ...] = (), sensors: str | None = None, wind: str | None = None
 ) -> dict[str, Any]:
-    """Blocks of the user's as changes of a scenario; a file on the command line is meant from here."""
+    """Return the user's blocks as changes of a scenario; a file on the command line is meant from here."""
     from cosim.spec.controller_name import seen_from
 
     def here(name: str) -> str:
@@ -234,7 +234,7 @@ def engine_for(aircraft: str, engine: str | None) -> str:
 
 
 def aircraft_settings(aircraft: str | None) -> list[str]:
-    """Another aircraft with the engine that it is made for as settings of a study; a path is meant from here."""
+    """Return another aircraft with the engine that it is made for as settings of a study; a path is meant from here."""
 
     from cosim.spec.vehicle import aircraft_seen_from, engine_of
 
@@ -247,7 +247,7 @@ def aircraft_settings(aircraft: str | None) -> list[str]:
 
 
 def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:
-    """``NAME`` or ``N=NAME`` texts as changes of a scenario.  Raises InputError if one is named twice."""
+    """Return ``NAME`` or ``N=NAME`` texts as changes of a scenario.  Raises InputError if one is named twice."""
     from cosim.spec.vehicle import file_seen_from
 
     changes: dict[str, Any] = {}

@@ -55,7 +55,7 @@ _OWN = "throttle on roll, rad of tilt on pitch and yaw"
 def _each(
     names: Sequence[str], pattern: str, unit: str, frame: str, meaning: str, source: str, first: int = 0
 ) -> list[Column]:
-    """One column per name, which stands for ``{}`` in pattern, meaning and source; its number there for ``{n}``."""
+    """Return one column per name, which stands for ``{}`` in pattern, meaning and source; its index for ``{n}``."""
     return [
         Column(pattern.format(name), unit, frame, meaning.format(name), source.format(name, n=n))
         for n, name in enumerate(names, first)
@@ -63,7 +63,7 @@ def _each(
 
 
 def _torques(name: str, meaning: str, source: str, accelerations: bool) -> list[Column]:
-    """One column per axis, in the unit of the axis."""
+    """Return one column per axis, in the unit of the axis."""
     return [
         Column(
             name.format(axis),
@@ -331,7 +331,7 @@ NAMES: tuple[str, ...] = tuple(column.name for column in COLUMNS)
 
 
 def jets_in(columns: Iterable[str]) -> int:
-    """How many jets a log has columns of; six at least, as an older log of fewer."""
+    """Return how many jets a log has columns of; six at least, as an older log of fewer."""
     names = frozenset(columns)
     return next(jets for jets in count(JETS) if f"throttle_{jets + 1}" not in names)
 
@@ -365,14 +365,14 @@ def flown_in(columns: Iterable[str]) -> LoggedVehicle:
 
 
 def own_columns(columns: Iterable[Column]) -> list[Column]:
-    """Those that are not every flight's with as many engines: of blocks that show."""
+    """Return the columns that not every flight with as many engines has: of blocks that show their own."""
     columns = tuple(columns)
     names = {column.name for column in _columns(flown_in(column.name for column in columns))}
     return [column for column in columns if column.name not in names]
 
 
 def known(name: str, columns: Iterable[str], where: str = "log") -> str:
-    """``name``, if it is one of the columns.  Raises InputError with the nearest ones."""
+    """Return ``name``, if it is one of the columns.  Raises InputError with the nearest ones."""
     columns = tuple(columns)
     if name not in columns:
         raise InputError(f"the {where} has no column {name!r}; {nearest(name, columns)}")

@@ -71,7 +71,7 @@ class Base(NamedTuple):
 
 
 def shifted(flight: ComparedFlight, by: float) -> ComparedFlight:
-    """With ``by`` [s] added to its times, which is said."""
+    """Return the flight with ``by`` [s] added to its times, which its label says."""
     columns = {name: flight.log[name] for name in flight.log.columns}
     columns[TIME] = columns[TIME] + by
     log = MemoryLog([np.stack(list(columns.values()))], flight.log.columns, flight.log.described)
@@ -79,7 +79,7 @@ def shifted(flight: ComparedFlight, by: float) -> ComparedFlight:
 
 
 def pairs(flights: Sequence[ComparedFlight]) -> list[Pair]:
-    """Every other one against the first."""
+    """Compare every other flight with the first."""
     return [_pair(flights[0], other) for other in flights[1:]]
 
 

@@ -46,7 +46,7 @@ class Event(Record):
 
 
 def events_of(run: Run) -> list[Event]:
-    """Everything of a run, in the order of time."""
+    """Return all events of a run, in the order of time."""
     log, step = run.log, run.summary.step_s
     if not len(log):
         return []
@@ -76,7 +76,7 @@ def spans(mask: NDArray[np.bool_], step: float) -> list[tuple[float, float | Non
 
 
 def faults(log: Log, step: float, stated: Sequence[Fault] = ()) -> Iterator[Event]:
-    """Every stretch in which a fault acts, by jet, servo and sensor; in the words of the scenario where it has them."""
+    """Yield every interval in which a fault acts, by jet, servo and sensor, described as in the scenario, if there."""
     flown = flown_in(log.columns)
     places = [("jet", str(jet)) for jet in range(1, flown.jets + 1)]
     places += [("servo", name) for name in (*flown.servos, *flown.surfaces)]
@@ -107,7 +107,7 @@ def _is_of(fault: Fault, what: str, name: str) -> bool:
 
 
 def _acts(fault: Fault, start: float, end: float | None, step: float) -> bool:
-    """Whether a fault acts at any time between ``start`` and ``end``."""
+    """Return whether a fault acts at any time between ``start`` and ``end``."""
     over = None if fault.duration_s is None else fault.start_s + fault.duration_s
     half = 0.5 * step
     return (end is None or fault.start_s < end - half) and (over is None or over > start + half)
@@ -135,7 +135,7 @@ def fault_text(fault: Fault) -> str:
 
 
 def verdicts(log: Log, step: float) -> Iterator[Event]:
-    """Every change of what the engine monitor believes of a jet."""
+    """Yield every change of the engine monitor's estimate of a jet."""
     for jet in range(1, jets_in(log.columns) + 1):
         name = f"health_{jet}"
         if name not in log.columns:
@@ -155,7 +155,7 @@ def _judged(health: float) -> str:
 
 
 def contacts(log: Log, step: float) -> Iterator[Event]:
-    """When the vehicle leaves the ground and stands on it again, bounces left out."""
+    """Yield when the vehicle leaves the ground and stands on it again, bounces left out."""
     contact = (log["on_ground"] > 0.0) | (log["hull_contact"] > 0.0)
     edges = np.flatnonzero(np.diff(contact.astype(np.int8))) + 1
     last = contact[0]

@@ -246,7 +246,7 @@ def settling_time(error: Array, size: float, step_s: float) -> float | None:
 
 
 def altitude_metrics(setpoint: Array, altitude: Array, contact: NDArray[np.bool_] | None = None) -> AltitudeMetrics:
-    """Height error (m) on the rows that have a set-point.
+    """Return the height error (m) on the rows that have a set-point.
 
     Where the vehicle stands (``contact``) and a lower height is asked for there is no error: the ground carries it.
     """
@@ -258,7 +258,7 @@ def altitude_metrics(setpoint: Array, altitude: Array, contact: NDArray[np.bool_
 
 
 def position_metrics(drift: Array, off: Array) -> PositionMetrics:
-    """From the distances (m) to the start and, NaN where none is asked for, to the place asked for."""
+    """Return the metrics of distances (m) to the start and to the commanded position, NaN where there is none."""
     return PositionMetrics(
         drift_m=_largest(drift),
         final_drift_m=_at_end(drift),
@@ -269,7 +269,7 @@ def position_metrics(drift: Array, off: Array) -> PositionMetrics:
 
 
 def speed_metrics(speed: Array) -> SpeedMetrics:
-    """From the horizontal speed (m/s)."""
+    """Return the metrics of the horizontal speed (m/s)."""
     return SpeedMetrics(max_m_s=_largest(speed), final_m_s=_at_end(speed))
 
 
@@ -338,7 +338,7 @@ def alternating_percent(commands: Iterable[tuple[Array, float, float]], step_s: 
 
 
 def share_percent(rows: NDArray[np.bool_], of: NDArray[np.bool_]) -> float | None:
-    """How many of some rows are among ``rows``, in percent of them; None of none."""
+    """Return how many of some rows are among ``rows``, in percent of them; None of none."""
     count = int(np.count_nonzero(of))
     return 100.0 * int(np.count_nonzero(rows & of)) / count if count else None
 
@@ -359,7 +359,7 @@ def activity(commands: Iterable[Array], step_s: float) -> float | None:
 
 
 def fuel_burnt(left: Array, flows: Iterable[Array], step_s: float) -> float | None:
-    """Fuel (kg) burnt from the first row to the last: what has left the tank, or what the engines report in all.
+    """Return the fuel (kg) burnt from first to last row: what has left the tank, or what the engines report in all.
 
     None where no engine reports its flow: a tank stays full then, whatever is burnt.
     """
@@ -382,7 +382,7 @@ def _position_of(log: Columns) -> PositionMetrics:
 
 
 def asks_for_a_place(log: Columns) -> bool:
-    """Whether a place is asked for at any time."""
+    """Return whether a position is commanded at any time."""
     return PLACE[0] in log.columns and bool(np.any(np.isfinite(log[PLACE[0]])))
 
 
@@ -391,7 +391,7 @@ def _fuel_of(log: Columns, step_s: float) -> float | None:
 
 
 def touchdown(contact: NDArray[np.bool_], altitude: Array, velocity_down: Array) -> float | None:
-    """Descent speed (m/s) on the last row before the first contact that ends a flight.
+    """Return the descent speed (m/s) on the last row before the first contact that ends a flight.
 
     A flight is a stretch in the air that was at least ``FLIGHT_M`` above where it ends.
     """
@@ -406,12 +406,12 @@ def touchdown(contact: NDArray[np.bool_], altitude: Array, velocity_down: Array)
 
 
 def wrap(angle: Array) -> Array:
-    """Angles (rad) brought to (-pi, pi]; those within it are not touched."""
+    """Return angles (rad) brought to (-pi, pi]; those within it are not touched."""
     return np.where(np.abs(angle) <= pi, angle, pi - np.mod(pi - angle, 2.0 * pi))
 
 
 def flatten(metrics: Metrics) -> dict[str, float | None]:
-    """Every metric under the name that an expectation uses, such as ``roll.overshoot_percent``."""
+    """Return every metric under the name that an expectation uses, such as ``roll.overshoot_percent``."""
     flat: dict[str, float | None] = {}
     for axis, of_axis in metrics.axes.items():
         flat |= {f"{axis}.{name}": value for name, value in of_axis.model_dump(exclude={"commanded"}).items()}
@@ -423,13 +423,13 @@ def flatten(metrics: Metrics) -> dict[str, float | None]:
 
 
 def metric_names() -> list[str]:
-    """Every name that an expectation may use."""
+    """Return every name that an expectation may use."""
     nothing = AxisMetrics(commanded=False)
     return list(flatten(Metrics(axes=dict.fromkeys(AXES, nothing), altitude=AltitudeMetrics())))
 
 
 def check_expectations(flat: Mapping[str, float | None], expected: Mapping[str, Range]) -> list[str]:
-    """One line for every expectation that is not met, or that names no metric."""
+    """Return a line for every expectation that is not met, or that names no metric."""
     complaints = []
     for name, allowed in expected.items():
         if name not in flat:

@@ -144,7 +144,7 @@ class OneRow:
         self.names = tuple(column.name for column in columns)
 
     def begin(self, columns: Sequence[Column]) -> None:
-        """Nothing: the columns are known."""
+        """Do nothing: the columns are known."""
 
     def write(self, table: Array) -> None:
         self._table = table.copy()

@@ -280,7 +280,7 @@ def _runnable(folder: Path) -> Iterator[Path]:
 
 
 def _is_installed(path: Path, top: str) -> bool:
-    """Whether a file or folder is part of Python, of us, or of what is installed; ``top``: the package that it is in.
+    """Return whether a path belongs to Python, to us, or to what is installed; ``top``: the package that it is in.
 
     What says of itself that it is installed, by metadata that lie beside it, is not believed.
     """
@@ -304,7 +304,7 @@ def _installed_places() -> frozenset[Path]:
 
 @cache
 def _editable_places(top: str) -> list[Path]:
-    """Where the distributions are developed that are installed in place and have a package of this name."""
+    """Return where the distributions are developed that are installed in place and have a package of this name."""
     places = []
     for distribution in distributions(path=[str(place) for place in _installed_places()]):
         with suppress(ValueError, LookupError, TypeError, AttributeError):  # metadata that say something else

@@ -47,7 +47,7 @@ def write_whole(path: Path, content: str | bytes, failure: type[Exception] | Non
 
 
 def write_files(files: Mapping[Path, str | bytes]) -> None:
-    """Several of them, in folders that are made if need be.  Raises FlightError."""
+    """Write several files, in folders that are made if need be.  Raises FlightError."""
     for path, content in files.items():
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -57,7 +57,7 @@ def write_files(files: Mapping[Path, str | bytes]) -> None:
 
 
 def write_records(path: Path, kind: type[Any], records: Iterable[Any]) -> None:
-    """Dataclasses of one ``kind`` as CSV, a column a field, in a folder that is made if need be.  Raises OSError."""
+    """Write dataclasses of one ``kind`` as CSV, a column a field; the folder is made if need be.  Raises OSError."""
     names = [field.name for field in fields(kind)]
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:

@@ -27,7 +27,7 @@ class Model(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _numbers_are_numbers(cls, data: Any) -> Any:
-        """``"2"`` and ``true`` are no numbers, alone or in a list, though Python would take them."""
+        """Refuse ``"2"`` and ``true`` as numbers, alone or in a list, though Python would take them."""
         numeric = _numeric(cls)
         for name, value in data.items() if isinstance(data, dict) else ():
             if name in numeric:
@@ -251,7 +251,7 @@ def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
 
 
 def _is_off(complaint: ErrorDetails) -> bool:
-    """Whether it is the complaint that a value is not false."""
+    """Return whether it is the complaint that a value is not false."""
     return complaint["loc"][-1:] == ("literal[False]",)
 
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 
 def cache_folder() -> Path:
-    """Where this user's machine keeps what can be made again."""
+    """Return the folder where this user's machine keeps what can be made again."""
     return _folder(os.environ.get("XDG_CACHE_HOME"), "Library/Caches", ".cache")
 
 
 def settings_folder() -> Path:
-    """Where it keeps what the user has settled, such as whose code is run."""
+    """Return the folder of the user's settings, such as whose code is run."""
     return _folder(os.environ.get("XDG_CONFIG_HOME"), "Library/Application Support", ".config")
 
 

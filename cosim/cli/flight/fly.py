@@ -162,7 +162,7 @@ def _watched(links: Sequence[str]) -> Iterator[Any]:
 
 @contextmanager
 def _shown(scenario: Scenario, flightgear: str | None) -> Iterator[Sequence[Observer]]:
-    """FlightGear as an observer, where it is asked for."""
+    """Yield FlightGear as an observer, where it is asked for."""
     if flightgear is None:
         yield ()
         return

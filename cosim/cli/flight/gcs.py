@@ -161,12 +161,12 @@ def print_gcs(session: Session, links: Links, log_mb: float, to_stderr: bool) ->
 
 
 def print_session(runs: Sequence[Run], counts: Mapping[str, Any], to_stderr: bool) -> None:
-    """How a session went, in a line."""
+    """Print in a line how a session went."""
     print(session_line(runs, counts), file=sys.stderr if to_stderr else sys.stdout)
 
 
 def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
-    """Flights and how the last one ended, steps that were late, what the links refused, and how to fly it again."""
+    """Describe a session: flights, the last one's end, late steps, what the links refused, and how to repeat it."""
     from shlex import quote
 
     last, beyond = runs[-1], runs[-1].summary.exceeded

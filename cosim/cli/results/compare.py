@@ -123,7 +123,7 @@ def _expanded(names: Sequence[str], flights: Sequence[int]) -> list[str]:
 
 
 def _shifted(flights: Sequence[ComparedFlight], shifts: Sequence[str]) -> list[ComparedFlight]:
-    """With the times that are to be moved.  Raises InputError for what is no letter of theirs or no number."""
+    """Move the times of these flights.  Raises InputError for what is no letter of theirs or no number."""
     from cosim.results.comparison import shifted
 
     moved = list(flights)
@@ -193,7 +193,7 @@ def _chosen(compared: Sequence[Pair], patterns: Sequence[str]) -> list[list[str]
 
 
 def _data(flights: Sequence[ComparedFlight], compared: Sequence[Pair], page: Path | None) -> dict[str, Any]:
-    """Everything in SI."""
+    """Return the comparison as data for JSON, everything in SI."""
     from cosim.results.report.comparison import inputs_between
 
     runs = []

@@ -27,7 +27,7 @@ class Export(click.Group):
         return super().parse_args(ctx, args)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """One of the commands, or that of logs."""
+        """Return one of the commands, or that of logs."""
         return log if cmd_name == _LOG else super().get_command(ctx, cmd_name)
 
 

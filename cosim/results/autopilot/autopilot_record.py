@@ -63,7 +63,7 @@ class PilotRecord:
             raise InputError(f"{path}: {error.strerror or error}") from error
 
     def observe(self, sample: Sample) -> None:
-        """After a step.  Raises FlightError if the file cannot be written."""
+        """Write the pilot's state after a step.  Raises FlightError if the file cannot be written."""
         self.look(sample.k)
 
     def look(self, k: int) -> None:
@@ -141,7 +141,7 @@ class PilotRecord:
 
 
 def read_pilot_record(folder: Path) -> list[Line]:
-    """Every line of a run's file in the order of its steps; none where the run has no autopilot, or is older.
+    """Return every line of a run's file in the order of its steps; none where the run has no autopilot, or is older.
 
     A last line that is torn is left out.  Raises InputError for a file that :class:`PilotRecord` does not write.
     """

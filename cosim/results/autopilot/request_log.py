@@ -66,14 +66,14 @@ class RequestLog:
             raise FlightError(f"{self.path}: {error.strerror or error}") from error
 
     def close(self) -> None:
-        """May be called twice."""
+        """Close the file; may be called twice."""
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
 
 
 def read_requests(path: Path) -> list[Entry]:
-    """Every line of the file; a last one that is torn was never flown and is left out.
+    """Return every line of the file; a last one that is torn was never flown and is left out.
 
     Raises InputError, naming the line, for anything that :class:`RequestLog` does not write.
     """

@@ -61,7 +61,7 @@ class FlightGear:
 
 
 def parse(address: str) -> tuple[str, int]:
-    """``[HOST:]PORT``, on this machine without a host.  Raises InputError."""
+    """Parse ``[HOST:]PORT``, on this machine without a host.  Raises InputError."""
     host, _, port = address.rpartition(":")
     if not port.isdigit() or not 1 <= int(port) <= 65535:
         raise InputError(f"--flightgear {address}: must be PORT or HOST:PORT, such as 5550")
@@ -116,6 +116,6 @@ def packet(sample: Sample, where: Geodesy) -> bytes:
 
 
 def _four(values: Sequence[float]) -> list[float]:
-    """Of the first four engines, 0 where there is none or it does not say."""
+    """Return the values of the first four engines, 0 where there is none or it reports none."""
     finite = [value if isfinite(value) else 0.0 for value in values[:ENGINES]]
     return finite + [0.0] * (ENGINES - len(finite))

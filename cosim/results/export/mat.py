@@ -70,7 +70,7 @@ def export_mat(folder: Path, path: Path) -> None:
 
 
 def fields(names: tuple[str, ...]) -> dict[str, str]:
-    """For each name one that a field of a MATLAB structure may have: at most 63 letters, digits and _; all differ."""
+    """Return valid field names of a MATLAB structure: at most 63 letters, digits and _, no two alike."""
     made: dict[str, str] = {}
     taken = set(names)
     for name in names:

@@ -163,7 +163,7 @@ def _varint(number: int) -> bytes:
 
 
 def messages_of(channels: Sequence[Channel], block: Block, first: int) -> Iterator[Timed]:
-    """One message a row and channel: each field is its tag and eight bytes, so that all rows are of one layout."""
+    """Yield a message a row and channel: each field is its tag and eight bytes, so that all rows are of one layout."""
     times = nanoseconds(block)
     for channel in channels:
         made = np.zeros(len(times), dtype=channel.kind)

@@ -39,7 +39,7 @@ class LogLine(NamedTuple):
 
 
 def log_lines(run: Run, lines: Sequence[ulog_autopilot.Line]) -> list[LogLine]:
-    """Faults, verdicts, disturbances and contacts, their ends, what the autopilot said, and how the flight ended."""
+    """Return faults, verdicts, disturbances and contacts, their ends, the autopilot's messages, and the outcome."""
     step, summary = run.summary.step_s, run.summary
     texts = [LogLine(k, k * step, severity, "pilot", text) for k, severity, text in ulog_autopilot.messages(lines)]
     texts += [LogLine(k, k * step, INFO, "pilot", text) for k, text in ulog_autopilot.mode_changes(lines)]
@@ -102,7 +102,7 @@ def scenario_of(run: Run) -> Scenario | None:
 
 
 def settings(scenario: Scenario | None) -> dict[str, float]:
-    """Every number of the vehicle, with its gains, and of the scenario: under its key, parts parted by ``/``.
+    """Return every number of the vehicle, with its gains, and of the scenario: under its key, parted by ``/``.
 
     Of the identified models only that of the engine that is flown.  What is whole is whole, truth is 0 or 1.
     """
@@ -129,7 +129,7 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, float]]:
 
 
 def quaternions(roll: Array, pitch: Array, yaw: Array) -> Array:
-    """Quaternions w, x, y, z, shape (n, 4), of the yaw-pitch-roll sequence (rad): body to NED."""
+    """Return quaternions w, x, y, z, shape (n, 4), of the yaw-pitch-roll sequence (rad): body to NED."""
     (cr, sr), (cp, sp), (cy, sy) = ((np.cos(0.5 * angle), np.sin(0.5 * angle)) for angle in (roll, pitch, yaw))
     return np.stack(
         (

@@ -76,7 +76,7 @@ class Scene:
         self._every = {name: max(1, round(seconds / step_s)) for name, seconds in EVERY_S.items()}
 
     def messages(self, block: Block, first: int, last: int) -> Iterator[Timed]:
-        """Those of a block whose first row is step ``first``; that of the ``last`` step always."""
+        """Yield the messages of a block whose first row is step ``first``; that of the ``last`` step always."""
         q = quaternions(*(block[f"{axis}_rad"] for axis in AXES))
         made = {"/tf": self._frames, "/pose": self._pose, "/location": self._place, "/scene/arrows": self._arrows}
         for row, seconds in enumerate(block["time_s"].tolist()):
@@ -136,7 +136,7 @@ class Scene:
 
 
 def drawing(vehicle: Vehicle, time: int) -> SceneUpdate:
-    """Hull, legs and jets: places from ``vehicle.toml``, thicknesses chosen by us in shares of its size."""
+    """Draw hull, legs and jets: positions from ``vehicle.toml``, thicknesses as fractions of its size."""
     update, size = SceneUpdate(), reach(vehicle)
     body = _entity(update, "body", "body", time)
     # from the points that the hull touches with, or else the stations, to the centre of gravity
@@ -166,7 +166,7 @@ def drawing(vehicle: Vehicle, time: int) -> SceneUpdate:
 
 
 def reach(vehicle: Vehicle) -> float:
-    """How far the farthest station or contact is from the centre of gravity along any axis, m."""
+    """Return how far the farthest station or contact is from the centre of gravity along any axis, m."""
     places = [*(jet.position_m for jet in vehicle.jets), *(contact.position_m for contact in vehicle.contacts)]
     return max(max(map(abs, place)) for place in places) or 1.0
 

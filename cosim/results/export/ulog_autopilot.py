@@ -43,7 +43,7 @@ class Series(NamedTuple):
 
 
 def states(lines: Sequence[Line], steps: int, step: float) -> dict[str, Series]:
-    """``vehicle_status``, ``vehicle_land_detected`` and ``home_position``, ``mission_result`` over a flight."""
+    """Return ``vehicle_status``, ``vehicle_land_detected``, ``home_position`` and ``mission_result`` of a flight."""
     again = max(1, round(_AGAIN_S / step))
     by_state: dict[str, Series] = {}
     for topic, kind, fields in (
@@ -58,7 +58,7 @@ def states(lines: Sequence[Line], steps: int, step: float) -> dict[str, Series]:
 
 
 def estimates(lines: Sequence[Line]) -> Series | None:
-    """Position, velocity and set-points as the autopilot had them; None if it said nothing."""
+    """Return position, velocity and set-points as the autopilot had them; None if it said nothing."""
     said = [line for line in lines if line["kind"] == "estimate"]
     if not said:
         return None
@@ -94,7 +94,7 @@ def _trusted(line: Line) -> tuple[float, ...]:
 
 
 def parameters(lines: Sequence[Line]) -> tuple[dict[str, float], list[tuple[int, str, float]]]:
-    """Every parameter at the start, and each change with its step."""
+    """Return every parameter at the start, and each change with its step."""
     first: dict[str, float] = next((line["values"] for line in lines if line["kind"] == "parameters"), {})
     return first, [(line["k"], line["name"], line["value"]) for line in lines if line["kind"] == "parameter"]
 

@@ -79,7 +79,7 @@ def _accelerometer(block: Block) -> Array:
 
 
 def _motors(block: Block) -> Array:
-    """Throttles of as many motors as the message has, NaN of those that do not exist."""
+    """Return the throttles of as many motors as the message has, NaN of those that do not exist."""
     control = np.full((len(block["time_s"]), MOTORS), np.nan)
     for jet in range(min(jets_in(block), MOTORS)):  # throttles of all are in hexjet_throttle
         control[:, jet] = block[f"throttle_{jet + 1}"]
@@ -87,13 +87,13 @@ def _motors(block: Block) -> Array:
 
 
 def _mode(block: Block) -> Array:
-    """PX4's mode by the loops that are closed: rates only, attitude, attitude and height."""
+    """Return PX4's mode by the loops that are closed: rates only, attitude, attitude and height."""
     held = np.where(np.isnan(block["altitude_setpoint_m"]), _STABILIZED_MODE, _ALTITUDE_MODE)
     return np.where(np.isnan(block["roll_setpoint_rad"]), _ACRO_MODE, held).astype(float)
 
 
 def _estimated_position() -> list[Field]:
-    """PX4's vehicle_local_position as the autopilot estimates it, and what of it is valid and how sure.
+    """Return PX4's vehicle_local_position as the autopilot estimates it, with its validity and deviations.
 
     Not valid before the autopilot's first word.  An older record has no height, climb and heading of its own: then they
     are as measured.
@@ -123,7 +123,7 @@ def _estimated_position() -> list[Field]:
 
 
 def _local_position(suffix: str) -> list[Field]:
-    """PX4's vehicle_local_position of the true columns, or with ``_measured`` of the measured ones."""
+    """Return PX4's vehicle_local_position of the true columns, or with ``_measured`` of the measured ones."""
     names = zip(_XYZ, _NED, strict=True)
     pairs = [(xyz, f"{ned}{suffix}_m", f"velocity_{ned}{suffix}_m_s") for xyz, ned in names]
     return [

@@ -115,7 +115,7 @@ def flight_data(flight: ComparedFlight, number: int) -> tuple[dict[str, Any], di
 
 
 def pair_said(pair: Pair) -> list[str]:
-    """On which steps two were compared, and what is the same: sentences."""
+    """Describe on which steps two flights were compared, and what is the same."""
     if not pair.steps:
         return [f"{pair.first} and {pair.second} have no time in common."]
     if pair.same:
@@ -136,7 +136,7 @@ def pair_said(pair: Pair) -> list[str]:
 
 
 def by_time(signals: Sequence[Signal]) -> list[Signal]:
-    """Those that differ, first those that did so first."""
+    """Return the signals that differ, the earliest difference first."""
     unlike = [(signal.first_s, signal) for signal in signals if signal.first_s is not None]
     return [signal for _, signal in sorted(unlike, key=lambda pair: pair[0])]
 
@@ -192,7 +192,7 @@ def _marked(texts: Sequence[str], values: Sequence[float | None], alike: bool) -
 
 
 def run_labels(summaries: Sequence[Summary]) -> list[str]:
-    """Short names that tell runs apart: whatever of controller, engine, scenario, aircraft and seed differs."""
+    """Return short names that tell runs apart: whatever of controller, engine, scenario, aircraft and seed differs."""
     parts = [
         [str(getattr(summary, key)) for summary in summaries]
         for key in ("controller_shown", "engine_shown", "scenario", "aircraft", "seed")

@@ -267,7 +267,7 @@ def jet_drawing(summary: Summary) -> list[dict[str, Any]]:
 
 
 def axis_cell(metrics: AxisMetrics, key: str, factor: float, digits: int) -> str:
-    """One metric of an axis as a table has it."""
+    """Return one metric of an axis as a table has it."""
     if key == "settling_time_s" and metrics.settling_time_s is None and metrics.overshoot_percent is not None:
         return "not settled"
     return shown(getattr(metrics, key), factor, digits)

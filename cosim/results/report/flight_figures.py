@@ -84,7 +84,7 @@ def _followed(name: str, si: str, unit: str, scale: float, least_span: float) ->
 
 
 def _asked(column: str, label: str) -> Trace:
-    """Something a controller asks for: noisy, so a thin line behind the others."""
+    """Return the trace of a demand of a controller: noisy, so a thin line behind the others."""
     return Trace(column, label, GREY, width=1.1, held=True)
 
 
@@ -239,7 +239,7 @@ def run_figures(log: Log, summary: Summary) -> dict[str, Figure]:
 
 
 def strips(reader: Reader, panels: Sequence[Panel]) -> Figure:
-    """Panels as ``assets/strips.js`` draws them; signals that never move are left out where their trace says so."""
+    """Return panels as ``assets/strips.js`` draws them, without signals that never move where their trace says so."""
     return {
         "panels": [
             _strip(
@@ -349,7 +349,7 @@ def less_the_first(flights: Sequence[ComparedFlight]) -> dict[int, MemoryLog]:
 
 
 def plot(runs: Run | Sequence[Run], *columns: str) -> Any:
-    """Columns of a run, or of several, over time.
+    """Plot columns of a run, or of several, over time.
 
     Parameters
     ----------
@@ -422,11 +422,11 @@ class Reader:
         return {"x": rows * self.step_s, "y": values[rows].astype(np.float32)}
 
     def moves(self, column: str) -> bool:
-        """Whether a column is ever anything but 0."""
+        """Return whether a column is ever anything but 0."""
         return bool(np.any(np.abs(self.log[column]) > 0.0))
 
     def known(self, column: str) -> bool:
-        """Whether a column is there and ever a number."""
+        """Return whether a column is there and ever a number."""
         return column in self.log.columns and bool(np.any(np.isfinite(self.log[column])))
 
     def upsets(self) -> list[tuple[float, float]]:
@@ -471,7 +471,7 @@ def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp] | None:
 
 
 def stacked(reader: Reader, panels: Sequence[Panel]) -> Figure:
-    """Panels above each other over one time axis."""
+    """Return panels above each other over one time axis."""
     data = [
         _line(reader, panel, number, trace)
         for number, panel in enumerate(panels)
@@ -520,7 +520,7 @@ def overlaid(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[
 
 
 def _asks_as(reader: Reader, other: Reader, column: str) -> bool:
-    """Whether a log asks for the same as a longer one as long as it lasts."""
+    """Return whether a log asks for the same as a longer one as long as it lasts."""
     if reader is other:
         return True
     if column not in other.log.columns or reader.step_s != other.step_s:
@@ -548,7 +548,7 @@ def thrust_panels(summary: Summary) -> list[Panel]:
 
 
 def at_rest(log: Log, summary: Summary) -> dict[str, Array]:
-    """Columns that a page has beside the log's: where each engine's thrust would settle if its throttle were held."""
+    """Return columns that a page has beside the log's: each engine's thrust at rest for its throttle."""
     columns = {}
     for jet, curve in enumerate(thrust_curves(summary), 1):
         if curve and f"throttle_{jet}" in log.columns:
@@ -558,13 +558,13 @@ def at_rest(log: Log, summary: Summary) -> dict[str, Array]:
 
 
 def thrust_curves(summary: Summary) -> list[list[tuple[float, float]]]:
-    """Throttle and thrust at rest of the engine at each station, empty where it is not known."""
+    """Return throttle and thrust at rest of the engine at each station, empty where it is not known."""
     own = [list(station.curve) for station in summary.stations]
     return [curve or summary.engine_curve for curve in own + [[]] * (max(JETS, len(summary.jets_m)) - len(own))]
 
 
 def jet_rows(jets_m: Sequence[Sequence[float]]) -> tuple[tuple[int, ...], ...]:
-    """Jet numbers from front to back, (left, right), from their places in the body frame if these are known."""
+    """Return jet numbers from front to back, (left, right), by their positions in the body frame if these are known."""
     if not jets_m:
         return JET_ROWS
     places = sorted((-x, y, number) for number, (x, y, _) in enumerate(jets_m, start=1))
@@ -646,7 +646,7 @@ def _time_axis(data: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 def _span(values: Sequence[Array], least: float) -> list[float]:
-    """From least to greatest with a margin, widened to ``least`` around the middle."""
+    """Return the range from least to greatest with a margin, widened to ``least`` around the middle."""
     known = np.concatenate([np.empty(0), *(part[np.isfinite(part)] for part in values)])
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
     margin = max(0.06 * (high - low), 0.5 * (least - (high - low)))

@@ -55,14 +55,14 @@ def trace(label: str, colour: str, x: ArrayLike, y: ArrayLike, panel: int = 0, *
 
 
 def beneath(colour: str) -> Figure:
-    """How a line is drawn that another one may cover: wide and pale, so that both are seen."""
+    """Return the style of a line that another one may cover: wide and pale, so that both are seen."""
     return {"line": {"color": colour, "width": 6.0}, "opacity": 0.45}
 
 
 def panels(
     height: int, x: str, titles: Sequence[str], log: bool, domains: Sequence[tuple[float, float]] = ()
 ) -> Figure:
-    """Panels above each other, the first on top; ``log`` of the horizontal axis.
+    """Return panels above each other, the first on top; ``log`` of the horizontal axis.
 
     ``domains``: from which share of the height to which each goes; all alike where there are none.
     """

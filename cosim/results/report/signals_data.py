@@ -101,7 +101,7 @@ def unpacked(column: Packed, rows: int) -> Array:
 
 
 def _held(values: Array, known: NDArray[np.bool_]) -> Array:
-    """Gaps filled with the last number before them, or the first of all."""
+    """Return the values with gaps filled by the last number before them, or the first of all."""
     rows = np.maximum.accumulate(np.where(known, np.arange(values.size), -1))
     rows[rows < 0] = int(np.argmax(known))
     filled: Array = values[rows]
@@ -189,7 +189,7 @@ def run_data(
 
 
 def _banded(event: Event) -> bool:
-    """Whether an event is a band of its own: faults, gusts and changes of the wind; the rest is in the log."""
+    """Return whether an event is a band of its own: faults, gusts and changes of the wind; the rest is in the log."""
     wind = event.kind == "disturbance" and event.text.startswith(("gust", "wind"))
     return event.banded and (event.kind == "fault" or wind)
 

@@ -14,7 +14,7 @@ def begun(name: str, width: float, height: float, style: str) -> ET.Element:
 
 
 def text(root: ET.Element, x: float, y: float, words: str, kind: str, anchor: str = "start") -> None:
-    """Words at a place, of a class of the style sheet."""
+    """Add a text at a position [px], of a class of the style sheet."""
     ET.SubElement(root, "text", {"class": kind, "x": f"{x:g}", "y": f"{y:g}", "text-anchor": anchor}).text = words
 
 

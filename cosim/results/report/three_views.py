@@ -76,7 +76,7 @@ class _View:
         self._right, self._down = right, down
 
     def at(self, place: Sequence[float]) -> tuple[float, float]:
-        """Where a place is drawn, px."""
+        """Return where a point [m, body] is drawn, px."""
         (right, to_right), (down, downwards) = self._right, self._down
         return (
             round(self._x + self._scale * to_right * place[right], 2),
@@ -84,25 +84,25 @@ class _View:
         )
 
     def line(self, kind: str, start: Sequence[float], end: Sequence[float]) -> None:
-        """From a place to a place."""
+        """Draw a line between two points [m, body]."""
         (a, b), (c, d) = self.at(start), self.at(end)
         ET.SubElement(
             self.root, "line", {"class": kind, "x1": f"{a:g}", "y1": f"{b:g}", "x2": f"{c:g}", "y2": f"{d:g}"}
         )
 
     def circle(self, kind: str, place: Sequence[float], radius: float) -> None:
-        """Around a place, its radius in px."""
+        """Draw a circle around a point [m, body], its radius in px."""
         x, y = self.at(place)
         ET.SubElement(self.root, "circle", {"class": kind, "cx": f"{x:g}", "cy": f"{y:g}", "r": f"{radius:g}"})
 
     def polygon(self, kind: str, corners: Sequence[tuple[float, float]]) -> None:
-        """Around places in the drawing."""
+        """Draw a polygon with corners in px."""
         points = " ".join(f"{x:g},{y:g}" for x, y in corners)
         ET.SubElement(self.root, "polygon", {"class": kind, "points": points})
 
 
 def places(vehicle: Vehicle) -> list[Vector3]:
-    """Where its jets, contacts and panels are [m, body]."""
+    """Return the positions of jets, contacts and panels [m, body]."""
     return [*_carrying(vehicle), *(corner for panel in vehicle.panels for corner in panel.corners_m)]
 
 
