@@ -65,7 +65,7 @@ def _margins(trial: Calibration) -> dict[str, float]:
 
 
 def _quadrotor(trial: Calibration) -> dict[str, float]:
-    """Time constant, the mean of baseline and Smith because the paper gives one for all; disturbance with 5 samples.
+    """Return the time constant, the mean of baseline and Smith as the paper gives one, and disturbance with 5 samples.
 
     The state predictor runs with the matrices as printed: they are what the paper says it used.
     """
@@ -92,7 +92,7 @@ def _hexjet_corrected(trial: Calibration) -> dict[str, float]:
 
 
 def _ratios(trial: Calibration, reading: Reading) -> dict[str, float]:
-    """Both ratios; none for a baseline that does not settle, which has neither overshoot nor settling time."""
+    """Return both ratios, percent; 0 for an unstable baseline, which has neither overshoot nor settling time."""
     gains = next(pair for pair in gain_pairs(reading, trial) if pair.name == "fitted")
     loops = {c: reading_axis(reading, gains, c, trial, noisy=False) for c in ("baseline", "smith")}
     if unstable_poles(loops["baseline"]):
@@ -110,7 +110,7 @@ class Stage(NamedTuple):
     targets: dict[str, float]
 
     def cost(self, trial: Calibration) -> float:
-        """Sum of the squared residuals."""
+        """Return the sum of the squared residuals."""
         answers = self.answers(trial)
         return sum(((answers[key] - numbers.value(key)) / scale) ** 2 for key, scale in self.targets.items())
 
@@ -186,7 +186,7 @@ def calibrate(start: Calibration = START, say: Callable[[str], None] = lambda li
 
 
 def _fit(stage: Stage, base: Calibration) -> Calibration:
-    """Points spread over the bounds, then Nelder and Mead from the three best of them (scipy.optimize)."""
+    """Fit by points spread over the bounds, then by Nelder and Mead from the three best of them (scipy.optimize)."""
     from scipy.optimize import minimize
 
     keys = list(stage.unknowns)
@@ -209,7 +209,7 @@ def _fit(stage: Stage, base: Calibration) -> Calibration:
 
 
 def _starts(unknowns: int, count: int = 300) -> list[list[float]]:
-    """Halton's points in the unit cube: evenly spread, the same every time."""
+    """Return Halton's points in the unit cube: evenly spread, the same every time."""
 
     def element(n: int, base: int) -> float:
         value, share = 0.0, 1.0 / base
@@ -235,6 +235,6 @@ def _digits(value: float, digits: int) -> float:
 
 
 def write(frozen: Frozen, path: Path = FILE) -> None:
-    """Freeze a calibration."""
+    """Write a frozen calibration as TOML."""
     head = "# Made by hexjet_paper.calibration.calibrate(); do not edit.  Units are in the class Calibration.\n\n"
     path.write_text(head + tomli_w.dumps(frozen.model_dump()), encoding="utf-8")

@@ -67,7 +67,7 @@ HEXJET_FIT = "two gains are fitted to these two numbers on the linear plant; the
 
 @dataclass(frozen=True)
 class Evidence:
-    """What one fidelity has to say: metrics by an experiment's name, margins and gains [dB] of C G* by controller."""
+    """The results of one fidelity: metrics by an experiment's name, margins and gains [dB] of C G* by controller."""
 
     metrics: Mapping[str, Metrics]
     margins: Mapping[str, Margins]
@@ -135,7 +135,7 @@ class Claim:
     rests_on: str = ""
 
     def judge(self, evidence: Evidence, in_flight: bool = False) -> Judgement:
-        """The verdict of one fidelity; experiments that it has not flown leave it open."""
+        """Judge the claim in one fidelity; experiments that it has not flown leave the verdict open."""
         basis = (self.flight_basis if in_flight else None) or self.basis
         judged = self._judge(evidence)
         if judged.verdict in ("holds", "under a condition") and basis in NO_EVIDENCE:
@@ -178,7 +178,7 @@ def _stability(name: str, expected: bool) -> Test:
 
 
 def _below(what: str, lower: str, higher: str, by: float = 0.0) -> Test:
-    """``lower`` is at least ``by`` percent below ``higher``."""
+    """Return a test that ``lower`` is more than ``by`` percent below ``higher``, or ``higher`` unstable."""
 
     def test(e: Evidence, state: str) -> Answer:
         a, b = lower.format(state=state), higher.format(state=state)
@@ -192,7 +192,7 @@ def _below(what: str, lower: str, higher: str, by: float = 0.0) -> Test:
 
 
 def _grows(what: str, new: str, old: str, most: float, least: float = -100.0) -> Test:
-    """``new`` is above ``old`` by ``least`` to ``most`` percent."""
+    """Return a test that ``new`` is above ``old`` by ``least`` to ``most`` percent."""
 
     def test(e: Evidence, state: str) -> Answer:
         a, b = new.format(state=state), old.format(state=state)
@@ -246,7 +246,7 @@ def _tracking_is_consistent(e: Evidence, state: str) -> Answer:
 
 
 def _half_amplitude(e: Evidence, state: str) -> Answer:
-    """The loop is linear: at half the amplitude, 15 deg from peak to peak, every error is half as large."""
+    """Test the errors at half the amplitude, 15 deg from peak to peak, which in a linear loop are half as large."""
     names = ["step-5.baseline", "step-5.smith", "step-10.smith", "step-25.smith"]
     pairs = [(0.5 * e.rmse(n), numbers.value(n + ".rmse")) for n in names]
     worst = max(abs(growth_percent(ours, paper)) for ours, paper in pairs)
@@ -309,7 +309,7 @@ def _hexjet_ratio(key: str) -> Test:
 
 
 def _tracks(*axes: str) -> Test:
-    """Errors of the manual flight in angle and rate are at most the printed ones."""
+    """Return a test that the manual flight's errors in angle and rate are at most the printed ones."""
 
     def test(e: Evidence, state: str) -> Answer:
         keys = [f"hexjet-manual.{axis}.{what}" for axis in axes for what in ("rmse", "rate_rmse")]
@@ -465,7 +465,7 @@ def _payload_growth(e: Evidence, state: str) -> Answer:
 
 
 def claim_rows(linear: Evidence, flight: Evidence | None = None, claims: Sequence[Claim] = CLAIMS) -> list[ClaimRow]:
-    """Every claim with its verdict in each fidelity: the paper's, or :data:`CONSISTENCY`."""
+    """Judge every claim, of the paper or of :data:`CONSISTENCY`, in each fidelity."""
     return [
         ClaimRow(
             key=c.key,

@@ -89,7 +89,7 @@ Loop = Annotated[tuple[str, str], BeforeValidator(_loop)]  # vehicle, controller
 
 @dataclass(frozen=True)
 class LinearPart:
-    """What the linear plant says."""
+    """Everything that is computed on the linear plant."""
 
     frozen: Frozen
     results: dict[str, Result]
@@ -183,7 +183,7 @@ _NOTES = {
 def comparison_rows(
     frozen: Frozen, linear: Evidence, flight: Evidence | None = None, extra: Mapping[str, float] | None = None
 ) -> list[Row]:
-    """Every printed number beside ours; ``extra`` are six-degree-of-freedom values by key that no evidence holds."""
+    """Compare every printed number with ours; ``extra`` has values in six degrees of freedom that no evidence has."""
     used = {used_row.key for used_row in frozen.used}
     rows = []
     for printed in numbers.PRINTED.values():
@@ -193,7 +193,7 @@ def comparison_rows(
 
 
 def _variants(key: str) -> list[str]:
-    """A number of the paper's state predictor is compared twice."""
+    """Return the keys to compare a printed number with: two for the paper's state predictor."""
     return [key, key.replace(".state.", f".{STATE_AS_PRINTED}.")] if ".state." in key else [key]
 
 
@@ -235,7 +235,7 @@ def _row(
 
 
 def _growth_with_payload(printed: str, key: str, evidence: Evidence, flight: Evidence | None) -> str:
-    """The effect that a number with payload is about: its growth over the same without."""
+    """Describe the effect that a number with payload is about: its growth over the same without."""
     if not printed.startswith("disturbance-5-payload."):
         return ""
 
@@ -251,7 +251,7 @@ def _growth_with_payload(printed: str, key: str, evidence: Evidence, flight: Evi
 
 
 def _ours(key: str, evidence: Evidence) -> float | None:
-    """The value of a printed key in one fidelity, None where that fidelity has none."""
+    """Return the value of a printed key in one fidelity, None where that fidelity has none."""
     metrics = evidence.metrics
     head, _, last = key.rpartition(".")
     if key.startswith("frequency."):
@@ -280,7 +280,7 @@ def _deviation(ours: float | None, paper: float) -> float | None:
 
 
 def write_csv(rows: list[Row], path: Path) -> None:
-    """``comparison.csv``: one line a quantity, six significant digits."""
+    """Write ``comparison.csv``: one line a quantity, six significant digits."""
     with path.open("w", newline="", encoding="utf-8") as file:
         out = csv.writer(file, lineterminator="\n")
         out.writerow(
@@ -323,7 +323,7 @@ class Figure(BaseModel):
 
 
 def figures(results: Mapping[str, Result], sweeps: Mapping[str, Sweep]) -> list[Figure]:
-    """The paper's figures that hold data, from the results of any fidelity; experiments it has not flown are left out.
+    """Return the paper's figures that hold data, of any fidelity, without the experiments that it has not flown.
 
     The two Bode diagrams show the computed or measured points of ``sweeps``.
     """
@@ -370,7 +370,7 @@ def _line(name: str, time: list[float], angle: list[float]) -> Line:
 
 
 def as_data(part: LinearPart, rows: list[Row], judged: list[ClaimRow]) -> dict[str, Any]:
-    """All of it as plain data: what a JSON file or a template takes."""
+    """Return all of it as plain data, for a JSON file or a template."""
     dumped = [
         row.model_dump() | {"linear_deviation": row.linear_deviation, "flight_deviation": row.flight_deviation}
         for row in rows

@@ -35,7 +35,7 @@ from hexjet_paper.loops import (
 
 
 class Condition(BaseModel):
-    """What would make printed numbers true, found by search, and what they then are."""
+    """A condition, found by search, under which printed numbers follow, and their values under it."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -46,7 +46,7 @@ class Condition(BaseModel):
 
 
 def conditions(calibration: Calibration) -> list[Condition]:
-    """The searches for what the printed model does not give."""
+    """Search for the conditions under which the model gives the printed numbers that it does not give as it is."""
     return [
         _plant_error(calibration, "smith", "Smith"),
         _plant_error(calibration, "state", "the state predictor, G_n(z) realised"),
@@ -60,7 +60,7 @@ def conditions(calibration: Calibration) -> list[Condition]:
 
 
 def _plant_error(calibration: Calibration, controller: str, called: str) -> Condition:
-    """Which gain and delay error of the model would give the printed margins of a predictor: 3 numbers, 2 unknowns."""
+    """Search for the model's gain and delay error that gives a predictor's printed margins: 3 numbers, 2 unknowns."""
     from scipy.optimize import minimize
 
     loop = quadrotor_axis(calibration, controller, 5)
@@ -104,7 +104,7 @@ def _plant_error(calibration: Calibration, controller: str, called: str) -> Cond
 
 
 def _observer_range(calibration: Calibration) -> Iterator[Condition]:
-    """Where the double-integrator observer's bandwidth leaves the loop stable, with 5, 10 and 25 samples."""
+    """Search for the double-integrator observer's bandwidths with a stable loop, for 5, 10 and 25 samples of delay."""
     bandwidths = np.geomspace(20.0, 2000.0, 41)
     for controller, called in (("state", "G_n(z) realised"), (STATE_AS_PRINTED, "the matrices as printed")):
         spans, values = [], {}
@@ -126,7 +126,7 @@ def _observer_range(calibration: Calibration) -> Iterator[Condition]:
 
 
 def _doublet_length(calibration: Calibration) -> Condition:
-    """Which length of the Hex-Jet's doublet and record would give Smith's printed errors at the vehicle's gains."""
+    """Search for the Hex-Jet's doublet and record that give Smith's printed errors at the vehicle's gains."""
     loop = hexjet_axis(calibration, "smith", "vehicle", noisy=False)
     amplitude, most = np.radians(numbers.value("hexjet.amplitude")), numbers.value("hexjet-doublet.smith.max")
     rmse = numbers.value("hexjet-doublet.smith.rmse")
@@ -148,13 +148,13 @@ def _doublet_length(calibration: Calibration) -> Condition:
 
 
 def _rmse_with_and_without(run: Fidelity, controller: str) -> tuple[float, float]:
-    """RMSE of the rate under the disturbance with 5 samples, with the payload and without it."""
+    """Return the rate's RMSE under the disturbance with 5 samples, with the payload and without it, rad/s."""
     loaded, empty = (run(Experiment("disturbance", controller, 5, payload=p)).metrics.rmse for p in (True, False))
     return loaded, empty
 
 
 def _payload_condition(calibration: Calibration) -> Condition:
-    """For which disturbances and payloads the state predictor's error grows more than Smith's, as the paper says."""
+    """Search for disturbances and payloads with which the state predictor's error grows more than Smith's."""
     lengths, gains = np.arange(0.05, 0.201, 0.0125), (0.8, 0.9, 1.1, 1.2, 1.3)
     lines, values = [], {}
     for gain in gains:
@@ -183,7 +183,7 @@ def _payload_condition(calibration: Calibration) -> Condition:
 
 
 def _payload_sign(calibration: Calibration) -> Condition:
-    """What the linear plant says of the payload with the gain that six degrees of freedom give it."""
+    """Run the linear plant with the gain that the payload has in six degrees of freedom."""
     gain = flight_payload_gain()
     trial = calibration.model_copy(update={"payload_gain": gain})
     run = linear(trial)
@@ -212,7 +212,7 @@ def _payload_sign(calibration: Calibration) -> Condition:
 
 
 def _first_unstable(calibration: Calibration) -> Condition:
-    """The delay at which the quadrotor's baseline loses stability: the rate loop alone, and with the attitude loop."""
+    """Search for the delay at which the quadrotor's baseline is unstable, with and without its attitude loop."""
 
     def first(attitude_gain: float) -> int:
         for delay in range(1, 60):

@@ -75,7 +75,7 @@ class Experiment:
         return 1.0 if self.kind == "hexjet-doublet" else numbers.value("step.start")
 
     def half_length(self, calibration: Calibration) -> float:
-        """Length of either half of the doublet, s."""
+        """Return the length of either half of the doublet, s."""
         if self.kind == "disturbance":
             return calibration.disturbance_each_s
         hexjet = self.kind == "hexjet-doublet"
@@ -99,7 +99,7 @@ class Experiment:
         return radians(numbers.value("hexjet.amplitude" if self.kind == "hexjet-doublet" else "step.amplitude"))
 
     def signal(self, calibration: Calibration) -> Signal:
-        """The doublet, a function of the step's number."""
+        """Return the doublet as a function of the step's number."""
         return doublet(self.amplitude, self.start, self.half_length(calibration), self.step)
 
 
@@ -134,7 +134,7 @@ Fidelity = Callable[[Experiment], Result]
 
 
 def experiments() -> list[Experiment]:
-    """Every experiment of the paper on one axis, and the ones that explain it."""
+    """Return every experiment of the paper on one axis, and those that explain it."""
     quadrotor: list[Experiment] = []
     for controller in CONTROLLERS:
         quadrotor += [Experiment("step", controller, delay) for delay in (5, 10, 25)]
@@ -151,7 +151,7 @@ def experiments() -> list[Experiment]:
 
 
 def axis(experiment: Experiment, calibration: Calibration, noisy: bool = True) -> Axis:
-    """The loop of an experiment on the linear plant."""
+    """Return the loop of an experiment on the linear plant."""
     if experiment.kind == "hexjet-doublet":
         return hexjet_axis(calibration, experiment.controller, experiment.gains, noisy)
     made = quadrotor_axis(calibration, experiment.controller, experiment.delay_samples, noisy)
@@ -161,7 +161,7 @@ def axis(experiment: Experiment, calibration: Calibration, noisy: bool = True) -
 
 
 def quadrotor_axis(calibration: Calibration, controller: str, delay: int, noisy: bool = True) -> Axis:
-    """The quadrotor's roll loop at the calibrated gains."""
+    """Return the quadrotor's roll loop at the calibrated gains."""
     model = numbers.quadrotor_model(float(delay))
     return Axis(
         plant=Plant(model),
@@ -189,7 +189,7 @@ def quadrotor_axis(calibration: Calibration, controller: str, delay: int, noisy:
 
 
 def flight_payload_gain() -> float:
-    """What the quadrotor's payload does to the plant's gain in six degrees of freedom: ``J_xx`` without over with it.
+    """Return the factor of the plant's gain by the quadrotor's payload in flight: ``J_xx`` without over with it.
 
     ``J = J_0 + m M / (m + M) h^2``: two bodies a height ``h`` apart, about their common centre of gravity.
     """
@@ -200,7 +200,7 @@ def flight_payload_gain() -> float:
 
 
 def hexjet_axis(calibration: Calibration, controller: str, gains: Gains, noisy: bool = True) -> Axis:
-    """The Hex-Jet's roll loop, at the gains that its ``vehicle.toml`` flies or at those of the printed ratios."""
+    """Return the Hex-Jet's roll loop, at the gains of its ``vehicle.toml`` or at those of the printed ratios."""
     vehicle, _ = load_vehicle("hexjet")
     rate, attitude = vehicle.control.rate.roll, vehicle.control.attitude.gain_1_s[0]
     if gains == "calibrated":
@@ -223,13 +223,13 @@ def hexjet_axis(calibration: Calibration, controller: str, gains: Gains, noisy: 
 
 
 def linear(calibration: Calibration, noisy: bool = True, whole: bool = True) -> Fidelity:
-    """The fidelity of the linear plant; ``whole`` False runs the record alone and cannot tell what is stable."""
+    """Return the fidelity of the linear plant; ``whole`` False runs the record alone and cannot tell what is stable."""
 
     return lambda experiment: linear_run(experiment, axis(experiment, calibration, noisy), calibration, whole)
 
 
 def linear_run(experiment: Experiment, loop: Axis, calibration: Calibration, whole: bool = True) -> Result:
-    """An experiment on any loop of the linear plant; ``whole`` as in :func:`linear`."""
+    """Run an experiment on any loop of the linear plant; ``whole`` as in :func:`linear`."""
     signal = experiment.signal(calibration)
     steps = round((experiment.run if whole else experiment.record) / experiment.step)
     disturbed = experiment.kind == "disturbance"
@@ -250,7 +250,7 @@ def result(
     rate: Sequence[float] | array[float],
     command: Sequence[float] | array[float],
 ) -> Result:
-    """Metrics of a run of any fidelity, one value a control step from its start, rad and rad/s.
+    """Compute the metrics of a run of any fidelity, one value a control step from its start, rad and rad/s.
 
     A run that ended before ``experiment.run`` was lost: it is unstable.
     """
@@ -283,7 +283,7 @@ def result(
 
 
 def swings(rate: Array, step: float, last_edge: float, window: float = 1.0) -> bool:
-    """Whether the rate swings in the last ``window`` seconds as it did in those after the last edge."""
+    """Return whether the rate swings in the last ``window`` seconds as it did in those after the last edge."""
     samples = round(window / step)
     after = round(last_edge / step)
     before, end = np.std(rate[after : after + samples]), np.std(rate[-samples:])
@@ -307,7 +307,7 @@ def _late(command: Array, angle: Array, samples: int = 20) -> float:
 
 
 def _rise(angle: Array, first: int, end: int, step: float) -> float | None:
-    """Time from the edge to 63.2 % of the first step, between the samples."""
+    """Return the time from the edge to 63.2 % of the first step, s, interpolated between the samples."""
     size = radians(numbers.value("step.amplitude")) if step == 1.0 / numbers.value("quadrotor.rate") else inf
     level = (1.0 - float(np.exp(-1.0))) * size
     past = np.flatnonzero(angle[first:end] >= level)
@@ -321,7 +321,7 @@ def _rise(angle: Array, first: int, end: int, step: float) -> float | None:
 def hexjet_ratios(
     overshoot: float | None, smith_overshoot: float | None, settling: float | None, smith_settling: float | None
 ) -> dict[str, float]:
-    """How much less overshoot and how much faster settling Smith's predictor gives, in percent."""
+    """Return how much less overshoot and how much faster settling Smith's predictor gives, percent."""
     less = 100.0 * (1.0 - (smith_overshoot or 0.0) / overshoot) if overshoot else 0.0
     # a baseline that has not settled by the next edge settles at least that much slower: no ratio
     faster = 100.0 * (1.0 - smith_settling / settling) if settling and smith_settling else 0.0

@@ -35,7 +35,7 @@ _POINTS = 1200  # of the unit circle
 
 
 class Record(BaseModel):
-    """A frozen record."""
+    """A record whose fields cannot be changed."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -55,25 +55,25 @@ class RobustnessMap(Record):
 
     @property
     def stable_share(self) -> float:
-        """Part of the map that is stable."""
+        """Fraction of the map that is stable."""
         cells = [cell for row in self.sensitivity for cell in row]
         return sum(cell is not None for cell in cells) / len(cells)
 
     def at(self, gain: float, delay_error: int) -> float | None:
-        """The cell nearest to a gain and a delay error."""
+        """Return the peak sensitivity in the cell nearest to a gain and a delay error; None where it is unstable."""
         row = min(range(len(self.gains)), key=lambda n: abs(log(self.gains[n] / gain)))
         return self.sensitivity[row][self.delay_errors.index(delay_error)]
 
 
 def loops(calibration: Calibration) -> dict[tuple[str, str], Axis]:
-    """The nominal loops, noise and limits aside, by vehicle and controller."""
+    """Return the nominal loops without noise, by vehicle and controller."""
     made = {("quadrotor", c): quadrotor_axis(calibration, c, QUADROTOR_DELAY, noisy=False) for c in QUADROTOR}
     made |= {("hexjet", c): hexjet_axis(calibration, c, "vehicle", noisy=False) for c in HEXJET}
     return made
 
 
 def robustness_maps(calibration: Calibration) -> list[RobustnessMap]:
-    """Every controller of both vehicles."""
+    """Compute the robustness map of every controller of both vehicles."""
     gains = [round(float(g), 4) for g in np.geomspace(0.25, 4.0, 25)]
     errors = {"quadrotor": list(range(-10, 21, 2)), "hexjet": list(range(-25, 26, 2))}
     maps = []
@@ -108,7 +108,7 @@ class DelayPoint(Record):
 
 
 def delay_sweep(calibration: Calibration, longest: int = 60, every: int = 3) -> dict[tuple[str, str], list[DelayPoint]]:
-    """0 to ``longest`` samples of added delay, the predictor told of it, gains unchanged."""
+    """Sweep 0 to ``longest`` samples of added delay that the predictor knows, at unchanged gains."""
     amplitude = {"quadrotor": numbers.value("step.amplitude"), "hexjet": numbers.value("hexjet.amplitude")}
     doublet_s, seconds = {"quadrotor": 0.5, "hexjet": 3.0}, {"quadrotor": 2.0, "hexjet": 8.0}
     by_loop: dict[tuple[str, str], list[DelayPoint]] = {}
@@ -139,7 +139,7 @@ class Offset(Record):
 
 
 def constant_disturbance(calibration: Calibration, disturbance: float = 0.01) -> list[Offset]:
-    """An off-centre payload on the Hex-Jet: a constant added to the roll command, unknown to the controller."""
+    """Simulate an off-centre payload on the Hex-Jet: an unknown constant that is added to the roll command."""
     offsets = []
     for controller in ("baseline", *HEXJET[1:]):
         axis = hexjet_axis(calibration, controller, "vehicle", noisy=False)
@@ -162,7 +162,7 @@ def constant_disturbance(calibration: Calibration, disturbance: float = 0.01) ->
 
 
 def smith_offset(calibration: Calibration, disturbance: float = 0.01) -> float:
-    """The classic Smith predictor's roll offset in closed form, rad, before the slow pole lets go.
+    """Return the classic Smith predictor's roll offset in closed form, rad, before the slow pole decays.
 
     At rest the command is ``-d``, which leaves ``y^ = -K h T d`` while ``y = 0``, ``K`` the plant's gain as an
     integrator (rad/s^2 per command); the integral wants ``r = y^``, so ``K_att phi = K h T d``.
@@ -174,7 +174,7 @@ def smith_offset(calibration: Calibration, disturbance: float = 0.01) -> float:
 
 
 def integrating_gain(model: RateModel) -> float:
-    """Slope of the rate per command, rad/s^2, once the fast modes are over: residue of the slowest pole over ``T``."""
+    """Return the rate's slope per command, rad/s^2, after the fast modes: residue of the slowest pole over ``T``."""
     slow = max(model.poles)
     others = [pole for pole in model.poles if pole != slow]
     value = model.gain
@@ -186,7 +186,7 @@ def integrating_gain(model: RateModel) -> float:
 
 
 def noise_gain(axis: Axis, points: int = 6000) -> float:
-    """Standard deviation of the command per standard deviation of white gyro noise, by Parseval's theorem.
+    """Return the command's standard deviation per that of white gyro noise, by Parseval's theorem.
 
     ``u / n = -C P_y / (1 + C G* + C_e K I G z^-d)``: the gyro's noise reaches the rate loop, not the angle.
     Raises ValueError where the loop is unstable.
@@ -203,7 +203,7 @@ def noise_gain(axis: Axis, points: int = 6000) -> float:
 
 
 def noise_gains(calibration: Calibration) -> dict[tuple[str, str], float | None]:
-    """Noise amplification of every stable nominal loop; the quadrotor with 5 samples, where most are stable."""
+    """Return every loop's noise gain, None if unstable; the quadrotor's with 5 samples, where most are stable."""
     gains: dict[tuple[str, str], float | None] = {}
     for (vehicle, controller), axis in loops(calibration).items():
         loop = axis.with_delay(5) if vehicle == "quadrotor" else axis
@@ -233,7 +233,7 @@ class Reach(Record):
 
 
 def turbojet_plant() -> tuple[RateModel, RateModel]:
-    """The Hex-Jet's roll axis on true turbojets: what it is, and the second-order model a predictor is given.
+    """Return the Hex-Jet's roll axis on true turbojets: the plant, and the second-order model of its predictor.
 
     Gain: that of G(z), times the ratio of turbojet to EDF thrust per throttle at rest.  Lags: the turbojet's and the
     9 ms that the identified roll lag has more than the EDF.  The model has one lag, the sum of both.
@@ -253,7 +253,7 @@ def turbojet_plant() -> tuple[RateModel, RateModel]:
 
 
 def _discretised(gain: float, slow: float, lags: list[float], step: float, source: str) -> RateModel:
-    """Zero-order hold of ``gain / ((s + slow) prod(lag s + 1))`` with the turbojet's delay, by its modes."""
+    """Return the zero-order hold of ``gain / ((s + slow) prod(lag s + 1))`` with the turbojet's delay, by its modes."""
     rates = [slow, *(1.0 / lag for lag in lags)]
     poles = [exp(-rate * step) for rate in rates]
     top = gain * float(np.prod([1.0 / lag for lag in lags]))
@@ -275,7 +275,7 @@ def _discretised(gain: float, slow: float, lags: list[float], step: float, sourc
 
 
 def turbojet(calibration: Calibration) -> list[Reach]:
-    """Which bandwidth each controller reaches, with the delayed fans and with the true turbojet.
+    """Search for the bandwidth that each controller reaches, with the delayed fans and with the true turbojet.
 
     A search over rate gain, derivative in time constants of the engine, attitude gain, and what the predictor is tuned
     with; no integral, which costs every controller the same.
@@ -292,7 +292,7 @@ def turbojet(calibration: Calibration) -> list[Reach]:
 
 
 def _tunings(axis: Axis) -> list[PredictorTuning]:
-    """The predictor's own knob at a third, once and three times what ``vehicle.toml`` says; one for those without."""
+    """Return tunings with the predictor's parameters at a third, once and three times those of ``vehicle.toml``."""
     if not predictor(axis.controller).parameters:
         return [axis.tuning]
     t = axis.tuning
@@ -308,7 +308,7 @@ def _tunings(axis: Axis) -> list[PredictorTuning]:
 
 
 def _reach(engine: str, axis: Axis, lag: float) -> Reach:
-    """A coarse grid for each tuning, then ever finer ones around the best point."""
+    """Search for the largest bandwidth on a coarse grid for each tuning, then on ever finer ones around the best."""
     z = grid(500, lowest=1e-3)
     # p in units of the gain that makes the rate loop as fast as the lag
     unit = 1.0 / integrating_gain(axis.model) / lag
@@ -362,7 +362,7 @@ def _reach(engine: str, axis: Axis, lag: float) -> Reach:
 
 
 def _bandwidth(axis: Axis, known: tuple[Complex, Complex, Complex], beat: float) -> float | None:
-    """-3 dB of roll over set-point, Hz, if it is more than ``beat``, the loop stable and its peak sensitivity small."""
+    """Return the -3 dB bandwidth of roll, Hz; None unless above ``beat``, stable, and of small peak sensitivity."""
     z = known[0]
     loop = LoopMap(axis, known=known)
     error, _ = controllers_response(axis, z)

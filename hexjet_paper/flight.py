@@ -22,7 +22,7 @@ from hexjet_paper.frozen import Calibration
 
 
 def flight(calibration: Calibration, noisy: bool = True) -> Fidelity:
-    """The fidelity of the co-simulation.  Raises InputError for a controller that does not fly."""
+    """Return the fidelity of the co-simulation.  Raises InputError for a controller that does not fly."""
 
     def run(experiment: Experiment) -> Result:
         return read(experiment, calibration, fly(scenario(experiment, calibration, noisy)))
@@ -31,7 +31,7 @@ def flight(calibration: Calibration, noisy: bool = True) -> Fidelity:
 
 
 def read(experiment: Experiment, calibration: Calibration, run: Run) -> Result:
-    """Metrics and series of a flown experiment."""
+    """Compute metrics and series of a flown experiment."""
     log = run.log
     return result(
         experiment,
@@ -44,7 +44,7 @@ def read(experiment: Experiment, calibration: Calibration, run: Run) -> Result:
 
 
 def scenario(experiment: Experiment, calibration: Calibration, noisy: bool = True) -> Scenario:
-    """An experiment as a scenario that a user can fly and change on its own."""
+    """Return an experiment as a scenario that a user can fly and change on its own."""
     hexjet = experiment.kind == "hexjet-doublet"
     made = (_hexjet if hexjet else _quadrotor)(experiment, calibration)
     data: dict[str, Any] = {

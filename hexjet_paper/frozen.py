@@ -41,7 +41,7 @@ class Calibration(BaseModel):
 
 
 class FittedNumber(BaseModel):
-    """A printed number that the calibration was fitted to, and what came of it."""
+    """A printed number that the calibration was fitted to, and its value after the fit."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

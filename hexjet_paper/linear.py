@@ -46,7 +46,7 @@ STATE_AS_PRINTED = "state-as-printed"  # the state predictor run with the printe
 
 
 def nothing(k: int) -> float:
-    """A signal that is 0."""
+    """Return 0 at every step ``k``."""
     return 0.0
 
 
@@ -57,7 +57,7 @@ def clamp(value: float, most: float) -> float:
 
 @dataclass(frozen=True)
 class Plant:
-    """What the command meets after the added delay: ``gain * G_n(z) z^-extra``, ``extra`` whole or not.
+    """The plant after the added delay: ``gain * G_n(z) z^-extra``, ``extra`` whole or not.
 
     ``model.delay_samples`` is not part of it: the added delay belongs to the loop.
     """
@@ -94,7 +94,7 @@ class Axis:
         return self.model.sample_time_s
 
     def with_delay(self, samples: int) -> Axis:
-        """The same loop with another added delay, known to the predictor."""
+        """Return the same loop with another added delay, samples, that the predictor knows."""
         model = self.model.model_copy(update={"delay_samples": float(samples)})
         return replace(self, delay_samples=samples, model=model)
 
@@ -121,7 +121,7 @@ def _as_printed(model: RateModel, own: Mapping[str, float]) -> Predictor:
 
 
 def predictor(controller: str) -> PredictorSpec:
-    """A predictor by name: those that fly, and the paper's state predictor with its matrices as printed.
+    """Return a predictor by name: one that flies, or the paper's state predictor with its matrices as printed.
 
     Raises InputError for an unknown name.
     """
@@ -207,7 +207,7 @@ def _noise(seed: int, steps: int) -> list[float]:
 
 
 def doublet(amplitude: float, start: float, width: float, step: float) -> Signal:
-    """``amplitude`` for ``each`` seconds from ``start``, then as long the other way, then 0.
+    """Return a signal of ``amplitude`` for ``width`` seconds from ``start``, then as long the other way, then 0.
 
     An edge inside a step gives that step its mean, so that the integral is right for any length.
     """

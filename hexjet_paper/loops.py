@@ -45,13 +45,13 @@ LOW_END_HZ = 1.0  # taken for the low end of the paper's Bode diagrams: with an 
 
 
 def plant_response(plant: Plant, z: Complex, delay: int) -> Complex:
-    """Command to rate, added delay included."""
+    """Return the response from command to rate, with the added delay."""
     model = plant.model.model_copy(update={"delay_samples": plant.extra_samples})
     return np.asarray(plant.gain * delayed_response(model, z) * z ** -float(delay))
 
 
 def predictor_response(controller: str, model: RateModel, tuning: PredictorTuning) -> PairResponse:
-    """``P_y`` and ``P_u`` as a function of z, the paper's own state predictor with its printed matrices included."""
+    """Return ``P_y`` and ``P_u`` as a function of z, also for the paper's state predictor with its printed matrices."""
     spec = predictor(controller)
     if spec.response is not None and controller not in BY_IMPULSE:
         return spec.response(model, spec.own(tuning))
@@ -59,12 +59,12 @@ def predictor_response(controller: str, model: RateModel, tuning: PredictorTunin
 
 
 def controllers_response(axis: Axis, z: Complex) -> Pair:
-    """``C_e`` (set-point and feedback) and ``D`` (feedback alone) of the rate PID."""
+    """Return ``C_e`` (set-point and feedback) and ``D`` (feedback alone) of the rate PID."""
     return pid_response(axis.gains, axis.step, z)
 
 
 def open_loop(axis: Axis, answer: PairResponse | None = None) -> Response:
-    """``C G*`` of the rate loop: what the paper's Bode diagrams show; ``answer``: its predictor's, if found before."""
+    """Return ``C G*`` of the rate loop, as in the paper's Bode diagrams; ``answer`` is its predictor's, if at hand."""
     of_predictor = answer or predictor_response(axis.controller, axis.model, axis.tuning)
 
     def response(z: Complex) -> Complex:
@@ -128,7 +128,7 @@ def sweep(axis: Axis, period: float = 8.0, low: float = 0.25, high: float = 20.0
 
 
 def measured_sweep(hertz: Array, response: Complex) -> Sweep:
-    """Points of an open loop ``C G*`` that were measured elsewhere, in flight for one; ``hertz`` rises."""
+    """Return the sweep of points of an open loop ``C G*`` that were measured elsewhere; ``hertz`` rises."""
     gain, phase = _bode(response)
     return Sweep(
         frequency=hertz.tolist(),
@@ -146,7 +146,7 @@ def _bode(values: Complex) -> tuple[Array, Array]:
 
 
 def _margins_of_points(frequency: Array, gain: Array, phase: Array) -> Margins:
-    """Margins between measured points: gain and phase are straight lines over the logarithm of the frequency."""
+    """Compute margins from measured points, with gain and phase linear over the logarithm of the frequency."""
     x = np.log(frequency)
 
     def crossings(values: Array, level: float) -> list[tuple[float, int]]:
@@ -175,7 +175,7 @@ class LoopMap:
     """One loop with its predictor's response kept, for many plants: unstable poles and peak sensitivity."""
 
     def __init__(self, axis: Axis, points: int = 3000, known: tuple[Complex, Complex, Complex] | None = None) -> None:
-        """``known``: points of the upper half circle with ``P_y`` and ``P_u`` there, if found before."""
+        """Compute the loop's responses; ``known``: points of the upper half circle with ``P_y`` and ``P_u`` there."""
         self._axis = axis
         z = known[0] if known else grid(points)
         of_rate, of_command = known[1:] if known else predictor_response(axis.controller, axis.model, axis.tuning)(z)
@@ -189,15 +189,15 @@ class LoopMap:
         self._clear = (1.0 - 1.0 / z) ** integrators
 
     def plant(self, gain: float, delay: int) -> Complex:
-        """Command to rate for ``gain`` times the plant's own and ``delay`` samples in all."""
+        """Return the response from command to rate for ``gain`` times the plant's own and ``delay`` samples in all."""
         return np.asarray(gain * self._model * self._z ** -float(delay))
 
     def characteristic(self, gain: float, delay: int) -> Complex:
-        """``1 + C G* + C_e K I G z^-d`` with that plant."""
+        """Return ``1 + C G* + C_e K I G z^-d`` with that plant."""
         return np.asarray(self._inner + self._outer * self.plant(gain, delay))
 
     def unstable_poles(self, gain: float, delay: int) -> int:
-        """Closed-loop poles outside the unit circle.
+        """Count the closed-loop poles outside the unit circle.
 
         All blocks are stable on their own, but for integrators at 1 that are multiplied away: what remains is analytic
         outside the circle and goes to 1 at infinity, so its turns about 0 along the circle count its zeros there.
@@ -205,12 +205,12 @@ class LoopMap:
         return zeros_outside(self._clear * self.characteristic(gain, delay))
 
     def peak_sensitivity(self, gain: float, delay: int) -> float:
-        """``M_s = max |1 / (1 + L)|``, ``L`` broken at the plant's input with the predictor inside the controller."""
+        """Return ``M_s = max |1 / (1 + L)|``, ``L`` broken at the plant's input, the predictor in the controller."""
         return float(np.max(np.abs(self._inner / self.characteristic(gain, delay))))
 
 
 def unstable_poles(axis: Axis) -> int:
-    """Closed-loop poles of a loop outside the unit circle, attitude loop included where it has a gain.
+    """Count the closed-loop poles outside the unit circle, with the attitude loop where it has a gain.
 
     Raises InputError for an unmodelled delay that is not whole.
     """
@@ -221,6 +221,6 @@ def unstable_poles(axis: Axis) -> int:
 
 
 def gain_at(loop: Axis, frequency: float) -> float:
-    """Gain of ``C G*`` at a frequency (Hz), dB."""
+    """Return the gain of ``C G*`` at a frequency (Hz), dB."""
     z = np.exp(np.array([2j * np.pi * frequency * loop.step]))
     return float(20.0 * np.log10(np.abs(open_loop(loop)(z)[0])))

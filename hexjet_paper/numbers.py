@@ -130,12 +130,12 @@ B_D = (0.0, 0.0234)
 
 
 def value(key: str) -> float:
-    """A printed number."""
+    """Return a printed number in its printed unit."""
     return PRINTED[key].value
 
 
 def quadrotor_model(delay_samples: float = 0.0) -> RateModel:
-    """G_n(z), command to roll rate, 400 Hz, with an added delay."""
+    """Return G_n(z), command to roll rate, 400 Hz, with an added delay."""
     b1, b0, a1, a0 = (value(f"quadrotor.{name}") for name in ("b1", "b0", "a1", "a0"))
     root = sqrt(0.25 * a1 * a1 - a0)
     return RateModel(
@@ -149,7 +149,7 @@ def quadrotor_model(delay_samples: float = 0.0) -> RateModel:
 
 
 def roll_model(delay_samples: float = 25.0) -> RateModel:
-    """G(z), command to roll rate of the Hex-Jet, 250 Hz."""
+    """Return G(z), command to roll rate of the Hex-Jet, 250 Hz."""
     return RateModel(
         gain=value("roll.gain"),
         zeros=[value("roll.zero")],

@@ -62,7 +62,7 @@ class Reading:
 
     @property
     def model(self) -> RateModel:
-        """What a predictor is given: the printed G(z), or its product with ``G_turbo(z) / G_EDF(z)``."""
+        """The predictor's model: the printed G(z), or its product with ``G_turbo(z) / G_EDF(z)``."""
         printed = numbers.roll_model()
         if not self.corrected:
             return printed
@@ -78,7 +78,7 @@ class Reading:
         )
 
     def vehicle(self) -> dict[str, Any]:
-        """Changes of the shipped aircraft: inertia and damping about x, and the model; none for "delay only"."""
+        """Return the changes of the shipped aircraft: inertia and damping about x, and model; none for "delay only"."""
         if not self.corrected:
             return {}
         shipped, _ = load_vehicle("hexjet")
@@ -91,7 +91,7 @@ class Reading:
 
 
 def thrust_at_rest(engine: str) -> float:
-    """Gain at rest of a printed engine (``edf``, ``turbojet``), kgf per unit throttle."""
+    """Return the gain at rest of a printed engine (``edf``, ``turbojet``), kgf per unit throttle."""
     return numbers.value(f"{engine}.gain") / (1.0 - numbers.value(f"{engine}.pole"))
 
 
@@ -122,7 +122,7 @@ class Gains(BaseModel):
 
 
 def gain_pairs(reading: Reading, calibration: Calibration) -> Iterator[Gains]:
-    """Gains of ``vehicle.toml``, those fitted to the two printed ratios, and these raised until the baseline fails.
+    """Yield the gains of ``vehicle.toml``, those fitted to the printed ratios, and raised ones that fail baseline.
 
     On "delay only" the raised ones are those of ``vehicle.toml``.
     """
@@ -138,7 +138,7 @@ def gain_pairs(reading: Reading, calibration: Calibration) -> Iterator[Gains]:
 
 
 def largest_gains(reading: Reading, controller: str, calibration: Calibration) -> float:
-    """By how much both fitted gains may grow, to 1 %, before the linear plant's loop is unstable."""
+    """Return by what factor both fitted gains may grow, to 1 %, before the linear plant's loop is unstable."""
     fitted = next(pair for pair in gain_pairs(reading, calibration) if pair.name == "fitted")
 
     def is_unstable(percent: int) -> bool:
@@ -150,7 +150,7 @@ def largest_gains(reading: Reading, controller: str, calibration: Calibration) -
 
 
 def doublet_of(reading: Reading, gains: Gains, controller: str) -> Experiment:
-    """The roll doublet of a reading: as the paper's experiments have it, longer where the plant is slower."""
+    """Return the roll doublet of a reading: that of the paper's experiments, longer where the plant is slower."""
     return Experiment(
         "hexjet-doublet",
         controller,
@@ -161,7 +161,7 @@ def doublet_of(reading: Reading, gains: Gains, controller: str) -> Experiment:
 
 
 def reading_axis(reading: Reading, gains: Gains, controller: str, calibration: Calibration, noisy: bool = True) -> Axis:
-    """The Hex-Jet's roll loop on the linear plant of a reading; the integral gain stays in proportion to ``p``."""
+    """Return the roll loop on the linear plant of a reading; the integral gain stays in proportion to ``p``."""
     axis = hexjet_axis(calibration, controller, "vehicle", noisy)
     rate = axis.gains.model_copy(update={"p": gains.p, "i": axis.gains.i / axis.gains.p * gains.p})
     model = reading.model
@@ -171,7 +171,7 @@ def reading_axis(reading: Reading, gains: Gains, controller: str, calibration: C
 def reading_scenario(
     reading: Reading, gains: Gains, controller: str, calibration: Calibration, noisy: bool = True
 ) -> Scenario:
-    """The same as a scenario: the shipped aircraft with the changes of the reading."""
+    """Return the doublet of a reading as a scenario: the shipped aircraft with the changes of the reading."""
     control = load_vehicle("hexjet")[0].control
     rate = control.rate.roll
     made = scenario(doublet_of(reading, gains, controller), calibration, noisy)
@@ -202,7 +202,7 @@ class Trial(BaseModel):
 
 
 class ReadingResult(BaseModel):
-    """What came of a reading."""
+    """The flights of a reading and the vehicle that it makes."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -217,7 +217,7 @@ class ReadingResult(BaseModel):
     trials: list[Trial]
 
     def trial(self, gains: str, controller: str) -> Trial:
-        """The doublet flown with gains by name; on "delay only" the raised ones are those of ``vehicle.toml``."""
+        """Return the doublet flown with named gains; on "delay only" the raised ones are those of ``vehicle.toml``."""
         raised = gains == "raised" and not any(trial.gains.name == "raised" for trial in self.trials)
         name = "shipped" if raised else gains
         return next(t for t in self.trials if (t.gains.name, t.controller) == (name, controller))
@@ -266,7 +266,7 @@ DELAY_ERRORS, GAIN_FACTORS = (-10, 0, 10), (0.7, 1.0, 1.3)  # samples; of the pr
 
 
 class ModelError(BaseModel):
-    """The roll doublet with a predictor whose model is off from the printed G(z), which the vehicle was made to."""
+    """The roll doublet with a predictor whose model is off the printed G(z), to which the vehicle is fitted."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -279,7 +279,7 @@ class ModelError(BaseModel):
 
 
 def fly_model_errors() -> list[ModelError]:
-    """Smith's predictor at the gains of ``vehicle.toml`` with models off in delay and gain, the vehicle as it is."""
+    """Fly Smith's predictor at the gains of ``vehicle.toml`` with models that are off in delay and gain."""
     calibration = load().parameters
     experiment = Experiment("hexjet-doublet", "smith", 25, gains="vehicle")
     printed = numbers.roll_model()

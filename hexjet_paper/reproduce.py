@@ -93,7 +93,7 @@ def reproduce(folder: Path, say: Say = lambda what, done, of: None, workers: int
 
 
 def _flight_data(reproduction: Reproduction) -> dict[str, Any]:
-    """What the flights add to the data of the linear plant."""
+    """Return what the flights add to the data of the linear plant."""
     decibel, degree = reproduction.identified.deviation
     return {
         "metrics": {name: result.metrics.model_dump() for name, result in reproduction.flight_results.items()},
@@ -111,7 +111,7 @@ def _flight_data(reproduction: Reproduction) -> dict[str, Any]:
 
 
 def _tasks() -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
-    """Every part by name: a function that can be sent to another process, and its arguments.  Longest first."""
+    """Return every part by name, the longest first: a function that another process can run, and its arguments."""
     tasks: dict[str, tuple[Callable[..., Any], tuple[Any, ...]]] = {"linear": (linear_part, ())}
     for controller in FLIGHT_LOOPS:
         tasks[f"loop.{controller}"] = (fly_sweep, (controller,))
@@ -127,12 +127,12 @@ def _tasks() -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
 
 
 def flight_experiments() -> list[Experiment]:
-    """The experiments that six degrees of freedom fly: all but those with the matrices as printed, which do not fly."""
+    """Return the experiments of the co-simulation: all but those with the matrices as printed, which do not fly."""
     return [e for e in experiments() if e.controller != STATE_AS_PRINTED]
 
 
 def _turbojet_tasks(parts: Mapping[str, Any]) -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
-    """What can be flown only when the linear plant has said at which gains."""
+    """Return the parts that can be flown only when the linear plant has given their gains."""
     linear: LinearPart | None = parts.get("linear")
     return {
         f"turbojet.{reach.controller}": (fly_turbojet, (reach,))
@@ -142,7 +142,7 @@ def _turbojet_tasks(parts: Mapping[str, Any]) -> dict[str, tuple[Callable[..., A
 
 
 def fly_turbojet(reach: Reach) -> TurbojetFlight:
-    """The roll doublet on true turbojets at the gains of ``reach``, with noise, the predictor given their model."""
+    """Fly the roll doublet on true turbojets at the gains of ``reach``, with noise and with the turbojets' model."""
     assert reach.tuning is not None
     _, believed = turbojet_plant()
     gains = load_vehicle("hexjet")[0].control.attitude.gain_1_s
@@ -159,7 +159,7 @@ def fly_turbojet(reach: Reach) -> TurbojetFlight:
 
 
 def write_scenarios(folder: Path) -> None:
-    """Every flown experiment as a scenario file, to be flown and changed on its own: ``hexjet fly FILE``."""
+    """Write every flown experiment as a scenario file, to be flown and changed on its own: ``hexjet fly FILE``."""
     folder.mkdir(parents=True, exist_ok=True)
     frozen = load().parameters
     for experiment in flight_experiments():
@@ -169,7 +169,7 @@ def write_scenarios(folder: Path) -> None:
 
 
 def fly_experiment(experiment: Experiment) -> Result:
-    """One experiment in six degrees of freedom."""
+    """Fly one experiment in six degrees of freedom."""
     return flight(load().parameters)(experiment)
 
 
@@ -205,7 +205,7 @@ def fly_sweep(controller: str) -> Sweep:
 
 
 def fly_manual() -> Manual:
-    """The Hex-Jet's manual flight: tracking on three axes, and every tenth sample for the figure."""
+    """Fly the Hex-Jet's manual flight: tracking on three axes, and every tenth sample for the figure."""
     run = fly(Scenario.load("manual"))
     correlations: dict[str, float] = {}
     angle, rate = {}, {}
@@ -225,7 +225,7 @@ def _thin(run: Run, *names: str) -> tuple[list[float], list[float]]:
 
 
 def fly_offset(controller: str) -> Offset:
-    """Half a kilogram 1 cm to the right, from 1 s on, for 25 s."""
+    """Fly hover with half a kilogram 1 cm to the right, from 1 s on, for 25 s."""
     load = {"kind": "payload", "start_s": 1.0, "mass_kg": 0.5, "offset_m": [0.0, 0.01, 0.0]}
     hover = Scenario.load("hover")
     log = fly(
@@ -244,7 +244,7 @@ def fly_offset(controller: str) -> Offset:
 
 
 def identify() -> Identified:
-    """The paper's identified models, as this program's own identification finds them on FMUs and in flight."""
+    """Identify the paper's models with this program's own identification, on FMUs and in flight."""
 
     values: dict[str, float] = {}
     responses = {}
@@ -307,7 +307,7 @@ def _do(task: tuple[Callable[..., Any], tuple[Any, ...]]) -> Any:
 
 
 def _check_writable(folder: Path) -> None:
-    """Before minutes of work: ``folder`` can be made and takes a file."""
+    """Check, before minutes of work, that ``folder`` can be made and takes a file."""
     try:
         (folder / "parts").mkdir(parents=True, exist_ok=True)
         write_whole(folder / "parts" / "test", b"")
@@ -328,7 +328,7 @@ def _taken_up(file: Path, kind: TypeAdapter[Any]) -> Any:
 
 
 def _fingerprint() -> str:
-    """Of all that the parts are made from: both packages, the vehicles, engines and scenarios, the libraries."""
+    """Return a hash of all that the parts are made from: packages, vehicles, engines, scenarios, libraries."""
     digest = hashlib.sha256(json.dumps(versions(), sort_keys=True).encode())
     packages = [Path(__file__).parent, Path(cosim.__file__).parent]
     sources = [file for package in packages for file in package.resolve().rglob("*") if file.suffix in (".py", ".toml")]

@@ -16,7 +16,7 @@ from cosim.results.run import Run
 
 @dataclass(frozen=True)
 class Measure:
-    """What is measured of a flight, and from where on more of it counts as worse."""
+    """A number that is measured of a flight, and from how much more of it on a flight counts as worse."""
 
     label: str
     unit: str
@@ -49,7 +49,7 @@ WORSE_WORDS = (
 
 @dataclass(frozen=True)
 class FlownMeasures:
-    """What one flight was like.
+    """The measured numbers of one flight.
 
     ``lost``: how a flight ended that was not completed, empty for one that was; ``steps``: whether it was asked for
     steps; ``values``: by the keys of :data:`MEASURES`, empty for a flight that was lost, None for what such a flight

@@ -68,7 +68,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class LeastMargins:
-    """The shorter of each pair of :class:`LoopMargins`, as a design states it.
+    """The smaller of each pair of :class:`LoopMargins`, as a design reports it.
 
     Of the loop broken at the plant's input, attitude and rate loop closed; None where nothing is crossed."""
 
@@ -80,7 +80,7 @@ class LeastMargins:
 
 @dataclass(frozen=True)
 class Assessment:
-    """A tuning on a channel, measured."""
+    """A tuning on a channel with the numbers of its closed loop."""
 
     controller: str
     tuning: Tuning
@@ -99,7 +99,7 @@ class Assessment:
 
 @dataclass(frozen=True)
 class AxisDesign:
-    """One channel: what was, what was tried, what was chosen."""
+    """The design of one channel: its loop before, the candidates' objectives, and the chosen loop."""
 
     channel: Channel
     before: Assessment
@@ -145,12 +145,12 @@ class Design:
 
     @property
     def engine_dynamics(self) -> Dynamics:
-        """What was found of the engine: the height's actuator, which is thrust alone on every vehicle."""
+        """The identified dynamics of the engine, which are the height's actuator on every vehicle."""
         return self.axes["altitude"].channel.actuator.dynamics
 
     @property
     def controller(self) -> str:
-        """The chosen one; the best of what there is where none is acceptable."""
+        """Name of the chosen controller; of the best candidate where none is acceptable."""
         chosen = self.axes["roll"].after
         return chosen.controller if chosen else BASELINE.name
 
@@ -397,7 +397,7 @@ def throttle_for(spec: EngineSpec, vehicle: Vehicle) -> float:
 
 @dataclass(frozen=True)
 class _Asked:
-    """What all axes of a design have in common."""
+    """The inputs that all axes of a design have in common."""
 
     vehicle: Vehicle
     spec: EngineSpec

@@ -36,7 +36,7 @@ THRUST_AXES = ("roll", "altitude")  # that engines answer: a tilt means the same
 
 @dataclass(frozen=True)
 class Level:
-    """One amount of fuel: the share of the engines' range that hovers there, and the channels."""
+    """One amount of fuel: the fraction of the engines' range that hovers with it, and the channels."""
 
     fuel: float
     mass_kg: float

@@ -25,7 +25,7 @@ class ProofFlight:
 
     @property
     def words(self) -> str:
-        """Which flight it is."""
+        """Description of the flight in words."""
         corner = f"gain {self.gain:.2f}, {self.later} steps later"
         where = "as designed" if self.is_as_designed else corner
         return f"{self.scenario}, {self.engine or where}"
@@ -38,7 +38,7 @@ class ProofFlight:
 
 @dataclass(frozen=True)
 class Proof:
-    """What a design was tried with, and why it is not to be believed; ``reason`` is empty where it is."""
+    """The checks of a design against the engine and in flight; ``reason`` says why they failed, or is empty."""
 
     reason: str
     measured_hz: float  # up to where the engine was measured

@@ -27,7 +27,7 @@ _MAIN = "from cosim.cli.main import main; main()"
 
 @dataclass(frozen=True)
 class Row:
-    """One engine."""
+    """The outcome of one engine."""
 
     engine: str
     check: str  # what hexjet fmu check said
@@ -38,7 +38,7 @@ class Row:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """As :data:`COLUMNS`."""
+        """Cells of the table, as :data:`COLUMNS` head them."""
         return self.engine, self.check, self.design, self.proof, self.verdict, f"{self.seconds:.0f}"
 
 

@@ -81,7 +81,7 @@ def acceptable(closed: ClosedLoop, need: Requirements) -> bool:
 
 
 class TuningBounds:
-    """What is searched: logarithms of ``K tau``, ``p k tau``, ``i / p tau``, ``d / (p tau)``, and the predictor's own.
+    """The searched logarithms of ``K tau``, ``p k tau``, ``i / p tau``, ``d / (p tau)``, and the predictor's own.
 
     ``tau`` is the channel's pace (its delay at low frequency, mostly) and ``k`` its gain there, so the same box fits
     every vehicle.  With a lead its poles come last, over the engine's, and ``tau`` is what they leave.

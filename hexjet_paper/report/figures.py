@@ -78,7 +78,7 @@ class Panel(NamedTuple):
 
 
 def paper_figures(reproduction: Reproduction) -> dict[str, Figure]:
-    """Every figure of the page, by the name of its place."""
+    """Draw every figure of the page, by the name that its template has for it."""
     part = reproduction.linear
     both = (part.results, reproduction.flight_results)
     made = {f"step-{n}": panels([_pair(both, f"step-{n}", COMPARED, "angle", 30.0)]) for n in (5, 10, 25)}
@@ -108,7 +108,7 @@ def paper_figures(reproduction: Reproduction) -> dict[str, Figure]:
 def _pair(
     both: Sequence[Mapping[str, Result]], experiment: str, controllers: Sequence[str], what: str, limit: float
 ) -> list[Panel]:
-    """One experiment in both fidelities with one scale, which ends where an unstable loop would spoil it."""
+    """Draw one experiment in both fidelities on one scale, which ends where an unstable loop would spoil it."""
     drawn = []
     for results, title in zip(both, FIDELITIES, strict=True):
         present = {c: results[f"{experiment}.{c}"] for c in controllers if f"{experiment}.{c}" in results}
@@ -130,7 +130,7 @@ def _curve(result: Result, what: str, name: str, colour: str, dash: str = "solid
 
 
 def _payload(both: Sequence[Mapping[str, Result]], delay: int) -> Figure:
-    """A row for each predictor: without and with payload."""
+    """Draw a row for each predictor: without and with payload."""
     rows = []
     for controller in ("smith", "state", STATE_AS_PRINTED):
         row = []
@@ -149,7 +149,7 @@ def _payload(both: Sequence[Mapping[str, Result]], delay: int) -> Figure:
 
 
 def identification(reproduction: Reproduction) -> Figure:
-    """Turbojet, EDF and the Hex-Jet's roll rate: swept on our FMUs and in flight, against the printed models."""
+    """Draw turbojet, EDF and the Hex-Jet's roll rate, swept on our FMUs and in flight, against the printed models."""
     value = numbers.value
     step, delay = value("hexjet.step"), value("hexjet.delay")
     hertz = np.geomspace(0.1, 10.0, 200)
@@ -180,7 +180,7 @@ def identification(reproduction: Reproduction) -> Figure:
 
 
 def bode(linear: Mapping[str, Sweep], measured: Mapping[str, Sweep]) -> Figure:
-    """Gain and phase of the measured open loops."""
+    """Draw gain and phase of the measured open loops."""
     rows = []
     for what, title, limits in (("gain", "gain of C G* [dB]", (-18.0, 24.0)), ("phase", "phase [deg]", (-400.0, 0.0))):
         row = []
@@ -195,7 +195,7 @@ def bode(linear: Mapping[str, Sweep], measured: Mapping[str, Sweep]) -> Figure:
 
 
 def manual(reproduction: Reproduction) -> Figure:
-    """The flown sticks: angles and rates of the three axes."""
+    """Draw the manual flight: angles and rates of the three axes."""
     flight = reproduction.manual
     rows = []
     for axis in flight.angle:
@@ -221,7 +221,7 @@ def _tracked(time: Sequence[float], pair: tuple[Sequence[float], Sequence[float]
 
 
 def robustness(maps: Sequence[RobustnessMap], columns: int = 3) -> Figure:
-    """Peak sensitivity over delay error x gain error; one colour for unstable, a line at the designer's limit."""
+    """Draw peak sensitivity over delay error x gain error; one colour for unstable, a line at the designer's limit."""
     rows = -(-len(maps) // columns)
     figure: Figure = {"data": [], "layout": _layout(rows * 265 + 60)}
     layout = figure["layout"] | {"hovermode": "closest", "showlegend": False, "annotations": []}
@@ -299,7 +299,7 @@ def _map_traces(robustness_map: RobustnessMap, x: str, y: str, with_scale: bool)
 
 
 def delays(reproduction: Reproduction) -> Figure:
-    """Tracking error and peak sensitivity over the delay, gains unchanged; a line ends where its loop is unstable."""
+    """Draw tracking error and peak sensitivity over the delay; a line ends where its loop is unstable."""
     rows = []
     for what, title, limits in (("rmse", "RMSE [deg]", None), ("sensitivity", "peak sensitivity", (0.0, 8.0))):
         row = []
@@ -320,7 +320,7 @@ def delays(reproduction: Reproduction) -> Figure:
 
 
 def offsets(reproduction: Reproduction) -> Figure:
-    """Roll after the onset of a constant disturbance: on the linear plant and in flight."""
+    """Draw roll after the onset of a constant disturbance, on the linear plant and in flight."""
     known, in_flight = (
         [
             Curve(NAMES[offset.controller], offset.time, np.degrees(angle), COLOURS[offset.controller])
@@ -339,7 +339,7 @@ def offsets(reproduction: Reproduction) -> Figure:
 
 
 def turbojet(reproduction: Reproduction) -> Figure:
-    """The attitude bandwidth that each controller reaches with either engine."""
+    """Draw the attitude bandwidth that each controller reaches with either engine."""
     reaches = reproduction.linear.turbojet
     layout = _layout(330) | {"hovermode": "closest", "barmode": "group"}
     layout["yaxis"] = {"title": {"text": "attitude bandwidth [Hz]"}, "rangemode": "tozero"}
@@ -365,7 +365,7 @@ def turbojet(reproduction: Reproduction) -> Figure:
 
 
 def panels(rows: Sequence[Sequence[Panel]], panel_height: int = 250) -> Figure:
-    """Panels in rows and columns with one legend; a panel without curves says that it was not flown."""
+    """Draw panels in rows and columns with one legend; a panel without curves says that it was not flown."""
     layout = _layout(len(rows) * panel_height + 90) | {"annotations": []}
     data: list[Figure] = []
     shown: set[str] = set()
@@ -418,7 +418,7 @@ def _trace(curve: Curve, x: str, y: str) -> Figure:
 
 
 def _numbers(values: Sequence[float | None] | NDArray[np.float64]) -> Any:
-    """A compact array; gaps and what is beyond single precision (of a loop that ran away) are left out of the line."""
+    """Return a compact array; gaps and numbers beyond 1e9 (of a loop that ran away) are left out of the line."""
     array = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
     return np.where(np.abs(array) < 1e9, array, np.nan).astype(np.float32)
 
@@ -430,7 +430,7 @@ def _layout(height: int) -> Figure:
 
 
 def _heading(text: str, x: str, y: str) -> Figure:
-    """Above the upper left corner of the panel with these axes."""
+    """Return a heading above the upper left corner of the panel with these axes."""
     return {
         "text": f"<b>{text}</b>",
         "showarrow": False,

@@ -29,7 +29,7 @@ def write_page(reproduction: Reproduction, path: Path) -> None:
 
 
 def page_values(reproduction: Reproduction) -> dict[str, Any]:
-    """What the template asks for."""
+    """Return the values that the template needs."""
     part = reproduction.linear
     predicted = [
         row for row in reproduction.rows if row.origin == "predicted" and (row.linear or row.flight) is not None
@@ -74,7 +74,7 @@ def page_values(reproduction: Reproduction) -> dict[str, Any]:
 
 
 def tally(claims: Iterable[ClaimRow]) -> dict[str, dict[str, int]]:
-    """How many claims came to each verdict, by fidelity."""
+    """Count the claims of each verdict, by fidelity."""
     rows = list(claims)
     counted: dict[str, dict[str, int]] = {}
     by_fidelity: list[list[Judgement | None]] = [[row.linear for row in rows], [row.flight for row in rows]]
@@ -85,7 +85,7 @@ def tally(claims: Iterable[ClaimRow]) -> dict[str, dict[str, int]]:
 
 
 def counts_in_words(claims: Iterable[ClaimRow]) -> str:
-    """How many claims came to what: the sentence of terminal, report, README and docs."""
+    """Describe how many claims came to each verdict: the sentence of terminal, report, README and docs."""
     rows = list(claims)
     linear, flight = tally(rows).values()
     chosen = [
@@ -119,7 +119,7 @@ def verified_in_words(reproduction: Reproduction) -> str:
 
 
 def margin_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
-    """Margins of every controller: computed, measured on the linear plant, measured in flight."""
+    """Return the margins of every controller: computed, measured on the linear plant, measured in flight."""
     sources = (
         ("computed", reproduction.linear.evidence.margins),
         ("measured, linear plant", {name: sweep.margins for name, sweep in reproduction.linear.sweeps.items()}),
@@ -134,7 +134,7 @@ def margin_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
 
 
 def offset_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
-    """Roll under a constant disturbance, degrees, by controller."""
+    """Return roll under a constant disturbance, degrees, by controller."""
     known = {offset.controller: offset for offset in reproduction.linear.offsets}
     late = {offset.controller: offset.late for offset in reproduction.offsets}
     rows = []
@@ -152,10 +152,10 @@ def offset_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
 
 
 def compared(rows: Iterable[Row]) -> list[Row]:
-    """Without the inputs, which are the same by construction."""
+    """Return the rows without the inputs, which are the same by construction."""
     return [row for row in rows if row.origin != "given" or row.flight is not None]
 
 
 def _typical(deviations: Iterable[float | None]) -> float:
-    """Half of the deviations are smaller than this, percent."""
+    """Return the median size of the deviations, percent."""
     return median(abs(deviation) for deviation in deviations if deviation is not None)

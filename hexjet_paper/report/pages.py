@@ -31,7 +31,7 @@ NAMED = (
 
 
 def check_page(path: Path) -> None:
-    """Before the flights: raises InputError for a page that cannot be written, or that has a mark for none of the parts."""
+    """Check a page before the flights: raise InputError if it cannot be written or has no mark of a part."""
     check_marks(path, ())
     present = parts_of(path.read_text(encoding="utf-8"), path)
     if not present.keys() & set(NAMED):
@@ -47,7 +47,7 @@ def write_page(path: Path, reproduction: Reproduction) -> None:
 
 
 def page_parts(reproduction: Reproduction) -> dict[str, str]:
-    """Every part by its mark's name."""
+    """Return every part by its mark's name."""
     return {
         COUNTS: counts_in_words(reproduction.claims) + "\n",
         DOUBLET: _doublet(reproduction),
@@ -64,7 +64,7 @@ def page_parts(reproduction: Reproduction) -> dict[str, str]:
 
 
 def constructed_table(claims: Iterable[ClaimRow]) -> str:
-    """The claims that hold because we fitted or chose our way to them, and what each rests on."""
+    """Return the table of the claims that hold because we fitted or chose our way to them, and their reasons."""
     rows = []
     for row in claims:
         where = [
@@ -78,7 +78,7 @@ def constructed_table(claims: Iterable[ClaimRow]) -> str:
 
 
 def _consistency(rows: Iterable[ClaimRow]) -> str:
-    """Our own questions to printed numbers, and the answers of both fidelities."""
+    """Return the table of our own questions to printed numbers, and the answers of both fidelities."""
     cells = [
         (row.claim, row.linear.verdict, row.flight.verdict if row.flight else "not flown", row.linear.condition)
         for row in rows
@@ -87,7 +87,7 @@ def _consistency(rows: Iterable[ClaimRow]) -> str:
 
 
 def _doublet(reproduction: Reproduction) -> str:
-    """The Hex-Jet's roll doublet at the gains of vehicle.toml, flown with noise."""
+    """Return the table of the Hex-Jet's roll doublet at the gains of vehicle.toml, flown with noise."""
     results = [reproduction.flight_results[f"hexjet-doublet.{c}"] for c in ("baseline", "smith")]
     a, b = (result.metrics for result in results)
     less, faster = numbers.value("hexjet.less_overshoot"), numbers.value("hexjet.faster_settling")
@@ -122,7 +122,7 @@ def _settling(metrics: Metrics) -> str:
 
 
 def _held(reproduction: Reproduction) -> str:
-    """What the paper is about, with the numbers of both fidelities."""
+    """Return the list of the paper's main claims, with the numbers of both fidelities."""
     claims = {row.key: row for row in reproduction.claims}
     ours = {row.key: row for row in reproduction.rows}
 
@@ -164,7 +164,7 @@ def _agrees(judged: Judgement | None) -> bool:
 
 
 def _differs(reproduction: Reproduction) -> str:
-    """What does not follow from the printed model, and what we found."""
+    """Return the table of what does not follow from the printed model, and what we found."""
     linear, flight = reproduction.linear.evidence, reproduction.flight_evidence
     margins = linear.margins
 
@@ -236,7 +236,7 @@ def _differs(reproduction: Reproduction) -> str:
 
 
 def _turbojet(reproduction: Reproduction) -> str:
-    """The fastest attitude loop of each controller with fans and with turbojets, and what the flight makes of it."""
+    """Return the table of each controller's fastest attitude loop with fans and with turbojets, computed and flown."""
     reach = {(design.engine, design.controller): design for design in reproduction.linear.turbojet}
     designs = {design.controller: design for design in reproduction.turbojet}
 

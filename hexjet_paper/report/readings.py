@@ -38,7 +38,7 @@ def judge_reading(result: ReadingResult) -> list[ClaimRow]:
 
 
 def readings_table(results: list[ReadingResult]) -> Table:
-    """The readings side by side: what each makes of the vehicle, its doublets in flight, its claims."""
+    """Return the table of the readings: what each makes of the vehicle, its doublets in flight, its claims."""
 
     def line(name: str, cells: list[str]) -> tuple[str, ...]:
         return (name, *cells)
@@ -111,7 +111,7 @@ def _verdicts(row: ClaimRow) -> str:
 
 
 def model_error_table(errors: list[ModelError]) -> Table:
-    """Overshoot and settling of the roll doublet: delay errors of the model down, its gain across."""
+    """Return the table of the roll doublet's overshoot and settling: the model's delay errors down, its gain across."""
     cells = {(error.delay_error, error.gain_factor): error for error in errors}
     rows = [
         (
@@ -131,7 +131,7 @@ def _off(error: ModelError) -> str:
 
 
 def model_errors_in_words(errors: list[ModelError]) -> str:
-    """What became of Smith's predictor with models that are off: a sentence."""
+    """Describe in a sentence what became of Smith's predictor with models that are off."""
     off = [error for error in errors if error.delay_error or error.gain_factor != 1.0]
     good = [error for error in off if error.stable and error.settling_s is not None]
     text = (

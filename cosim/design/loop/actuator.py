@@ -18,7 +18,7 @@ STILL: tuple[float, ...] = (1.0, 0.0, 0.0)  # the shape of a channel on which no
 
 @dataclass(frozen=True)
 class Actuator:
-    """What answers the command: its dynamics with gain 1 at rest."""
+    """The engines or servos that answer a command: their dynamics with gain 1 at rest."""
 
     name: str
     dynamics: Dynamics

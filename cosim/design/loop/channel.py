@@ -89,7 +89,7 @@ class Channel:
 
     @property
     def gyro_pole(self) -> float:
-        """Of the gyro's low-pass."""
+        """Pole in z of the gyro's low-pass."""
         return filter_pole(self.rate_filter_s, self.step)
 
     @property
@@ -129,7 +129,7 @@ class Channel:
 
     @cached_property
     def pace_s(self) -> float:
-        """Return what a loop around it is fast or slow against, s, above 0: with which times and gains are searched.
+        """Return the time, s, above 0, that a loop around it is fast or slow against, by which a search is scaled.
 
         That is all delay at low frequency, where this is what a crossover meets.  It is not where a slow pole has a
         zero beside it: thrust that overshoots and comes back slowly leads at low frequency and is late all the same,
@@ -254,12 +254,12 @@ class Channel:
 
     @property
     def by_servo(self) -> bool:
-        """Whether its command turns thrusts, and does not change them."""
+        """Whether its command tilts thrusts and leaves their size."""
         return self.actuator.name == SERVO
 
     @property
     def actuator_delay(self) -> float:
-        """Samples that :meth:`with_delay` replaces."""
+        """Delay that :meth:`with_delay` replaces, samples."""
         return (self.identified or self.actuator.model).delay_samples
 
 

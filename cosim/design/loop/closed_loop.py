@@ -154,7 +154,7 @@ class ClosedLoop:
 
     @property
     def angle_response(self) -> Complex:
-        """Set-point to angle."""
+        """Frequency response from set-point to angle."""
         return np.asarray(self._error * self.tuning.angle_gain * self.points.angle / self.characteristic)
 
     @cached_property
@@ -173,12 +173,12 @@ class ClosedLoop:
 
     @property
     def command_response(self) -> Complex:
-        """Set-point to command."""
+        """Frequency response from set-point to command."""
         return np.asarray(self._error * self.tuning.angle_gain / self.characteristic)
 
     @property
     def overshoot(self) -> float:
-        """Share of a step by which the angle goes beyond it."""
+        """Fraction of a step by which the angle goes beyond it."""
         return max(0.0, float(self.steps.angle.max()) - 1.0)
 
     @property
@@ -196,7 +196,7 @@ class ClosedLoop:
 
     @property
     def load_error(self) -> float:
-        """The same of the angle after a unit step of load, rad s per unit of the command."""
+        """Integrated absolute error of the angle after a unit step of load, rad s per unit of the command."""
         return float(np.abs(self.steps.load).sum()) * self.points.channel.step
 
     @property
@@ -210,12 +210,12 @@ class ClosedLoop:
 
     @cached_property
     def load_response(self) -> Complex:
-        """Load at the plant's input to angle."""
+        """Frequency response from a load at the plant's input to angle."""
         return np.asarray(self.points.angle * self.inner / self.characteristic)
 
     @property
     def step_peak(self) -> float:
-        """Largest command that a unit step of the set-point asks for."""
+        """Largest command after a unit step of the set-point, in its unit."""
         return float(np.abs(self.steps.command).max())
 
     @property
@@ -230,7 +230,7 @@ class ClosedLoop:
 
     @property
     def bandwidth(self) -> float:
-        """Hz, up to which the angle follows within 3 dB."""
+        """Frequency up to which the angle follows within 3 dB, Hz."""
         size = np.abs(self.angle_response)
         below = np.flatnonzero(size < 10.0 ** (-3.0 / 20.0))
         if not len(below) or below[0] == 0:

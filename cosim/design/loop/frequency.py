@@ -94,7 +94,7 @@ def pid_response(gains: RateGains, step: float, z: Complex) -> Pair:
 
 @dataclass(frozen=True)
 class LoopMargins:
-    """Of a stable loop broken at the plant's input: what of one kind puts a closed-loop pole on the stability limit.
+    """Margins of a stable loop broken at the plant's input: the change of one kind that puts a pole on the limit.
 
     None where there is no such thing in the frequencies that were looked at.
     """

@@ -27,7 +27,7 @@ SETPOINT, LOAD = 0, 1  # the inputs
 
 
 class Steps(NamedTuple):
-    """Sample by sample from the instant of a unit step on."""
+    """The answers to unit steps, sample by sample from the instant of the step on."""
 
     angle: Array  # of the set-point, rad per rad
     command: Array  # of the set-point, its unit per rad

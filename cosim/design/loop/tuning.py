@@ -37,7 +37,7 @@ def designable(name: str, where: str, others: Iterable[str] = ()) -> PredictorSp
 
 @dataclass(frozen=True)
 class Tuning:
-    """A controller with everything that can be chosen about it on one channel."""
+    """A controller on one channel with all parameters that a design chooses."""
 
     controller: str
     angle_gain: float  # 1/s

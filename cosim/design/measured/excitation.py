@@ -156,7 +156,7 @@ def _slope(spec: EngineSpec, thrust: float) -> float:
 
 
 class Tapped:
-    """A controller behind which a signal is added, and what passes before and behind that place."""
+    """A controller behind which a signal is added; it records the command before and behind the addition."""
 
     def __init__(self, inner: Controller, tap: Tap, wave: Callable[[int], float]) -> None:
         self._inner, self._tap, self._wave = inner, tap, wave

@@ -34,7 +34,7 @@ _NAMES = {**_OF_AXIS, "altitude": ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_I")}
 
 
 class _Loop(NamedTuple):
-    """One loop."""
+    """Stability and margins of one loop."""
 
     stable: bool
     share: float  # of the least margin that is not told, 1 at the bound; infinite where nothing is crossed

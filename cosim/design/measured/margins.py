@@ -73,7 +73,7 @@ class AxisMargins:
 
 @dataclass(frozen=True)
 class MeasuredMargins:
-    """Of one controller on one vehicle."""
+    """The measured margins of one controller on one vehicle."""
 
     scenario: Scenario
     own: Source | None
@@ -82,7 +82,7 @@ class MeasuredMargins:
 
     @property
     def controller(self) -> str:
-        """Its name without a folder."""
+        """The controller's name without a folder."""
         return label(self.scenario.controller)
 
     @property
@@ -232,7 +232,7 @@ def measure_margins(
 
 @dataclass(frozen=True)
 class _Asked:
-    """What is to be measured on one axis."""
+    """A measurement on one axis, as it was asked for."""
 
     scenario: Scenario
     own: Source | None

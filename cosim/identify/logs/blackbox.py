@@ -106,7 +106,7 @@ class Head:
 
     @property
     def share(self) -> tuple[int, int]:
-        """Of how many main frames how many are logged: ``P interval``, as 1/2, or as 2 alone."""
+        """How many of how many main frames are logged: ``P interval``, as 1/2, or as 2 alone."""
         share, _, of = self.stated.get("P interval", "1").partition("/")
         said = (share, of) if of else ("1", share)
         numbers = [int(text) if text.strip().isdecimal() and len(text) < 9 else 1 for text in said]
@@ -174,7 +174,7 @@ def _layout(path: Path, stated: dict[str, str], kind: str, names: Sequence[str])
 
 @dataclass
 class _Frames:
-    """What is in a log, and the state that its differences build on."""
+    """The frames of a log, and the state that their differences build on."""
 
     data: bytes
     end: int

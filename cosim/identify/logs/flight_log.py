@@ -49,7 +49,7 @@ class Channel(NamedTuple):
 
 
 class LogSignals(NamedTuple):
-    """What to look at in a log: sums of channels, as :meth:`FlightLog.signal` takes them."""
+    """Command, output and set-point in a log: sums of channels, as :meth:`FlightLog.signal` takes them."""
 
     command: str
     output: str

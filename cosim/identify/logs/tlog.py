@@ -50,7 +50,7 @@ class Kind(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """Where a frame stands in the file."""
+    """The head of a frame and its position in the file, bytes."""
 
     stamp: int
     message: int
@@ -174,7 +174,7 @@ def _whole(data: bytes, at: int) -> tuple[Frame, int | None] | None:
 
 @dataclass
 class _Found:
-    """The frames of each kind, by its number, which of that number it is, and its sender; and what was none."""
+    """The frames by number, which kind of that number, and sender; and how many bytes were no frame."""
 
     messages: dict[Key, list[Frame]] = field(default_factory=dict)
     unknown: set[int] = field(default_factory=set)

@@ -20,7 +20,7 @@ Columns = NDArray[np.float64]
 
 
 class DamagedError(Exception):
-    """Why a log cannot be read, in words."""
+    """A log that cannot be read; the message says why."""
 
 
 class _Rest(io.BytesIO):

@@ -16,7 +16,7 @@ EACH = 20  # terms of A that are each estimated; those beyond are linear between
 
 @dataclass(frozen=True)
 class Form:
-    """What is fitted: an engine (its pole is fast and its gain that at rest), or an axis (its pole is slow)."""
+    """A form of model: an engine (its pole is fast and its gain that at rest), or an axis (its pole is slow)."""
 
     engine: bool
     lags: int  # beside the pole
@@ -29,14 +29,14 @@ class Form:
 
     @property
     def label(self) -> str:
-        """In words."""
+        """Description of the form in words."""
         count = self.lags + 1 if self.engine else self.lags
         return f"{count} lag" if count == 1 else f"{count} lags"
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What came out, with the sums on which its bounds rest."""
+    """The fitted parameters, with the sums on which their bounds rest."""
 
     form: Form
     x: Array  # rate, lags, delay: in their own units
@@ -58,7 +58,7 @@ class Estimate:
 
     @property
     def parameters(self) -> int:
-        """How many were estimated."""
+        """Count of the estimated parameters."""
         return len(self.free) + len(self.linear) + int(spread(self.order).shape[1])
 
     @property

@@ -50,13 +50,13 @@ class Check(NamedTuple):
 
     @property
     def failed(self) -> bool:
-        """Whether the residuals contradict, by more than chance."""
+        """Whether the residuals contradict the model by more than chance."""
         return self.p < SIGNIFICANCE
 
 
 @dataclass(frozen=True)
 class LogIdentification:
-    """What a log gave; ``estimates`` has the chosen form first."""
+    """The models that were identified from a log; ``estimates`` has the chosen form first."""
 
     path: Path
     kind: str

@@ -47,7 +47,7 @@ _DIFFERENCE = 0.98  # 1 but for a constant, which it would not see
 
 
 class Point(NamedTuple):
-    """Parameters, and what the model leaves over there."""
+    """Parameters, and the residuals of the model with them."""
 
     x: Array
     linear: Array

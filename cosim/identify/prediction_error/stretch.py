@@ -34,7 +34,7 @@ class Stretch:
 
     @property
     def seconds(self) -> float:
-        """Its duration."""
+        """Duration of the stretch, s."""
         return len(self.command) * self.step
 
     @cached_property
@@ -43,7 +43,7 @@ class Stretch:
 
     @cached_property
     def present(self) -> NDArray[np.bool_]:
-        """The working samples that there are."""
+        """Which working samples have values."""
         return self._counts > 0.0
 
     def commanded(self, times: Array) -> Array:
@@ -67,7 +67,7 @@ class Stretch:
 
     @cached_property
     def _kept(self) -> tuple[dict[float, Array], dict[float, tuple[Ints, Array, Array]]]:
-        """What was computed lately: a derivative changes one parameter at a time."""
+        """Cache of recent results: a derivative changes one parameter at a time."""
         return {}, {}
 
     def _states(self, pole: float) -> Array:

@@ -30,7 +30,7 @@ MOST_JITTER = 0.35  # of a sample: scatter around an even clock, at most
 
 
 class Clock(NamedTuple):
-    """What a channel's times look like."""
+    """Step, jitter and loss of a channel's times."""
 
     step: float  # s
     jitter: float  # standard deviation around an even clock, in samples; NaN where there is no such clock
@@ -51,7 +51,7 @@ class Prepared:
 
     @property
     def seconds(self) -> float:
-        """Of output that counts."""
+        """Duration of the output in all stretches, s."""
         return self.working_step * sum(stretch.blocks for stretch in self.by_stamps)
 
 

@@ -30,7 +30,7 @@ OTHER_FORM = "no held model of a slow pole and lags, which hexjet identify write
 
 @dataclass(frozen=True)
 class StatedModel:
-    """A model as a file states it; without channels where that does not."""
+    """A model as read from a file; without channels where the file names none."""
 
     path: Path
     what: str
@@ -42,7 +42,7 @@ class StatedModel:
 
 @dataclass(frozen=True)
 class Validation:
-    """How a model answers the commands of a log."""
+    """How well a model answers the commands of a log."""
 
     model: StatedModel
     log: Path

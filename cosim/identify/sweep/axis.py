@@ -175,7 +175,7 @@ def _answered(
 
 @dataclass(frozen=True)
 class _Flight:
-    """What a sweep left behind."""
+    """The signals of a flown sweep."""
 
     sweep: Sweep
     ending: Ending
@@ -198,7 +198,7 @@ class _Flight:
 
 
 class _Watch:
-    """Keeps what the identification needs of every step."""
+    """An observer that keeps what the identification needs of every step."""
 
     def __init__(self, axis: int) -> None:
         self._axis = axis

@@ -40,7 +40,7 @@ class Record:
 
 @dataclass(frozen=True)
 class FrequencyResponse:
-    """Command to output at the centre of each group of bins."""
+    """Response from command to output at the centre of each group of bins."""
 
     hertz: Array
     value: Complex
@@ -55,7 +55,7 @@ class FrequencyResponse:
 
     @property
     def phase_deg(self) -> Array:
-        """Unwrapped from group to group."""
+        """Phase in degrees, unwrapped from group to group."""
         return np.asarray(np.degrees(np.unwrap(np.angle(self.value))))
 
 
