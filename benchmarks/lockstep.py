@@ -23,6 +23,7 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.timing import Clocked, Job, clock
 from cosim import Scenario
+from cosim.autopilots import px4
 from cosim.autopilots.ardupilot import ArduPilot, Launch
 from cosim.autopilots.lockstep import Autopilot, Frame, Sticks
 from cosim.autopilots.px4 import Px4
@@ -124,7 +125,7 @@ def paired(kind: str, folder: Path) -> Iterator[Autopilot]:
         launch = Launch(INSTANCE[kind], limit_s=20.0)
         ours = ArduPilot(None, folder, VEHICLE, HOVER.step_s, PLACE, launch)
     else:
-        ours = Px4(None, folder, VEHICLE, HOVER.step_s, PLACE, instance=INSTANCE[kind], limit=20.0)
+        ours = Px4(None, folder, VEHICLE, HOVER.step_s, PLACE, px4.Launch(INSTANCE[kind], limit_s=20.0))
     with child(kind):
         try:
             yield ours

@@ -181,12 +181,7 @@ class ArduPilot:
         counts.frames += 1
         waiting = Waiting("ardupilot", self.limit, self._program)
         while True:
-            try:
-                packet, sender = waiting.packet(opened)
-            except FlightError as error:
-                if not self._anew:
-                    raise
-                raise FlightError(f"{error}; its frame count began anew: was it restarted?") from None
+            packet, sender = self._receive(waiting, opened)
             servos = self._servos(packet)
             if servos is None:
                 counts.foreign += 1
@@ -213,6 +208,14 @@ class ArduPilot:
             counts.longest_s = max(counts.longest_s, waiting.took)
             self._check_rate(servos[1])
             return self._answer(servos[3:])
+
+    def _receive(self, waiting: Waiting, opened: socket.socket) -> tuple[bytes, tuple[str, int]]:
+        try:
+            return waiting.packet(opened)
+        except FlightError as error:
+            if not self._anew:
+                raise
+            raise FlightError(f"{error}; its frame count began anew: was it restarted?") from None
 
     def _servos(self, packet: bytes) -> tuple[int, ...] | None:
         if len(packet) < 2:

@@ -66,21 +66,20 @@ class AutopilotBlock:
     level = "controller"
     columns = COLUMNS
 
-    def __init__(self, autopilot: Autopilot, label: str, handling: Handling) -> None:
-        self._autopilot, self._label, self._handling = autopilot, label, handling
+    def __init__(self, autopilot: Autopilot, label: str, handling: Handling, rates: OutsideRates | None = None) -> None:
+        self.autopilot, self.label, self._handling, self.rates = autopilot, label, handling, rates
         self.rows: list[Row] = []
         self.shown: tuple[float, ...] = (0.0, 0.0)
         self._frames = 0
         self.truth: Callable[[], State] | None = None
         self.stand: Stand | None = None
-        self.rates: OutsideRates | None = None
 
     def prepare(self, belief: Belief) -> None:
         """See :class:`cosim.base.protocols.RateLoop`.  Raises InputError for a vehicle that is not told to them."""
         vehicle = belief.vehicle
         if vehicle.hinges or vehicle.surfaces or any(jet.axis is not None for jet in vehicle.jets):
             raise InputError(
-                f"{self._label}: {vehicle.name}: an autopilot is told of engines that push straight up, and of two "
+                f"{self.label}: {vehicle.name}: an autopilot is told of engines that push straight up, and of two "
                 "tilting banks; not of hinges, surfaces and other axes"
             )
         self._belief = belief
@@ -106,7 +105,7 @@ class AutopilotBlock:
             sticks = Sticks(throttle=self._pilot.hover if k >= throttle else 0.0, armed=k >= arming)
             answer = self._exchange(self.stand.sample(), sticks, ())
         if answer is None or not answer.armed:
-            raise FlightError(f"{self._label} was not armed within {handling.before_s:g} s{handling.unarmed}")
+            raise FlightError(f"{self.label} was not armed within {handling.before_s:g} s{handling.unarmed}")
 
     def update(self, command: Command, measured: Measured, applied: Applied) -> Actuation:
         """Exchange one step with the autopilot.  Raises FlightError where it does not answer."""
@@ -130,6 +129,6 @@ class AutopilotBlock:
             spool,
             None if self.truth is None else self.truth(),
         )
-        answer = self._autopilot.exchange(frame)
+        answer = self.autopilot.exchange(frame)
         self._frames += 1
         return answer

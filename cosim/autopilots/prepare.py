@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.autopilots import ardupilot, betaflight, px4
-from cosim.autopilots.block import OutsideRates
+from cosim.autopilots.block import AutopilotBlock, OutsideRates
 from cosim.autopilots.lockstep import LOCAL, Autopilot, stated_program
 from cosim.autopilots.parameters import (
     ARDUPILOT_STICKS,
@@ -72,14 +72,11 @@ class PreparedAutopilot:
         module = {"betaflight": betaflight, "px4": px4, "ardupilot": ardupilot}[self.name]
         return fly_autopilot(
             scenario,
-            self.autopilot,
-            self.name,
+            AutopilotBlock(self.autopilot, self.name, module.HANDLING, self.rates),
             folder,
-            module.HANDLING,
             files=[] if self.program is None else [self.program],
             details=dict(self.details) | details,
             realtime_factor=realtime_factor,
-            rates=self.rates,
             page=page,
         )
 
@@ -168,17 +165,8 @@ def _px4(
         loop, gain = px4_outside(vehicle)
         parameters, outside = parameters | loop, outside_rates(rates, gain, hears=True)
     parameters |= setup.parameters
-    autopilot = px4.Px4(
-        program,
-        folder,
-        vehicle,
-        scenario.step_s,
-        _place(scenario),
-        parameters,
-        setup.instance,
-        setup.limit_s,
-        setup.magnetic_field,
-    )
+    launch = px4.Launch(setup.instance, setup.limit_s, parameters, setup.magnetic_field)
+    autopilot = px4.Px4(program, folder, vehicle, scenario.step_s, _place(scenario), launch)
     endpoint = f"TCP port {px4.PORT + setup.instance}"
     details = {"gains": setup.gains, "parameters": parameters}
     return PreparedAutopilot("px4", autopilot, program, endpoint, details, outside)

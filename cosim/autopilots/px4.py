@@ -12,6 +12,7 @@ import select
 import socket
 from collections.abc import Collection, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
 from math import asinh, atan2, degrees, hypot, pi, sinh, sqrt
 from pathlib import Path
 
@@ -78,29 +79,27 @@ def refuse_unknown(log: Path, told: Collection[str]) -> None:
         raise InputError(f"px4: {say_unknown(found, set(told) - set(found), 'PX4')} (--param; {log})")
 
 
-class Px4:
-    """One PX4 SITL, started here or by hand.
+@dataclass(frozen=True)
+class Launch:
+    """Start-up options of a PX4."""
 
-    ``parameters``: over those of its airframe, as ``PX4_PARAM_<NAME>``.  ``field``: north, east, down [gauss].
-    """
+    instance: int = 0
+    limit_s: float = 5.0  # for an answer, of the clock
+    parameters: Mapping[str, float] = field(default_factory=dict)  # over its airframe's, as PX4_PARAM_<NAME>
+    magnetic_field: Vector3 | None = None  # gauss, NED; None: the Earth's at the place
+
+
+class Px4:
+    """One PX4 SITL, started here or by hand."""
 
     def __init__(
-        self,
-        binary: Path | None,
-        folder: Path,
-        vehicle: Vehicle,
-        step: float,
-        place: Geodesy,
-        parameters: Mapping[str, float] | None = None,
-        instance: int = 0,
-        limit: float = 5.0,
-        field: Vector3 | None = None,
+        self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, launch: Launch
     ) -> None:
         self.counts = Counts()
-        self.limit = limit
-        self.field = field or earth_field(place.latitude_deg, place.longitude_deg)
+        self.limit = launch.limit_s
+        self.field = launch.magnetic_field or earth_field(place.latitude_deg, place.longitude_deg)
         self._binary, self._folder, self._step, self._place = binary, folder, step, place
-        self._instance, self._parameters = instance, parameters or {}
+        self._instance, self._parameters = launch.instance, launch.parameters
         self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
         self._fix_every = vehicle.sensors.gnss.period_samples
         self._accuracy = max(1, round(100.0 * max(vehicle.sensors.gnss.position_noise_m, 0.3)))  # cm

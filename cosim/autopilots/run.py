@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from cosim.autopilots.block import AutopilotBlock, OutsideRates
-from cosim.autopilots.lockstep import Autopilot, Counts, Handling
+from cosim.autopilots.lockstep import Autopilot, Counts
 from cosim.autopilots.stand import Stand
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import gravity
@@ -96,39 +96,34 @@ def _with_names_checked(ending: Ending, autopilot: Autopilot) -> Ending:
 
 def fly_autopilot(
     scenario: Scenario,
-    autopilot: Autopilot,
-    label: str,
+    block: AutopilotBlock,
     folder: Path,
-    handling: Handling,
     *,
     files: Sequence[Path] = (),
     details: dict[str, Any] | None = None,
     observers: Sequence[Observer] = (),
     realtime_factor: float | None = None,
-    rates: OutsideRates | None = None,
     page: bool = True,
 ) -> AutopilotRun:
-    """Fly a scenario with an autopilot in the place of the controller, and close that.
+    """Fly a scenario with an autopilot in the place of the controller, and close the autopilot.
 
-    ``handling``: see :class:`cosim.autopilots.lockstep.Handling`.  ``files``: what flew, to be hashed.
-    ``details``: what the run's lockstep.json says of it beside the counts.  ``rates``: in the place of its rate loop.
+    ``files``: what flew, to be hashed.  ``details``: what the run's lockstep.json says of it beside the counts.
     ``page``: whether to make one.  A crash, an autopilot that ends or hangs, and Ctrl-C are outcomes, and the run is
     kept.  Raises InputError for what cannot be flown, and FlightError for an autopilot that does not begin; there is no
     run then.
     """
+    autopilot, label = block.autopilot, block.label
     try:
         if scenario.engine_start == "in flight":
             raise InputError(
                 f'scenario {scenario.name}: engine_start = "in flight": with an autopilot engines run before the flight'
             )
-        known = scenario.resolved_vehicle()[0]
-        if known.allocation == "effectiveness":
+        vehicle = scenario.resolved_vehicle()[0]
+        if vehicle.allocation == "effectiveness":
             raise InputError(
-                f"{known.name}: is flown by effectiveness; the outputs and parameters of an autopilot are known here "
+                f"{vehicle.name}: is flown by effectiveness; the outputs and parameters of an autopilot are known here "
                 "for two banks, and for jets that all point straight up"
             )
-        block = AutopilotBlock(autopilot, label, handling)
-        block.rates = rates
         own = Source(
             f"autopilot:{label}",
             "controller",

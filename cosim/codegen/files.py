@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -29,6 +29,7 @@ TITLES = {
 # whose headers are included, by the C or by the adapter of the FMUs
 _TAKEN = ("math", "stdbool", "stdint", "stdio", "string", "time", "engine", "slave", "variables", "fmi2", "fmi3")
 
+Fields = tuple[dict[str, Any], list[tuple[str, int | None]]]  # constants by name; states with their sizes
 NO_LICENCE = "not stated (choose one with --licence)"
 
 
@@ -160,42 +161,62 @@ def _fields(q: Form) -> Form:
     kind = q["kind"]
     if kind == "none":
         return q
-    values: dict[str, Any] = {}
-    states: list[tuple[str, Any]] = []
-    if kind in ("early-late", "early-late-filtered"):
-        for name in ("now", "then", "rest"):
-            model = q.get(name)
-            if model:
-                values |= {f"{name}_b": model["b"], f"{name}_a": model["a"]}
-                states.append((name, len(model["a"])))
-        if kind == "early-late-filtered":
-            values["through"] = q["through"]
-            if q["rest"]:
-                states.append(("before", None))
-        if q["line"]:
-            states.append(("line", q["line"]))
-    elif kind == "modes":
-        for name, vector in q["real"].items():
-            values[name] = vector
-            if q["paired"]:
-                values[f"{name}_im"] = q["imaginary"][name]
-        states += [("x", q["order"]), *([("x_im", q["order"])] if q["paired"] else [])]
-        if q["disturbance"]:
-            values["gathered"] = q["gathered"]
-            states.append(("disturbance", None))
-    elif kind == "double-integrator":
-        values |= {name: q[name] for name in ("f", "transition", "of_rate", "of_command", "of_state")}
-        states.append(("x", 2))
-    else:
-        values |= {"transition": q["F"], "gain": q["gain"], "push": q["push"], "of_state": q["of_state"]}
-        if q["disturbance"]:
-            values["of_disturbance"] = q["of_disturbance"]
-        states.append(("x", len(q["gain"])))
+    values, states = _FIELDS[kind](q)
     if "weights" in q:
         values["weights"] = q["weights"]
         states.append(("sent", len(q["weights"])))
     constants = [(name, _size(value)) for name, value in values.items()]
     return {"line": 0} | q | {"title": TITLES[kind], "constants": constants, "states": states, "values": values}
+
+
+def _smith_fields(q: Form) -> Fields:
+    values: dict[str, Any] = {}
+    states: list[tuple[str, int | None]] = []
+    for name in ("now", "then", "rest"):
+        model = q.get(name)
+        if model:
+            values |= {f"{name}_b": model["b"], f"{name}_a": model["a"]}
+            states.append((name, len(model["a"])))
+    if q["kind"] == "early-late-filtered":
+        values["through"] = q["through"]
+        if q["rest"]:
+            states.append(("before", None))
+    if q["line"]:
+        states.append(("line", q["line"]))
+    return values, states
+
+
+def _modal_fields(q: Form) -> Fields:
+    values: dict[str, Any] = {}
+    for name, vector in q["real"].items():
+        values[name] = vector
+        if q["paired"]:
+            values[f"{name}_im"] = q["imaginary"][name]
+    states = [("x", q["order"]), *([("x_im", q["order"])] if q["paired"] else [])]
+    if q["disturbance"]:
+        values["gathered"] = q["gathered"]
+        states.append(("disturbance", None))
+    return values, states
+
+
+def _integrator_fields(q: Form) -> Fields:
+    return {name: q[name] for name in ("f", "transition", "of_rate", "of_command", "of_state")}, [("x", 2)]
+
+
+def _observer_fields(q: Form) -> Fields:
+    values = {"transition": q["F"], "gain": q["gain"], "push": q["push"], "of_state": q["of_state"]}
+    if q["disturbance"]:
+        values["of_disturbance"] = q["of_disturbance"]
+    return values, [("x", len(q["gain"]))]
+
+
+_FIELDS: dict[str, Callable[[Form], Fields]] = {
+    "early-late": _smith_fields,
+    "early-late-filtered": _smith_fields,
+    "double-integrator": _integrator_fields,
+    "model-observer": _observer_fields,
+    "modes": _modal_fields,
+}
 
 
 def _size(value: Any) -> str | None:

@@ -105,7 +105,7 @@ class Flight:
         initial = simulation.scenario.initial
         self.start_throttle = simulation.controller.reset(initial.on_ground, simulation.propulsion.burnt)
         self.start_engines = bank.reset(self.start_throttle, self.ambient if bank.wants_ambient else None)
-        self.inputs = tuple(self._inputs())
+        self.inputs = tuple(self._list_inputs())
         self._groups = tuple(self._list_outputs())
         self.outputs = tuple(number for group in self._groups for number in group.numbers)
         self.given: dict[str, float] = {number.name: number.start for number in self.inputs}
@@ -145,38 +145,42 @@ class Flight:
         """Return the input of this name of every jet."""
         return tuple([self.given[f"{name}_{jet}"] for jet in self.numbers])
 
-    def _inputs(self) -> Iterator[Number]:
-        simulation = self.simulation
-        command = simulation.commander.at(0)
-        if self.parts.controller:
-            yield Number("commanded", "1", "0: the scenario's commands are flown; 1: the set-points here")
-            for axis, angle in zip(AXES, command.attitude, strict=True):
-                yield Number(f"{axis}_setpoint", "rad", f"Attitude asked for: {axis}", angle)
-            yield Number("altitude_setpoint", "m", "Height above the ground asked for", command.altitude)
-            yield Number("rates_commanded", "1", "1: body rates are asked for in place of an attitude")
-            for axis in AXES:
-                yield Number(f"{axis}_rate_setpoint", "rad/s", f"Body rate asked for: {axis}")
-            yield Number("collective_commanded", "1", "1: a mean throttle is asked for in place of a height")
-            yield Number("collective_setpoint", "1", "Mean throttle asked for")
-            yield Number("engines", "1", "0: as the loops ask; 1: idle; 2: off")
-        else:
-            if self.parts.engines:
-                for jet, start in zip(self.numbers, self.start_throttle, strict=True):
-                    yield Number(f"throttle_{jet}", "1", f"Throttle of jet {jet}", start)
-                for jet in self.numbers:
-                    yield Number(f"off_{jet}", "1", f"1: jet {jet} is shut off on purpose")
-            if simulation.vehicle.servo is not None:
-                yield Number("tilt_left", "rad", "Tilt asked of the left servo, positive forward")
-                yield Number("tilt_right", "rad", "Tilt asked of the right servo, positive forward")
-            else:
-                for n, name in enumerate(_moved(simulation.vehicle)):
-                    unit, rest = _unit_of(simulation.vehicle, n), simulation.vehicle.rest[n]
-                    yield Number(f"tilt_{name}", unit, f"Asked of the servo {name}", rest)
+    def _list_inputs(self) -> Iterator[Number]:
+        yield from self._list_setpoints() if self.parts.controller else self._list_actuators()
         if not self.parts.engines:
             for name, starts in zip(REPORTS, self.start_engines, strict=True):
-                for jet, (start, spec) in enumerate(zip(starts, simulation.stations, strict=True), 1):
+                for jet, (start, spec) in enumerate(zip(starts, self.simulation.stations, strict=True), 1):
                     if spec.has(name):
                         yield Number(f"{name}_{jet}", UNIT_OF[name], f"Of the engine of jet {jet}: {name}", start)
+
+    def _list_setpoints(self) -> Iterator[Number]:
+        """List set-points for the controller inside, which fly in place of the scenario's commands."""
+        command = self.simulation.commander.at(0)
+        yield Number("commanded", "1", "0: the scenario's commands are flown; 1: the set-points here")
+        for axis, angle in zip(AXES, command.attitude, strict=True):
+            yield Number(f"{axis}_setpoint", "rad", f"Attitude asked for: {axis}", angle)
+        yield Number("altitude_setpoint", "m", "Height above the ground asked for", command.altitude)
+        yield Number("rates_commanded", "1", "1: body rates are asked for in place of an attitude")
+        for axis in AXES:
+            yield Number(f"{axis}_rate_setpoint", "rad/s", f"Body rate asked for: {axis}")
+        yield Number("collective_commanded", "1", "1: a mean throttle is asked for in place of a height")
+        yield Number("collective_setpoint", "1", "Mean throttle asked for")
+        yield Number("engines", "1", "0: as the loops ask; 1: idle; 2: off")
+
+    def _list_actuators(self) -> Iterator[Number]:
+        """List what a controller outside commands: throttles of engines inside, and servos."""
+        vehicle = self.simulation.vehicle
+        if self.parts.engines:
+            for jet, start in zip(self.numbers, self.start_throttle, strict=True):
+                yield Number(f"throttle_{jet}", "1", f"Throttle of jet {jet}", start)
+            for jet in self.numbers:
+                yield Number(f"off_{jet}", "1", f"1: jet {jet} is shut off on purpose")
+        if vehicle.servo is not None:
+            yield Number("tilt_left", "rad", "Tilt asked of the left servo, positive forward")
+            yield Number("tilt_right", "rad", "Tilt asked of the right servo, positive forward")
+        else:
+            for n, name in enumerate(_name_movables(vehicle)):
+                yield Number(f"tilt_{name}", _unit_of(vehicle, n), f"Asked of the servo {name}", vehicle.rest[n])
 
     def _list_outputs(self) -> Iterator[Group]:
         simulation, propulsion = self.simulation, self.simulation.propulsion
@@ -184,43 +188,43 @@ class Flight:
             throttles = [Number(f"throttle_{jet}", "1", f"Told to the engine of jet {jet}") for jet in self.numbers]
             yield Group(throttles, lambda: self.throttle)
         else:
-            yield from self._commanded()
+            yield from self._list_command()
         if simulation.vehicle.servo is not None:
             sides = [Number(f"servo_{side}", "rad", f"Where the {side} servo stands") for side in ("left", "right")]
             yield Group(sides, lambda: propulsion.tilt)
-        elif moved := _moved(simulation.vehicle):
-            stand = [
+        elif movables := _name_movables(simulation.vehicle):
+            positions = [
                 Number(f"servo_{name}", _unit_of(simulation.vehicle, n), f"Where the servo {name} stands")
-                for n, name in enumerate(moved)
+                for n, name in enumerate(movables)
             ]
-            yield Group(stand, lambda: propulsion.tilt)
-        yield from self._reported() if self.parts.engines else self._to_engines()
+            yield Group(positions, lambda: propulsion.tilt)
+        yield from self._list_reports() if self.parts.engines else self._list_engine_inputs()
         if propulsion.tank is not None:
             yield Group([Number("fuel_burnt", "kg", "Fuel burnt since the full tank")], lambda: (propulsion.burnt,))
-        yield from self._state()
-        yield from self._measured()
+        yield from self._list_state()
+        yield from self._list_measured()
 
-    def _commanded(self) -> Iterator[Group]:
+    def _list_command(self) -> Iterator[Group]:
         """List the scenario's command, for a controller outside."""
-        yield Group(_angles("_setpoint", "rad", "Attitude asked for"), lambda: self.command.attitude)
+        yield Group(_list_angles("_setpoint", "rad", "Attitude asked for"), lambda: self.command.attitude)
         height = Number("altitude_setpoint", "m", "Height above the ground asked for")
         yield Group([height], lambda: (self.command.altitude,))
         flag = Number("rates_commanded", "1", "1: body rates are asked for in place of an attitude")
         yield Group([flag], lambda: (self.command.rate is not None,))
-        yield Group(_angles("_rate_setpoint", "rad/s", "Body rate asked for"), lambda: self.command.rate or ZERO3)
+        yield Group(_list_angles("_rate_setpoint", "rad/s", "Body rate asked for"), lambda: self.command.rate or ZERO3)
         flag = Number("collective_commanded", "1", "1: a mean throttle is asked for in place of a height")
         mean = Number("collective_setpoint", "1", "Mean throttle asked for")
         yield Group([flag, mean], lambda: (self.command.collective is not None, self.command.collective or 0.0))
 
-    def _reported(self) -> Iterator[Group]:
+    def _list_reports(self) -> Iterator[Group]:
         """List what engines inside deliver and report."""
         output = self.simulation.propulsion
         for n, name in enumerate(REPORTS):
             have = [i for i, spec in enumerate(self.simulation.stations) if spec.has(name)]
             numbers = [Number(f"{name}_{i + 1}", UNIT_OF[name], f"Of the engine of jet {i + 1}: {name}") for i in have]
-            yield Group(numbers, partial(_chosen, output, n, have))
+            yield Group(numbers, partial(_read_jets, output, n, have))
 
-    def _to_engines(self) -> Iterator[Group]:
+    def _list_engine_inputs(self) -> Iterator[Group]:
         """List what engines outside get beside their throttles."""
         stations = self.simulation.stations
         text = "Throttle at which the engine stands in equilibrium before the first step: jet"
@@ -233,10 +237,11 @@ class Flight:
             ports = [port for port in AMBIENT if spec.has(port)]
             text = f"Around the engine of jet {i + 1}"
             yield Group(
-                [Number(f"{port}_{i + 1}", UNIT_OF[port], f"{text}: {port}") for port in ports], self._air(i, ports)
+                [Number(f"{port}_{i + 1}", UNIT_OF[port], f"{text}: {port}") for port in ports],
+                self._reader_of_air(i, ports),
             )
 
-    def _air(self, jet: int, ports: Sequence[str]) -> Callable[[], Sequence[float]]:
+    def _reader_of_air(self, jet: int, ports: Sequence[str]) -> Callable[[], Sequence[float]]:
         def read() -> Sequence[float]:
             if not ports:
                 return ()
@@ -247,31 +252,35 @@ class Flight:
 
         return read
 
-    def _state(self) -> Iterator[Group]:
+    def _list_state(self) -> Iterator[Group]:
         simulation = self.simulation
-        yield Group(_parts("position", NED, "m", "Position from the start"), lambda: simulation.state.position)
-        yield Group(_parts("velocity", NED, "m/s", "Velocity over the ground"), lambda: simulation.state.velocity)
-        yield Group(_parts("attitude", WXYZ, "1", "Quaternion body to NED"), lambda: simulation.state.attitude)
-        yield Group(_angles("", "rad", "Attitude, in the order yaw, pitch, roll"), lambda: simulation.state.euler)
-        yield Group(_angles("_rate", "rad/s", "Body rate"), lambda: simulation.state.rate)
-        force = _parts("specific_force", XYZ, "m/s2", "Specific force at the centre of gravity, body")
+        yield Group(_list_parts("position", NED, "m", "Position from the start"), lambda: simulation.state.position)
+        yield Group(_list_parts("velocity", NED, "m/s", "Velocity over the ground"), lambda: simulation.state.velocity)
+        yield Group(_list_parts("attitude", WXYZ, "1", "Quaternion body to NED"), lambda: simulation.state.attitude)
+        yield Group(_list_angles("", "rad", "Attitude, in the order yaw, pitch, roll"), lambda: simulation.state.euler)
+        yield Group(_list_angles("_rate", "rad/s", "Body rate"), lambda: simulation.state.rate)
+        force = _list_parts("specific_force", XYZ, "m/s2", "Specific force at the centre of gravity, body")
         yield Group(force, lambda: simulation.state.specific_force)
-        yield Group(_parts("wind", NED, "m/s", "Wind with turbulence"), lambda: simulation.state.wind)
+        yield Group(_list_parts("wind", NED, "m/s", "Wind with turbulence"), lambda: simulation.state.wind)
         yield Group([Number("altitude", "m", "Height above the ground")], lambda: (simulation.state.altitude,))
         yield Group([Number("mass", "kg", "Mass of the vehicle")], lambda: (simulation.state.mass,))
         yield Group([Number("on_ground", "1", "1: a leg touches")], lambda: (simulation.state.on_ground,))
 
-    def _measured(self) -> Iterator[Group]:
+    def _list_measured(self) -> Iterator[Group]:
         simulation = self.simulation
-        yield Group(_angles("_rate", "rad/s", "Measured body rate", "measured_"), lambda: simulation.measured.rate)
-        attitude = _parts("measured_attitude", WXYZ, "1", "Measured quaternion body to NED")
+        yield Group(_list_angles("_rate", "rad/s", "Measured body rate", "measured_"), lambda: simulation.measured.rate)
+        attitude = _list_parts("measured_attitude", WXYZ, "1", "Measured quaternion body to NED")
         yield Group(attitude, lambda: simulation.measured.attitude)
-        yield Group(_parts("measured_position", NED, "m", "Measured position"), lambda: simulation.measured.position)
-        yield Group(_parts("measured_velocity", NED, "m/s", "Measured velocity"), lambda: simulation.measured.velocity)
+        yield Group(
+            _list_parts("measured_position", NED, "m", "Measured position"), lambda: simulation.measured.position
+        )
+        yield Group(
+            _list_parts("measured_velocity", NED, "m/s", "Measured velocity"), lambda: simulation.measured.velocity
+        )
         height = Number("measured_altitude", "m", "Measured height above the ground")
         yield Group([height], lambda: (simulation.measured.altitude,))
         if all(isfinite(value) for value in simulation.measured.specific_force):  # there is an accelerometer
-            force = _parts("measured_specific_force", XYZ, "m/s2", "Measured specific force, body")
+            force = _list_parts("measured_specific_force", XYZ, "m/s2", "Measured specific force, body")
             yield Group(force, lambda: simulation.measured.specific_force)
 
     def close(self) -> None:
@@ -405,7 +414,7 @@ class _ControllerOutside:
         """Do nothing, because it takes no engine for lost."""
 
 
-def _moved(vehicle: Vehicle) -> tuple[str, ...]:
+def _name_movables(vehicle: Vehicle) -> tuple[str, ...]:
     """Return the names of hinges and surfaces; none for two tilting banks, or where nothing moves."""
     return vehicle.actuators if vehicle.servo is None and vehicle.ranges else ()
 
@@ -418,14 +427,14 @@ def _per_jet(throttle: float | Sequence[float], jets: int) -> PerJet:
     return tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * jets
 
 
-def _angles(suffix: str, unit: str, text: str, prefix: str = "") -> list[Number]:
+def _list_angles(suffix: str, unit: str, text: str, prefix: str = "") -> list[Number]:
     return [Number(f"{prefix}{axis}{suffix}", unit, f"{text}: {axis}") for axis in AXES]
 
 
-def _parts(name: str, parts: Sequence[str], unit: str, text: str) -> list[Number]:
+def _list_parts(name: str, parts: Sequence[str], unit: str, text: str) -> list[Number]:
     return [Number(f"{name}_{part}", unit, f"{text}: {part}") for part in parts]
 
 
-def _chosen(propulsion: Propulsion, report: int, jets: Sequence[int]) -> list[float]:
+def _read_jets(propulsion: Propulsion, report: int, jets: Sequence[int]) -> list[float]:
     values = propulsion.output[report]
     return [values[jet] for jet in jets]

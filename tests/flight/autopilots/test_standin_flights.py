@@ -13,7 +13,9 @@ import pytest
 from autopilot_standins import ArduPilotStandIn, Px4StandIn
 from patience import PATIENCE
 
+from cosim.autopilots import px4
 from cosim.autopilots.ardupilot import ArduPilot, Launch
+from cosim.autopilots.block import AutopilotBlock
 from cosim.autopilots.lockstep import Autopilot, Handling
 from cosim.autopilots.parameters import px4_outside, px4_torque
 from cosim.autopilots.px4 import Px4
@@ -31,7 +33,7 @@ HANDLING = Handling(before_s=2.0, arming_s=1.5, throttle_s=0.5, lean_deg=35.0, t
 
 
 def fly_it(autopilot: Autopilot, label: str, folder: Path, scenario: Scenario = HOVER) -> AutopilotRun:
-    return fly_autopilot(scenario, autopilot, label, folder, HANDLING)
+    return fly_autopilot(scenario, AutopilotBlock(autopilot, label, HANDLING), folder)
 
 
 def same_again(flown: AutopilotRun, folder: Path) -> None:
@@ -53,7 +55,7 @@ def test_px4_flies_by_the_sticks(tmp_path: Path) -> None:
             [throttle + (-roll if jet.servo == "right" else roll) for jet in VEHICLE.jets] + [pitch, pitch] + [0.0] * 8
         )
 
-    ours = Px4(None, tmp_path / "px4", VEHICLE, HOVER.step_s, PLACE, instance=31_007, limit=PATIENCE)
+    ours = Px4(None, tmp_path / "px4", VEHICLE, HOVER.step_s, PLACE, px4.Launch(31_007, PATIENCE))
     theirs = Px4StandIn(4560 + 31_007, controls=controls)
     flown = fly_it(ours, "px4", tmp_path / "run")
     theirs.thread.join(PATIENCE)
@@ -88,7 +90,7 @@ def test_a_rate_loop_of_ours_hears_what_px4_asks_for(tmp_path: Path) -> None:
         # a bank that tilts forward pushes the nose down, and turns it away from its side
         return [*engines, (yaw - pitch) / limit, (-yaw - pitch) / limit] + [0.0] * 8
 
-    ours = Px4(None, tmp_path / "px4", VEHICLE, HOVER.step_s, PLACE, instance=31_009, limit=PATIENCE)
+    ours = Px4(None, tmp_path / "px4", VEHICLE, HOVER.step_s, PLACE, px4.Launch(31_009, PATIENCE))
     theirs = Px4StandIn(4560 + 31_009, controls=controls)
     rates = outside_rates(scenario, gain, hears=True)
     heard: list[Vector3] = []
@@ -98,7 +100,7 @@ def test_a_rate_loop_of_ours_hears_what_px4_asks_for(tmp_path: Path) -> None:
             heard.append(rates.rate_setpoint)
 
     flown = fly_autopilot(
-        scenario, ours, "px4", tmp_path / "run", HANDLING, rates=rates,
+        scenario, AutopilotBlock(ours, "px4", HANDLING, rates), tmp_path / "run",
         observers=[Heard()],
     )  # fmt: skip
     theirs.thread.join(PATIENCE)

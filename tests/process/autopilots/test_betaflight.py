@@ -18,6 +18,7 @@ from command_tools import Hexjet
 from stated_figures import stated
 
 from cosim.autopilots import betaflight as theirs
+from cosim.autopilots.block import AutopilotBlock, OutsideRates
 from cosim.autopilots.lockstep import Frame, Sticks
 from cosim.autopilots.run import LOCKSTEP, AutopilotRun, fly_autopilot, outside_rates
 from cosim.base.errors import InputError
@@ -75,10 +76,10 @@ def made(scenario: Scenario, folder: Path, gains: str = "vehicle", limit: float 
     return theirs.Betaflight(BINARY, folder / "betaflight", vehicle, scenario.step_s, lines, free_port(), limit)
 
 
-def fly_with(autopilot: theirs.Betaflight, scenario: Scenario, folder: Path, **more: Any) -> AutopilotRun:
-    return fly_autopilot(
-        scenario, autopilot, "betaflight", folder, theirs.HANDLING, **more,
-    )  # fmt: skip
+def fly_with(
+    autopilot: theirs.Betaflight, scenario: Scenario, folder: Path, rates: OutsideRates | None = None, **more: Any
+) -> AutopilotRun:
+    return fly_autopilot(scenario, AutopilotBlock(autopilot, "betaflight", theirs.HANDLING, rates), folder, **more)
 
 
 def flown(scenario: Scenario, folder: Path, gains: str = "vehicle") -> AutopilotRun:

@@ -19,6 +19,7 @@ from scipy.optimize import brentq
 from stated_figures import stated
 
 from cosim.autopilots import betaflight as theirs
+from cosim.autopilots.block import AutopilotBlock
 from cosim.autopilots.dump import torque_of
 from cosim.autopilots.run import fly_autopilot
 from cosim.base.errors import InputError
@@ -288,9 +289,7 @@ def flown_inside(binary: Path, folder: Path) -> Run:
     vehicle, _ = doublet.resolved_vehicle()
     lines = [*theirs.gains_of(vehicle), "set pidsum_limit_yaw = 500"]
     autopilot = theirs.Betaflight(binary, folder / "betaflight", vehicle, doublet.step_s, lines, free_port(), 60.0)
-    return fly_autopilot(
-        doublet, autopilot, "betaflight", folder, theirs.HANDLING,
-    ).run  # fmt: skip
+    return fly_autopilot(doublet, AutopilotBlock(autopilot, "betaflight", theirs.HANDLING), folder).run
 
 
 @pytest.mark.long

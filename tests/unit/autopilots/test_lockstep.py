@@ -78,7 +78,7 @@ def ardupilot(folder: Path, step: float = STEP, **faults: Any) -> Iterator[tuple
 @contextmanager
 def px4_pair(folder: Path, **faults: Any) -> Iterator[tuple[Px4, Px4StandIn]]:
     instance = free(range(1000, 40000), 4560, 1, socket.SOCK_STREAM)
-    ours = Px4(None, folder, HEXJET, STEP, PLACE, instance=instance, limit=PATIENCE)
+    ours = Px4(None, folder, HEXJET, STEP, PLACE, px4.Launch(instance, PATIENCE))
     theirs = Px4StandIn(4560 + instance, **faults)
     try:
         ours.start()
@@ -262,7 +262,7 @@ def test_a_second_client_is_turned_away(tmp_path: Path) -> None:
 def test_one_that_never_connects_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(px4, "_START_S", 0.1)
     instance = free(range(1000, 40000), 4560, 1, socket.SOCK_STREAM)
-    ours = Px4(None, tmp_path, HEXJET, STEP, PLACE, instance=instance)
+    ours = Px4(None, tmp_path, HEXJET, STEP, PLACE, px4.Launch(instance))
     with pytest.raises(FlightError, match=rf"px4 did not connect to port {4560 + instance} within 0\.1 s"):
         ours.start()
     ours.close()

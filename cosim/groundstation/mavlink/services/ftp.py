@@ -154,9 +154,11 @@ class FileService(Service):
             return _nak(request, UNKNOWN)
         if request.size > DATA:
             return _nak(request, BAD_SIZE)
-        if code in (READ, BURST):
-            return self._read(request, state)
-        path = _path(request.data)
+        return self._read(request, state) if code in (READ, BURST) else self._look_up(request, state)
+
+    def _look_up(self, request: _Request, state: _State) -> bytes | None:
+        """List a folder, or open a file or begin its checksum, by the path in the request."""
+        code, path = request.opcode, _path(request.data)
         if code == LIST:
             return self._list(request, path)
         file = None if path is None else self._files().get(path)

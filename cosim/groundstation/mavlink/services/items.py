@@ -91,35 +91,39 @@ class ItemError(Exception):
 
 def to_mission_item(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
     """Return the autopilot's item for a MAVLink one; ``home_altitude`` [m] is home's height.  Raises ItemError."""
-    command, (p1, p2, _, p4) = item.command, item.params
     try:
-        if command in (WAYPOINT, LOITER_TIME):
+        if item.command in (WAYPOINT, LOITER_TIME):
             return _waypoint(item, geodesy, home_altitude)
-        if command in (LOITER, LOITER_TURNS, LOITER_ALTITUDE):
+        if item.command in (LOITER, LOITER_TURNS, LOITER_ALTITUDE):
             return _loiter(item, geodesy, home_altitude)
-        if command == TAKEOFF:
+        if item.command == TAKEOFF:
             altitude = altitude_of(item, geodesy, home_altitude)
-            return MissionItem(ItemKind.TAKEOFF, altitude=altitude, yaw=_yaw(p4))
-        if command == LAND:
+            return MissionItem(ItemKind.TAKEOFF, altitude=altitude, yaw=_yaw(item.params[3]))
+        if item.command == LAND:
             north, east = _place_or_here(item, geodesy, 0.0)
-            return MissionItem(ItemKind.LAND, north, east, yaw=_yaw(p4))
-        if command in LEFT_OUT:
-            return MissionItem(ItemKind.LEFT_OUT)
-        if command == RETURN:
-            return MissionItem(ItemKind.RETURN)
-        if command == DELAY:
-            return MissionItem(ItemKind.DELAY, hold_s=_number(p1, PARAM1, "delay", 0.0))
-        if command == JUMP:
-            target = _whole(p1, PARAM1, "item to jump to")
-            repeat = -1 if p2 == -1.0 else _whole(p2, PARAM2, "number of jumps", ", or -1 for ever")
-            return MissionItem(ItemKind.JUMP, target=target, repeat=repeat)
-        if command == SPEED:
-            if p1 not in (0.0, 1.0):
-                raise ItemError(PARAM1, "only the horizontal speed can be set")
-            return MissionItem(ItemKind.SPEED, speed=_number(p2, PARAM2, "speed", 0.1))
-    except InputError as error:  # a number beyond what the pilot flies
+            return MissionItem(ItemKind.LAND, north, east, yaw=_yaw(item.params[3]))
+        return _instruction(item.command, *item.params[:2])
+    except InputError as error:  # a number beyond what the autopilot flies
         raise ItemError(_code_of(str(error)), str(error).removeprefix("MissionItem.")) from error
-    raise ItemError(UNSUPPORTED, f"command {command} is not known here")
+
+
+def _instruction(command: int, p1: float, p2: float) -> MissionItem:
+    """Return the item of a command without a position, from its first two parameters.  Raises ItemError."""
+    if command in LEFT_OUT:
+        return MissionItem(ItemKind.LEFT_OUT)
+    if command == RETURN:
+        return MissionItem(ItemKind.RETURN)
+    if command == DELAY:
+        return MissionItem(ItemKind.DELAY, hold_s=_number(p1, PARAM1, "delay", 0.0))
+    if command == JUMP:
+        target = _whole(p1, PARAM1, "item to jump to")
+        repeat = -1 if p2 == -1.0 else _whole(p2, PARAM2, "number of jumps", ", or -1 for ever")
+        return MissionItem(ItemKind.JUMP, target=target, repeat=repeat)
+    if command != SPEED:
+        raise ItemError(UNSUPPORTED, f"command {command} is not known here")
+    if p1 not in (0.0, 1.0):
+        raise ItemError(PARAM1, "only the horizontal speed can be set")
+    return MissionItem(ItemKind.SPEED, speed=_number(p2, PARAM2, "speed", 0.1))
 
 
 def to_item(item: MissionItem, geodesy: Geodesy) -> Item:
@@ -130,29 +134,22 @@ def to_item(item: MissionItem, geodesy: Geodesy) -> Item:
         x, y = round(1e7 * latitude), round(1e7 * longitude)
     z = 0.0 if item.altitude is None else geodesy.ground + item.altitude
     yaw = nan if item.yaw is None else degrees(item.yaw)
-    there = wire.MAV_FRAME_GLOBAL_INT
-    nowhere = wire.MAV_FRAME_MISSION
-    kind = item.kind
-    if kind is ItemKind.WAYPOINT:
-        return Item(there, WAYPOINT, (item.hold_s, item.acceptance_m, 0.0, yaw), x, y, z)
-    if kind is ItemKind.TAKEOFF:
-        return Item(there, TAKEOFF, (0.0, 0.0, 0.0, yaw), NOWHERE, NOWHERE, z)
-    if kind is ItemKind.LAND:
-        return Item(there, LAND, (0.0, 0.0, 0.0, yaw), x, y, geodesy.ground)
-    if kind is ItemKind.STAY:
-        return Item(there, LOITER, (0.0, 0.0, 0.0, yaw), x, y, z)
-    if kind is ItemKind.CIRCLE:
-        radius = (item.radius or 0.0) * (1.0 if item.clockwise else -1.0)
-        return Item(there, LOITER_TURNS, (item.turns, 0.0, radius, 0.0), x, y, z)
-    if kind is ItemKind.ALTITUDE:
-        return Item(there, LOITER_ALTITUDE, (0.0, 0.0, 0.0, 0.0), x, y, z)
-    if kind is ItemKind.SPEED:
-        return Item(nowhere, SPEED, (1.0, item.speed or 0.0, -1.0, 0.0), 0, 0, 0.0)
-    if kind in (ItemKind.DELAY, ItemKind.LEFT_OUT):  # what was left out is not known any more: a pause of no length
-        return Item(nowhere, DELAY, (item.hold_s, -1.0, -1.0, -1.0), 0, 0, 0.0)
-    if kind is ItemKind.JUMP:
-        return Item(nowhere, JUMP, (float(item.target or 0), float(item.repeat), 0.0, 0.0), 0, 0, 0.0)
-    return Item(nowhere, RETURN, (0.0, 0.0, 0.0, 0.0), 0, 0, 0.0)
+    there, nowhere = wire.MAV_FRAME_GLOBAL_INT, wire.MAV_FRAME_MISSION
+    radius = (item.radius or 0.0) * (1.0 if item.clockwise else -1.0)
+    delay = Item(nowhere, DELAY, (item.hold_s, -1.0, -1.0, -1.0), 0, 0, 0.0)
+    return {
+        ItemKind.WAYPOINT: Item(there, WAYPOINT, (item.hold_s, item.acceptance_m, 0.0, yaw), x, y, z),
+        ItemKind.TAKEOFF: Item(there, TAKEOFF, (0.0, 0.0, 0.0, yaw), NOWHERE, NOWHERE, z),
+        ItemKind.LAND: Item(there, LAND, (0.0, 0.0, 0.0, yaw), x, y, geodesy.ground),
+        ItemKind.STAY: Item(there, LOITER, (0.0, 0.0, 0.0, yaw), x, y, z),
+        ItemKind.CIRCLE: Item(there, LOITER_TURNS, (item.turns, 0.0, radius, 0.0), x, y, z),
+        ItemKind.ALTITUDE: Item(there, LOITER_ALTITUDE, (0.0, 0.0, 0.0, 0.0), x, y, z),
+        ItemKind.SPEED: Item(nowhere, SPEED, (1.0, item.speed or 0.0, -1.0, 0.0), 0, 0, 0.0),
+        ItemKind.DELAY: delay,
+        ItemKind.LEFT_OUT: delay,  # which command was left out is not known any more: a pause of no length
+        ItemKind.JUMP: Item(nowhere, JUMP, (float(item.target or 0), float(item.repeat), 0.0, 0.0), 0, 0, 0.0),
+        ItemKind.RETURN: Item(nowhere, RETURN, (0.0, 0.0, 0.0, 0.0), 0, 0, 0.0),
+    }[item.kind]
 
 
 def received(message: Message) -> Item:
