@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import lru_cache
 from math import exp
 from pathlib import Path
@@ -254,6 +255,27 @@ def test_a_design_beside_its_vehicle_is_what_todays_command_makes(aircraft: str,
     assert told.peak_sensitivity == pytest.approx(record.peak_sensitivity, rel=1e-4)
     assert told.overshoot == pytest.approx(record.overshoot, abs=1e-4)
     assert told.settling_s == pytest.approx(record.settling_s, rel=1e-4)
+
+
+@pytest.mark.parametrize("aircraft", ["trijet", "jetwing"])
+def test_the_page_of_a_vehicle_says_what_its_designs_proof_said(aircraft: str) -> None:
+    folder = ROOT / "aircraft" / aircraft
+    proof, page = (
+        read_controller(folder / "design.toml", aircraft).design.proof,
+        (folder / "README.md").read_text("utf-8"),
+    )
+    assert proof is not None
+    assert ("**fails**" in page) == (proof.failed is not None)
+    if proof.failed is not None:
+        assert "0.70 of its thrust and 1.30 times its lag: diverged" in proof.failed
+        assert "(and 1 of 22 flights more)" in proof.failed
+        assert "20 of 22 flights kept what was promised" in page
+    assert proof.flights == 22
+    for line in proof.worse:
+        times = re.search(r"\(([\d.]+ times)\)", line)
+        assert times is not None
+        if "hover" in line or (aircraft == "jetwing" and "settling" in line):
+            assert times[1] in page, line
 
 
 @pytest.mark.long
