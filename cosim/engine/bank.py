@@ -1,4 +1,4 @@
-"""All engines of a vehicle, stepped together: FMU instances, one an engine or one for several, behind one ``step``."""
+"""The engines of a vehicle behind one ``step``: FMU instances, each of one engine or of several."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from cosim.engine.ssp.system_instance import make_instance
 
 
 def logged_columns(specs: Sequence[EngineSpec], in_flight: bool = False) -> tuple[Column, ...]:
-    """A column for each further output of each engine: its name in the mapping file and the engine's number.
+    """Return the log columns of all engines' further outputs, named by mapping file and engine number.
 
-    Before them, where engines start ``in_flight``, whether each has yet to do so.
+    With ``in_flight`` they are preceded by a column for each engine that is 1 until its start has ended.
     """
     starting = [
         Column(f"starting_{number}", "0/1", "", f"engine {number}: its start has yet to end")
@@ -58,7 +58,7 @@ ASIDE_COLUMNS = {
 
 
 def crews(specs: Sequence[EngineSpec]) -> list[list[int]]:
-    """The instances that serve stations: for each engine that one holds the station from 0, or -1.
+    """Group stations by FMU instance: for each instance the station of each of its engines, from 0, or -1.
 
     An FMU that holds several serves as many stations that follow each other, where these have the same engine with the
     same parameters; what stands there besides has an instance of its own.
@@ -72,7 +72,7 @@ def crews(specs: Sequence[EngineSpec]) -> list[list[int]]:
 
 
 def _numbers(crew: Sequence[int]) -> str:
-    """The engines of an instance, counted from 1, in words."""
+    """Return the numbers of an instance's engines for messages, counted from 1."""
     served = [station + 1 for station in crew if station >= 0]
     if len(served) > 2 and served[-1] - served[0] == len(served) - 1:
         return f"engines {served[0]} to {served[-1]}"
@@ -136,7 +136,7 @@ class EngineBank:
         self._native = _bank.Bank(tuple(rows), self._step, EngineOutput)
 
     def _spec(self, index: int) -> EngineSpec:
-        """That of the first station which an instance serves."""
+        """Return the spec of the first station that an instance serves."""
         return self._specs[self._stations(index)[0]]
 
     def _label(self, index: int) -> str:
@@ -268,7 +268,7 @@ class EngineBank:
         return [station for station in self._crews[index] if station >= 0]
 
     def _advance(self, moment: str) -> None:
-        """Every start by the step to come; who has none left has started."""
+        """Advance every start sequence by one step, and remove those that have ended."""
         for index in [index for index in self._starts if not self._given_up.issuperset(self._stations(index))]:
             instance = self._instances[index]
             try:
@@ -281,17 +281,17 @@ class EngineBank:
 
     @property
     def starting(self) -> tuple[int, ...]:
-        """The engines, counted from 1, that have yet to start."""
+        """Numbers of the engines, counted from 1, whose start has yet to end."""
         return tuple(sorted(station + 1 for index in self._starts for station in self._stations(index)))
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Further outputs that a mapping file wants in the log: :class:`cosim.base.protocols.Shows`."""
+        """Further outputs that a mapping file adds to the log: :class:`cosim.base.protocols.Shows`."""
         return logged_columns(self._specs, self._in_flight)
 
     @property
     def shown(self) -> tuple[float, ...]:
-        """What they are now, in the FMU's own unit.  Raises EngineError if the FMU refuses."""
+        """Present values of :attr:`columns` in the FMU's own units; raises EngineError if the FMU fails."""
         found = [float(self._server[station] in self._starts) for station in range(len(self._specs)) if self._in_flight]
         found += [
             getattr(self._given, port)[station]
@@ -309,7 +309,7 @@ class EngineBank:
         return tuple(found)
 
     def set_run(self, index: int, on: bool) -> bool:
-        """Shut one engine off, or on again, before the next step; False if it has no port for that.
+        """Switch one engine off or on before the next step, and return False if it has no port for that.
 
         One that is shut off before it has started does not start any more.  Raises EngineError if the FMU refuses.
         """

@@ -1,4 +1,4 @@
-"""From an engine's name or file to one that can be put into a bank."""
+"""Loading of an engine by name or file, measured and ready for a bank."""
 
 from __future__ import annotations
 
@@ -97,9 +97,9 @@ def load_unchecked(
 
 
 def _logged(source: EngineSource, lane: int) -> tuple[tuple[str, Variable], ...]:
-    """The outputs that a mapping file wants in the log, by the names that it gives them.
+    """Return the outputs that a mapping file adds to the log, by column name.
 
-    Where the FMU holds several engines, those of one of them; one output for all goes with the first.
+    With several engines in the FMU, those of engine ``lane``; an output shared by all belongs to the first.
     """
     columns = []
     count = len(source.archive.engines)

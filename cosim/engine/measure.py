@@ -1,4 +1,4 @@
-"""An engine stepped to learn what it does: its static curve, its step response, whether it can be started at rest."""
+"""Measurement of an engine by stepping it: static curve, step response, and whether it can start in equilibrium."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ CLEAR = 5.0  # times its own movement at rest, that the small step has to change
 
 
 class Measured(NamedTuple):
-    """What stepping an engine tells about it."""
+    """Measured behaviour of an engine."""
 
     curve: Curve
     response: Response  # to the throttle opened from 0 to 1
@@ -58,7 +58,7 @@ def measure_once(
     air: Air = STANDARD_AIR,
     small: bool = True,
 ) -> Measured:
-    """As :func:`measure`, once per process for the same contents of the archive and the same question."""
+    """Measure as :func:`measure`, once per process for the same archive, settings and conditions."""
     key = (*behaviour_of(archive, settings, air), start, step, small)
     return _measured.get(key, lambda: measure(archive, settings, start, step, air=air, small=small))
 
@@ -72,7 +72,7 @@ def measure(
     air: Air = STANDARD_AIR,
     small: bool = True,
 ) -> Measured:
-    """Static curve and step response of an engine in ``air``, and its start parameter if that does what it should.
+    """Measure an engine's static curve and step response in ``air``, and test its start parameter.
 
     ``small``: whether a small step is measured too.  Of several engines in one FMU each is measured, while all of them
     have the same throttle.
@@ -154,7 +154,7 @@ def _starts_level(
     response: Response,
     air: Air,
 ) -> bool:
-    """Whether the start parameter starts the engine on its static curve and keeps it there, tried at half throttle."""
+    """Return whether the start parameter puts the engine on its static curve and keeps it there, at half throttle."""
     middle = len(curve.throttle) // 2
     throttle, thrust = curve.throttle[middle], curve.thrust[middle]
     instance = make_instance(archive, folder, "started")

@@ -1,4 +1,4 @@
-"""How an engine answers its throttle, measured by stepping it: delay, rise time, static curve.
+"""Response of an engine to its throttle, measured by stepping it: delay, rise time, static curve.
 
 Every function takes ``hold(throttle, steps)``, which steps the engine at a constant throttle and returns its thrusts.
 Bounded in simulated time, not in wall time, so that the result is the same on every machine.
@@ -23,11 +23,11 @@ LITTLE_CHANGE = 1e-6  # the same, for an FMU whose own solver goes on trembling 
 
 
 class ResponseError(Exception):
-    """The engine never settles, or never answers."""
+    """Failure of a measurement: the engine does not settle or does not respond."""
 
 
 class RestlessError(ResponseError):
-    """The engine never settles."""
+    """Failure of a measurement: the engine does not settle."""
 
 
 class Response(NamedTuple):
@@ -131,12 +131,12 @@ def step_response(
 
 
 def window_for(delay: int) -> int:
-    """Steps to watch before calling a thrust settled, for an engine with this delay."""
+    """Return how many steps a thrust must stay constant to count as settled, for an engine's delay in steps."""
     return 2 * delay + 50
 
 
 def static_curve(hold: Hold, window: int, step: float, quiet: float = NO_CHANGE, rest: float = 0.0) -> Curve:
-    """Steady thrust at evenly spaced throttles, measured from full throttle down."""
+    """Measure the steady thrust at evenly spaced throttles, from full throttle down."""
     throttles = [k / (CURVE_POINTS - 1) for k in range(CURVE_POINTS)]
     thrusts: list[float] = []
     for throttle in reversed(throttles):
@@ -146,7 +146,7 @@ def static_curve(hold: Hold, window: int, step: float, quiet: float = NO_CHANGE,
 
 
 def curve_problems(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> list[str]:
-    """What is wrong with the static curve of an engine that stands still to ``quiet`` of its thrust or ``rest`` N."""
+    """Return the problems of a static curve, measured to within ``quiet`` of its thrust or ``rest`` N."""
     throttle, thrust = curve
     doubt = _doubt(thrust, quiet, rest)
     problems = []
@@ -166,14 +166,14 @@ def curve_problems(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) ->
 
 
 def _doubt(thrust: Sequence[float], quiet: float, rest: float) -> float:
-    """By how much two thrusts may differ that are the same, N."""
+    """Return the difference [N] up to which two thrusts count as equal."""
     return max(rest, 10.0 * quiet * max(1.0, *map(abs, thrust)))
 
 
 def rising(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> Curve:
-    """A static curve without the parts at its ends where the thrust does not move: a dead band, full thrust early.
+    """Return a static curve without the flat parts at its ends: a dead band, or full thrust before full throttle.
 
-    An engine of which more is asked than the end of what is left gives what it gives there.
+    Beyond an end of the remaining curve the engine gives the thrust of that end.
     """
     throttle, thrust = curve
     doubt = _doubt(thrust, quiet, rest)
@@ -185,7 +185,7 @@ def rising(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> Curve:
 
 
 def flat_notes(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> list[str]:
-    """Where at its ends a static curve does not move, in words."""
+    """Return notes on the flat parts at the ends of a static curve."""
     throttle, thrust = rising(curve, quiet, rest)
     said = "its thrust at rest is the same, {:.4g} N, from throttle {:.4g} to {:.4g}: a flight does not go {} {:.4g}"
     notes = []
@@ -202,14 +202,14 @@ def _still(thrusts: Sequence[float], quiet: float, rest: float = 0.0) -> bool:
 
 
 def _stands(thrusts: Sequence[float], window: int, quiet: float, rest: float) -> bool:
-    """Whether the last window of a course stands still, and with ``rest`` where the one before stood."""
+    """Return whether a course's last window is constant and, with ``rest``, has the mean of the window before."""
     last, before = thrusts[-window:], thrusts[-2 * window : -window]
     level = rest == 0.0 or abs(fmean(last) - fmean(before)) <= DRIFT * rest
     return _still(last, quiet, rest) and level
 
 
-def crossing(course: Sequence[float], share: float, before: float, after: float) -> float:
-    """Where, in steps, the course first reaches a share of the change, interpolated linearly between steps."""
+def crossing(course: Sequence[float], fraction: float, before: float, after: float) -> float:
+    """Return the time [steps] at which a course first reaches a fraction of its change, interpolated linearly."""
     level = [(thrust - before) / (after - before) for thrust in course]
-    k = next(k for k, x in enumerate(level) if x >= share)
-    return k - (level[k] - share) / (level[k] - level[k - 1])
+    k = next(k for k, x in enumerate(level) if x >= fraction)
+    return k - (level[k] - fraction) / (level[k] - level[k - 1])

@@ -1,7 +1,7 @@
-"""What an engine gives after its fire went out, where its model cannot say it: no port ``run``.
+"""Thrust of an engine after a flame-out, for models without a port ``run``.
 
-A gas turbine loses its hot jet at once.  What is left is the cold air that the compressor of a rotor still moves,
-and the rotor is braked by it: every torque on it goes with the square of the speed, so that
+A gas turbine loses its hot jet at once.  The compressor still moves cold air, which brakes the rotor with a torque
+proportional to the square of the speed, so that
 
     w' = -k w^2      n / n_0 = 1 / (1 + t / run_down)      T / T_0 = left (n / n_0)^exponent
 
@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 
 class FlameOutLaw(NamedTuple):
-    """How an engine goes out.
+    """The law of an engine's thrust after a flame-out.
 
     ``own``: by its port ``run`` and its own equations.  ``electric``: along its lag.  Else by the law above.
     """
@@ -35,7 +35,7 @@ ELECTRIC = FlameOutLaw(electric=True)
 
 
 def law_of(stated: Mapping[str, float]) -> FlameOutLaw:
-    """The law that a ``[flame_out]`` table states."""
+    """Return the law that a ``[flame_out]`` table specifies."""
     if "electric" in stated:
         return ELECTRIC
     return FlameOutLaw(

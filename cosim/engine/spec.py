@@ -1,6 +1,4 @@
-"""What is known of an engine before it runs: where it comes from, its parameters, its static curve, its share of the
-delay.
-"""
+"""Specification of an engine: its source, parameters, static curve and delay."""
 
 from __future__ import annotations
 
@@ -29,7 +27,7 @@ from cosim.engine.ssp.system import SUFFIX, is_system, read_system
 
 
 class Sibling(NamedTuple):
-    """Another engine that an FMU holds: what is its own."""
+    """The data of a further engine in the same FMU."""
 
     curve: Curve
     small: Small | None
@@ -74,14 +72,14 @@ class EngineSpec:
 
     @property
     def identity(self) -> str:
-        """What a design says which engine it was made for by: the hash of its equations, else of its archive."""
+        """Identity of the engine in a design: the hash of its equations, else of its archive."""
         return self.archive.equations_sha256 or self.sha256
 
     @property
     def fingerprint(self) -> str:
-        """What an identified model says which file's engine it is of: a hash of archive and mapping file; "": library.
+        """Identity of a file's engine in an identified model: a hash of archive and mapping file; empty: library.
 
-        A name alone does not tell one ``kestrel.toml`` from another.
+        The name alone does not distinguish one ``kestrel.toml`` from another.
         """
         if self.library:
             return ""
@@ -89,26 +87,26 @@ class EngineSpec:
         return hashlib.sha256(self.identity.encode() + stated).hexdigest()
 
     def owns(self, model_sha256: str) -> bool:
-        """Whether a model that states this hash, or none, may be one of this engine."""
+        """Return whether a model with this engine hash, or an empty one, may be of this engine."""
         return self.library or model_sha256 in ("", self.fingerprint)
 
     @property
     def source(self) -> tuple[Hashable, ...]:
-        """Where it comes from: the same for all engines that one FMU holds."""
+        """Origin of the engine: equal for all engines of one FMU."""
         return self.path, self.mapping, self.settings
 
     @property
     def shared(self) -> tuple[Hashable, ...]:
-        """What an instance of its FMU does depends on this, and on how it is stepped."""
+        """Everything besides its inputs that the behaviour of the FMU's instance depends on."""
         return *behaviour_of(self.archive, self.settings, self.air), self.start, self.window, self.quiet
 
     @property
     def behaviour(self) -> tuple[Hashable, ...]:
-        """What the engine does depends on this, and on how it is stepped."""
+        """Everything besides its inputs that the behaviour of the engine depends on."""
         return *self.shared, self.lane
 
     def at(self, station: int) -> EngineSpec:
-        """The engine that serves a station, from 0: those of an FMU that holds several follow each other."""
+        """Return the engine of a station, counted from 0; those of a multi-engine FMU alternate."""
         lane = station % len(self.archive.engines)
         if lane == self.lane:
             return self
@@ -119,7 +117,7 @@ class EngineSpec:
 
     @property
     def family(self) -> str:
-        """What an identified model is filed under: the library's name in either FMI version, else the file's name.
+        """Key of its identified models: the library's name without FMI version, else the file's name.
 
         The file is the mapping file where there is one.  With its suffix, so that somebody's ``edf.fmu`` is not taken
         for the library's ``edf``.
@@ -128,11 +126,11 @@ class EngineSpec:
 
     @property
     def ports(self) -> Mapping[str, Port]:
-        """What the co-simulation calls a variable -> the variable and its conversion."""
+        """The engine's variables with their conversions, by port name."""
         return self.archive.engines[self.lane]
 
     def has(self, port: str) -> bool:
-        """Whether the engine has a port, such as ``ambient_pressure``, ``run`` or ``fuel_flow``."""
+        """Return whether the engine has a port, such as ``ambient_pressure``, ``run`` or ``fuel_flow``."""
         return port in self.ports
 
     @property
@@ -157,15 +155,15 @@ class EngineSpec:
         return -self.internal_step / math.log(self.pole) if self.pole > 0.0 else 0.0
 
     def thrust_at(self, throttle: float) -> float:
-        """Steady thrust [N] at a throttle, linear between the measured points."""
+        """Return the steady thrust [N] at a throttle, interpolated linearly between the measured points."""
         throttles, thrusts = self.curve
         k = min(max(bisect_right(throttles, throttle), 1), len(throttles) - 1)
-        share = (throttle - throttles[k - 1]) / (throttles[k] - throttles[k - 1])
-        return thrusts[k - 1] + (thrusts[k] - thrusts[k - 1]) * min(max(share, 0.0), 1.0)
+        fraction = (throttle - throttles[k - 1]) / (throttles[k] - throttles[k - 1])
+        return thrusts[k - 1] + (thrusts[k] - thrusts[k - 1]) * min(max(fraction, 0.0), 1.0)
 
 
 def engine_names() -> list[str]:
-    """Every engine that is shipped; each exists as FMI 3.0, and with ``-fmi2`` behind the name as FMI 2.0."""
+    """Return the shipped engines' names; each exists as FMI 3.0, and with ``-fmi2`` appended as FMI 2.0."""
     return build.engine_folders(data_folder("engines"))
 
 
@@ -188,7 +186,7 @@ _definitions: Memory[build.Engine] = Memory(64)
 
 
 def behaviour_of(archive: Archive, settings: tuple[Setting, ...], air: Air) -> tuple[Hashable, ...]:
-    """What decides how an FMU with these settings answers, in this air."""
+    """Return a key of everything that the response of an FMU with these settings in this air depends on."""
     values = tuple((variable.name, value.hex()) for variable, value in settings)
     ports = tuple(tuple(sorted(engine_ports.items())) for engine_ports in archive.engines)
     return archive.sha256, ports, archive.starting, values, air
@@ -196,7 +194,7 @@ def behaviour_of(archive: Archive, settings: tuple[Setting, ...], air: Air) -> t
 
 @dataclass(frozen=True)
 class EngineSource:
-    """Where an engine comes from: the file that was named, its archive, and what is stated about it beside it."""
+    """Source of an engine: the named file, its archive, and its definition or mapping file."""
 
     path: Path  # of the archive, or of the mapping file that speaks of it
     archive: Archive
@@ -205,7 +203,7 @@ class EngineSource:
 
     @property
     def code(self) -> list[Code]:
-        """What of it runs: its archive, unless it is one of the library."""
+        """Code that the engine runs: its archive, unless it is one of the library."""
         return (
             []
             if self.engine is not None
@@ -256,7 +254,7 @@ def _definition(folder: Path) -> build.Engine:
 
 
 def need_whole_steps(archive: Archive, engine: build.Engine | None, step: float) -> None:
-    """Refuse a communication step that the engine states it cannot make."""
+    """Raise InputError for a communication step that is no multiple of the engine's clocks and internal step."""
     if archive.system is not None:
         for part in archive.system.parts:
             need_whole_steps(part.archive, None, step)
@@ -282,7 +280,7 @@ def need_whole_steps(archive: Archive, engine: build.Engine | None, step: float)
 def resolve_parameters(
     archive: Archive, given: Mapping[str, float], start: str | None
 ) -> tuple[dict[str, float], tuple[Setting, ...]]:
-    """Every parameter's value, and those to be set because they were given.
+    """Return every parameter's value, and the settings for those that were given.
 
     Raises InputError for an unknown parameter, one that the simulation sets itself, or a value out of range.
     """

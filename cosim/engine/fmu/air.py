@@ -1,4 +1,4 @@
-"""The air around an engine, in the words of engine decks."""
+"""Air state at an engine's intake, in the quantities that engine decks use."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ class Air(NamedTuple):
     speed: float  # m/s, into the intake
 
     def derived(self) -> dict[str, float]:
-        """The same air in other words, as the C loop computes them: :data:`DERIVED`, SI units.
+        """Return the derived quantities :data:`DERIVED` in SI units, computed as the C loop does.
 
         ``altitude`` is the geopotential pressure altitude of ISO 2533, which engine decks mean; density that of dry
         air as an ideal gas; total values isentropic, with a ratio of specific heats of 1.4.
         """
-        share = (self.pressure / PRESSURE_0) ** (GAS * LAPSE / GRAVITY)
-        altitude = TEMPERATURE_0 / LAPSE * (1.0 - share)
+        temperature_ratio = (self.pressure / PRESSURE_0) ** (GAS * LAPSE / GRAVITY)
+        altitude = TEMPERATURE_0 / LAPSE * (1.0 - temperature_ratio)
         if altitude > TROPOPAUSE:
-            there = (STRATOSPHERE / TEMPERATURE_0) ** (GRAVITY / (GAS * LAPSE)) * PRESSURE_0
-            altitude = TROPOPAUSE + GAS * STRATOSPHERE / GRAVITY * log(there / self.pressure)
+            tropopause_pressure = (STRATOSPHERE / TEMPERATURE_0) ** (GRAVITY / (GAS * LAPSE)) * PRESSURE_0
+            altitude = TROPOPAUSE + GAS * STRATOSPHERE / GRAVITY * log(tropopause_pressure / self.pressure)
         mach = self.speed / sqrt(GAMMA * GAS * self.temperature)
         ram = 1.0 + 0.5 * (GAMMA - 1.0) * mach * mach
         density = self.pressure / (GAS * self.temperature)

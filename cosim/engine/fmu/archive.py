@@ -1,4 +1,4 @@
-"""An ``.fmu`` archive as the co-simulation sees it: what it is, what it offers, and why it cannot be used."""
+"""Reading of an ``.fmu`` archive: its variables, ports and features, and the reasons why it cannot be used."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _archives: Memory[Archive] = Memory(64)
 
 
 class Feed(NamedTuple):
-    """An input of a component and where its value is from: ``factor * value + offset``."""
+    """Connection to a component's input: ``factor * value + offset`` of another component's output."""
 
     part: int
     variable: Variable
@@ -63,7 +63,7 @@ class Place(NamedTuple):
 
 
 class InputClock(NamedTuple):
-    """FMI 3.0: a clock that the simulation ticks, at ``shift`` and every ``interval`` [s] from there on."""
+    """Input clock of FMI 3.0, ticked by the simulation at ``shift`` and every ``interval`` [s] from there on."""
 
     name: str
     reference: int
@@ -71,7 +71,7 @@ class InputClock(NamedTuple):
     shift: float
 
     def grid(self, step: float, parts: int) -> tuple[int, int] | None:
-        """Interval and shift in parts of a step; None where they are no whole numbers of them."""
+        """Return interval and shift as counts of ``step / parts``, or None where they are not whole numbers."""
         counts = [value * parts / step for value in (self.interval, self.shift)]
         whole = [round(count) for count in counts]
         fits = all(abs(count - n) <= 1e-6 for count, n in zip(counts, whole, strict=True)) and whole[0] >= 1
@@ -90,7 +90,7 @@ class Part:
 
 @dataclass(frozen=True)
 class System:
-    """Components in the order in which they are stepped, and how they are joined.
+    """The components of a system in stepping order, and their connections.
 
     ``places``: by the reference of a variable of the system; an input may be several components'.
     """
@@ -101,7 +101,7 @@ class System:
 
     @property
     def late(self) -> list[str]:
-        """The connections that are exchanged a step late, in words."""
+        """Descriptions of the connections whose values are exchanged one step late."""
         parts = self.parts
         return [
             f"{parts[feed.source].name}.{feed.output.name} to {parts[feed.part].name}.{feed.variable.name}"
@@ -139,17 +139,17 @@ class Archive:
     clocks: tuple[InputClock, ...] = ()  # that are ticked; the first is that of its clocked ports, where it has such
 
     def parts(self, step: float) -> int:
-        """In how many parts a step [s] is made, so that every clock ticks between two."""
+        """Return into how many parts a step [s] is divided so that every clock ticks between two parts."""
         return max([1, *(round(step / clock.interval) for clock in self.clocks)])
 
     @property
     def ports(self) -> Mapping[str, Port]:
-        """Those of its engine, or of the first one; none where it is a component of a system."""
+        """Ports of the first engine; empty where the archive is a component of a system."""
         return self.engines[0] if self.engines else {}
 
     @property
     def one_speed(self) -> bool:
-        """Whether its engines have one intake's air among them: they are told the mean of theirs."""
+        """Whether several engines share one air-speed input, which is then set to their mean."""
         return len(self.engines) > 1 and any(
             self.engines[0][name].variable == self.engines[1][name].variable for name in SPEEDS if name in self.ports
         )
@@ -165,12 +165,12 @@ class Archive:
         return self.ports["thrust"].variable
 
     def parameter(self, name: str) -> Variable:
-        """The parameter of that name, which exists."""
+        """Return the parameter of this name, which must exist."""
         return next(variable for variable in self.parameters if variable.name == name)
 
 
 def read_archive(path: Path, ports: PortMap | None = None) -> Archive:
-    """Read an archive; ``ports`` is what is stated about its ports, the others are found.
+    """Read an archive; ``ports`` specifies ports, the others are found by name and unit.
 
     Raises InputError: one line with the file and what is wrong with it.
     """
@@ -180,7 +180,7 @@ def read_archive(path: Path, ports: PortMap | None = None) -> Archive:
 def read_once(
     path: Path, ports: PortMap | None, known: Memory[Archive], read: Callable[[Path, bytes, str, PortMap], Archive]
 ) -> Archive:
-    """What ``read`` makes of a file's bytes, their SHA-256 and what is stated, where it is not ``known`` already.
+    """Return ``read`` of a file's path, bytes, SHA-256 and port map, taken from the cache ``known`` where possible.
 
     Raises InputError with the file and what is wrong with it.
     """
@@ -193,28 +193,28 @@ def read_once(
 
 
 def platform_folder(fmi: int) -> str:
-    """The folder inside ``binaries`` with this machine's library."""
+    """Return the folder inside ``binaries`` that has this platform's library."""
     import fmpy  # type: ignore[import-untyped]
 
     return str(fmpy.platform if fmi == 2 else fmpy.platform_tuple)
 
 
 def libraries_of(archive: Archive) -> list[str]:
-    """The names of this machine's libraries where an archive is unpacked."""
+    """Return the paths of this platform's libraries relative to the folder of an unpacked archive."""
     if archive.system is None:
         return [library_of(archive)]
     return [f"{number}/{library_of(part.archive)}" for number, part in enumerate(archive.system.parts)]
 
 
 def library_of(archive: Archive) -> str:
-    """The name of this machine's library in an archive of one FMU."""
+    """Return the path of this platform's library in the archive of one FMU."""
     import fmpy
 
     return f"binaries/{platform_folder(archive.fmi)}/{archive.identifier}{fmpy.sharedLibraryExtension}"
 
 
 def validate(data: bytes) -> list[str]:
-    """Everything that FMPy's validation has to say against an archive's descriptions; empty is good.
+    """Return the complaints of FMPy's validation about an archive's descriptions, empty if there are none.
 
     Not against the names of its files, of which it knows one complaint: :func:`cosim.engine.fmu.container.name_notes`.
     """
@@ -224,7 +224,7 @@ def validate(data: bytes) -> list[str]:
 
 
 def read_component(path: Path, data: bytes) -> Archive:
-    """An FMU that is a component of a system: without ports.  Raises UnusableError."""
+    """Read an FMU as a component of a system, without engine ports; raise UnusableError if it cannot be used."""
     return _read(path, data, hashlib.sha256(data).hexdigest(), None)
 
 
@@ -289,7 +289,7 @@ MOST_CLOCKS = 16  # of the C loop
 def _clocks(
     root: ElementTree.Element, without: str | None, ports: Mapping[str, Port]
 ) -> tuple[bool, tuple[InputClock, ...], list[str]]:
-    """Whether event mode can be used, the input clocks that are ticked in it, and notes on those that are not.
+    """Return whether event mode can be used, the input clocks ticked in it, and notes on the other clocks.
 
     An input may be set in step mode where it is continuous, and at its clock's ticks where it has one; one that is
     discrete without a clock may be set in event mode alone, so with such a port event mode is left off.  ``without``
@@ -334,7 +334,7 @@ def _clocks(
 
 
 def _seconds(element: ElementTree.Element, what: str, otherwise: float | None) -> float | None:
-    """Interval or shift of a clock, in decimals or as a fraction of counts."""
+    """Return a clock's interval or shift [s], stated as a decimal or as counts of a resolution."""
     decimal, count, resolution = (element.get(key) for key in (f"{what}Decimal", f"{what}Counter", "resolution"))
     try:
         if decimal is not None:
@@ -345,10 +345,10 @@ def _seconds(element: ElementTree.Element, what: str, otherwise: float | None) -
 
 
 def equations_of(data: bytes, root: ElementTree.Element, description: Any) -> str | None:
-    """A hash of what an engine of the library computes: its own C source and its variables with their start values.
+    """Return a hash of a library engine's C sources and variables with their start values.
 
-    Whoever compiles it, and with whatever adapter to FMI, the hash is the same, while that of the archive is another
-    with every compiler.  None for an archive that the library's build did not make: of that only the whole is known.
+    The hash does not depend on compiler or FMI adapter, while that of the archive changes with every compiler.  None
+    for an archive that the library's build did not make, for which only the archive's hash exists.
     """
     if root.get("generationTool") != GENERATION_TOOL:
         return None
@@ -361,7 +361,7 @@ def equations_of(data: bytes, root: ElementTree.Element, description: Any) -> st
 
 
 def own_sources(data: bytes) -> list[tuple[str, bytes]]:
-    """The engine's own C sources in an archive that the library's build made, by name: what is not the adapter's.
+    """Return names and contents of the engine's C sources in a library archive, those of the FMI adapter left out.
 
     Raises UnusableError where one is damaged.
     """
@@ -375,7 +375,7 @@ def own_sources(data: bytes) -> list[tuple[str, bytes]]:
 
 
 def named_ports(engines: Sequence[Mapping[str, Port]]) -> dict[str, Port]:
-    """The ports of all engines of an archive; those of a second one and on say whose they are."""
+    """Return the ports of all engines by label; from the second engine on the label names the engine."""
     return {
         f"{name} of engine {k}" if k > 1 else name: port
         for k, ports in enumerate(engines, start=1)
@@ -384,7 +384,7 @@ def named_ports(engines: Sequence[Mapping[str, Port]]) -> dict[str, Port]:
 
 
 def left_alone(inputs: Sequence[Variable], ports: Mapping[str, Port], begin: Starting) -> list[str]:
-    """A note on inputs that nobody sets."""
+    """Return a note on inputs that nothing sets, or an empty list."""
     set_ = {port.variable.name for port in ports.values()} | {
         v.name for settings in (begin.constants, *(stage.settings for stage in begin.stages)) for v, _ in settings
     }
@@ -424,7 +424,7 @@ def _need_library(names: list[str], fmi: int, identifier: str) -> None:
 
 
 def _bases(description: Any) -> dict[str, Unit]:
-    """What the description says of its units, in SI base units."""
+    """Return the description's units in SI base units, by name."""
     bases = {}
     for unit in description.unitDefinitions:
         base = unit.baseUnit
@@ -435,7 +435,7 @@ def _bases(description: Any) -> dict[str, Unit]:
 
 
 def _all_elements(description: Any) -> list[Variable]:
-    """The variables, arrays by element.  Raises UnusableError for a number that is none."""
+    """Return all variables, arrays by element; raise UnusableError for a value that is no number."""
     try:
         bases = _bases(description)
         return [element for v in description.modelVariables if v.type in TYPES for element in _elements(v, bases)]
@@ -444,7 +444,7 @@ def _all_elements(description: Any) -> list[Variable]:
 
 
 def _elements(v: Any, bases: Mapping[str, Unit]) -> list[Variable]:
-    """A variable, or the elements of an array, named ``array[1]`` or ``array[2,1]``, in FMI's order: row by row.
+    """Return a scalar, or an array's elements as ``array[1]`` or ``array[2,1]`` in FMI's order, row by row.
 
     The size is that at the structural parameters' start values.
     """

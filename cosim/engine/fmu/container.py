@@ -1,4 +1,4 @@
-"""The ``.fmu`` file as a zip of files: opened as if somebody meant harm, before anybody else reads it."""
+"""Safe opening of ``.fmu`` archives: harmful or damaged content is refused before anything else reads it."""
 
 from __future__ import annotations
 
@@ -37,19 +37,18 @@ INTERFACES = {"ModelExchange": "model exchange", "ScheduledExecution": "schedule
 
 
 class UnusableError(Exception):
-    """Why an archive cannot be used; the caller knows its path."""
+    """The reason why an archive cannot be used; the caller adds its path."""
 
 
 def one_line(error: object) -> str:
-    """An error's text without line breaks and other control characters."""
+    """Return an error's text without line breaks and other control characters."""
     return "".join(c if c.isprintable() else " " for c in " ".join(str(error).split()))
 
 
 class Zip(zipfile.ZipFile):
-    """A zip archive to read as those mean it who made it: on a Mac, on Windows or anywhere else.
+    """A readable zip archive whose contents do not depend on the operating system that packed it.
 
-    What a Mac or Windows adds for itself (:func:`is_system_file`) is not there, and folders end with ``/``, where some
-    programs on Windows write a backslash.
+    System files (:func:`is_system_file`) are left out, and the backslashes of some Windows programs become ``/``.
     """
 
     def __init__(self, file: Path | IO[bytes]) -> None:
@@ -61,13 +60,13 @@ class Zip(zipfile.ZipFile):
 
 
 def is_system_file(name: str) -> bool:
-    """Return whether an entry of an archive is what a Mac or Windows keeps for itself beside the files of the user."""
+    """Return whether an archive's entry is a system file that macOS or Windows adds beside the user's files."""
     *folders, last = PurePosixPath(name).parts or ("",)
     return "__MACOSX" in (*folders, last) or last.startswith("._") or last.lower() in SYSTEM_FILES
 
 
 def name_notes(path: Path) -> list[str]:
-    """Return what is to be said of the names in an archive that is read for all that."""
+    """Return notes on unusual but accepted names in an archive."""
     with Zip(path) as archive:
         names = [entry.orig_filename for entry in archive.filelist if "\\" in entry.orig_filename]
     if not names:
@@ -77,7 +76,7 @@ def name_notes(path: Path) -> list[str]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """The file's contents.  Raises UnusableError if it is missing, no ordinary file, or larger than ``MOST_PACKED``."""
+    """Return a file's contents; raise UnusableError if it is missing, not a regular file or above ``MOST_PACKED``."""
     try:
         status = path.stat()
         if stat.S_ISDIR(status.st_mode):
@@ -94,11 +93,11 @@ def read_bytes(path: Path) -> bytes:
 
 
 def open_archive(data: bytes, main: str = DESCRIPTION, kind: str = "FMU") -> tuple[list[str], bytes]:
-    """The names of the files in an archive and its ``main`` one, after everything in it was found harmless.
+    """Return the names of an archive's files and the content of ``main``, after everything was found harmless.
 
-    Raises UnusableError for what is none of its kind, and for what could do harm when unpacked or parsed: paths that
-    lead out of the folder, links, names that stand twice, encryption, strange compression, sizes beyond the limits
-    above, document types and entities in XML.
+    Raises UnusableError for another kind of file, and for what could do harm when unpacked or parsed: paths that lead
+    out of the folder, links, duplicate names, encryption, unusual compression, sizes beyond the limits above, document
+    types and entities in XML.
     """
     if not data:
         raise UnusableError("is empty")
@@ -125,7 +124,7 @@ def open_archive(data: bytes, main: str = DESCRIPTION, kind: str = "FMU") -> tup
 
 
 def parse(xml: bytes) -> ElementTree.Element:
-    """The root of a model description that ``open_archive`` returned.
+    """Parse a model description that ``open_archive`` returned, and return its root element.
 
     Raises UnusableError if it is no model description.
     """
@@ -136,7 +135,7 @@ def parse(xml: bytes) -> ElementTree.Element:
 
 
 def fmi_of(root: ElementTree.Element) -> int:
-    """The FMI version, 2 or 3, of a description with a co-simulation interface.  Raises UnusableError."""
+    """Return the FMI version, 2 or 3; raise UnusableError for another one or if there is no co-simulation interface."""
     version = root.get("fmiVersion", "none stated")
     if version != "2.0" and not version.startswith("3.0"):
         raise UnusableError(f"FMI version {version} is not supported; allowed: 2.0, 3.0")
@@ -148,14 +147,14 @@ def fmi_of(root: ElementTree.Element) -> int:
 
 
 def has_sources(names: Iterable[str]) -> bool:
-    """Whether an archive with files of these names brings C sources."""
+    """Return whether an archive with files of these names contains C sources."""
     return any(name.startswith("sources/") and not name.endswith("/") for name in names)
 
 
 def _inside(main: str, names: Iterable[str]) -> str:
-    """A hint where somebody has packed the folder in place of what is in it."""
-    found = [name for name in names if name.endswith(f"/{main}")]
-    return f", but {one_line(found[0])}: pack what is in that folder, not the folder" if found else ""
+    """Return a hint for an archive of a folder in place of the folder's contents, else an empty string."""
+    nested = [name for name in names if name.endswith(f"/{main}")]
+    return f", but {one_line(nested[0])}: pack what is in that folder, not the folder" if nested else ""
 
 
 def _size(count: int) -> str:
@@ -206,7 +205,7 @@ def _need_harmless_entries(entries: list[zipfile.ZipInfo]) -> None:
 
 
 def need_harmless_xml(name: str, xml: bytes) -> None:
-    """Refuse what FMI has no use for: document types, and with them every entity; deep nesting; odd encodings."""
+    """Refuse XML that FMI has no use for: document types and entities, deep nesting, unusual encodings."""
     depth = 0
 
     def declaration(version: str, encoding: str | None, standalone: int) -> None:

@@ -1,4 +1,4 @@
-"""A model description as real tools write it: read with what is blemished listed, refused where it could mislead.
+"""Reading of model descriptions: harmless violations of FMI are listed, ambiguous descriptions are refused.
 
 Of the descriptions that tools export a fifth break a rule of FMI that no step depends on: a unit that is used and not
 declared, a variability that is left out.  Such an FMU steps as any other, so FMPy is asked a second time without its
@@ -46,12 +46,12 @@ BLEMISHES = tuple(
 
 
 def is_blemish(complaint: str) -> bool:
-    """Whether a complaint of FMPy's validation is about something that stepping does not depend on."""
+    """Return whether a complaint of FMPy's validation is about something that stepping does not depend on."""
     return any(pattern.search(complaint) for pattern in BLEMISHES)
 
 
 def describe(data: bytes) -> tuple[Any, tuple[str, ...]]:
-    """FMPy's object for the model description of an archive, and the blemishes that were found in it.
+    """Return FMPy's object for an archive's model description, and the harmless violations found in it.
 
     Raises UnusableError with the first complaint that is none.
     """
@@ -112,18 +112,18 @@ def with_initial(xml: bytes) -> bytes:
     return ElementTree.tostring(root, encoding="utf-8") if changed else xml
 
 
-def descriptions(data: bytes, changed: Callable[[bytes], bytes] = bytes) -> io.BytesIO:
-    """Return the two descriptions of an archive that FMPy reads, the first ``changed``, in an archive of their own.
+def descriptions(data: bytes, change: Callable[[bytes], bytes] = bytes) -> io.BytesIO:
+    """Return a new archive of the two descriptions that FMPy reads, ``change`` applied to the model description.
 
-    There each has the name that FMI gives it, whatever the system was that packed them.
+    They have the names that FMI prescribes, whatever system packed the original.
     """
-    made = io.BytesIO()
-    with Zip(io.BytesIO(data)) as given, zipfile.ZipFile(made, "w") as kept:
-        kept.writestr(DESCRIPTION, changed(given.read(DESCRIPTION)))
-        if BUILD_DESCRIPTION in given.namelist():
-            kept.writestr(BUILD_DESCRIPTION, given.read(BUILD_DESCRIPTION))
-    made.seek(0)
-    return made
+    buffer = io.BytesIO()
+    with Zip(io.BytesIO(data)) as source, zipfile.ZipFile(buffer, "w") as target:
+        target.writestr(DESCRIPTION, change(source.read(DESCRIPTION)))
+        if BUILD_DESCRIPTION in source.namelist():
+            target.writestr(BUILD_DESCRIPTION, source.read(BUILD_DESCRIPTION))
+    buffer.seek(0)
+    return buffer
 
 
 def _refusal(complaints: Sequence[str]) -> UnusableError:
@@ -136,7 +136,7 @@ def _unusable(error: object) -> UnusableError:
 
 
 def _more(description: Any) -> list[str] | None:
-    """What FMPy finds behind an error of the schema; None where it stumbles itself."""
+    """Return the complaints of FMPy's validation of the model itself; None where FMPy fails."""
     from fmpy.validation import validate_model_description  # type: ignore[import-untyped]
 
     try:
@@ -146,16 +146,16 @@ def _more(description: Any) -> list[str] | None:
 
 
 def _undeclared(description: Any) -> str:
-    """FMPy looks a display unit up in a unit that need not be there."""
-    known = {unit.name for unit in description.unitDefinitions}
+    """Return a complaint about a display unit of an undefined unit, on which FMPy fails; else an empty string."""
+    defined = {unit.name for unit in description.unitDefinitions}
     for v in description.modelVariables:
         unit = v.unit or (v.declaredType.unit if v.declaredType else None)
-        if v.displayUnit is not None and unit not in known:
+        if v.displayUnit is not None and unit not in defined:
             return f'The unit "{unit}" of variable "{v.name}" (line {v.sourceline}) is not defined'
     return ""
 
 
 def _doubles(description: Any) -> list[str]:
-    """Names that stand for two variables."""
+    """Return a complaint about each variable name that is used twice."""
     names = Counter(v.name for v in description.modelVariables)
     return [f'The variable name "{one_line(name)}" is not unique' for name, count in names.items() if count > 1]

@@ -31,7 +31,7 @@ LAST_SUCCESSFUL_TIME = 2  # of fmi2StatusKind
 EVENT_FUNCTIONS = ("fmi3EnterEventMode", "fmi3UpdateDiscreteStates", "fmi3EnterStepMode", "fmi3SetClock")
 MOST_UPDATES = 10_000  # of discrete states, before it counts as endless
 
-# What failed, in the words of the C loop -> in ours.
+# Failure codes of the C loop and the messages for them.
 FAULTS = {
     "set": "setting its inputs returned {status}",
     "step": "doStep returned {status}",
@@ -57,7 +57,7 @@ VALUES = {
 
 
 class InstanceError(Exception):
-    """An FMU refused: one line without its name, which the caller knows."""
+    """Failure of an FMU call: one line without the FMU's name, which the caller adds."""
 
 
 class FmuInstance:
@@ -78,7 +78,7 @@ class FmuInstance:
         self._inputs = [_canonical(0.0, STANDARD_AIR)] * len(archive.engines)  # what they were set to
         self.fmu: Any = load() if load is not None else _load(archive, folder, name)
         try:
-            with _modules_of_its_own(self._resources) if self._python else nullcontext():
+            with _isolate_modules(self._resources) if self._python else nullcontext():
                 self._instantiate()
         except BaseException:
             self.fmu.freeLibrary()
@@ -185,20 +185,20 @@ class FmuInstance:
             raise InstanceError(self.explain(failure, f"in stage {ignition.stage} of its start")) from failure
 
     def read(self, variable: Variable) -> float:
-        """What a variable is now, in the FMU's own unit."""
+        """Return a variable's present value in the FMU's own unit."""
         size = len(variable.starts)
         more = {"nValues": size} if size > 1 else {}
         values = self.call(f"get{self._type(variable)}", [variable.reference], **more)
         return float(values[variable.index])
 
     def _type(self, variable: Variable) -> str:
-        """FMI's name of the functions that get and set a variable."""
+        """Return the type suffix of FMI's functions that get and set a variable."""
         if variable.type != "Enumeration":
             return variable.type
         return "Integer" if self.archive.fmi == 2 else "Int64"
 
     def output(self, name: str, lane: int = 0) -> float:
-        """What an engine reports now on a port that it has, in SI units; a thrust is without the ram drag."""
+        """Return an engine's present value at one of its ports in SI units; ram drag is subtracted from thrust."""
         ports = self.archive.engines[lane]
         port = ports[name]
         value = port.scale * self.read(port.variable)
@@ -225,7 +225,7 @@ class FmuInstance:
             self.call(f"set{self._type(variable)}", [variable.reference], [kind(value) for value in values])
 
     def _handle_events(self) -> None:
-        """From event mode to step mode."""
+        """Update discrete states until they are stable, then change from event mode to step mode."""
         for _ in range(MOST_UPDATES):
             again, terminate, *_ = self.call("updateDiscreteStates")
             if terminate:
@@ -247,16 +247,16 @@ class FmuInstance:
             raise InstanceError(self._with_log(f"{error.function} returned {_status(error.status)}")) from error
 
     def failed(self, status: int) -> None:
-        """Remember that the FMU is in its error state, where little may be called, or beyond all calls."""
+        """Record that the FMU is in its error state, or after a fatal error that nothing may be called any more."""
         self._stepping = False
         self._dead = self._dead or status == FATAL
 
     def _with_log(self, text: str) -> str:
-        said = one_line(self.log.take())
-        return f"{text}: {said}" if said else text
+        messages = one_line(self.log.take())
+        return f"{text}: {messages}" if messages else text
 
     def explain(self, failure: _bank.FailureError, moment: str) -> str:
-        """What went wrong in the C loop and when, with what the FMU itself said about it."""
+        """Return a description of a failure in the C loop with its moment and the FMU's own log messages."""
         _, what, status, port = failure.args
         more = self._reached() if what == "step" and status == DISCARD and self.archive.fmi == 2 else ""
         if what == "step" and status == PENDING:
@@ -266,18 +266,18 @@ class FmuInstance:
         return self._with_log(f"{text} {moment}{more}")
 
     def _reached(self) -> str:
-        """FMI 2.0: how far a step that was discarded has come, where the FMU says so."""
+        """Return how far a discarded step of FMI 2.0 has come, or an empty string where the FMU does not report it."""
         from fmpy.fmi2 import fmi2Real
 
         component, value = ctypes.c_void_p(self.fmu.component), fmi2Real(math.nan)
         status = self.fmu.dll.fmi2GetRealStatus(component, LAST_SUCCESSFUL_TIME, ctypes.byref(value))
-        known = status <= 1 and math.isfinite(value.value)
-        return f"; it came as far as its own time {value.value:g} s" if known else ""
+        reported = status <= 1 and math.isfinite(value.value)
+        return f"; it came as far as its own time {value.value:g} s" if reported else ""
 
     def row(self, done: int = 0, stations: Sequence[int] | None = None) -> _bank.Row:
-        """What the C loop needs to step this instance, which has ``done`` communication steps behind it.
+        """Return the C loop's description of this instance, which has made ``done`` communication steps.
 
-        ``stations``: that its engines serve, counted from 0, -1 for none; from 0 on unless stated.
+        ``stations``: those that its engines serve, counted from 0, -1 for none; by default from 0 on.
         """
         archive = self.archive
         stations = range(len(archive.engines)) if stations is None else stations
@@ -312,9 +312,9 @@ class FmuInstance:
     def _blocks(
         self, way: Literal["set", "get"], names: Sequence[str]
     ) -> tuple[tuple[_bank.Block, ...], list[tuple[_bank.Place | None, ...]]]:
-        """One call for all ports of a type, that of the first port first, and where each port is among the values.
+        """Return one FMI call for each type of the ports, the first port's first, and each port's index in its values.
 
-        The places are by engine; those of the first port of all engines come before those of the second.
+        The indices are by engine; those of the first port of all engines come before those of the second.
         """
         engines = self.archive.engines
         ports = {(name, lane): engine[name] for name in names for lane, engine in enumerate(engines) if name in engine}
@@ -365,27 +365,27 @@ class FmuInstance:
 
 
 @contextmanager
-def _modules_of_its_own(resources: Path) -> Iterator[None]:
-    """For an FMU that is written in Python and runs in this interpreter, as PythonFMU's do: its modules are its own.
+def _isolate_modules(resources: Path) -> Iterator[None]:
+    """Isolate the modules of an FMU that is written in Python and runs in this interpreter, as PythonFMU's do.
 
-    It imports them by name from its resources, which it puts at the end of the path.  An FMU with a module of the same
-    name that was there before, also one that is long closed, would otherwise lend it its code without a word.
+    It imports them by name from its resources, which it appends to the path.  Otherwise it would silently get the
+    module of the same name of an FMU that was loaded before, even of a closed one.
     """
-    place = str(resources)
-    sys.path.insert(0, place)
+    folder = str(resources)
+    sys.path.insert(0, folder)
     importlib.invalidate_caches()
     try:
         yield
     finally:
         _leave_path(resources)
-        sys.path.append(place)  # for what it imports later
+        sys.path.append(folder)  # for what it imports later
         for name, module in list(sys.modules.items()):
-            if str(getattr(module, "__file__", None) or "").startswith(place + os.sep):
+            if str(getattr(module, "__file__", None) or "").startswith(folder + os.sep):
                 del sys.modules[name]  # the instance keeps what it has
 
 
 def _leave_path(resources: Path) -> None:
-    sys.path[:] = [place for place in sys.path if Path(place) != resources]
+    sys.path[:] = [entry for entry in sys.path if Path(entry) != resources]
 
 
 def _canonical(throttle: float, air: Air) -> dict[str, float]:
@@ -393,7 +393,7 @@ def _canonical(throttle: float, air: Air) -> dict[str, float]:
 
 
 class _Functions(dict[str, Any]):
-    """The functions of a library, each looked up when it is called first."""
+    """The functions of a library, each looked up at its first call."""
 
     def __init__(self, library: Any, signatures: Mapping[str, tuple[Any, Any, Any]]) -> None:
         self._library, self._signatures = library, signatures

@@ -147,7 +147,7 @@ class _FlameOut(Model):
 
 
 def flat(table: object) -> object:
-    """``emf.k = 1`` in TOML is a table ``emf``; what it means here is the dotted name that Modelica gives."""
+    """Return nested tables with dotted keys: ``emf.k = 1`` means Modelica's name, TOML reads a table ``emf``."""
     if not isinstance(table, dict):
         return table
     values: dict[str, object] = {}
@@ -212,7 +212,7 @@ class MappingFile(Model):
 
 @dataclass(frozen=True)
 class PortMap:
-    """What is stated about an FMU's ports; everything else is found."""
+    """Specified ports of an FMU; all others are found by name and unit."""
 
     ports: Mapping[str, VariableName] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
@@ -225,12 +225,12 @@ class PortMap:
 
 
 def is_mapping(path: Path) -> bool:
-    """Whether a path looks like a mapping file."""
+    """Return whether a path looks like a mapping file."""
     return path.suffix.lower() == ".toml"
 
 
 def read_mapping(path: Path) -> tuple[MappingFile, Path, PortMap]:
-    """A mapping file, the archive it speaks of, and what it states about the ports.
+    """Read a mapping file; return its contents, the path of its archive, and its port map.
 
     Raises InputError: one line with file, key and what is allowed.
     """

@@ -1,6 +1,6 @@
-"""Which of an FMU's variables are an engine's ports, and how their values are converted.
+"""Assignment of an FMU's variables to an engine's ports, and the conversion of their values.
 
-A port is found by causality, name and unit, or stated in a mapping file (:mod:`cosim.engine.fmu.mapping`).
+A port is found by causality, name and unit, or specified in a mapping file (:mod:`cosim.engine.fmu.mapping`).
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ class PortError(ValueError):
 
 
 def find_engines(variables: Sequence[Variable], stated: PortMap) -> tuple[tuple[dict[str, Port], ...], list[str]]:
-    """The ports of each engine that an FMU holds, and notes on what was assumed or left out.
+    """Return the ports of each engine in an FMU, and notes on what was assumed or left out.
 
-    It holds one, unless ports are stated as several variables.  Of what is not an engine's own, all have the same.
+    There is one engine unless ports are specified as several variables.  Other ports are shared by all engines.
     Raises PortError as :func:`find_ports`, and where the engines are not as many everywhere.
     """
     members = {name: members_of(name, KINDS[name].causality, variable, variables)
@@ -69,21 +69,21 @@ def find_engines(variables: Sequence[Variable], stated: PortMap) -> tuple[tuple[
     notes = []
     for k in range(count):
         own = {name: names[k] for name, names in members.items()}
-        ports, said = find_ports(variables, replace(stated, ports={**rest, **own}))
+        ports, more = find_ports(variables, replace(stated, ports={**rest, **own}))
         engines.append(ports)
-        notes += [note for note in said if note not in notes]
-    _need_apart(engines)
+        notes += [note for note in more if note not in notes]
+    _need_distinct_ports(engines)
     pairs = ", ".join(f"{ports['throttle'].variable.name} and {ports['thrust'].variable.name}" for ports in engines)
     return tuple(engines), [f"holds {count} engines, stepped as one: {pairs}", *notes]
 
 
 def is_several(stated: VariableName) -> bool:
-    """Whether what is stated for a port speaks of several engines."""
+    """Return whether the variables specified for a port belong to several engines."""
     return isinstance(stated, list) or "*" in stated
 
 
 def members_of(port: str, causality: str, stated: VariableName, variables: Sequence[Variable]) -> list[str]:
-    """The variables that are stated for a port: a list as it is, a ``*`` as the numbers that there are, rising."""
+    """Return the variables specified for a port: a list unchanged, a ``*`` as all its numbers in rising order."""
     if isinstance(stated, list):
         return stated
     shape = re.compile(re.escape(stated).replace(r"\*", r"(\d+)", 1))
@@ -95,8 +95,8 @@ def members_of(port: str, causality: str, stated: VariableName, variables: Seque
     return [name for _, name in hits]
 
 
-def _need_apart(engines: Sequence[Mapping[str, Port]]) -> None:
-    """Refuse what two engines of one FMU share and may not, and throttles of several types."""
+def _need_distinct_ports(engines: Sequence[Mapping[str, Port]]) -> None:
+    """Refuse ports that two engines of one FMU must not share, and throttles of different types."""
     taken: dict[tuple[str, str, int, int], str] = {}
     for k, ports in enumerate(engines, start=1):
         for name in OWN:
@@ -112,9 +112,9 @@ def _need_apart(engines: Sequence[Mapping[str, Port]]) -> None:
 
 
 def find_ports(variables: Sequence[Variable], stated: PortMap) -> tuple[dict[str, Port], list[str]]:
-    """Every port that is stated or found of one engine, and notes on what was assumed or left out.
+    """Return all specified and detected ports of one engine, and notes on what was assumed or left out.
 
-    Raises PortError if a needed or stated port does not serve; what is optional and does not is left out with a note.
+    Raises PortError if a needed or specified port is unfit; an unfit optional one is left out with a note.
     """
     ports: dict[str, Port] = {}
     notes: list[str] = []
@@ -145,12 +145,12 @@ def find_ports(variables: Sequence[Variable], stated: PortMap) -> tuple[dict[str
 
 
 def plain(name: str) -> str:
-    """A name in lower case and without anything but letters and digits."""
+    """Return a name reduced to letters and digits, in lower case."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
 def without_unit(name: str, quantity: Quantity) -> tuple[str, str | None]:
-    """A name such as ``thrust_lbf`` or ``fuel-flow-kg_h`` as its stem and the unit behind it, None if there is none."""
+    """Split a name such as ``thrust_lbf`` or ``fuel-flow-kg_h`` into its stem and unit, None if it has no unit."""
     words = re.split(r"[^A-Za-z0-9%]+", name)
     for count in (3, 2, 1):
         unit = "/".join(word for word in words[-count:] if word.lower() != "per")
@@ -160,7 +160,7 @@ def without_unit(name: str, quantity: Quantity) -> tuple[str, str | None]:
 
 
 def _named(port: str, kind: Kind, stated: str, variables: Sequence[Variable]) -> Variable:
-    """The variable that is stated for a port."""
+    """Return the variable specified for a port; raise PortError if it is missing, ambiguous or of a wrong type."""
     fitting = [v for v in variables if v.causality == kind.causality]
     hits = [v for v in fitting if v.name == stated] or [v for v in fitting if v.name.lower() == stated.lower()]
     if not hits:
@@ -173,9 +173,9 @@ def _named(port: str, kind: Kind, stated: str, variables: Sequence[Variable]) ->
 
 
 def _search(port: str, kind: Kind, variables: Sequence[Variable], ports: Mapping[str, Port]) -> Variable | None:
-    """The variable of a port by its usual names, and for a needed port by its unit alone.
+    """Return a port's variable, found by its usual names or, for a needed port, by its unit alone.
 
-    None if there is none and none is needed.
+    None if there is none and the port is not needed.
     """
     taken = {port.variable.name for port in ports.values()}
     fitting = [v for v in variables if v.causality == kind.causality and v.name not in taken and not v.is_array]
@@ -201,7 +201,7 @@ def _search(port: str, kind: Kind, variables: Sequence[Variable], ports: Mapping
 
 
 def _tiers(port: str, kind: Kind, usable: Sequence[Variable]) -> Iterable[list[Variable]]:
-    """Candidates for a port, the surest first."""
+    """Yield lists of candidates for a port, the most certain first."""
     yield [v for v in usable if plain(v.name) == plain(port)]
     stems = [plain(without_unit(v.name.rpartition(".")[2], kind.quantity)[0]) for v in usable]
     for names in (kind.names, kind.vague):
@@ -220,7 +220,7 @@ def _tiers(port: str, kind: Kind, usable: Sequence[Variable]) -> Iterable[list[V
 
 
 def _other_quantity(port: str, kind: Kind, v: Variable) -> bool:
-    """Whether the declared unit rules a variable out."""
+    """Return whether a variable's declared unit is of another quantity than the port's."""
     if v.unit is None or port in ("throttle", "run", "start"):
         # a lever may be in degrees, in volts, in anything that has a range
         return port == "throttle" and any(
@@ -252,7 +252,7 @@ def _list(causality: str, variables: Sequence[Variable]) -> str:
 
 
 def _connect(name: str, kind: Kind, v: Variable, stated: PortMap, ports: Mapping[str, Port], notes: list[str]) -> Port:
-    """A port on a variable, with its conversion."""
+    """Return a port on a variable with the conversion to SI units, or to 0..1 for throttle and start."""
     if name == "throttle":
         return _lever(v, stated, notes)
     if name == "start":
@@ -262,6 +262,11 @@ def _connect(name: str, kind: Kind, v: Variable, stated: PortMap, ports: Mapping
         if v.is_array:
             raise PortError(f"its {v.name} is an element of an array; {name} must be a scalar")
         return Port(v)
+    return _quantity(name, kind, v, stated, notes)
+
+
+def _quantity(name: str, kind: Kind, v: Variable, stated: PortMap, notes: list[str]) -> Port:
+    """Return a port on a physical quantity, converted from the unit specified, declared or in the variable's name."""
     unit = stated.units.get(name, v.unit)
     if unit is None:
         unit = without_unit(v.name, kind.quantity)[1]
@@ -288,7 +293,7 @@ def _connect(name: str, kind: Kind, v: Variable, stated: PortMap, ports: Mapping
 
 
 def _lever(v: Variable, stated: PortMap, notes: list[str]) -> Port:
-    """The throttle from 0 to 1, over the range that is stated, declared, or meant by the unit."""
+    """Return the throttle port, 0 to 1 over the range that is specified, declared or implied by the unit."""
     limits = stated.throttle_range or _declared_range(v)
     if limits is None and v.type in INTEGERS and stated.units.get("throttle", v.unit) is None:
         raise PortError(f"its {v.name} is a whole number and states no range; {RANGE}")
@@ -318,7 +323,7 @@ def _over_range(v: Variable, low: float, high: float) -> Port:
 
 
 def _range_of_unit(v: Variable, unit: str | None) -> tuple[float, float]:
-    """What the unit alone says: a ratio from 0 to 1, a percentage to 100."""
+    """Return the throttle range implied by its unit: 0 to 1 for a ratio, 0 to 100 for a percentage."""
     if unit is None and plain(v.name).endswith(("pla", "tla", "angle")):
         raise PortError(f"its {v.name} states neither range nor unit; {RANGE}")
     base = v.base if unit == v.unit else None

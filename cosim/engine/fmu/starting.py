@@ -1,4 +1,4 @@
-"""What a mapping file says is done with an engine before it is asked for thrust: held inputs, ignition, warm-up.
+"""Start of an engine as its mapping file specifies it: constant inputs, ignition stages, warm-up.
 
 Every instance goes through it, in the check, when it is measured and before a flight, so the flight finds an engine
 that runs; or, where the scenario says so, over the flight's own steps (:class:`Ignition`).  The stages follow each
@@ -31,14 +31,14 @@ CONSTANTS = (*REALS, *INTEGERS, "Boolean", "Enumeration")
 
 
 class Until(NamedTuple):
-    """An output beyond a limit."""
+    """A condition on an output: beyond a limit."""
 
     output: Variable
     relation: str
     limit: float
 
     def holds(self, value: float) -> bool:
-        """Whether a value fulfils it."""
+        """Return whether a value of the output fulfils the condition."""
         return {
             ">": value > self.limit,
             "<": value < self.limit,
@@ -60,7 +60,7 @@ class Stage(NamedTuple):
 
 
 class Starting(NamedTuple):
-    """All of it; ``constants`` are set before initialization and stay."""
+    """The complete start; ``constants`` are set before initialization and stay."""
 
     constants: tuple[Setting, ...] = ()
     stages: tuple[Stage, ...] = ()
@@ -68,13 +68,13 @@ class Starting(NamedTuple):
 
 
 class StartError(Exception):
-    """A condition did not come about: one line without the engine's name."""
+    """A start condition not fulfilled in time: one line without the engine's name."""
 
 
 class Ignition:
-    """A start, taken one communication step after the other; ``stages`` as stated, ``step`` in s.
+    """Execution of a start's ``stages``, one communication step of ``step`` seconds after the other.
 
-    Before every step :meth:`advance`, which returns whether the start has one more to make, with :attr:`throttle` held.
+    Call :meth:`advance` before every step; it returns whether the start needs one more step at :attr:`throttle`.
     """
 
     def __init__(self, stages: Sequence[Stage], step: float) -> None:
@@ -89,7 +89,7 @@ class Ignition:
         return self._number + 1
 
     def advance(self, write: Callable[[Sequence[Setting]], None], read: Callable[[Variable], float]) -> bool:
-        """Look whether the stage is over, and begin the next: ``write`` sets its inputs, ``read`` tells an output.
+        """Begin the next stage when the present one is over: ``write`` sets its inputs, ``read`` returns an output.
 
         Raises StartError where a condition does not come about in time.
         """
@@ -124,7 +124,7 @@ class Ignition:
 def starting(
     stated: PortMap, inputs: Sequence[Variable], outputs: Sequence[Variable], ports: Mapping[str, Port]
 ) -> Starting:
-    """What a mapping file states, as variables and numbers.
+    """Resolve the start of a mapping file to variables and numbers.
 
     Raises PortError for an input or output that is not there, a port, or a value that the input cannot have.
     """
@@ -161,7 +161,7 @@ def starting(
 
 
 def value_of(variable: Variable, held: Held, where: str) -> float:
-    """What is written for an input, as a number.  Raises PortError if the variable cannot have it."""
+    """Return the number for an input's specified value; raise PortError if the variable cannot have it."""
     shown = f"{where}: {variable.name} = {held!r}"
     if isinstance(held, str):
         items = dict(variable.items)

@@ -1,4 +1,4 @@
-"""The files of an archive, unpacked for one user at a time, and taken again by the next if nobody has changed them."""
+"""Unpacked archives: each folder has one user at a time and is reused if its files are unchanged."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _free: list[Unpacked] = []  # the youngest last
 
 
 class Unpacked:
-    """What running an archive on this machine takes, in the folder ``path`` until :meth:`close`."""
+    """The files that running an archive on this machine needs, in the folder ``path`` until :meth:`close`."""
 
     def __init__(self, archive: Archive, data: bytes) -> None:
         self.sha256 = archive.sha256
@@ -47,14 +47,14 @@ class Unpacked:
 
     @property
     def untouched(self) -> bool:
-        """Whether it is what it was when it was unpacked, and nothing of its library is left in this process."""
+        """Whether the files are unchanged since unpacking and no library of theirs is loaded in this process."""
         try:
             return not any(map(_is_loaded, self._libraries)) and contents(self.path) == self._contents
         except OSError:
             return False
 
     def close(self) -> None:
-        """Leave it to the next user."""
+        """Release the folder for the next user."""
         _free.append(self)
         while len(_free) > MOST_FREE:
             _free.pop(0).remove()
@@ -79,20 +79,20 @@ def _extract(archive: Archive, data: bytes, folder: Path) -> None:
 
 
 def unpack(archive: Archive) -> Unpacked:
-    """Unpack what running it on this machine takes into a folder that nobody else uses.
+    """Unpack an archive's files for this machine into a folder that nobody else uses.
 
-    Raises InputError if the file is no longer the one that was read, or there is no room for what is in it.
+    Raises InputError if the archive has changed since it was read, or there is no space for its files.
     """
     try:
         data = read_bytes(archive.path)
         if hashlib.sha256(data).hexdigest() != archive.sha256:
             raise UnusableError("was changed while it was in use")
-        return _taken(archive) or Unpacked(archive, data)
-    except InputError:  # there is no place to unpack it
+        return _take_free_folder(archive) or Unpacked(archive, data)
+    except InputError:  # There is no folder to unpack into.
         raise
     except UnusableError as reason:
         raise InputError(f"{archive.path}: {reason}") from reason
-    except OSError as error:  # of what is written; that it cannot be read is told above
+    except OSError as error:  # Writing failed; a failure to read is handled above.
         where = error.filename or tempfile.gettempdir()
         raise InputError(f"{archive.path}: cannot be unpacked: {where}: {error.strerror or error}") from error
     except DAMAGE as error:
@@ -100,7 +100,7 @@ def unpack(archive: Archive) -> Unpacked:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """The files of an unpacked archive, name -> digest; what is no file has none."""
+    """Return the digest of each file of an unpacked archive by path; folders have an empty one."""
     members = {}
     for parent, folders, files in os.walk(folder):
         for name in (*folders, *files):
@@ -114,8 +114,8 @@ def _read(path: str) -> bytes:
         return file.read()
 
 
-def _taken(archive: Archive) -> Unpacked | None:
-    """A free folder of the same archive, of this process and not of the one that it was forked from."""
+def _take_free_folder(archive: Archive) -> Unpacked | None:
+    """Return a free folder of the same archive, made by this process and not by the one it was forked from."""
     own = [folder for folder in _free if folder.sha256 == archive.sha256 and folder.path.parent == scratch()]
     for folder in reversed(own):
         _free.remove(folder)
@@ -126,7 +126,7 @@ def _taken(archive: Archive) -> Unpacked | None:
 
 
 def _is_loaded(library: Path) -> bool:
-    """Whether a library is still in this process: some cannot be unloaded, and would keep what they have in memory."""
+    """Return whether a library is still loaded: some cannot be unloaded and would keep their memory."""
     try:
         CDLL(str(library), mode=os.RTLD_NOLOAD | os.RTLD_LAZY)
     except OSError:

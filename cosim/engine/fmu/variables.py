@@ -1,4 +1,4 @@
-"""What an FMU declares, and what of it is an engine's port."""
+"""Variables that an FMU declares, and an engine's ports on them."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Port:
     high: float = field(default=inf, repr=False)
 
     def value(self, canonical: float) -> float:
-        """What the FMU is given, as the C loop computes it."""
+        """Return the FMU's value for a canonical one, computed as the C loop does."""
         value = self.gain * canonical
         if self.bias != 0.0:
             value += self.bias

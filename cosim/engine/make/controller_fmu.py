@@ -1,4 +1,4 @@
-"""An FMU as a controller: what it is by its description, and the process that runs it.
+"""An FMU as a controller: reading of its description, and the process that runs it.
 
 Ports are those of :mod:`cosim.base.controller_wire`, found by name as engines' are, by its letters and digits
 without case, or stated in a mapping file ``NAME.fmu.toml``::
@@ -47,7 +47,7 @@ _KINDS = {*REALS, *INTEGERS, "Boolean"}
 
 @dataclass(frozen=True)
 class ControllerFmu:
-    """What an FMU is as a controller; variables are those of FMPy's description."""
+    """A controller in an FMU; its variables are those of FMPy's description."""
 
     path: Path  # of the archive
     mapping: Path | None
@@ -66,17 +66,17 @@ class ControllerFmu:
 
     @property
     def files(self) -> dict[str, Path]:
-        """What it is made of, the file that is named first."""
-        there = [self.path] if self.mapping is None else [self.mapping, self.path]
-        return {path.name: path for path in there}
+        """The controller's files by name, the one that the user names first."""
+        paths = [self.path] if self.mapping is None else [self.mapping, self.path]
+        return {path.name: path for path in paths}
 
 
 class IncompleteError(UnusableError):
-    """A controller by some of its outputs, which lacks another."""
+    """An FMU with some outputs of a controller that lacks another."""
 
 
 def is_controller(path: Path) -> bool:
-    """Whether a file is an FMU with the outputs of a controller; False too for what cannot be read."""
+    """Return whether a file is an FMU with the outputs of a controller; False for an unreadable file too."""
     if not path.name.lower().endswith((".fmu", MAPPING)):
         return False
     try:
@@ -87,7 +87,7 @@ def is_controller(path: Path) -> bool:
 
 
 def read_controller_fmu(path: Path, servos: Sequence[str] | None = None) -> ControllerFmu:
-    """Read an archive, or a mapping file with the name of one.  Raises InputError: one line.
+    """Read a controller's archive, or a mapping file that names one; raise InputError with one line on failure.
 
     ``servos``: the names of the vehicle's actuators, which the FMU may spell its own way; None: not known yet.
     """
@@ -174,8 +174,7 @@ def _read(path: Path, mapping: Path | None, stated: Mapping[str, str], servos: S
 
 
 def _servos(outputs: Sequence[str], stated: Mapping[str, str]) -> tuple[str, ...]:
-    """What its outputs are called behind ``tilt_``: those that a mapping names and, of others, left and right where it
-    has both, else all."""
+    """Return the actuators of the ``tilt_`` outputs: those mapped, and left and right, or all others if one lacks."""
     servos = [name[5:] for name in stated if name.startswith("tilt_") and not name.endswith("_applied")]
     short = [plain(name)[4:] for name in outputs if plain(name).startswith("tilt") and name not in stated.values()]
     banks = set(SERVOS) <= {*servos, *short}
@@ -196,7 +195,7 @@ def _found(
     by_name: Mapping[str, Any],
     cause: str,
 ) -> dict[str, Any]:
-    """Ports by their names; those stated before those found."""
+    """Return variables by port, matched by name; mapped ports take precedence."""
     ports = {known[plain(v.name)]: v for v in variables if plain(v.name) in known}
     for port, name in stated.items():
         if port in known.values() and name in by_name and by_name[name].causality == cause:
@@ -205,12 +204,12 @@ def _found(
 
 
 def command(path: Path) -> list[str]:
-    """What runs it."""
+    """Return the command line of the process that runs the FMU."""
     return python_command(_SERVE, str(path))
 
 
-def describing(fmu: ControllerFmu) -> dict[str, Any]:
-    """What a process would say of it."""
+def describe_controller(fmu: ControllerFmu) -> dict[str, Any]:
+    """Return the FMU's level, extras, parameters and columns as a controller process reports them."""
     return {
         "level": fmu.level,
         "extras": fmu.extras,
@@ -230,7 +229,7 @@ def describing(fmu: ControllerFmu) -> dict[str, Any]:
 
 
 def _word(v: Any) -> str:
-    """What a variable is called where a name has no dots: as a column and as a parameter."""
+    """Return a variable's name as an identifier, for columns and parameters."""
     return "".join(c if c.isascii() and c.isalnum() else "_" for c in v.name)
 
 
@@ -240,11 +239,11 @@ def _number_or(text: str | None, otherwise: float = 0.0) -> float:
 
 
 def serve(path: str) -> None:
-    """The process: answer frames until the input ends."""
+    """Run as the controller process: answer input frames until the input ends."""
     out = os.dup(1)
     os.dup2(2, 1)  # what the FMU prints is for people
     fmu = read_controller_fmu(Path(path))
-    _write(out, json.dumps(describing(fmu)).encode() + b"\n")
+    _write(out, json.dumps(describe_controller(fmu)).encode() + b"\n")
     line = sys.stdin.buffer.readline()
     if not line:
         return
@@ -269,7 +268,7 @@ def serve(path: str) -> None:
 
 
 def _by_type(keys: list[Any], variables: Sequence[Any]) -> list[tuple[str, list[Any], list[int]]]:
-    """Types, and for each its keys and value references."""
+    """Return each type with the keys and value references of its variables."""
     groups = []
     for kind in dict.fromkeys(v.type for v in variables):
         pairs = [(key, v.valueReference) for key, v in zip(keys, variables, strict=True) if v.type == kind]
@@ -284,7 +283,7 @@ def _write(file: int, data: bytes) -> None:
 
 
 class _Instance:
-    """One instance, stepped by control steps."""
+    """An instance of the controller FMU, advanced one control step at a time."""
 
     def __init__(self, fmu: ControllerFmu, folder: Path, told: Mapping[str, Any]) -> None:
         self._fmu, self._folder = fmu, folder

@@ -12,9 +12,9 @@ from cosim.engine.ssp.structure import conversion, read_units, read_values
 
 
 def read_parameter_set(path: Path, archive: Archive) -> dict[str, float]:
-    """What a file says of the parameters of an archive, in their units.
+    """Return the values of a parameter set file by parameter, in the units of the archive's parameters.
 
-    Raises InputError: one line with the file, and the parameter that is none, or is in another unit.
+    Raises InputError: one line with the file, and the parameter that is unknown or has an incompatible unit.
     """
     try:
         data = read_bytes(path)
@@ -22,7 +22,7 @@ def read_parameter_set(path: Path, archive: Archive) -> dict[str, float]:
         root = ElementTree.fromstring(data)
         units, values = read_units(root), read_values(root, "the set")
         known = {v.name: v for v in archive.parameters}
-        found = {}
+        converted = {}
         for name, value in values.items():
             if name not in known:
                 allowed = nearest(name, known) if known else "it has none"
@@ -30,11 +30,11 @@ def read_parameter_set(path: Path, archive: Archive) -> dict[str, float]:
             variable = known[name]
             factor, offset = 1.0, 0.0
             if value.unit is not None and value.unit != variable.unit:
-                given = units.get(value.unit)
-                if given is None or variable.base is None:
+                source_unit = units.get(value.unit)
+                if source_unit is None or variable.base is None:
                     raise UnusableError(f"{name}: is in {value.unit}, the parameter in {variable.unit or 'no unit'}")
-                factor, offset = conversion(given, variable.base, name)
-            found[name] = factor * value.value + offset
+                factor, offset = conversion(source_unit, variable.base, name)
+            converted[name] = factor * value.value + offset
     except UnusableError as reason:
         raise InputError(f"{path}: {reason}") from reason
-    return found
+    return converted

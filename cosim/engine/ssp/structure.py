@@ -1,4 +1,4 @@
-"""SystemStructure.ssd of an SSP archive (Modelica Association, SSP 1.0 and 2.0) as plain components and links.
+"""Parser of SystemStructure.ssd in an SSP archive (Modelica Association, SSP 1.0 and 2.0).
 
 Read are components that are FMUs, systems inside each other, connections with linear transformations and with units,
 and parameter sets, inline or in files (SSV).  What else SSP has and would change a number is refused by name.
@@ -26,7 +26,7 @@ Node = tuple[Path, str]  # a connector
 
 @dataclass(frozen=True)
 class Connector:
-    """``unit``: its name, where one is stated."""
+    """A connector of a component or system; ``unit`` is its unit's name, if any."""
 
     kind: str
     unit: str | None
@@ -34,7 +34,7 @@ class Connector:
 
 @dataclass(frozen=True)
 class Value:
-    """Of a parameter set."""
+    """A number of a parameter set with its unit's name, if any."""
 
     value: float
     unit: str | None
@@ -42,7 +42,7 @@ class Value:
 
 @dataclass(frozen=True)
 class Line:
-    """A connection: ``value there = factor * value here + offset``; None: nothing is stated, and units decide."""
+    """A connection from ``start``: ``factor, offset`` of its linear transformation; None: the units determine it."""
 
     start: Node
     stated: tuple[float, float] | None
@@ -51,7 +51,7 @@ class Line:
 
 @dataclass
 class Structure:
-    """What stands in the description."""
+    """The contents of a system structure description."""
 
     name: str
     version: str
@@ -63,12 +63,12 @@ class Structure:
 
 
 def local(element: ElementTree.Element) -> str:
-    """A tag without its namespace, which differs between versions."""
+    """Return an element's tag without its namespace, which differs between versions."""
     return element.tag.rpartition("}")[2]
 
 
 def children(element: ElementTree.Element | None, *tags: str) -> Iterator[ElementTree.Element]:
-    """The elements under one, of these tags, one inside the other."""
+    """Yield the descendants of an element along a path of tags."""
     if element is None:
         return
     for child in element:
@@ -80,7 +80,7 @@ def children(element: ElementTree.Element | None, *tags: str) -> Iterator[Elemen
 
 
 def read_structure(xml: bytes, file: Callable[[str], bytes]) -> Structure:
-    """The structure in a description that was found harmless; ``file`` gives a file of the archive by its name.
+    """Read the structure from a checked description; ``file`` returns a file of the archive by its name.
 
     Raises UnusableError.
     """
@@ -100,7 +100,7 @@ def read_structure(xml: bytes, file: Callable[[str], bytes]) -> Structure:
 
 
 def read_units(root: ElementTree.Element) -> dict[str, Unit]:
-    """The unit definitions of a description or a parameter set."""
+    """Return the unit definitions of a description or a parameter set by name."""
     units = {}
     for unit in children(root, "Units", "Unit"):
         for base in children(unit, "BaseUnit"):
@@ -179,7 +179,7 @@ def _text(node: Node) -> str:
 
 
 def _bindings(element: ElementTree.Element, path: Path, structure: Structure, file: Callable[[str], bytes]) -> None:
-    """Parameter sets; those of a system outside go before those inside, as SSP has it."""
+    """Read an element's parameter sets; those of an outer system take precedence, as SSP specifies."""
     where = ".".join(path) or "the system"
     for binding in children(element, "ParameterBindings", "ParameterBinding"):
         if any(children(binding, "ParameterMapping")):
@@ -192,7 +192,7 @@ def _bindings(element: ElementTree.Element, path: Path, structure: Structure, fi
         for parameter_set in sets:
             units = read_units(parameter_set)
             for name, value in read_values(parameter_set, where).items():
-                node = _named(path, prefix + name, structure)
+                node = _resolve_parameter(path, prefix + name, structure)
                 if value.unit in units:  # the set's own definition, under a name of its own
                     structure.units[f"{where}:{value.unit}"] = units[value.unit]
                     value = Value(value.value, f"{where}:{value.unit}")
@@ -200,7 +200,7 @@ def _bindings(element: ElementTree.Element, path: Path, structure: Structure, fi
 
 
 def read_values(root: ElementTree.Element, where: str) -> dict[str, Value]:
-    """The numbers of a parameter set (SSV).  Raises UnusableError for what is none."""
+    """Return the numbers of a parameter set (SSV) by name; raise UnusableError for a value that is no number."""
     if local(root) != "ParameterSet":
         raise UnusableError(
             f"{where}: a parameter set begins with a {one_line(local(root))[:80]}; ParameterSet is needed"
@@ -220,8 +220,8 @@ def read_values(root: ElementTree.Element, where: str) -> dict[str, Value]:
     return values
 
 
-def _named(path: Path, name: str, structure: Structure) -> Node:
-    """What a name of a parameter set means: of the element itself, or of the longest element under it that it names."""
+def _resolve_parameter(path: Path, name: str, structure: Structure) -> Node:
+    """Return the connector that a parameter's name means: the element's own, or of the longest nested element named."""
     if path in structure.components:
         return path, name
     elements = dict.fromkeys(
@@ -236,9 +236,9 @@ def _named(path: Path, name: str, structure: Structure) -> Node:
 
 
 def origin(structure: Structure, node: Node, unit_of: Callable[[Node], Unit | None]) -> tuple[Node, float, float]:
-    """Where the value of a connector comes from: a connector without a line, and ``factor * its value + offset``.
+    """Return the connector that a connector's value comes from, with the ``factor`` and ``offset`` along the way.
 
-    Raises UnusableError for a circle, and for units that measure different things.
+    Raises UnusableError for a circular connection, and for units of different quantities.
     """
     factor, offset, passed = 1.0, 0.0, {node}
     while node in structure.lines:
@@ -254,22 +254,22 @@ def origin(structure: Structure, node: Node, unit_of: Callable[[Node], Unit | No
     return node, factor, offset
 
 
-def conversion(given: Unit | None, target: Unit | None, what: str) -> tuple[float, float]:
-    """Factor and offset from a value in one unit to that in another; none where one is not known.
+def conversion(source: Unit | None, target: Unit | None, what: str) -> tuple[float, float]:
+    """Return factor and offset from one unit to another, 1 and 0 where one of them is unknown.
 
-    Raises UnusableError.
+    Raises UnusableError for units of different quantities.
     """
-    if given is None or target is None or given == target:
+    if source is None or target is None or source == target:
         return 1.0, 0.0
-    if given.exponents != target.exponents:
+    if source.exponents != target.exponents:
         raise UnusableError(f"{what}: the units measure different things")
-    return given.factor / target.factor, (given.offset - target.offset) / target.factor
+    return source.factor / target.factor, (source.offset - target.offset) / target.factor
 
 
 def order(names: list[Path], feeds: Mapping[Path, set[Path]]) -> tuple[list[Path], set[tuple[Path, Path]]]:
-    """The components so that each comes after those that feed it, and who feeds whom a step late where that is a loop.
+    """Sort components so that each follows its sources; return also the (source, target) pairs that loops make late.
 
-    Of a loop the component that is listed first comes first.
+    In a loop the component that is listed first comes first.
     """
     left, done, late = list(names), [], set()
     while left:

@@ -1,4 +1,4 @@
-"""A system of FMUs, an ``.ssp`` archive, as one engine: what it is made of, and what of it can be read and set.
+"""Reading of a system of FMUs, an ``.ssp`` archive, as one engine: its components and its variables.
 
 Its variables are the connectors of the system, and beside them every input, output and parameter of a component under
 ``component.variable``.  The ports of an engine are found among the connectors, as those of an FMU are among its
@@ -39,20 +39,20 @@ _systems: Memory[Archive] = Memory(16)
 
 
 def is_system(path: Path) -> bool:
-    """Whether a path looks like an SSP archive."""
+    """Return whether a path looks like an SSP archive."""
     return path.suffix.lower() == SUFFIX
 
 
 def read_system(path: Path, ports: PortMap | None = None) -> Archive:
-    """Read a system; ``ports`` is what is stated about its ports, the others are found.
+    """Read a system; ``ports`` specifies ports, the others are found by name and unit.
 
     Raises InputError: one line with the file, the component where it is one's fault, and what is wrong with it.
     """
     return read_once(path, ports, _systems, _read)
 
 
-class _Made:
-    """The components of a structure, read."""
+class _Components:
+    """The archives of a structure's components."""
 
     def __init__(self, path: Path, structure: Structure, zipped: Zip) -> None:
         self.structure = structure
@@ -70,7 +70,7 @@ class _Made:
         }
 
     def variable(self, node: Node) -> Variable:
-        """Of a component's connector.  Raises UnusableError where its FMU has none of that name."""
+        """Return the variable of a component's connector; raise UnusableError if its FMU has none of that name."""
         path, name = node
         known = self._known[path]
         where = f"component {'.'.join(path)} ({self.structure.components[path]})"
@@ -81,7 +81,7 @@ class _Made:
         return known[name]
 
     def unit(self, node: Node) -> Unit | None:
-        """What a connector is measured in: as it says, or, of a component, as its FMU says."""
+        """Return a connector's unit: its own, else that of the component's FMU, else None."""
         connector = self.structure.connectors.get(node)
         own = self.variable(node) if node[0] in self.archives else None
         if connector is not None and connector.unit is not None:
@@ -114,39 +114,39 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
             raise UnusableError(f"{STRUCTURE}: {error}") from error
         if not structure.components:
             raise UnusableError("has no components")
-        made = _Made(path, structure, zipped)
+        components = _Components(path, structure, zipped)
     for end in structure.lines:
         for node in (end, structure.lines[end].start):
-            if node[0] in made.archives:
-                made.variable(node)
-    return _archive(path, sha256, stated, structure, made)
+            if node[0] in components.archives:
+                components.variable(node)
+    return _archive(path, sha256, stated, structure, components)
 
 
-def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, made: _Made) -> Archive:
+def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, components: _Components) -> Archive:
     origins = {
-        (name, v.name): made.origin((name, v.name))
-        for name, archive in made.archives.items()
+        (name, v.name): components.origin((name, v.name))
+        for name, archive in components.archives.items()
         for v in (*archive.inputs, *archive.parameters)
     }
     fed: dict[At, set[At]] = {}
     for node, (source, _, _) in origins.items():
-        if source != node and source[0] in made.archives and made.variable(node).causality == "input":
+        if source != node and source[0] in components.archives and components.variable(node).causality == "input":
             fed.setdefault(node[0], set()).add(source[0])
-    ordered, late = order(list(made.archives), fed)
+    ordered, late = order(list(components.archives), fed)
     number = {name: i for i, name in enumerate(ordered)}
-    settings = _settings(structure, made, origins)
+    settings = _settings(structure, components, origins)
     parts = tuple(
-        Part(".".join(name), structure.components[name], made.archives[name], settings.get(name, ()))
+        Part(".".join(name), structure.components[name], components.archives[name], settings.get(name, ()))
         for name in ordered
     )
     feeds = tuple(
-        Feed(number[node[0]], made.variable(node), number[source[0]], made.variable(source), factor, offset,
+        Feed(number[node[0]], components.variable(node), number[source[0]], components.variable(source), factor, offset,
              (source[0], node[0]) in late)
         for node, (source, factor, offset) in origins.items()
-        if source != node and source[0] in made.archives and made.variable(node).causality == "input"
+        if source != node and source[0] in components.archives and components.variable(node).causality == "input"
     )  # fmt: skip
     starts = {(name, v.name): value for name, pairs in settings.items() for v, value in pairs}
-    variables, places = _variables(structure, made, origins, number, starts)
+    variables, places = _variables(structure, components, origins, number, starts)
     system = System(parts, feeds, places)
     named = {name for each in stated.ports.values() for name in (each if isinstance(each, list) else [each])}
     many = any(is_several(port) and "." in port for port in stated.ports.values())  # of components, with a *
@@ -189,67 +189,66 @@ def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, mad
 
 
 def _settings(
-    structure: Structure, made: _Made, origins: Mapping[Node, tuple[Node, float, float]]
+    structure: Structure, components: _Components, origins: Mapping[Node, tuple[Node, float, float]]
 ) -> dict[At, tuple[Setting, ...]]:
-    """What the parameter sets say of each component; what stands outside goes before what stands inside."""
+    """Return the parameter sets' values for each component; outer sets take precedence over inner ones."""
     settings: dict[At, list[Setting]] = {}
     used = set()
     for node in origins:
-        through = _passed(structure, node)
-        stated = [source for source in through if source in structure.values]
-        used.update(stated)
-        if not stated:
+        sources = [source for source in _upstream_connectors(structure, node) if source in structure.values]
+        used.update(sources)
+        if not sources:
             continue
-        at, variable = stated[-1], made.variable(node)  # the outermost
+        at, variable = sources[-1], components.variable(node)  # the outermost
         value = structure.values[at]
-        number = _in_unit(structure, value, made, at)
+        number = _in_unit(structure, value, components, at)
         if at != node:
-            _, scale, shift = origin(_cut(structure, at), node, made.unit)
+            _, scale, shift = origin(_disconnect(structure, at), node, components.unit)
             number = scale * number + shift
         settings.setdefault(node[0], []).append((variable, number))
     for node in structure.values:
         if node in used:
             continue
-        if node[0] in made.archives:
-            made.variable(node)  # it may be an output, or an array
+        if node[0] in components.archives:
+            components.variable(node)  # it may be an output, or an array
         text = ".".join((*node[0], node[1]))
         raise UnusableError(f"a parameter set states {text}, which is no parameter and no input")
     return {name: tuple(values) for name, values in settings.items()}
 
 
-def _passed(structure: Structure, node: Node) -> list[Node]:
-    """The connectors on the way to a component's variable, that itself first."""
-    passed = [node]
-    while passed[-1] in structure.lines:
-        passed.append(structure.lines[passed[-1]].start)
-    return passed
+def _upstream_connectors(structure: Structure, node: Node) -> list[Node]:
+    """Return a component's connector followed by the connectors that it is fed from, up to the first source."""
+    connectors = [node]
+    while connectors[-1] in structure.lines:
+        connectors.append(structure.lines[connectors[-1]].start)
+    return connectors
 
 
-def _cut(structure: Structure, at: Node) -> Structure:
-    """The structure as if nothing fed a connector."""
+def _disconnect(structure: Structure, at: Node) -> Structure:
+    """Return the structure without the connection to a connector."""
     return replace(structure, lines={end: line for end, line in structure.lines.items() if end != at})
 
 
-def _in_unit(structure: Structure, value: Value, made: _Made, node: Node) -> float:
+def _in_unit(structure: Structure, value: Value, components: _Components, node: Node) -> float:
     text = ".".join((*node[0], node[1]))
-    own = made.variable(node).unit if node[0] in made.archives else None
+    own = components.variable(node).unit if node[0] in components.archives else None
     if value.unit is None or value.unit == own:
         return value.value
-    given = structure.units.get(value.unit)
-    if given is None:
+    source = structure.units.get(value.unit)
+    if source is None:
         raise UnusableError(f"parameter {text}: its unit {value.unit} is not defined")
-    factor, offset = conversion(given, made.unit(node), f"parameter {text}")
+    factor, offset = conversion(source, components.unit(node), f"parameter {text}")
     return factor * value.value + offset
 
 
 def _variables(
     structure: Structure,
-    made: _Made,
+    components: _Components,
     origins: Mapping[Node, tuple[Node, float, float]],
     number: Mapping[At, int],
     starts: Mapping[Node, float],
 ) -> tuple[list[Variable], tuple[tuple[Place, ...], ...]]:
-    """The system's variables, all of them real numbers, and where each is among the components."""
+    """Return the system's variables, all of them real numbers, and the component variables behind each."""
     variables: list[Variable] = []
     places: list[tuple[Place, ...]] = []
 
@@ -281,13 +280,13 @@ def _variables(
         if node[0] or connector.kind == "calculatedParameter":
             continue
         if connector.kind == "output":
-            source, factor, offset = made.origin(node)
-            if source[0] not in made.archives:
+            source, factor, offset = components.origin(node)
+            if source[0] not in components.archives:
                 raise UnusableError(f"its output {node[1]} is connected to no component")
-            at = [Place(number[source[0]], made.variable(source), factor, offset)]
+            at = [Place(number[source[0]], components.variable(source), factor, offset)]
         else:
             at = [
-                Place(number[end[0]], made.variable(end), factor, offset)
+                Place(number[end[0]], components.variable(end), factor, offset)
                 for end, (source, factor, offset) in origins.items()
                 if source == node
             ]
@@ -296,8 +295,8 @@ def _variables(
         plain = (at[0].factor, at[0].offset) == (1.0, 0.0)
         same = at[0].variable if plain else None
         unit = connector.unit or (same.unit if same else None)
-        add(node[1], connector.kind, at, (unit, made.unit(node) or (same.base if same else None)))
-    for name, archive in made.archives.items():
+        add(node[1], connector.kind, at, (unit, components.unit(node) or (same.base if same else None)))
+    for name, archive in components.archives.items():
         for v in (*archive.inputs, *archive.outputs, *archive.parameters):
             free = v.causality == "output" or origins[(name, v.name)][0] == (name, v.name)
             if free and not v.is_array:

@@ -1,7 +1,7 @@
-"""A system of FMUs stepped as one: its components one after the other, each with what those before it have just given.
+"""Stepping of a system of FMUs: its components in order, each with the latest outputs of those before it.
 
-To the C loop it is an instance of FMI 2.0 whose functions lie here.  A connection in a loop hands over what its source
-gave at the step's beginning; every other one what it gives at the step's end, as everywhere in a control step.
+To the C loop it is an instance of FMI 2.0 whose functions are here.  A connection that closes a loop passes its
+source's value at the beginning of the step; every other one the value at the end of the step.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _ONE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
 
 
 def make_instance(archive: Archive, folder: Path, name: str) -> FmuInstance:
-    """An instance of an archive, FMU or system, whose unpacked files are in ``folder``.  Raises InstanceError."""
+    """Instantiate an archive, FMU or system, whose unpacked files are in ``folder``; raise InstanceError on failure."""
     return (
         FmuInstance(archive, folder, name)
         if archive.system is None
@@ -59,22 +59,22 @@ def make_instance(archive: Archive, folder: Path, name: str) -> FmuInstance:
 
 
 class SystemInstance(FmuInstance):
-    """As :class:`FmuInstance`.  What a component complains of is told with the component's name and file."""
+    """As :class:`FmuInstance`, for a system; errors of a component name the component and its file."""
 
     def __init__(self, archive: Archive, system: System, folder: Path, name: str) -> None:
         self.fmu: Any = None
-        super().__init__(archive, folder, name, lambda: _Together(system, folder, name))
+        super().__init__(archive, folder, name, lambda: _SystemSlave(system, folder, name))
 
     def _instantiate(self) -> None:
-        """The components were, when they were loaded."""
+        """Do nothing: the components were instantiated when they were loaded."""
 
     def _with_log(self, text: str) -> str:
-        said, self.fmu.problem = self.fmu.problem, ""
-        return f"{text}: {said}" if said else text
+        problem, self.fmu.problem = self.fmu.problem, ""
+        return f"{text}: {problem}" if problem else text
 
 
-class _Together:
-    """What FMPy's instances of FMI 2.0 are to a :class:`FmuInstance`."""
+class _SystemSlave:
+    """A system with the interface of FMPy's FMI 2.0 instances, for :class:`FmuInstance`."""
 
     def __init__(self, system: System, folder: Path, name: str) -> None:
         self._system, self.problem = system, ""
@@ -96,7 +96,7 @@ class _Together:
         self._join()
 
     def _join(self) -> None:
-        """What is read of each component after its step, and what it is given before it, each in one call."""
+        """Prepare one call for each component's outputs after its step, and one for its inputs before it."""
         read: list[dict[str, Variable]] = [{} for _ in self._components]
         for feed in self._system.feeds:
             read[feed.source].setdefault(feed.output.name, feed.output)
@@ -119,9 +119,9 @@ class _Together:
             for places in self._system.places
         ]
 
-    def _of(self, number: int) -> _Named:
+    def _of(self, number: int) -> _ComponentErrors:
         part = self._system.parts[number]
-        return _Named(f"component {part.name} ({part.file})")
+        return _ComponentErrors(f"component {part.name} ({part.file})")
 
     def setupExperiment(self, startTime: float = 0.0, **_: Any) -> None:
         for number, (component, part) in enumerate(zip(self._components, self._system.parts, strict=True)):
@@ -136,7 +136,7 @@ class _Together:
                 component.call("enterInitializationMode")
 
     def exitInitializationMode(self) -> None:
-        """Each is told what those before it start with, and then what those start with that are stepped after it."""
+        """Leave initialization mode after two passes over the connections, the second for those that run backwards."""
         for _ in range(2):
             for number in range(len(self._components)):
                 if all(self._given[source] for source, *_ in self._feeds[number][1]):
@@ -147,10 +147,10 @@ class _Together:
             with self._of(number):
                 component.call("exitInitializationMode")
                 component._stepping = True
-        self._look()
+        self._read_outputs()
 
-    def _look(self) -> None:
-        """What each gives now."""
+    def _read_outputs(self) -> None:
+        """Read the present outputs of all components."""
         for number, outputs in enumerate(self._outputs):
             with self._of(number):
                 self._given[number] = outputs.get()
@@ -170,7 +170,7 @@ class _Together:
                 inputs.set([factor * given[source][at] + offset for source, at, factor, offset in rows])
 
     def doStep(self, time: float, step: float) -> None:
-        """Raises InstanceError with the component's name."""
+        """Step all components once; raise InstanceError with the component's name on failure."""
         for number, stepper in enumerate(self._steppers):
             self._feed(number)  # of what is stepped after it this is what that gave a step ago
             with self._of(number):
@@ -197,7 +197,7 @@ class _Together:
     def setFMUState(self, states: Sequence[Any]) -> None:
         for component, state in zip(self._components, states, strict=True):
             component.call("setFMUState", state)
-        self._look()
+        self._read_outputs()
 
     def freeFMUState(self, states: Sequence[Any]) -> None:
         for component, state in zip(self._components, states, strict=True):
@@ -236,7 +236,7 @@ class _Together:
         return self._guarded(read)
 
     def _guarded(self, action: Any) -> int:
-        """Called from C, which no exception may pass."""
+        """Run an action called from C; store an exception's text and return FMI's error status in its place."""
         try:
             action()
         except Exception as error:
@@ -245,8 +245,8 @@ class _Together:
         return _OK
 
 
-class _Named:
-    """Whose fault it is."""
+class _ComponentErrors:
+    """Context that adds a component's name to the InstanceErrors raised in it."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -276,7 +276,7 @@ class _Values:
         self._more = () if component.archive.fmi == 2 else (count,)
 
     def get(self) -> list[float]:
-        """Their values.  Raises InstanceError."""
+        """Return the variables' values; raise InstanceError on failure."""
         if not self._fast:
             return [self._component.read(v) for v in self._variables]
         if self._count:
@@ -285,7 +285,7 @@ class _Values:
         return list(self._numbers)
 
     def set(self, values: Sequence[float]) -> None:
-        """Give them values.  Raises InstanceError."""
+        """Set the variables to values; raise InstanceError on failure."""
         if not self._fast:
             self._component.write([(v, _whole(v, value)) for v, value in zip(self._variables, values, strict=True)])
             return
@@ -295,7 +295,7 @@ class _Values:
 
 
 class _Stepper:
-    """The step of one component."""
+    """The FMI function that steps one component, with its arguments."""
 
     def __init__(self, component: FmuInstance) -> None:
         self._component, self._instance = component, ctypes.c_void_p(component.fmu.component)
@@ -303,11 +303,11 @@ class _Stepper:
         self._call = prototype(component._address(f"fmi{component.archive.fmi}DoStep"))
         self._event, self._terminate, self._early = (ctypes.c_bool() for _ in range(3))
         self._last = ctypes.c_double()
-        said = (self._event, self._terminate, self._early, self._last)
-        self._more = () if component.archive.fmi == 2 else tuple(ctypes.byref(output) for output in said)
+        outputs = (self._event, self._terminate, self._early, self._last)
+        self._more = () if component.archive.fmi == 2 else tuple(map(ctypes.byref, outputs))
 
     def step(self, time: float, step: float) -> None:
-        """Raises InstanceError."""
+        """Step the component from ``time`` by ``step`` seconds; raise InstanceError on failure."""
         _need_good(self._component, "doStep", self._call(self._instance, time, step, 0, *self._more))
         if self._terminate.value:
             raise InstanceError("it asked to end the simulation")
