@@ -1,4 +1,4 @@
-"""From an engine's folder to its two archives: ``<name>.fmu`` (FMI 3.0) and ``<name>-fmi2.fmu`` (FMI 2.0).
+"""Build of an engine's two archives from its folder: ``<name>.fmu`` (FMI 3.0) and ``<name>-fmi2.fmu`` (FMI 2.0).
 
 Everything is generated from ``engine.toml``: the C struct, both model descriptions and the token that ties them
 together.  Needs the standard library and FMPy only, because the package's own build loads this file by its path.
@@ -105,12 +105,12 @@ class Engine:
 
 
 def engine_folders(engines: Path) -> list[str]:
-    """The names of the engines under ``engines``."""
+    """Return the names of the engines in the folder ``engines``."""
     return sorted(path.parent.name for path in engines.glob("*/engine.toml"))
 
 
 def archive_path(fmus: Path, name: str, fmi: int) -> Path:
-    """Where the archive of an engine goes."""
+    """Return the path of an engine's archive in the folder ``fmus``."""
     return fmus / f"{name}{FMI2_SUFFIX if fmi == 2 else ''}.fmu"
 
 
@@ -248,7 +248,7 @@ def _finite_number(where: str, value: Any) -> float:
 
 
 def _token(engine: Engine, adapter: Path, fmi: int) -> str:
-    """A name for exactly these inputs: it is the FMI token, and it tells whether an archive is up to date."""
+    """Return the FMI token, a hash of all build inputs that shows whether an archive is up to date."""
     return _named_by(f"{engine.name} FMI {fmi}", [engine.folder / "engine.toml", *_inputs(engine, adapter, fmi)])
 
 
@@ -272,7 +272,7 @@ def _literal(value: float | None, otherwise: str) -> str:
 
 
 def _row(v: Variable) -> list[str]:
-    """A variable's row in the C table."""
+    """Return the entries of a variable's row in the C table."""
     kind = [f'"{v.name}"', v.causality.upper(), "INTEGER" if v.integer else "REAL", f"offsetof(Variables, {v.name})"]
     return [*kind, _literal(v.min, "-HUGE_VAL"), _literal(v.max, "HUGE_VAL"), _literal(v.start, "0.0")]
 
@@ -335,7 +335,7 @@ def _add_log_categories_and_experiment(root: ElementTree.Element, engine: Engine
 
 
 def _variable_attributes(v: Variable) -> dict[str, str | None]:
-    """What FMI 2.0 and 3.0 say alike about a variable's value."""
+    """Return the attributes of a variable's value that FMI 2.0 and 3.0 have in common."""
     numbers = {"min": v.min, "max": v.max, "start": v.start}
     return {"unit": v.unit} | {key: None if x is None else _number_text(x, v.integer) for key, x in numbers.items()}
 
@@ -462,7 +462,7 @@ def _build_description(engine: Engine, compiled: Iterable[str]) -> bytes:
 
 
 def _contents(engine: Engine, adapter: Path, fmi: int, token: str) -> dict[str, bytes]:
-    """The archive without its binary: path inside -> bytes.  FMI's own headers stay out, as the standard wants."""
+    """Return the archive's files without the binary by path; FMI's headers are left out, as the standard requires."""
     files = {path.name: path.read_bytes() for path in [*engine.sources, *_adapter_files(adapter, fmi)]}
     if engine.tool is not None:
         files["slave.c"] = engine.tool.read_bytes()
@@ -525,7 +525,7 @@ def _platform_folder(fmi: int) -> str:
 
 
 def _up_to_date(archive: Path, token: str) -> bool:
-    """Whether the archive was made from these inputs and has a binary for this machine."""
+    """Return whether the archive was built from the inputs of ``token`` and has a binary for this platform."""
     try:
         with zipfile.ZipFile(archive) as fmu:
             text = fmu.read("modelDescription.xml").decode()
@@ -607,14 +607,14 @@ def _cmake_options() -> dict[str, str]:
 
 
 def _reason(chatter: str, error: Exception) -> str:
-    """One line out of what CMake and the compiler had to say."""
+    """Return one line from the output of CMake and the compiler that says why compilation failed."""
     if isinstance(error, FileNotFoundError):
         return "cannot be compiled: cmake is not found (it comes with the Python package cmake)"
     if re.search(r"No CMAKE_C(XX)?_COMPILER could be found|no such file or directory: .*cl\.exe", chatter):
         return "cannot be compiled: no C compiler found (on Debian: apt install build-essential)"
     lines = [line.strip() for line in chatter.splitlines()]
-    telling = [line for line in lines if re.search(r"\b(fatal )?error\b", line, re.IGNORECASE)]
-    return f"cannot be compiled: {(telling or [str(error)])[0]}"
+    errors = [line for line in lines if re.search(r"\b(fatal )?error\b", line, re.IGNORECASE)]
+    return f"cannot be compiled: {(errors or [str(error)])[0]}"
 
 
 @contextlib.contextmanager

@@ -168,7 +168,7 @@ def make_bank(specs: Sequence[EngineSpec], step: float, in_flight: bool = False)
 
 
 def _frames(count: int) -> tuple[struct.Struct, struct.Struct]:
-    """A step of so many engines and its answer.
+    """Return the binary formats of a step of ``count`` engines and of its answer.
 
     Throttles, whether there is air, pressure, temperature and speeds; then what they give, quantity by quantity.
     """
@@ -198,7 +198,7 @@ def _packed(values: Sequence[float]) -> bytes:
 
 
 def serve(number: int) -> None:
-    """The child: make a bank and do with it what is asked for, until nobody asks any more."""
+    """Run as the child: make a bank and answer requests until the pipe is closed."""
     die_with_parent()
     pipe = Connection(number)
     bank: EngineBank | None = None

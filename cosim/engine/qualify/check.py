@@ -1,4 +1,4 @@
-"""``hexjet fmu check``: is this FMU a sound engine, and how does it answer its throttle?
+"""Check of an FMU as an engine (``hexjet fmu check``): its soundness and its response to the throttle.
 
 The archive is read here, where nothing of it is executed; the FMU is run in a process of its own
 (``cosim.engine.qualify.supervisor``), part by part (``cosim.engine.qualify.trial``).  A flight asks the same of an
@@ -59,9 +59,9 @@ DESCRIBED = ("name", "type", "unit", "min", "max", "start", "description")
 
 @dataclass
 class CheckReport:
-    """What was found; ``problems`` is empty for a sound engine, ``notes`` is worth knowing.
+    """Findings of a check; ``problems`` is empty for a sound engine, ``notes`` do not prevent a flight.
 
-    Times are in s, thrusts in N.  A field is None where a problem before it kept it from being found.
+    Times are in s, thrusts in N.  A field is None where an earlier problem prevented its measurement.
     """
 
     path: str
@@ -105,16 +105,16 @@ class CheckReport:
         return not self.problems
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain lists, numbers and strings, for JSON."""
+        """Return the report as plain lists, numbers and strings, for JSON."""
         return {"ok": self.ok, **asdict(self)}
 
     @property
     def standard(self) -> str:
-        """What it keeps to, with its version."""
+        """Name and version of the standard, FMI or SSP."""
         return self.fmi_version if self.fmi_version.startswith("SSP") else f"FMI {self.fmi_version}"
 
     def lines(self) -> list[tuple[str, str]]:
-        """What to tell a reader, label and text, problems left out."""
+        """Return the report as (label, text) rows without the problems."""
         rows = [
             ("file", self.path),
             ("model", f"{self.name}, {self.standard}, sha256 {self.sha256[:12]}"),
@@ -134,7 +134,7 @@ class CheckReport:
         return [v for v in variables if v["name"] not in used]
 
     def response_lines(self) -> list[tuple[str, str]]:
-        """Static thrust, delay and rise time."""
+        """Return rows with static thrust, delay and rise time."""
         rows = []
         if self.throttle is not None and self.thrust is not None:
             shown = range(0, len(self.throttle), len(self.throttle) // 5)
@@ -149,7 +149,7 @@ class CheckReport:
         return rows
 
     def verdict_lines(self) -> list[tuple[str, str]]:
-        """What was tried and came out good or bad, and what a step and an instance cost."""
+        """Return rows with the result of each trial, and the time and memory of a step and an instance."""
         rows = [
             ("runs repeat", _verdict(self.deterministic)),
             ("two processes agree", _verdict(self.processes_agree)),
@@ -200,7 +200,7 @@ def _verdict(passed: bool | None) -> str:
 
 
 def limits_of(seconds: float) -> Limits:
-    """Limits for a check that may take so long; a single call to the FMU may take all of it, if that is less."""
+    """Return limits for a check of at most ``seconds``, within which a single call to the FMU must return too."""
     return replace(LIMITS, seconds=seconds, silence=min(LIMITS.silence, seconds))
 
 
@@ -261,7 +261,7 @@ def _check(
 
 
 class _Trying:
-    """The parts of a trial in one child after another, as long as there is something left to try."""
+    """Runner of a trial's parts in child processes, a new one after each crash."""
 
     def __init__(self, task: Mapping[str, Any], limits: Limits, report: CheckReport) -> None:
         self._task, self._limits, self._report = task, limits, report
@@ -270,7 +270,7 @@ class _Trying:
         self._found: dict[str, Any] = {}
 
     def all(self, parts: Sequence[str]) -> Measured | None:
-        """Fill in the report, and return what a flight would measure again."""
+        """Run the parts, fill in the report, and return the measurement for flights."""
         while parts:
             apart = self._run(parts)
             begun = [message["part"] for message in apart.messages if "part" in message]
@@ -295,7 +295,7 @@ class _Trying:
         return measured
 
     def _misbehaves(self, what: str) -> None:
-        """Remember the first thing, for flights: the worst comes first."""
+        """Record the first misbehaviour, for flights: the worst comes first."""
         self._report.apart = self._report.apart or what
 
     def _run(self, parts: Sequence[str]) -> Apart:
@@ -319,7 +319,7 @@ class _Trying:
         return apart
 
     def _again(self) -> None:
-        """The same run in another process: addresses, process number and time of day are not the same there."""
+        """Repeat the run in another process, where addresses, process number and time of day differ."""
         digest = self._found.pop("digest")
         if self._run(["run"]).end is None:
             self._report.processes_agree = self._found.get("digest") == digest
@@ -359,7 +359,7 @@ def _measured(data: Mapping[str, Any]) -> Measured:
 
 
 def as_table(measured: Measured) -> dict[str, Any]:
-    """What was measured, as it travels and is remembered."""
+    """Return a measurement as a table for transmission and caching."""
     return {
         **measured.curve._asdict(),
         "response": measured.response._asdict(),
@@ -415,10 +415,10 @@ def _checksums(path: Path) -> list[str]:
 
 
 def blemish_lines(archive: Archive) -> list[str]:
-    """What of an archive's description is not as FMI has it; stepping depends on none of it."""
-    told = archive.blemishes[:MOST_BLEMISHES]
-    lines = [f"blemish in its description, of no effect on stepping: {text}" for text in told]
-    rest = len(archive.blemishes) - len(told)
+    """Return notes on violations of FMI in an archive's description that have no effect on stepping."""
+    shown = archive.blemishes[:MOST_BLEMISHES]
+    lines = [f"blemish in its description, of no effect on stepping: {text}" for text in shown]
+    rest = len(archive.blemishes) - len(shown)
     return [*lines, f"and {rest} more blemishes like these"] if rest else lines
 
 
@@ -441,27 +441,27 @@ _fit: set[tuple[str, str, float]] = set()  # found fit in this process: sha256 o
 def measure_apart(
     name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR, apart: bool = False
 ) -> Measured:
-    """Static curve and response of an FMU that is not of the library, tried and measured in another process.
+    """Check a user's FMU in another process, and return its static curve and response.
 
-    An FMU that was found fit is remembered by its contents and by what it was asked, and not tried again: in another
-    ``air`` than the standard one at sea level it is only measured.  A process that flies it again, with other
-    parameters or in another air, measures it itself, or lets yet another process do it where ``apart`` is set.
+    The result is cached by archive, mapping file, parameters, step and air, and a fit FMU is not checked again: in
+    another ``air`` than the standard one at sea level it is only measured.  A process that flies it again, with other
+    parameters or in another air, measures it itself, or in another process where ``apart`` is set.
 
     Raises InputError if it is unfit: one line with the first problem.  InstanceError, ResponseError if it fails here.
     """
     source = find_source(name_or_path)
     content = source.archive.sha256, source.mapping.model_dump_json(), step
     tried = content in _fit
-    place = _memory(source, parameters, step, air)
-    known = _recall(place)
-    if known is None and tried and (apart or not misbehaves(source.archive.sha256)):
+    path = _cache_path(source, parameters, step, air)
+    cached = _read_cached(path)
+    if cached is None and tried and (apart or not misbehaves(source.archive.sha256)):
         measure = measure_unjudged if apart else _measure_here
         measured = measure(name_or_path, parameters, step, air)
         _need_no_problems(source, all_curve_problems(measured, source.archive.starting.rest_n))
         return measured
-    measured = known or _measure_apart(name_or_path, source, parameters, step, air)
-    if known is None:
-        _remember(place, measured)
+    measured = cached or _measure_apart(name_or_path, source, parameters, step, air)
+    if cached is None:
+        _cache(path, measured)
     _fit.add(content)
     return measured
 
@@ -472,20 +472,20 @@ _apart: dict[Path, Measured] = {}  # measured in this process's children without
 def measure_unjudged(
     name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR
 ) -> Measured:
-    """As :func:`measure_apart`, without a verdict: what the engine may do to a process it does to another.
+    """Measure as :func:`measure_apart` in another process, without a verdict on the engine.
 
     Raises InputError if it cannot be measured at all.
     """
     source = find_source(name_or_path)
-    place = _memory(source, parameters, step, air)
-    known = _apart.get(place) or _recall(place)
-    if known is None:
+    path = _cache_path(source, parameters, step, air)
+    result = _apart.get(path) or _read_cached(path)
+    if result is None:
         report, measured = _check(name_or_path, step, parameters, LIMITS, ("measure",), air)
         if measured is None:
             raise InputError(f"{source.path}: {report.problems[0]}")
-        known = measured
-    _apart[place] = known
-    return known
+        result = measured
+    _apart[path] = result
+    return result
 
 
 def _measure_here(name_or_path: str, parameters: Mapping[str, float], step: float, air: Air) -> Measured:
@@ -497,7 +497,7 @@ def _measure_here(name_or_path: str, parameters: Mapping[str, float], step: floa
 
 
 def all_curve_problems(measured: Measured, rest: float) -> list[str]:
-    """What is wrong with the static curves of the engines that an FMU holds."""
+    """Return the problems of the static curves of all engines in an FMU."""
     problems = curve_problems(measured.curve, measured.quiet, rest)
     for lane, other in enumerate(measured.others, start=2):
         problems += [f"engine {lane}: {text}" for text in curve_problems(other.curve, other.quiet, rest)]
@@ -526,8 +526,8 @@ def _need_no_problems(source: EngineSource, problems: Sequence[str]) -> None:
         )
 
 
-def _memory(source: EngineSource, parameters: Mapping[str, float], step: float, air: Air) -> Path:
-    """Where it is remembered what was found about an engine; the name holds everything that it depends on."""
+def _cache_path(source: EngineSource, parameters: Mapping[str, float], step: float, air: Air) -> Path:
+    """Return the path of an engine's cached measurement; its name is a hash of everything that it depends on."""
     key = {
         "archive": source.archive.sha256,
         "mapping": source.mapping.model_dump(mode="json"),
@@ -543,7 +543,7 @@ def _memory(source: EngineSource, parameters: Mapping[str, float], step: float, 
 
 @cache
 def _code() -> str:
-    """What the modules of this package are, so that nothing is remembered from an older version of them."""
+    """Return a hash of this package's modules, so that results of older versions are not used."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parents[1].rglob("*")):
         if path.suffix in (".py", ".c"):
@@ -551,15 +551,15 @@ def _code() -> str:
     return digest.hexdigest()
 
 
-def _recall(place: Path) -> Measured | None:
-    """What is remembered, or None; a file that cannot be read or understood is as good as none."""
+def _read_cached(path: Path) -> Measured | None:
+    """Return a cached measurement, or None if there is none that can be read."""
     try:
-        measured = _measured(json.loads(place.read_text(encoding="utf-8")))
+        measured = _measured(json.loads(path.read_text(encoding="utf-8")))
         sane = len(measured.curve.throttle) == len(measured.curve.thrust) > 1 and measured.response.delay >= 0
         return measured if sane else None
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None
 
 
-def _remember(place: Path, measured: Measured) -> None:
-    write(place, json.dumps(as_table(measured)))
+def _cache(path: Path, measured: Measured) -> None:
+    write(path, json.dumps(as_table(measured)))

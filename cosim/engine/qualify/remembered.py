@@ -1,6 +1,6 @@
-"""What was found out about foreign engines and outlives the process that found it, in the user's cache.
+"""Results of checks of users' engines in the user's cache.
 
-Files there may be deleted at any time; one that cannot be read counts as none.
+Files there may be deleted at any time; an unreadable one counts as missing.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ from pathlib import Path
 from cosim.base.storage.user import cache_folder
 
 
-def write(place: Path, text: str) -> None:
-    """Whole or not at all; a folder that cannot be written to is none."""
+def write(path: Path, text: str) -> None:
+    """Write a file atomically; do nothing if the folder cannot be written to."""
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=place.parent)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent)
         with os.fdopen(handle, "w", encoding="utf-8") as stream:
             stream.write(text)
-        os.replace(name, place)
+        os.replace(name, path)
     except OSError:
-        pass  # it is found out again next time
+        pass  # The next process checks the engine again.
 
 
 def misbehaves(sha256: str) -> str:
-    """Why an archive should have a process of its own, as a check found out; empty where none did."""
+    """Return why an archive needs a process of its own according to its last check, else an empty string."""
     try:
         return _place(sha256).read_text(encoding="utf-8").strip()[:300]
     except (OSError, ValueError):
@@ -34,7 +34,7 @@ def misbehaves(sha256: str) -> str:
 
 
 def remember_misbehaviour(sha256: str, why: str) -> None:
-    """What a check found; an archive that did nothing of the kind in a whole check is clean again."""
+    """Record why an archive needs a process of its own; an empty ``why`` after a complete check removes the record."""
     if why:
         write(_place(sha256), why)
         return

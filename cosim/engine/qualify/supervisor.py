@@ -141,7 +141,7 @@ class _Had:
         self.seconds += max(self.processor - before, passed if waits else 0.0)
 
     def answered(self) -> None:
-        """It has given a sign of life."""
+        """Record that the process has reported."""
         self._told, self._heard, self._computed = self._looked, self.seconds, self.processor
 
     def beyond(self, limits: Limits) -> str | None:
@@ -183,7 +183,7 @@ def _watch(
 
 
 def _drain(descriptor: int, take: Callable[[bytes], bool]) -> None:
-    """What is still in a pipe; a process that was left behind may keep it open, so its end is not waited for."""
+    """Read the rest of a pipe without waiting for its end, which a process left behind may hold open."""
     with contextlib.suppress(BlockingIOError):
         while data := os.read(descriptor, 2**16):
             take(data)

@@ -1,4 +1,4 @@
-"""What ``hexjet fmu check`` does with an FMU: in the child process, part by part, each on instances of its own."""
+"""Parts of ``hexjet fmu check`` that run the FMU: in the child process, each on new instances."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ INTERFACES = {"modelExchange": "model exchange", "scheduledExecution": "schedule
 
 
 class Task(NamedTuple):
-    """What is to be tried, as it travels to the child."""
+    """Order to the child process: the engine and the parts to run."""
 
     name: str  # of the library, or an absolute path
     parameters: Mapping[str, float]
@@ -106,7 +106,7 @@ class Trial:
 
     @contextmanager
     def instance(self, throttle: float = 0.0) -> Iterator[FmuInstance]:
-        """A fresh instance, initialized at a throttle and freed afterwards, with a word before each of these."""
+        """Yield a new instance, initialized at a throttle and freed afterwards; report before each of these."""
         self.say({"at": "when it was instantiated"})
         instance = make_instance(self.archive, self.folder, "checked")
         try:
@@ -128,11 +128,11 @@ class Trial:
         instance.initialize(self.settings, throttle, step=self.step)
 
     def native(self, instance: FmuInstance, done: int = 0) -> _bank.Bank:
-        """The C loop around an instance that has ``done`` steps behind it."""
+        """Return a C loop around an instance that has made ``done`` steps."""
         return _bank.Bank((instance.row(done),), self.step, EngineOutput)
 
     def hold(self, instance: FmuInstance) -> Hold:
-        """Stepping of a fresh instance, with signs of life."""
+        """Return a function that steps a new instance at a constant throttle and reports progress."""
         native = self.native(instance)
         count = 0
 
@@ -149,11 +149,11 @@ class Trial:
         return hold
 
     def stepping(self, k: int) -> None:
-        """A sign of life."""
+        """Report that stepping has come to step ``k``."""
         self.say({"at": f"while it was stepped, {k * self.step:g} s after its start or later"})
 
     def zigzag(self, instance: FmuInstance, begin: int = 0, end: int = TRIAL_STEPS) -> list[float]:
-        """Thrusts under a throttle that keeps changing within 0..1, from an instance with ``begin`` steps behind it."""
+        """Return thrusts under a throttle that keeps changing within 0..1, from step ``begin`` to ``end``."""
         native = self.native(instance, begin)
         thrusts: list[float] = []
         for k in range(begin, end):
@@ -167,7 +167,7 @@ class Trial:
 
 
 def zigzag(k: int) -> float:
-    """A throttle that visits 20 values from 0 to 1 in an order that is neither up nor down."""
+    """Return a throttle sequence that visits 20 values from 0 to 1 in an order that is neither up nor down."""
     return (k * 7 % 20) / 19
 
 
@@ -235,7 +235,7 @@ def _validate(trial: Trial) -> Findings:
 
 
 def _features(description: Any) -> list[str]:
-    """What of FMI an FMU offers or uses, in words."""
+    """Return the names of the FMI features that an FMU offers or uses."""
     stated = description.coSimulation
     kinds = Counter(v.type for v in description.modelVariables)
     said = [
@@ -251,7 +251,7 @@ def _features(description: Any) -> list[str]:
 
 
 def _load(trial: Trial) -> Findings:
-    """The library alone, before it is asked for anything; of a system those of its components, one after the other."""
+    """Load and unload the library, or those of a system's components one after the other."""
     before = _surroundings()
     for library in libraries_of(trial.archive):
         _load_library(trial, trial.folder / library)
@@ -276,7 +276,7 @@ def _load_library(trial: Trial, library: Path) -> None:
 
 
 def _start(trial: Trial) -> Findings:
-    """One instance and one step; what it brings into its process beside itself."""
+    """Run one instance for one step, and find run times and threads that it adds to its process."""
     import fmpy.fmi2  # type: ignore[import-untyped]
     import fmpy.fmi3  # type: ignore[import-untyped] # noqa: F401 - these start threads of numpy
 
@@ -292,7 +292,7 @@ def _start(trial: Trial) -> Findings:
 
 
 def _threads() -> int:
-    """Of this process; 0 where there is no ``/proc`` to tell."""
+    """Return the number of this process's threads; 0 where there is no ``/proc``."""
     try:
         return len(os.listdir("/proc/self/task"))
     except OSError:
@@ -300,7 +300,7 @@ def _threads() -> int:
 
 
 def _libraries() -> set[str]:
-    """Names of the files that this process has mapped."""
+    """Return the names of the files mapped by this process; empty where there is no ``/proc``."""
     try:
         with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
             return {os.path.basename(line.split()[-1]) for line in maps if "/" in line}
@@ -317,7 +317,7 @@ def _run(trial: Trial) -> Findings:
 
 
 def _measure(trial: Trial) -> Findings:
-    """What a flight wants to know, by the same function, so that it need not be measured again."""
+    """Measure static curve and response as a flight does, so that it need not measure them again."""
     trial.say({"at": "while its thrust was measured"})
     measurement = trial.measured = measure(
         trial.archive,
@@ -335,7 +335,7 @@ def _measure(trial: Trial) -> Findings:
 
 
 def _respond(trial: Trial) -> Findings:
-    """The throttle opened and closed, both ways as they are drawn."""
+    """Record the response to opening and to closing the throttle."""
     with trial.instance() as instance:
         courses: dict[str, Any] = {}
         notes: list[str] = []
@@ -372,14 +372,14 @@ def _respond(trial: Trial) -> Findings:
 
 
 def _drawn(course: Sequence[float], response: Response) -> int:
-    """How much of a course is worth drawing: a little more than it takes to come within a thousandth."""
+    """Return how many points of a course to draw: a little more than it takes to come within 0.1 % of the end."""
     far = 1e-3 * abs(response.after - response.before)
     last = max(k for k, thrust in enumerate(course) if abs(thrust - response.after) > far)
     return min(len(course), last + max(10, last // 4))
 
 
 def _repeat(trial: Trial) -> Findings:
-    """Two runs, the first instance alive during the second: they must not share anything."""
+    """Compare two runs, the first instance alive during the second: they must not share any state."""
     with trial.instance() as instance:
         first = trial.zigzag(instance)
         if not trial.archive.once_per_process:
@@ -393,9 +393,9 @@ def _repeat(trial: Trial) -> Findings:
 
 
 def _together(trial: Trial) -> Findings:
-    """Six engines at once, as a vehicle has them: what one of them answers is what it answers alone.
+    """Compare one of six engines stepped at once, as in a vehicle, with one stepped alone.
 
-    Of an FMU that holds several two instances: what one of them answers is what it answers without the other.
+    For an FMU with several engines, compare one of two instances with one stepped alone.
     """
     trial.say({"at": "while several of it were instantiated"})
     memory = _resident()
@@ -421,7 +421,7 @@ def _together(trial: Trial) -> Findings:
 
 
 def _shifted(k: int, count: int) -> tuple[float, ...]:
-    """The zigzag for the last engine, shifted more and more for those before it."""
+    """Return throttles at step ``k``: the zigzag for the last engine, shifted more and more for those before it."""
     return tuple(zigzag(k + 3 * (count - 1 - i)) for i in range(count))
 
 
@@ -463,7 +463,7 @@ def _serialize(trial: Trial) -> Findings:
 
 
 def _continues(trial: Trial, instance: FmuInstance, copy: Callable[[Any], Any]) -> bool:
-    """Save the state in mid-run, run on, go back to it, or to what ``copy`` makes of it, and see the same again."""
+    """Return whether a run repeats after going back to ``copy`` of a state saved in mid-run."""
     trial.zigzag(instance, 0, SAVED_AT)
     trial.say({"at": "when its state was saved"})
     saved = instance.call("getFMUState")
@@ -488,7 +488,7 @@ def _time(trial: Trial) -> Findings:
 
 
 def _grow(trial: Trial) -> Findings:
-    """Resident memory after many steps, and again after as many: what a step leaves behind for good."""
+    """Measure the growth of resident memory [bytes per step] over many steps."""
     with trial.instance() as instance:
         hold = trial.hold(instance)
         resident = []
@@ -504,7 +504,7 @@ def _grow(trial: Trial) -> Findings:
 
 
 def _resident() -> float:
-    """Bytes of memory in use; where there is no ``/proc``, the most there ever were."""
+    """Return the resident memory [bytes]; where there is no ``/proc``, its maximum so far."""
     if size := measure_megabytes(os.getpid()):
         return size * 2**20
     import resource
