@@ -49,7 +49,7 @@ class Frozen:
         write_whole(folder / STUDY, toml_text(self.study, multiline=True).encode())
 
     def differences(self, folder: Path) -> Iterator[str]:
-        """What this study states otherwise than the one in ``folder``, a line each, the study itself first."""
+        """Yield a line for each difference between this study and the one in ``folder``, the study itself first."""
         defaults = {name: field.default for name, field in Study.model_fields.items() if not field.is_required()}
         for name, ours, unstated in ((STUDY, self.study, defaults), (SCENARIO, self.scenario, {})):
             there = read_toml(folder / name)
@@ -90,7 +90,7 @@ def freeze(study: Study) -> Frozen:
 
 
 def load(folder: Path) -> Study:
-    """The study of a campaign's folder.  Raises InputError if there is none."""
+    """Load the study of a campaign's folder.  Raises InputError if there is none."""
     path = folder.absolute() / STUDY
     if not path.is_file():
         raise InputError(f"{folder}: no campaign here ({STUDY} is missing)")
@@ -105,7 +105,7 @@ def is_campaign(folder: Path) -> bool:
 def _scenario(
     study: Study, resolved: Scenario, simulation: Simulation, sources: dict[str, Path | bytes]
 ) -> dict[str, Any]:
-    """The resolved scenario as a table; what belongs to an aircraft or an engine that is varied stays as it was."""
+    """Return the resolved scenario as a table; values that belong to a varied aircraft or engine stay unresolved."""
     base = study.base()
     data = resolved.model_dump(mode="json", exclude_none=True) | {
         "controller": base.controller if file_name(base.controller) is None else BASELINE.name,
@@ -132,7 +132,7 @@ def _scenario(
 
 
 def _values(base: Scenario, vary: Vary, sources: dict[str, Path | bytes]) -> list[Any] | None:
-    """The values of a key, aircraft and engines that are files by the names that they get in the folder."""
+    """Return the values of a key; aircraft and engine files by the names of their copies in the campaign's folder."""
     if vary.values is None or vary.key.split(".")[-1] not in ("aircraft", "engine"):
         return vary.values
     values: list[Any] = []
@@ -148,7 +148,7 @@ def _values(base: Scenario, vary: Vary, sources: dict[str, Path | bytes]) -> lis
 
 
 def _controller(name: str, folder: Path, sources: dict[str, Path | bytes]) -> str:
-    """What a controller is called in the folder, where its files are put."""
+    """Return a controller's name in the campaign's folder; add the copies of its files to ``sources``."""
     if is_design(name):
         return _copied(folder / name, sources)
     own = find(name, folder, f"unknown controller {name!r}")
@@ -172,7 +172,7 @@ def _read(path: Path) -> bytes:
 
 
 def _differing(where: str, theirs: Any, ours: Any) -> Iterator[tuple[str, Any, Any]]:
-    """The leaves in which two tables differ: dotted key and both values, None where there is none."""
+    """Yield the leaves in which two tables differ: dotted key and both values, None where there is none."""
     theirs, ours = _by_key(theirs), _by_key(ours)
     if isinstance(theirs, Mapping) and isinstance(ours, Mapping):
         for key in dict.fromkeys([*ours, *theirs]):
@@ -185,7 +185,7 @@ def _differing(where: str, theirs: Any, ours: Any) -> Iterator[tuple[str, Any, A
 
 
 def _by_key(value: Any) -> Any:
-    """A list whose entries are each of a key, as a table."""
+    """Return a list whose entries all have a ``key`` as a table by that key; any other value as it is."""
     keyed = isinstance(value, list) and value and all(isinstance(entry, Mapping) and "key" in entry for entry in value)
     return {entry["key"]: entry for entry in value} if keyed else value
 

@@ -78,14 +78,14 @@ def run_campaign(
 
 
 def _check_autopilot(study: Study, autopilot: StudyAutopilot, workers: Workers | int | None) -> None:
-    """Raises InputError for an autopilot that is not here, or flights that are to be flown elsewhere."""
+    """Raise InputError for an autopilot that is not here, or flights that are to be flown elsewhere."""
     if not (workers is None or isinstance(workers, (int, LocalWorkers))):
         raise InputError(f"study {study.name}: autopilot {autopilot.name} flies on this machine; leave out --cluster")
     program_of(autopilot.name, Path(autopilot.seen_from(study.folder).binary) if autopilot.binary else None)
 
 
 def opened(name: str, out: Path | None, resume: bool, **options: Any) -> tuple[Study | None, Path]:
-    """The study that a command line names, and the folder that it is flown into.
+    """Return the study that a command line names, and the folder that it is flown into.
 
     ``name`` is a scenario's, a study's or a campaign's folder; ``options`` are those of
     :func:`cosim.campaign.study.options.open_study`.  A folder that is called as what is shipped is meant where it
@@ -131,7 +131,7 @@ def processors() -> int:
 
 
 def kept(store: Store) -> str:
-    """What there is after an end before the end, and how to go on."""
+    """Return a line for an interrupted campaign: how many flights are kept, and how to resume it."""
     return f"{store.kept} of {len(store.flights)} flights are kept: hexjet sweep {store.folder} --resume goes on"
 
 
@@ -183,7 +183,7 @@ def fly_again(campaign: Campaign, number: int, out: Path | str | None = None, **
 
 
 def flight_of(study: Study, row: Row) -> Flight:
-    """The flight that a row states."""
+    """Return the flight that a row describes."""
     values = {vary.key: row[vary.key] for vary in study.vary}
     return Flight(row["flight"], row["draw"], row["controller"], row["seed"], values)  # type: ignore[arg-type]
 

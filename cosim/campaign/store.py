@@ -300,7 +300,7 @@ class Campaign:
         return len(self.columns["flight"])
 
     def row(self, number: int) -> Row:
-        """The row of one flight.  Raises InputError if there is none, or it is not finished."""
+        """Return the row of one flight.  Raises InputError if there is none, or it is not finished."""
         if not 0 <= number < self.of:
             raise InputError(f"{self.folder}: flight {number}: there are 0 to {self.of - 1}")
         if number not in self.columns["flight"]:
@@ -310,7 +310,7 @@ class Campaign:
 
 
 def open_campaign(folder: Path | str) -> Campaign:
-    """The campaign in a folder, with every flight that is finished by now; it may still be flown, or have been killed.
+    """Open the campaign in a folder with every flight finished by now; it may still be flown, or have been killed.
 
     >>> campaign = open_campaign(folder)
     >>> campaign.columns["success"].count(True) / len(campaign)
@@ -368,7 +368,7 @@ def _hardly_begun(folder: Path) -> bool:
 
 
 def _names_in_rows(folder: Path, of: int) -> Iterator[str]:
-    """The names of the columns in the first part and in the journal."""
+    """Yield the names of the columns in the first part and in the journal."""
     for path in _parts(folder)[:1]:
         yield from read_table(path)
     for row in _journal(folder, of):
@@ -380,7 +380,7 @@ def _parts(folder: Path) -> list[Path]:
 
 
 def _journal(folder: Path, of: int) -> Iterator[Row]:
-    """The rows of the journal up to its end, or to the line that is torn.
+    """Yield the rows of the journal up to its end, or to the line that is torn.
 
     Raises InputError if it cannot be read, or has anything but flights below ``of``.
     """
@@ -421,7 +421,7 @@ def _sync(file: int, path: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """The same for the names in a folder."""
+    """Write the names in a folder to the disk."""
     file = os.open(folder, os.O_RDONLY)
     try:
         _sync(file, folder)

@@ -172,14 +172,14 @@ class _Hover:
         ]
 
     def _rotors(self, axis: str, turned: AxisShares) -> list[tuple[str, str, str, float | None]]:
-        """What the change of the rotors' angular momentum takes away, where it acts about the axis."""
+        """Return the line of the lead from the rotors' change of angular momentum, where it acts about the axis."""
         early = rotor_lead(self._vehicle, self._engines, self._thrusts, turned.moves, self._step)[AXES.index(axis)]
         if abs(early) < 1e-6:
             return []
         return [("rotors, turned or sped up, act by the rate of the command", "rotors", "lead", -early)]
 
     def _around(self, jet: int) -> AroundTrim | None:
-        """What is measured of an engine of the library that states no pole."""
+        """Return the response about trim of an engine of the library that states no pole; None for any other engine."""
         engine = self._engines[jet]
         if engine.pole is not None or not engine.library:
             return None
@@ -213,7 +213,10 @@ def _said(rows: Sequence[tuple[str, str, str, float | None]]) -> str:
 
 
 def _loops(engines: Sequence[EngineSpec]) -> list[tuple[str, str, str, float | None]]:
-    """What a system of FMUs exchanges a step late inside itself: part of its own answer, and nothing on top of that."""
+    """Return a line without delay for each value that a system of FMUs exchanges a step late inside itself.
+
+    That delay is part of the engine's own response.
+    """
     return [
         (f"{text}, a step late in a loop: within the engine's own", f"engine {name}", "exchange", 0.0)
         for name, late in {spec.name: spec.archive.system.late for spec in engines if spec.archive.system}.items()
@@ -227,7 +230,10 @@ def _owner(engines: Sequence[EngineSpec]) -> str:
 
 
 def _mean(values: Sequence[float | None], weights: Sequence[float]) -> float | None:
-    """The weighted mean of those that have a weight, of equal values that value itself; None if one is unknown."""
+    """Return the weighted mean of the values with a weight; None if one of them is unknown.
+
+    Equal values are returned as they are, without rounding.
+    """
     pairs = [(value, weight) for value, weight in zip(values, weights, strict=True) if weight]
     known = [value for value, _ in pairs if value is not None]
     if len(known) < len(pairs):
@@ -245,7 +251,7 @@ def _delay(engine: EngineSpec, step: float) -> float | None:
 
 
 def _lag(engine: EngineSpec, step: float, around: AroundTrim | None) -> float | None:
-    """What the engine's lag adds to its transport delay and takes back from the exchange, control steps.
+    """Return the delay by the engine's lag less what it takes back from the exchange, control steps.
 
     With ``m`` internal steps of pole ``a`` in a control step and a delay of ``d`` of them, ``q = d // m``: engine and
     exchange together delay by ``q + a^(m (q + 1) - d) / (1 - a^m)`` control steps; for ``m = 1`` this is

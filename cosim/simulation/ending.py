@@ -28,12 +28,12 @@ class Judge:
         self.reset(on_ground=False)
 
     def reset(self, on_ground: bool) -> None:
-        """A new flight; ``on_ground``: it starts standing."""
+        """Start a new flight; ``on_ground``: it starts standing."""
         self._was_on_ground = on_ground
         self._descent = 0.0
 
     def look(self, state: State, now: float) -> Ending | None:
-        """The ending, if ``state`` at ``now`` [s] is one."""
+        """Return the ending, if ``state`` at ``now`` [s] is one."""
         _, x, y, _ = state.attitude
         p, q, r = state.rate
         most = self._most_rate

@@ -36,7 +36,7 @@ _around: Memory[AroundTrim] = Memory(64)
 
 
 def engine_reference(spec: EngineSpec, step: float) -> EngineReference:
-    """Static curves, lag and delay of an engine: as it states them, and measured by stepping it where it does not.
+    """Return static curves, lag and delay of an engine: those that it states, and others measured by stepping it.
 
     An engine that states no lag is no linear one: its lag is measured up and down, from idle and over its whole range.
     Raises EngineError if the engine fails.
@@ -88,7 +88,7 @@ def _answers_around(spec: EngineSpec, throttle: float, step: float, sizes: tuple
 
 
 def _left(bank: Engines, first: float, then: float, step: float) -> list[float]:
-    """What is left of the change after each step, until nothing has been for a second."""
+    """Return the fraction of the change that is left after each step, until it has been small for a second."""
     after = bank.reset(then).thrust[0]
     change = after - bank.reset(first).thrust[0]
     course, quiet = [], 0

@@ -183,7 +183,7 @@ def model_agreements(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, s
 
 
 def _states(scenario: Scenario, vehicle: Vehicle) -> list[tuple[str, Vehicle]]:
-    """The vehicle as the flight begins, and with each payload that it carries in it."""
+    """Return the vehicle as the flight begins, and with each payload that it carries in it, each with a description."""
     begun, state = vehicle, ""
     if vehicle.fuel is not None and scenario.initial.fuel < 1.0:
         begun = vehicle.with_fuel(scenario.initial.fuel)
@@ -236,7 +236,7 @@ def _compare(
 
 
 def _first_radian(late: Array, omega: Array) -> float:
-    """The least frequency, rad/s, at which the phase is 1 rad late; the highest where there is none."""
+    """Return the least frequency, rad/s, at which the phase lag exceeds 1 rad; the highest where there is none."""
     first = int(np.argmax(late > 1.0))
     if not late[first] > 1.0:
         return float(omega[-1])
@@ -252,7 +252,7 @@ def _unit(vehicle: Vehicle, index: int) -> str:
 
 
 def _parts(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, index: int, span: float) -> Sequence[AxisPart]:
-    """What gives the axis."""
+    """Return the parts that make the axis's moment."""
     step = scenario.step_s
     if vehicle.allocation == "effectiveness":
         return hinged_parts(vehicle, effectiveness_of(scenario, vehicle, engine), index, engine, step)
@@ -301,7 +301,7 @@ def _engine_response(vehicle: Vehicle, engine: EngineSpec, step: float) -> _Engi
 
 
 def _response(course: tuple[float, ...], step: float) -> _EngineResponse:
-    """The frequency response of a course after a step of the throttle."""
+    """Return the frequency response of a course after a step of the throttle."""
     return _responses.get((course, step), lambda: _transform(course, step))
 
 

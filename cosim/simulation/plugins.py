@@ -167,7 +167,7 @@ def _source(kind: str, name: str, scenario: Scenario) -> Source:
 
 
 def own_metric(source: Source) -> OwnMetric:
-    """What a metric states of itself.  Raises InputError."""
+    """Return a metric with the names and columns that it states.  Raises InputError."""
     where, block = f"metric {source.label}", source.make()
     plain = getattr(block, "__name__", type(block).__name__).lower()
     names = getattr(block, "names", (plain,))
@@ -182,7 +182,7 @@ def own_metric(source: Source) -> OwnMetric:
 
 
 def unmeasured(name: str) -> OwnMetric:
-    """A metric that says why it has no number: whoever finishes a killed flight only looks, and runs no code."""
+    """Return a metric that refuses to be computed, for a killed flight: what finishes such a flight runs no code."""
 
     def refuse() -> Any:
         raise InputError("not measured: the flight was killed, and what finishes such a flight runs no code")
@@ -191,7 +191,7 @@ def unmeasured(name: str) -> OwnMetric:
 
 
 def metrics_of(scenario: Scenario) -> list[OwnMetric]:
-    """The metrics alone.  Raises InputError."""
+    """Return the scenario's custom metrics.  Raises InputError."""
     return [own_metric(_source("metric", name, scenario)) for name in scenario.metrics]
 
 
@@ -221,7 +221,7 @@ class Watching:
         _called(self._source, "observe", self._block.observe, sample)
 
     def close(self) -> None:
-        """The flight is over, and the log complete."""
+        """Tell the block that the flight is over, and the log complete."""
         if hasattr(self._block, "close"):
             _called(self._source, "close", self._block.close)
 
@@ -304,7 +304,7 @@ class WindTable:
 
     @classmethod
     def read(cls, path: Path) -> WindTable:
-        """A file with a line of :data:`TABLE` above its rows.  Raises InputError: file, line, what is allowed."""
+        """Read a file with a line of :data:`TABLE` above its rows.  Raises InputError: file, line, what is allowed."""
         try:
             lines = list(csv.reader(StringIO(path.read_text(encoding="utf-8-sig"))))
         except (OSError, UnicodeDecodeError) as error:

@@ -27,7 +27,7 @@ _AMOUNT = {
 
 
 def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
-    """An autopilot in place of the scenario's commands; from here on the flight does what it is asked.
+    """Put an autopilot in place of the scenario's commands; from here on the flight does what it is asked.
 
     ``airborne``: the flight begins in the air, armed and holding.
     What tunes the loops that a controller from outside takes the place of cannot be changed in flight.
@@ -92,7 +92,7 @@ def _burn_in_hover(simulation: Simulation) -> float | None:
 
 
 def fault_from(request: InjectFault) -> Fault:
-    """The scenario's fault that a request stands for.  Raises InputError for one that there is not."""
+    """Return the scenario's fault that a request stands for.  Raises InputError for one that there is not."""
     kind = _FAULTS.get(request.fault)
     if kind is None:
         raise InputError(f"fault {request.fault!r}: must be one of {', '.join(sorted(_FAULTS))}")

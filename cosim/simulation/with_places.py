@@ -108,7 +108,7 @@ class PlacePilot:
         self._begin_flight()
 
     def update(self, k: int, measured: Measured, report: Report) -> Command:
-        """The command of step ``k``."""
+        """Return the command of step ``k``."""
         self.seen = measured
         fix = self._estimator.update(k, measured, report.legs)
         command = self._commander.at(k)
@@ -132,7 +132,7 @@ class PlacePilot:
         return Command((roll, pitch, heading), altitude, None, command.collective, track.position)
 
     def _refuse(self, where: str) -> None:
-        """Raises InputError for guided commands that do not go together, or with the script's others."""
+        """Raise InputError for guided commands that do not go together, or with the script's others."""
         asked = self._commander.signals
         leaning = [signal for signal in asked if signal in LEANING]
         if leaning:
@@ -214,7 +214,7 @@ class PlacePilot:
                 self._aim_at(aim, aim.waypoint[self._point], command)
 
     def _along(self, drawn: Drawn, t: float) -> Track:
-        """A track's set-points at ``t`` [s] from its start."""
+        """Return a track's set-points at ``t`` [s] from its start."""
         track, height, yaw = drawn.at(t)
         self._drawn = (track, height)
         if height is not None:
@@ -235,7 +235,7 @@ class PlacePilot:
             self._to_yaw = radians(yaw_deg)
 
     def _altitude(self, scripted: float) -> float:
-        """The height asked for, m: on its way to the one stated, and no faster than what stops above the ground."""
+        """Return the commanded height, m: on its way to the target, and no faster than what stops above the ground."""
         if self._to_altitude is None:
             return scripted
         if self._drawn is not None and self._drawn[1] is not None:
@@ -247,7 +247,7 @@ class PlacePilot:
         return self._height.towards((self._to_altitude, 0.0), up if self._to_altitude > here else sink).position[0]
 
     def _heading(self, scripted: float) -> float:
-        """The heading asked for, rad: on its way to the one stated."""
+        """Return the commanded heading, rad, on its way to the target."""
         if self._to_yaw is None:
             return scripted
         self._yaw = wrap(self._yaw + min(max(wrap(self._to_yaw - self._yaw), -self._turn), self._turn))
@@ -299,7 +299,7 @@ Cubic = tuple[float, float, float, float]
 
 
 def _spline(times: Sequence[float], values: Sequence[float]) -> list[Cubic]:
-    """The cubic spline through the values with slope 0 at both ends: a cubic from each row on, highest power first."""
+    """Return the clamped cubic spline through the values: a cubic from each row on, highest power first."""
     if len(times) == 1:
         return [(0.0, 0.0, 0.0, values[0])]
     from scipy.interpolate import CubicSpline

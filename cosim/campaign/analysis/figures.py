@@ -40,7 +40,7 @@ def campaign_figures(
 
 
 def outcomes(table: FlightTable) -> Figure:
-    """What the flights of each controller came to, in percent of them."""
+    """Return the figure of how the flights of each controller ended, in percent of its flights."""
     counts = np.array(
         [np.bincount(table.kind[table.of(controller)], minlength=len(KINDS)) for controller in places(table)]
     )
@@ -67,7 +67,7 @@ def outcomes(table: FlightTable) -> Figure:
 
 
 def probability(table: FlightTable, shares: Sequence[Share]) -> Figure:
-    """The share of successes of each controller; of draws with Wilson's interval, and the exact one as a thin line."""
+    """Return the figure of each controller's fraction of successes; of draws with Wilson's and the exact interval."""
     known = [(place, share) for place, share in enumerate(shares) if share.value is not None]
     data = []
     for place, share in known:
@@ -166,7 +166,7 @@ def _percent(share: float) -> float:
 
 
 def wrapped(label: str, most: int = 24) -> str:
-    """A label on several lines, broken at its dots."""
+    """Return a label broken into lines at its dots, of at most ``most`` characters where the parts allow it."""
     lines = [""]
     for part in label.replace(".", ".\0").split("\0"):
         if lines[-1] and len(lines[-1]) + len(part) > most:
@@ -176,7 +176,7 @@ def wrapped(label: str, most: int = 24) -> str:
 
 
 def success_over(table: FlightTable, key: KeyColumn) -> Figure:
-    """The share of successes over one key, all others as they come, with 95 % intervals."""
+    """Return the figure of the fraction of successes over one key, with 95 % intervals; other keys vary as drawn."""
     data = []
     for place in places(table):
         rows = table.of(place) & np.isfinite(key.numbers)
@@ -221,7 +221,7 @@ def success_over(table: FlightTable, key: KeyColumn) -> Figure:
 
 
 def group_medians(numbered: NDArray[np.integer[Any]], values: Array) -> Array:
-    """The median of the values of each class, none of which is empty."""
+    """Return the median of the values of each class, none of which is empty."""
     order = np.lexsort((values, numbered))
     counts = np.bincount(numbered)
     first = np.cumsum(counts) - counts
@@ -245,7 +245,7 @@ def _shown(value: float, key: KeyColumn) -> str:
 
 
 def key_axis(key: KeyColumn) -> Figure:
-    """The axis of a key: linear, logarithmic, or the names of its choices."""
+    """Return the axis of a key: linear, logarithmic, or the names of its choices."""
     axis: Figure = {"title": {"text": key.title}}
     if key.levels:
         span = [-0.5, len(key.levels) - 0.5]
@@ -262,7 +262,10 @@ def key_axis(key: KeyColumn) -> Figure:
 
 
 def distribution(table: FlightTable, metric: Metric) -> Figure:
-    """What share of all flights completed with a metric up to x: a curve ends where the flights that have it end."""
+    """Return the figure of the percentage of all flights that completed with a metric up to x.
+
+    A curve ends below 100 % where flights have no value of the metric.
+    """
     data = []
     largest: list[float] = []
     for place in places(table):

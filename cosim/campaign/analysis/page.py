@@ -78,7 +78,7 @@ def write_campaign_report(campaign: Campaign) -> Path:
 
 
 def page(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The figures of the page, and what its template asks for; writes the scenario files of its cases."""
+    """Return the figures of the report and the values for its template; write the scenario files of its cases."""
     table, study = read(campaign), campaign.study
     successes = shares(table)
     names = [SUCCESS, *(metric.name for metric in table.metrics)]
@@ -140,7 +140,7 @@ def facts(campaign: Campaign, table: FlightTable) -> list[tuple[str, str]]:
 
 
 def scenario_name(study: Study) -> str:
-    """The name of the scenario itself, whatever its file is called."""
+    """Return the name of the scenario itself, whatever its file is called."""
     try:
         return study.base().name
     except InputError:  # flown elsewhere: the scenario or one of its files is not here
@@ -148,7 +148,7 @@ def scenario_name(study: Study) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time in the unit that it is said in."""
+    """Return a time [s] as text in hours, minutes or seconds."""
     for unit, length in (("h", 3600.0), ("min", 60.0)):
         if seconds >= 2.0 * length:
             return f"{seconds / length:.1f} {unit}"
@@ -156,7 +156,7 @@ def duration(seconds: float) -> str:
 
 
 def key_rows(study: Study, table: FlightTable) -> list[dict[str, str]]:
-    """What each varied key is drawn from, what it is without the study, and what was flown of it."""
+    """Return for each varied key its distribution, its nominal value and the range of values that were flown."""
     columns = {key.path: key for key in table.keys}
     rows = []
     for vary in study.vary:
@@ -187,7 +187,7 @@ def _observed_range(key: KeyColumn) -> str:
 
 
 def drawn_from(vary: Vary) -> str:
-    """A distribution in words."""
+    """Describe a distribution."""
     relative = {"": "", "factor": ", times the nominal value", "offset": ", added to the nominal value"}[vary.relative]
     return _distribution(vary) + relative
 
@@ -231,7 +231,7 @@ def correlation_words(correlation: Correlation) -> str:
 
 
 def warnings(campaign: Campaign, table: FlightTable) -> list[str]:
-    """What a reader must know before believing a number of the page."""
+    """Return the reasons for which a reader should doubt a number of the report."""
     lines = []
     done, planned = table.flight.size, campaign.of
     if done < planned:
@@ -270,7 +270,7 @@ def made_from(campaign: Campaign) -> dict[str, list[str]]:
 
 
 def by_influence(table: FlightTable, rankings: Sequence[Ranking | None]) -> list[int]:
-    """The keys by the largest of their indices with any controller; in the study's order where that is not known."""
+    """Return the keys' indices by their largest sensitivity with any controller; unranked keys last, in order."""
     most = dict.fromkeys((key.path for key in table.keys), -1.0)
     for ranking in rankings:
         for effect in ranking.effects if ranking else ():
@@ -281,7 +281,7 @@ def by_influence(table: FlightTable, rankings: Sequence[Ranking | None]) -> list
 def strongest_pair(
     table: FlightTable, keys: Sequence[int], name: str, rankings: Sequence[Ranking | None]
 ) -> tuple[int, int]:
-    """The two of these keys that explain most of a result together, over all controllers.
+    """Return the two of these keys that explain most of a result together, over all controllers.
 
     The first two, which explain most one at a time, unless others are above them by more than chance.
     """
@@ -380,7 +380,7 @@ def _difference(metric: Metric, difference: MedianDifference) -> dict[str, Any]:
 
 
 def points(share: float) -> str:
-    """A difference of shares in percentage points, 0 without a sign."""
+    """Format a difference of fractions in percentage points, 0 without a sign."""
     text = f"{100.0 * share:+.1f}"
     return text[1:] if text[1:] == "0.0" else text
 
@@ -391,7 +391,7 @@ def signed(value: float) -> str:
 
 
 def p_text(p: float) -> str:
-    """A p-value as precisely as it is meant."""
+    """Format a p-value in two digits, or as below 0.0001."""
     return "< 0.0001" if p < 1e-4 else f"{p:.2g}"
 
 

@@ -57,7 +57,7 @@ class Ranking:
 
 
 def ranking(keys: Mapping[str, Array], choices: Sequence[str], result: Array) -> Ranking | None:
-    """What each key does to ``result``; those in ``choices`` are codes without an order.
+    """Return the effect of each key on ``result``; the keys in ``choices`` are codes without an order.
 
     None if there are too few flights, or if they all came out alike.
     """
@@ -91,7 +91,7 @@ def most_classes(flights: int) -> int:
 
 
 def first_order(numbered: Counts, result: Array) -> tuple[float, float]:
-    """The first-order index of a key in classes, and its standard deviation.
+    """Return the first-order index of a key in classes, and its standard deviation.
 
     With the variance W within classes and V in all, the index is 1 - W / V, each without bias: T. L. Kelley's epsilon
     squared.  The deviation is that of the index's influence function ((1 - S) t^2 - r^2) / V, t a result's distance
@@ -113,7 +113,7 @@ def first_order(numbered: Counts, result: Array) -> tuple[float, float]:
 
 
 def noise_floor(classed: Sequence[Counts], result: Array) -> float:
-    """The first-order index that no key exceeds by chance alone, in 19 of 20 cases.
+    """Return the first-order index that no key exceeds by chance alone, in 19 of 20 cases.
 
     The results are shuffled over the draws, which breaks every link to the keys and nothing else, and the largest index
     of all keys is noted, as often as ``SHUFFLES`` says.
@@ -135,7 +135,7 @@ def noise_floor(classed: Sequence[Counts], result: Array) -> float:
 
 
 def joint(first: Array, second: Array, result: Array) -> float:
-    """The share of a result's variance that two keys explain together, in cells of both, corrected for chance."""
+    """Return the fraction of a result's variance that two keys explain together in cells, corrected for chance."""
     most = max(2, int(sqrt(most_classes(result.size))) + 1)
     of_first, of_second = classes(first, most), classes(second, most)
     _, numbered = np.unique(of_first * (of_second.max() + 1) + of_second, return_inverse=True)

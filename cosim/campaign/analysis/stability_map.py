@@ -28,7 +28,7 @@ SEED = 1  # of the sample of single flights
 
 
 def map_tables(table: FlightTable, keys: Sequence[int], pair: tuple[int, int], colour: str) -> Figure:
-    """What the page draws the stability map from; ``keys`` are places, ``pair`` those shown first, ``colour`` too.
+    """Return the data of the stability map; ``keys`` and ``pair`` are indices, ``pair`` and ``colour`` are shown first.
 
     Of every pair of keys and every controller: the number of flights in each cell, of successes, and the median of each
     metric over those that completed, row by row upwards; None where there are fewer than ``least`` to take it of.
@@ -64,7 +64,7 @@ def _metric_table(table: FlightTable, metric: Metric) -> Figure:
 
 
 def _sides(table: FlightTable, key: KeyColumn, pairs: int) -> tuple[Array, Counts]:
-    """The edges of a key's cells, and the cell of each row, -1 for none: levels, or stretches of equal length."""
+    """Return the edges of a key's cells, levels or intervals of equal length, and each row's cell, -1 for none."""
     known = np.isfinite(key.numbers)
     if key.levels:
         return np.arange(-0.5, len(key.levels)), np.where(known, key.numbers, -1).astype(np.intp)
@@ -85,7 +85,7 @@ def _sides(table: FlightTable, key: KeyColumn, pairs: int) -> tuple[Array, Count
 
 
 def _around(levels: Array) -> Array:
-    """The edges of cells around levels: half way between them, and as far again outside."""
+    """Return the edges of cells around levels: half way between them, and as far again outside."""
     if levels.size < 2:
         middle = float(levels[0]) if levels.size else 0.0
         return middle + np.array([-0.5, 0.5]) * (abs(middle) or 1.0)

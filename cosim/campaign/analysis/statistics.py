@@ -37,7 +37,7 @@ class Share(NamedTuple):
 
 
 def share(hits: int, of: int) -> Share:
-    """A share with both of its intervals; of none, it may be anything from 0 to 1."""
+    """Return a fraction with both of its intervals, which are 0 to 1 where there are no flights."""
     if not of:
         return Share(hits, of, (0.0, 1.0), (0.0, 1.0))
     low, high = stats.binomtest(hits, of).proportion_ci(LEVEL, "exact")
@@ -46,7 +46,7 @@ def share(hits: int, of: int) -> Share:
 
 
 def wilson(hits: NDArray[np.generic], of: NDArray[np.generic]) -> tuple[Array, Array]:
-    """The score interval of many shares at once: both ends of each; 0 to 1 where there is none of it.
+    """Return the lower and upper ends of the score interval of many fractions at once, 0 to 1 where ``of`` is 0.
 
     Source: E. B. Wilson, J. Amer. Stat. Assoc. 22 (1927) 209-212: all p with (k/n - p)^2 <= z^2 p (1 - p) / n.
     """
@@ -87,7 +87,7 @@ def pairs(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> Pairs:
 
 
 def mcnemar(pairs: Pairs) -> float:
-    """The exact p-value for two controllers that succeed equally often.
+    """Return the exact p-value for two controllers that succeed equally often.
 
     Only draws that they fly differently tell: under the hypothesis each of these is the toss of a coin.
     Source: Q. McNemar, Psychometrika 12 (1947) 153-157, with the binomial distribution itself.
@@ -97,7 +97,7 @@ def mcnemar(pairs: Pairs) -> float:
 
 
 def newcombe(pairs: Pairs) -> Interval | None:
-    """The interval of the difference of success, second less first, of paired draws; None of none.
+    """Return the interval of the difference of success, second less first, of paired draws; None without draws.
 
     Both controllers' Wilson limits, put together with the correlation phi of their outcomes, which is lessened towards
     0 where it is positive.  Source: R. G. Newcombe, Statistics in Medicine 17 (1998) 2635-2650, method 10.
@@ -145,7 +145,7 @@ class MedianDifference(NamedTuple):
 
 
 def median_difference(differences: Array) -> MedianDifference | None:
-    """The median of paired differences; None of none.
+    """Return the median of paired differences with interval and p-value; None without differences.
 
     Its interval is bounded by order statistics, which hold 95 % whatever the distribution is: no resampling needed.
     """
@@ -163,7 +163,7 @@ def median_difference(differences: Array) -> MedianDifference | None:
 
 
 def classes(values: Array, most: int) -> Counts:
-    """The class of each value, numbered from 0 in order: one a level, or ``most`` of equal count if levels are more."""
+    """Return the class of each value, numbered from 0 in order: one per level, or at most ``most`` of equal count."""
     levels, numbers = np.unique(values, return_inverse=True)
     if levels.size > most:
         inner = np.quantile(values, np.linspace(0.0, 1.0, most + 1)[1:-1])

@@ -68,7 +68,7 @@ class Spread(NamedTuple):
 
 
 def shares(table: FlightTable) -> list[Share]:
-    """The share of successes of every controller; a failed flight is none."""
+    """Return the fraction of successes of every controller; a failed flight counts as no success."""
     return [
         share(int(np.sum(table.success & table.of(controller))), int(np.sum(table.of(controller))))
         for controller in places(table)
@@ -118,19 +118,19 @@ def _compared(table: FlightTable, first: int, second: int) -> Comparison:
 
 
 def common_draws(table: FlightTable, first: int, second: int) -> tuple[Any, Any]:
-    """The rows of two controllers, draw by draw, of the draws that both have flown."""
+    """Return the row numbers of two controllers, draw by draw, of the draws that both have flown."""
     rows, others = np.flatnonzero(table.of(first)), np.flatnonzero(table.of(second))
     _, here, there = np.intersect1d(table.draw[rows], table.draw[others], assume_unique=True, return_indices=True)
     return rows[here], others[there]
 
 
 def result(table: FlightTable, name: str) -> Array:
-    """What is ranked: success as 0 and 1, or a metric, NaN where there is none."""
+    """Return the ranked result of each row: success as 0 and 1, or a metric, NaN where there is none."""
     return table.success.astype(np.float64) if name == SUCCESS else table.values[name]
 
 
 def ranked(table: FlightTable, controller: int, name: str) -> Ranking | None:
-    """What each key does to the success or to a metric of a controller; None if that cannot be said."""
+    """Return the effect of each key on the success or on a metric of a controller; None if it cannot be estimated."""
     values = result(table, name)
     rows = table.of(controller) & np.isfinite(values)
     for key in table.keys:
@@ -149,7 +149,7 @@ def reasons(table: FlightTable, rows: Mask, success: Mapping[str, Range]) -> Cou
 
 
 def plain(reason: str) -> str:
-    """A reason without its numbers: those of alike flights become one."""
+    """Return a reason without its numbers, so that the reasons of similar flights become one."""
     return NUMBER.sub("…", BRACKETS.sub("", reason)).strip() or "no reason given"
 
 
@@ -311,7 +311,7 @@ def comparison_lines(summary: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _median(name: str, entry: Mapping[str, Any] | None) -> str:
-    """A median with the flights that it is of, where they are not all: lost ones have no part in it."""
+    """Format a median, with the number of flights behind it where some, such as lost ones, have no value."""
     if entry is None:
         return "–"
     median = f"{metric(name).factor * entry['median']:.3g}"

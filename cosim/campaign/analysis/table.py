@@ -90,12 +90,12 @@ class FlightTable(NamedTuple):
         return self.kind <= KINDS.index("missed")
 
     def of(self, controller: int) -> Mask:
-        """The rows of one controller."""
+        """Return the mask of the rows of one controller."""
         return np.equal(self.controller, controller)
 
 
 def read(campaign: Campaign) -> FlightTable:
-    """The rows of a campaign, of a whole one or of one that is still flown."""
+    """Read the rows of a campaign that is finished or still being flown."""
     columns, study = campaign.columns, campaign.study
     outcomes = np.array(columns.get("outcome", []), dtype=str)
     success = np.array(columns.get("success", []), dtype=bool)
@@ -129,12 +129,12 @@ def read(campaign: Campaign) -> FlightTable:
 
 
 def numbers(values: Sequence[Any]) -> Array:
-    """A column as floats; NaN for None."""
+    """Return a column as floats; NaN for None."""
     return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
 
 def key_columns(campaign: Campaign) -> list[KeyColumn]:
-    """The varied keys in the study's order."""
+    """Return the columns of the varied keys in the study's order."""
     varied = [vary for vary in campaign.study.vary if vary.key in campaign.columns]
     labels = short_names([vary.key for vary in varied])
     columns = []
@@ -155,12 +155,12 @@ def key_columns(campaign: Campaign) -> list[KeyColumn]:
 
 
 def choice_text(value: Any) -> str:
-    """A choice as TOML has it, without quotes."""
+    """Format a choice as TOML has it, without quotes."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def key_unit(study: Study, path: str) -> str:
-    """The unit of a key as far as it is known."""
+    """Return the unit of a key, or an empty string where it is not known."""
     try:
         return study.key(path).unit
     except InputError:  # flown elsewhere: the scenario or one of its files is not here
@@ -168,7 +168,7 @@ def key_unit(study: Study, path: str) -> str:
 
 
 def short_names(paths: Sequence[str]) -> list[str]:
-    """The last two parts of each key, places in lists not counted, or as many as tell it from the others."""
+    """Return the last two parts of each key, indices in lists not counted, or as many as tell it from the others."""
     names = []
     for path in paths:
         parts = path.split(".")
@@ -183,9 +183,11 @@ def short_names(paths: Sequence[str]) -> list[str]:
 
 
 def telling(values: Mapping[str, Array], required: Sequence[str]) -> list[str]:
-    """The metrics to show, at most ``MOST_METRICS``: those of the study's success, the user's own, then of axes that
-    were commanded in steps, then the errors of the other axes and of height.  Beside them where the vehicles went and
-    by what means.  What no flight has, or all have alike, tells nothing.
+    """Return the names of the metrics to show: at most ``MOST_METRICS``, and those of ``OF_THE_WHOLE``.
+
+    First those of the study's success, then the custom ones, then those of axes that were commanded in steps, then the
+    errors of the other axes and of height.  ``OF_THE_WHOLE`` says where the vehicles went and by what means.  A metric
+    without values, or with the same value in all flights, is left out.
     """
     stepped = [axis for axis in AXES if np.isfinite(values.get(f"{axis}.overshoot_percent", np.empty(0))).any()]
     order = [
@@ -205,7 +207,7 @@ def telling(values: Mapping[str, Array], required: Sequence[str]) -> list[str]:
 
 
 def criterion(success: Mapping[str, Range]) -> str:
-    """What a study calls a success, in words: beside what it asks for, that a flight keeps its own limits."""
+    """Describe a study's criterion of success: the flight keeps its own limits, and the metrics are in their ranges."""
     parts = [f"{metric(name).label} {span(name, allowed)}" for name, allowed in success.items()]
     return (
         f"flies to its end within its limits{', with ' if parts else '; nothing else is checked'}{' and '.join(parts)}"
@@ -213,7 +215,7 @@ def criterion(success: Mapping[str, Range]) -> str:
 
 
 def span(name: str, allowed: Range) -> str:
-    """The range of a metric in words, in the unit of the page."""
+    """Describe the range of a metric, in the unit of the report."""
     of = metric(name)
     low, high = (
         None if end is None else f"{of.factor * end:.4g} {of.unit}".strip() for end in (allowed.min, allowed.max)

@@ -38,7 +38,7 @@ class Case(NamedTuple):
 
 
 def case_rows(campaign: Campaign, table: FlightTable) -> list[dict[str, Any]]:
-    """The worst flights of each controller, each with a scenario file of its own beside the page."""
+    """Return the worst flights of each controller, each with a scenario file of its own beside the report."""
     return [
         {
             "controller": table.controllers[place],
@@ -146,7 +146,7 @@ def write_case(campaign: Campaign, row: int) -> tuple[str, str]:
 
 
 def _written(folder: Path, name: str) -> str:
-    """The place of a case's scenario that is there already; empty where none is."""
+    """Return the path of a case's existing scenario file; empty if there is none."""
     places = [Path(CASES) / name / SCENARIO, Path(CASES) / f"{name}.toml"]
     return next((place.as_posix() for place in places if (folder / place).is_file()), "")
 

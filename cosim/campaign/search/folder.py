@@ -65,7 +65,7 @@ def opened(
     seed: int | None = None,
     **options: Any,
 ) -> tuple[Study, Plan]:
-    """The study and the plan that a command line states; ``options`` are those of ``open_study``.
+    """Return the study and the plan that a command line states; ``options`` are those of ``open_study``.
 
     ``seeds`` flights a point have the scenario's seed, or ``seed``, and those that follow it.  Raises InputError.
     """
@@ -201,13 +201,16 @@ def _cases(result: SearchResult, prober: Prober, folder: Path) -> Iterator[Case]
 
 
 def _held(result: SearchResult, prober: Prober, point: Point) -> Row:
-    """The first flight of a point that held."""
+    """Return the row of the first flight at a point that was a success."""
     rows = [prober.row(point, seed) for seed in result.plan.seeds]
     return next((row for row in rows if row["success"]), rows[0])
 
 
 def _shown(result: SearchResult) -> Iterator[tuple[str, Point, bool]]:
-    """The points that are worth a folder: the edges, of a curve the nearest on each side, and what breaks together."""
+    """Yield the points whose flights get a folder, with name and whether the vehicle breaks there.
+
+    These are the edges, of a curve the nearest on each side, and what breaks together.
+    """
     for controller in result.study.controller_names:
         label = short_name(controller)
         for edge in _edges(result, controller):

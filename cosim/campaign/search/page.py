@@ -80,7 +80,7 @@ def write_page(searched: SavedSearch, path: Path) -> None:
 
 
 def text(value: Value | None, unit: str = "") -> str:
-    """A value with its unit, as short as it is exact enough to be seen."""
+    """Format a value with its unit, in at most six digits."""
     if value is None:
         return "-"
     shown = f"{value:.6g}" if isinstance(value, float) else str(value)
@@ -139,7 +139,7 @@ def how_fine(span: Span) -> str:
 
 
 def joint_lines(result: SearchResult) -> list[str]:
-    """What was found of several keys together, a line each."""
+    """Return a line for each result of several keys varied together."""
     return [_joint(result, joint) for joint in result.joints]
 
 
@@ -169,7 +169,7 @@ def _joint(result: SearchResult, joint: Joint) -> str:
 
 
 def figures(result: SearchResult, prober_points: list[tuple[Point, bool]]) -> dict[str, Figure]:
-    """Plotly figures by name: ``curve`` or ``key0``, ``key1``, ..., and ``pair0``, ... for two keys together."""
+    """Return Plotly figures by name: ``curve`` or ``key0``, ``key1``, ..., and ``pair0``, ... for two keys together."""
     if result.plan.over:
         return {"curve": _curve(result)}
     made = {f"key{number}": _bands(result, span) for number, span in enumerate(result.plan.spans)}
@@ -221,7 +221,7 @@ def _label(name: str, value: float, label: str, logarithmic: bool) -> Figure:
 
 
 def _curve(result: SearchResult) -> Figure:
-    """The first key's edge over the second one, a line for each controller and side."""
+    """Return the figure of the first key's edge over the second one, a line for each controller and side."""
     over, span = result.plan.over, result.plan.spans[0]
     assert over is not None
     data: list[Figure] = []
@@ -321,7 +321,7 @@ def _pair(plan: Plan, joint: Joint, looked: list[tuple[Point, bool]]) -> Figure:
 
 
 def _at(span: Span, deviation: float) -> float | None:
-    """A value on the circle; None where the range ends before it."""
+    """Return the value at a deviation on the unit circle; None where the range ends before it."""
     if abs(deviation) > 1.0 or (1 if deviation > 0.0 else -1) not in span.sides:
         return None if abs(deviation) > 1e-9 else span.start
     return span.exact(deviation)

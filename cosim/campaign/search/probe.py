@@ -93,17 +93,17 @@ class Prober:
         return [self.result(point).breaks for point in points]
 
     def result(self, point: Point) -> PointResult:
-        """What is known of a point that was looked at."""
+        """Return the outcome of a point that was flown."""
         rows = [self._known[point, seed] for seed in self.seeds]
         broken = [row for row in rows if not row["success"]]
         return PointResult(len(broken), len(rows), len(broken) >= self.needed, (broken or rows)[0])
 
     def row(self, point: Point, seed: int) -> Row:
-        """The flight of a point that was looked at."""
+        """Return the row of a flown point with a seed."""
         return self._known[point, seed]
 
     def flight(self, point: Point, seed: int, number: int = 0) -> Flight:
-        """The flight of a point with a seed."""
+        """Return the flight of a point with a seed."""
         return Flight(number, number // len(self.seeds), point.controller, seed, dict(point.values))
 
     def _fly(self, points: Sequence[Point]) -> None:

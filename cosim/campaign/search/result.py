@@ -44,7 +44,7 @@ class SavedSearch:
         return all(case.same for case in self.cases)
 
     def to_dict(self) -> dict[str, Any]:
-        """What ``search.json`` says."""
+        """Return the table that ``search.json`` holds."""
         result, base = self.result, self.result.study.base()
         return {
             "folder": str(self.folder),
@@ -72,7 +72,7 @@ def _sha256(base: Scenario, controller: str) -> str | None:
 
 
 def question(plan: Plan) -> dict[str, Any]:
-    """A plan as a table."""
+    """Return a plan as a table."""
     table: dict[str, Any] = {
         "seeds": list(plan.seeds),
         "share": plan.share,

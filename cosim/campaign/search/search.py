@@ -149,7 +149,7 @@ class SearchResult:
         )
 
     def smallest(self, controller: str) -> Edge | None:
-        """The edge of a controller with the smallest deviation, over all keys, sides and levels."""
+        """Return the edge of a controller with the smallest deviation, over all keys, sides and levels."""
         broken = [e for e in self.edges if e.controller == controller and e.deviation is not None]
         return min(broken, key=lambda edge: abs(edge.deviation or 0.0), default=None)
 
@@ -165,7 +165,7 @@ def search(plan: Plan, prober: Prober) -> SearchResult:
 
 
 def why(study: Study, row: Row) -> str:
-    """What became of a flight: how it ended, and of one that was completed, which metrics it did not keep."""
+    """Describe how a flight ended, and for a completed one which metrics were out of range."""
     if row["outcome"] == "failed" and not row.get("steps"):
         return f"not flown: {row['reason']}"
     metrics = {name: row.get(name) for name in study.success}
@@ -335,7 +335,7 @@ class _Rays:
 
 
 def together(plan: Plan, prober: Prober, controller: str, edges: Sequence[Edge]) -> Joint:
-    """The smallest deviation of all keys together that is found within the flights allowed."""
+    """Return the smallest deviation of all keys together that is found within the flights allowed."""
     before = prober.flights
     own = [e for e in edges if e.controller == controller and e.breaks is not None]
     nearest = min(own, key=lambda edge: abs(edge.deviation or 0.0), default=None)

@@ -58,27 +58,27 @@ class Span:
         return f"{ceil(step / self.whole - 1e-9) * self.whole if self.whole else step:.4g}"
 
     def end(self, side: int) -> Value:
-        """The last value on a side."""
+        """Return the last value on a side."""
         return self.at(float(side))
 
     def at(self, deviation: float) -> Value:
-        """The value at a deviation, as the key takes it."""
+        """Return the value at a deviation, rounded and limited to one that the key accepts."""
         # twelve digits: 0.3 and not 0.30000000000000004; the ends are themselves
         return self.key.fit(min(max(float(f"{self.exact(deviation):.12g}"), self.low), self.high))
 
     def exact(self, deviation: float) -> float:
-        """The number at a deviation, whether or not the key takes it."""
+        """Return the number at a deviation, whether or not the key accepts it."""
         there = self._forward(self.start) + deviation * self._reach(1 if deviation >= 0.0 else -1)
         return exp(there) if self.logarithmic else there
 
     def deviation(self, value: float) -> float:
-        """The deviation of a value."""
+        """Return the deviation of a value, 1 or -1 at the range's ends."""
         off = self._forward(value) - self._forward(self.start)
         reach = self._reach(1 if off >= 0.0 else -1)
         return off / reach if reach else 0.0
 
     def places(self, side: int) -> list[float]:
-        """The places of a scan from the start to the end of a side, 0 to 1: no two of them have the same value."""
+        """Return the positions of a scan from the start to the end of a side, 0 to 1, all of different values."""
         whole = self.whole
         reach = self._reach(side)
         step = (self._forward(self.high) - self._forward(self.low)) / (self.points - 1)
@@ -92,7 +92,10 @@ class Span:
         return list(by_value.values())
 
     def between(self, side: int) -> Between:
-        """The middle of two places on a side; None where their values are within the tolerance, or neighbours."""
+        """Return the function that halves an interval of positions on a side.
+
+        It returns None where the values of the two positions are within the tolerance, or neighbours.
+        """
         whole = self.whole
 
         def middle(near: float, far: float) -> float | None:
@@ -115,7 +118,7 @@ class Span:
 
 
 def span(vary: Vary, key: Key, tolerance: float | None) -> Span:
-    """The span of a ``KEY=LO:HI`` or ``KEY=LO:HI:POINTS``.
+    """Return the span of a ``KEY=LO:HI`` or ``KEY=LO:HI:POINTS``.
 
     Raises InputError for anything but a range of numbers, and for a tolerance that is none.
     """

@@ -185,7 +185,7 @@ def parse_vary(text: str) -> Vary:
 
 
 def _read(what: str, text: str) -> dict[str, Any]:
-    """The part behind the sign as the table that a study's file would have."""
+    """Parse the part behind the equals sign into the table that a study's file would have."""
     called = re.fullmatch(r"([A-Za-z]+)\s*\((.*)\)", what)
     if called is None:
         if ":" in what:

@@ -84,12 +84,12 @@ class Draws(Sequence[Draw]):
 
 
 def draws(study: Study) -> Draws:
-    """The draws of ``study``."""
+    """Return the draws of ``study``."""
     return Draws(study)
 
 
 def flight_seed(seed: int, number: int) -> int:
-    """The seed of a draw's noise and turbulence, from the study's seed and the draw's number alone.
+    """Return the seed of a draw's noise and turbulence, from the study's seed and the draw's number alone.
 
     53 bits, which every reader of the results takes without loss.
     """
@@ -178,7 +178,7 @@ def _generator(seed: int) -> np.random.Generator:
 
 
 def _correlated(matrix: Array) -> list[int]:
-    """The places of the keys that are correlated with any other."""
+    """Return the indices of the keys that are correlated with any other."""
     return [place for place, row in enumerate(matrix) if np.count_nonzero(row) > 1]
 
 
@@ -262,7 +262,7 @@ def _relation(vary: Vary, key: Key) -> tuple[float, float]:
 
 
 def _drawn_bounds(vary: Vary, key: Key) -> tuple[float, float]:
-    """The bounds of the number that is drawn; half a step further out where it will be rounded to whole steps."""
+    """Return the bounds of the number that is drawn; half a step further out where it is rounded to whole steps."""
     step = quantum(key)
     if step is None:
         return vary.support
@@ -273,7 +273,7 @@ def _drawn_bounds(vary: Vary, key: Key) -> tuple[float, float]:
 
 
 def _distribution(vary: Vary, low: float, high: float) -> Callable[[Array], Array]:
-    """The inverse of the cumulative distribution within bounds."""
+    """Return the inverse of the cumulative distribution within bounds."""
     if vary.range is not None:
         if vary.scale == "log":
             ratio = log(high / low)

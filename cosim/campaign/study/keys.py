@@ -166,7 +166,7 @@ class Key:
 
 
 def find_key(scenario: Scenario, text: str) -> Key:
-    """The key of that name, with its value in ``scenario``.
+    """Return the key of that name, with its value in ``scenario``.
 
     Raises InputError for a name that is no key (with the nearest ones of all), a table (with what is below it), or
     something that no study can vary.
@@ -208,7 +208,7 @@ def all_keys(scenario: Scenario) -> list[Key]:
 
 
 def matching(keys: Iterable[Key], pattern: str) -> list[Key]:
-    """The keys whose path has ``pattern`` in it; with ``*`` or ``?`` those that it describes as a whole.
+    """Return the keys whose path contains ``pattern``; with ``*`` or ``?`` those that it matches as a whole.
 
     Raises InputError if there is none.
     """
@@ -256,7 +256,7 @@ def _with_own_engine(scenario: Scenario, values: Mapping[str, Value]) -> Mapping
 
 
 def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[dict[str, Any], Mapping[str, Value]]:
-    """What a controller file states, to be written under the other values; nothing where a controller is a name."""
+    """Return the values that a controller file sets below the other values, and these; nothing for a built-in name."""
     path = str(values.get("controller", ""))
     if not is_design(path):
         return {}, values
@@ -271,7 +271,7 @@ def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[d
 
 
 def own_keys(scenario: Scenario) -> list[Key]:
-    """The parameters of the scenario's controller where it is one from outside; none while that is only looked at."""
+    """Return the parameters of the scenario's user-supplied controller; none while files are only looked at."""
     if is_design(scenario.controller):
         return []
     try:
@@ -288,7 +288,7 @@ def own_keys(scenario: Scenario) -> list[Key]:
 
 
 def _for_controller(scenario: Scenario, values: Mapping[str, Value]) -> tuple[Scenario, Mapping[str, Value]]:
-    """The parameters that the controller of these values has; those of the others that a study compares are not its."""
+    """Return the scenario and values without the parameters that the controller of these values does not have."""
     controller = str(values["controller"])
     changed = scenario.model_copy(update={"controller": controller, "controller_parameters": {}})
     known = {key.path.removeprefix(OWN_PARAMETERS) for key in own_keys(changed)}
@@ -350,7 +350,7 @@ def _names(name: str) -> list[str]:
 
 
 def _of_entry(key: Key, entry: BaseModel, scenario: Scenario) -> Key:
-    """A key of a command, disturbance or fault: whole steps, the amplitude's unit, the jets that there are."""
+    """Return a command's, disturbance's or fault's key with its grid of steps, unit, or the number of jets as bound."""
     parts = key.path.split(".")
     name, last = parts[2], parts[-1]
     if name == "jet":
@@ -364,7 +364,7 @@ def _of_entry(key: Key, entry: BaseModel, scenario: Scenario) -> Key:
 
 
 def _predictor_keys(tuning: PredictorTuning) -> Iterator[Key]:
-    """What predictors from elsewhere are tuned with, whether the vehicle states it or not."""
+    """Yield the tuning parameters of user-supplied predictors, whether the vehicle sets them or not."""
     for name, spec in PREDICTORS.items():
         values = spec.own(tuning)
         for parameter in spec.parameters:
@@ -374,18 +374,18 @@ def _predictor_keys(tuning: PredictorTuning) -> Iterator[Key]:
 
 
 def _below(path: str, value: BaseModel) -> Iterator[Key]:
-    """The keys of a table."""
+    """Yield the keys of a table."""
     for name, field in type(value).model_fields.items():
         yield from _leaves(f"{path}.{name}", _annotated(field), getattr(value, name))
 
 
 def _annotated(field: FieldInfo) -> Any:
-    """A field's annotation with the bounds that pydantic keeps apart from it."""
+    """Return a field's annotation with the bounds that pydantic keeps apart from it."""
     return Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
 
 
 def _leaves(path: str, annotation: Any, value: Any) -> Iterator[Key]:
-    """The keys at and below ``path``, where ``value`` stands."""
+    """Yield the keys at and below ``path``, whose value is ``value``."""
     if isinstance(value, BaseModel):
         yield from _below(path, value)
         return
@@ -429,7 +429,7 @@ def _leaf(path: str, plain: Any, bounds: list[Any], value: Any) -> Key | None:
 
 
 def _peeled(annotation: Any) -> tuple[Any, list[Any]]:
-    """What an annotation comes to without its wrappings and without None, and the bounds that were in them."""
+    """Return an annotation without its wrappings and without None, and the bounds that were in them."""
     bounds: list[Any] = []
     while True:
         if get_origin(annotation) is Annotated:
@@ -446,7 +446,7 @@ def _peeled(annotation: Any) -> tuple[Any, list[Any]]:
 
 
 def _of_its_kind(union: Any, value: Any) -> Any:
-    """The part of a union that this value is of: where some are lists or tuples and some are not."""
+    """Return the first part of a union that is a list or tuple if the value is one, and none if it is not."""
     several = isinstance(value, (list, tuple))
     for part in get_args(union):
         if (get_origin(_peeled(part)[0]) in (list, tuple)) == several and part is not type(None):
@@ -461,7 +461,7 @@ def _is_union(annotation: Any) -> bool:
 
 
 def unit_of(path: str) -> str:
-    """The unit that the name says, its place in a list aside."""
+    """Return the unit in which the suffix of the name says the value is; indices in lists do not count."""
     name = next((part for part in reversed(path.split(".")) if not part.isdigit()), "")
     if name in ODD_UNITS:
         return ODD_UNITS[name]
@@ -469,13 +469,13 @@ def unit_of(path: str) -> str:
 
 
 def _archive(scenario: Scenario, engine: str) -> Archive:
-    """An engine's archive; a file is seen from the scenario's folder."""
+    """Return an engine's archive; a file's path is relative to the scenario's folder."""
 
     return find_source(str(scenario.folder / engine) if is_file(engine) else engine).archive
 
 
 def _parameters(path: str, archive: Archive, given: Mapping[str, float]) -> Iterator[Key]:
-    """The parameters that an engine declares and the simulation does not set itself."""
+    """Yield the parameters that an engine declares and the simulation does not set itself."""
 
     start = archive.ports["start"].variable.name if "start" in archive.ports else None
     for variable in archive.parameters:
@@ -499,7 +499,7 @@ def _declared(name: str, unit: str | None) -> str:
 
 
 def _station_keys(scenario: Scenario, jets: int) -> Iterator[Key]:
-    """What may stand at each station instead of the scenario's engine."""
+    """Yield the keys of the engine at each station: which it is, and its parameters."""
 
     names = tuple(engine_names())
     for number in range(1, jets + 1):

@@ -69,8 +69,11 @@ def designs_off(study: Study) -> list[str]:
 
 
 def _ends(study: Study) -> Iterator[Flight]:
-    """The first draw with each controller that may believe another model, built-in ones being told the same; then the
-    draws with the least and the most of every key that may matter, with the first of these controllers."""
+    """Yield the flights whose identified models are compared with what is flown.
+
+    These are the first draw with each controller that may use another model, of the built-in ones only one, as they
+    use the same model; then the draws with the least and the most of every key that may matter, with the first.
+    """
     planned, names = flights(study), study.controller_names
     count = len(names)
     told = [k for k, name in enumerate(names) if name in PREDICTORS and PREDICTORS[name].needs_model][:1]

@@ -38,7 +38,7 @@ def open_study(
     repeats: int | None = None,
     seed: int | None = None,
 ) -> Study:
-    """A study, or a scenario as one, with a command line's options written over it.
+    """Return a study, or a scenario as one, with a command line's options written over it.
 
     ``vary``, ``correlate``, ``success`` and ``settings`` are texts; what is given for a key replaces what the study has
     for it, and ``controllers`` replace the study's.  Without a ``design`` a scenario is flown over a grid if every key
@@ -83,7 +83,7 @@ def _retold(data: Mapping[str, Any], settings: Sequence[str], controllers: Seque
 
 
 def _opened(name: str | Path) -> tuple[dict[str, Any], Path, str]:
-    """The table of a study's file, or one that has nothing but a scenario."""
+    """Return the table of a study's file or one that only names a scenario, its folder, and its name in messages."""
     path = Path(name)
     if path.suffix != ".toml" and not path.is_file():
         if str(name) in study_names():

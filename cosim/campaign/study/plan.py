@@ -71,18 +71,18 @@ def flight_count(study: Study) -> int:
 
 
 def controllers(study: Study) -> list[str]:
-    """What each draw is flown with, as the rows name it: a file by its name as seen from the study's folder."""
+    """Return each draw's controllers as rows name them: a file by its name relative to the study's folder."""
     return [_seen_from(study.folder, name) for name in study.controller_names]
 
 
 def scenario_of(study: Study, flight: Flight) -> Scenario:
-    """The scenario of one flight, which expects nothing.  Raises InputError if its values make none."""
+    """Return the scenario of one flight without expectations.  Raises InputError if its values make none."""
     controller = study.tried[0] if study.autopilot is not None else seen_from(flight.controller, study.folder)
     return with_values(study.base(), {**flight.values, "controller": controller, "seed": flight.seed})
 
 
 def _seen_from(folder: Path, controller: str) -> str:
-    """A controller's file by its name where it is in the folder, so that rows are the same wherever that is."""
+    """Return a controller's file relative to the folder that it is in, so that rows are the same wherever that is."""
     named = file_name(controller)
     if named is not None and Path(named.file).is_relative_to(folder.absolute()):
         return named._replace(file=Path(named.file).relative_to(folder.absolute()).as_posix()).text

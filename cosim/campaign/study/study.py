@@ -120,7 +120,7 @@ class Study(Model):
         return self.tried if self.autopilot is None else [self.autopilot.name]
 
     def base(self) -> Scenario:
-        """The scenario with the study's settings, before any draw; what it expected is left out."""
+        """Return the scenario with the study's settings, before any draw; what it expected is left out."""
         if self._base is None:
             path = _scenario_path(self.scenario, self.folder)
             data = read_toml(path)
@@ -132,7 +132,7 @@ class Study(Model):
         return self._base
 
     def key(self, name: str) -> Key:
-        """A varied key, with the nominal value that factors and offsets start from."""
+        """Return a varied key, with the nominal value that factors and offsets start from."""
         if name not in self._keys:
             base = self.base()
             if name.startswith(OWN_PARAMETERS):  # of any controller that is flown
@@ -152,7 +152,7 @@ class Study(Model):
         self._keys |= keys
 
     def correlations(self) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """The correlation matrix of normal variables that gives the ranks asked for, in the order of ``vary``."""
+        """Return the normal variables' correlation matrix for the requested rank correlations, ordered as ``vary``."""
         places = {vary.key: place for place, vary in enumerate(self.vary)}
         matrix = np.eye(len(self.vary))
         for correlation in self.correlate:
@@ -161,7 +161,7 @@ class Study(Model):
         return matrix
 
     def notes(self) -> list[str]:
-        """What is allowed and yet worth a word before flying."""
+        """Return notes on settings that are allowed but that a user should know of before flying."""
         told = varied_turbulence_notes(self.base(), [vary.key for vary in self.vary])
         if self.design == "sobol" and self.draws & (self.draws - 1):
             below = 1 << (self.draws.bit_length() - 1)
@@ -177,12 +177,12 @@ class Study(Model):
     __hash__ = None  # type: ignore[assignment]
 
     def table(self) -> dict[str, Any]:
-        """The study as a table of TOML, with what it states and no defaults."""
+        """Return the study as a table of TOML, with the values that it sets and no defaults."""
         stated = self.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
         return {key: stated[key] for key in Study.model_fields if key in stated}
 
     def resolved(self, scenario: Path | None = None) -> Study:
-        """The same study, valid in any folder: files by absolute path.
+        """Return the same study, valid in any folder: files by absolute path.
 
         ``scenario``: a file that has the settings in it already, to be flown instead; a relative path stays relative to
         the study's folder, that of the file which :meth:`save` writes.
@@ -197,7 +197,7 @@ class Study(Model):
         return self.changed(**changes)
 
     def changed(self, **changes: Any) -> Study:
-        """A copy with these fields, not checked against the scenario."""
+        """Return a copy with these fields changed, not checked against the scenario."""
         copy = self.model_copy(update=changes)
         copy._base, copy._keys = None, {}
         return copy
@@ -228,13 +228,18 @@ class Study(Model):
         return study
 
     @model_validator(mode="after")
-    def _design_fits(self) -> Study:
-        """A grid has points and no number of runs; whatever is drawn has a number of runs and no levels."""
+    def _autopilot_flies_alone(self) -> Study:
+        """Refuse controllers beside an autopilot."""
         if self.autopilot is not None and self.controllers:
             raise ValueError(
                 f"controllers: {self.autopilot.name} flies in their place, with the gains of the scenario's "
                 "controller; leave them out (settings.controller = a file of hexjet design)"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _design_fits(self) -> Study:
+        """Refuse a grid with a number of runs, and any other design without one or with levels."""
         if self.design != "grid":
             for vary in self.vary:
                 if vary.levels is not None:
@@ -309,11 +314,26 @@ def study_code(study: Study) -> list[Code]:
 
 
 def check(study: Study, where: str) -> None:
-    """Hold a study against its scenario: keys, their ranges, controllers, metrics.
+    """Check a study against its scenario: keys, their ranges, controllers, metrics.
 
     Raises InputError: one line with the key, the value and what is allowed.
     """
+    _check_names(study, where)
+    own = [name for name, _ in dotted(study.settings) if name.startswith(OWN_PARAMETERS)]
+    try:
+        for name in own:
+            study.key(name)
+        for vary in study.vary:
+            check_vary(vary, study.key(vary.key))
+        for controller in study.tried:  # files exist, and are for this aircraft
+            with_values(study.base(), {"controller": controller})
+        _check_together(study)
+    except InputError as error:
+        raise InputError(str(error) if str(error).startswith(where) else f"{where}: {error}") from error
 
+
+def _check_names(study: Study, where: str) -> None:
+    """Refuse unknown controllers and metrics, and keys that are columns of their own or stand twice."""
     for name in study.controllers:
         if not is_design(name):
             find(name, study.folder, f"{where}: controllers: unknown controller {name!r}")
@@ -328,17 +348,6 @@ def check(study: Study, where: str) -> None:
         if vary.key in seen:
             raise InputError(f"{where}: vary {vary.key}: is there twice")
         seen.add(vary.key)
-    own = [name for name, _ in dotted(study.settings) if name.startswith(OWN_PARAMETERS)]
-    try:
-        for name in own:
-            study.key(name)
-        for vary in study.vary:
-            check_vary(vary, study.key(vary.key))
-        for controller in study.tried:  # files exist, and are for this aircraft
-            with_values(study.base(), {"controller": controller})
-        _check_together(study)
-    except InputError as error:
-        raise InputError(str(error) if str(error).startswith(where) else f"{where}: {error}") from error
 
 
 def _levels(vary: Vary) -> int:
@@ -351,7 +360,7 @@ def study_names() -> list[str]:
 
 
 def find_study(name: str | Path) -> Path:
-    """The file of a study given by name or path."""
+    """Return the file of a study given by name or path."""
     path = Path(name)
     if path.suffix == ".toml" or path.is_file():
         if not path.is_file():

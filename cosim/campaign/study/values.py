@@ -49,7 +49,7 @@ def _check_steps(vary: Vary, key: Key, low: float, high: float) -> None:
 
 
 def levels(vary: Vary, key: Key) -> list[Value]:
-    """The points of a grid: the values, or the levels of a range with both ends among them, evenly or in ratio."""
+    """Return the points of a grid: the values, or the levels of a range including both ends, evenly or in ratio."""
     if key.kind in ("choice", "bool"):
         return [key.fit(value) for value in vary.values or []]
     if vary.values is not None:
@@ -82,14 +82,14 @@ def quantum(key: Key) -> float | None:
 
 
 def whole_bounds(low: float, high: float, step: float) -> tuple[float, float]:
-    """The first and the last whole number of steps within bounds; infinite where a bound is."""
+    """Return the first and the last whole number of steps within bounds; infinite where a bound is."""
     slack = 1e-9  # the division's rounding must not cost the bound itself
     first = float(ceil(low / step - slack)) if isfinite(low) else low
     return first, float(floor(high / step + slack)) if isfinite(high) else high
 
 
 def absolute(drawn: float, vary: Vary, key: Key) -> float:
-    """The value that a drawn number stands for."""
+    """Return the key's value for a drawn number, which may be a factor or an offset."""
     if not vary.relative:
         return drawn
     assert isinstance(key.nominal, (int, float))
@@ -97,7 +97,7 @@ def absolute(drawn: float, vary: Vary, key: Key) -> float:
 
 
 def absolute_support(vary: Vary, key: Key) -> tuple[float, float]:
-    """The least and the largest value that the key can get."""
+    """Return the least and the largest value that the key can get."""
     ends = [absolute(end, vary, key) for end in vary.support]
     return min(ends), max(ends)
 

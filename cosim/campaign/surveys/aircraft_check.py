@@ -216,7 +216,7 @@ def _sizes(vehicle: Vehicle) -> list[Line]:
 
 
 def _thrust(simulation: Simulation) -> tuple[Array, Array]:
-    """What each engine gives at the allocation's limits, N."""
+    """Return the thrust of each engine at the allocation's lower and upper limits, N."""
     limits, count = simulation.vehicle.control.allocation, len(simulation.vehicle.jets)
     ends = []
     for share in (limits.throttle_min, limits.throttle_max):
@@ -280,7 +280,7 @@ def _models(simulation: Simulation) -> list[Line]:
 
 
 def _model(axis: str, family: str, found: Sequence[ModelAgreement]) -> Line:
-    """The worst of one model's comparisons: beyond what is noted it says so, and far beyond it is a fault."""
+    """Return the line on the worst comparison with one model: a note above ``NOTED``, a fault where it is unfit."""
     name = f"{axis} model, {family}"
     if not found:
         return Line(name, "not compared: its sample time is not the vehicle's control step")
@@ -292,7 +292,7 @@ def _model(axis: str, family: str, found: Sequence[ModelAgreement]) -> Line:
 
 
 def _flight(scenario: Scenario) -> Line:
-    """A calm hover with its own gains and sensor noise."""
+    """Fly a calm hover with the vehicle's own gains and sensor noise, and return its line."""
     run = fly(scenario)
     if run.outcome != "completed":
         return Line("a calm hover", f"{run.outcome}: {run.reason}", "does not hover with its own gains")

@@ -28,7 +28,7 @@ STYLE = (
 
 
 def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
-    """The drawing: filled with all engines, and a line without each one in the section of roll and pitch.
+    """Draw the attainable moments with all engines filled, and without each one as a line in roll and pitch.
 
     A section holds the weight and keeps the third moment at zero.
 
@@ -65,8 +65,10 @@ def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
 
 
 def _section(reach: Reach, right: int, up: int, directions: int = DIRECTIONS) -> tuple[Corners, Corners]:
-    """The corners of what is attained, N m, and of what is not exceeded where that is far off or stands alone; none
-    where the weight is not held."""
+    """Return the corners of the attained moments, N m, and of their upper bound where that is far off.
+
+    Both are empty where the weight is not held or a size is not finite.
+    """
     angles = [2.0 * pi * n / directions for n in range(directions)]
     lines = []
     for angle in angles:
@@ -119,6 +121,6 @@ def _draw(
 
 
 def _largest(values: Iterable[float]) -> float:
-    """The scale of an axis; of one about which there is no moment a small one."""
+    """Return the scale of an axis; a small one for an axis without a moment."""
     size = max(values, default=-inf)
     return size if size > 1e-9 else 1.0

@@ -240,7 +240,7 @@ def _fly(task: tuple[Scenario, int, Means]) -> Flight:
 
 
 def _levers(scenario: Scenario) -> Lever:
-    """What a middle engine out asks for, from the bound alone."""
+    """Return what a middle engine out demands, from the bound alone."""
     with build(scenario) as simulation:
         whole = roller(simulation)
         vehicle = simulation.vehicle
@@ -274,7 +274,7 @@ def _half(simulation: Simulation, whole: RollAxis) -> RollAxis | None:
 
 
 def _inertia_for(whole: RollAxis, jet: int, limit: float) -> float:
-    """The factor of J_xx, from 1, at which the bound is ``limit`` [deg], to 1 %."""
+    """Return the factor of J_xx, from 1, at which the bound is ``limit`` [deg], to 1 %."""
     low, high = 1.0, 32.0
     if whole.least_lean(jet).lean_deg <= limit:
         return 1.0
@@ -303,7 +303,7 @@ PAGES = {"faults.md": ("hexjet",), "full-scale.md": ("hexjet-100", "hexjet-p220"
 
 
 def rows(result: EngineOut, aircraft: Sequence[str]) -> dict[str, list[tuple[str, ...]]]:
-    """What became of these aircraft, the bounds for changed ones, and what was not flown: by the names of TABLES."""
+    """Return the outcomes of these aircraft, the bounds for changed ones, and what was not flown, by TABLES' names."""
     return {
         "engine-out": [_row(flights) for flights in _together(result, aircraft)],
         "engine-out-levers": [_lever_row(lever) for lever in result.levers if lever.aircraft in aircraft],
@@ -314,7 +314,7 @@ def rows(result: EngineOut, aircraft: Sequence[str]) -> dict[str, list[tuple[str
 
 
 def _together(result: EngineOut, aircraft: Sequence[str]) -> list[list[Flight]]:
-    """The flights of one vehicle and one means, in the order of the jets."""
+    """Return the flights grouped by vehicle, engine and means, each group in the order of the jets."""
     known: dict[tuple[str, str, str], list[Flight]] = {}
     for flight in result.flights:
         if flight.aircraft in aircraft:
@@ -348,7 +348,7 @@ def _lever_row(lever: Lever) -> tuple[str, ...]:
 
 
 def _lean(values: Sequence[float]) -> str:
-    """The smallest and the largest of some bounds."""
+    """Format the smallest and the largest of some bounds."""
     if any(value != value for value in values):
         return "-"
     least, most = (Bound(value, 0.0).words for value in (min(values), max(values)))
@@ -356,7 +356,7 @@ def _lean(values: Sequence[float]) -> str:
 
 
 def write_pages(result: EngineOut, folder: Path) -> list[Path]:
-    """The tables between the marks of the pages of ``folder``.  Raises InputError if one cannot be written."""
+    """Write the tables between the marks of the pages of ``folder``.  Raises InputError if one cannot be written."""
     for page, aircraft in PAGES.items():
         made = rows(result, aircraft)
         write_marks(folder / page, {name: table(TABLES[name], made[name], left=3) for name in TABLES})

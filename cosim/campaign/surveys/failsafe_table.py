@@ -42,7 +42,7 @@ def write(result: Failsafes, folder: Path) -> Path:
 
 
 def write_flight(folder: Path, name: str, scenario: Scenario, entries: Sequence[Entry]) -> Path:
-    """What ``hexjet fly`` flies again: the scenario, and beside it what was asked in it.  Raises OSError."""
+    """Write a scenario that ``hexjet fly`` flies again, and beside it the file of its requests.  Raises OSError."""
     requests = [{"step": entry.step, "sender": entry.sender} | to_dict(entry.request) for entry in entries]
     text = "".join(json.dumps(line, allow_nan=False) + "\n" for line in requests)
     (folder / f"{name}.jsonl").write_text(text, encoding="utf-8")
@@ -137,7 +137,7 @@ def grid(result: Failsafes) -> list[list[str]]:
 
 
 def _column(row: Row) -> str:
-    """What heads the column of a flight whose wind is one of several in its cell."""
+    """Return the column's head for a flight whose wind is one of several in its cell."""
     return f"{row.height_m:g} m" + (f", moving at {row.speed_m_s:g} m/s" if row.speed_m_s else "")
 
 

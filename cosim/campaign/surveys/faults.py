@@ -324,7 +324,7 @@ class Cell:
 
 
 def summary(result: Survival) -> tuple[list[str], list[tuple[str, str, list[Cell]]]]:
-    """The controllers, and for each kind and start what became of all its places with each of them."""
+    """Return the controllers, and for each kind and start the outcomes over all jets with each of them."""
     controllers = list(dict.fromkeys(row.controller for row in result.rows))
     lines = []
     for kind, start in dict.fromkeys((row.kind, row.start) for row in result.rows):

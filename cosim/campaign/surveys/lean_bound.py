@@ -88,7 +88,7 @@ class RollAxis:
     inertia: float = 1.0  # over that of the vehicle
 
     def least_lean(self, jet: int, after: int = 0, shut_at: int | None = None, tilting: bool = False) -> Bound:
-        """The lean that no throttles avoid with jet ``jet`` (from 1) out, knowing it from step ``after`` on.
+        """Return the lean that no throttles avoid with jet ``jet`` (from 1) out, knowing it from step ``after`` on.
 
         Roll obeys ``J p' = M - c p``, ``phi' = p``, with ``M = -sum y_i T_i cos(tilt_i)`` and damping c.  Full throttle
         beside the engine that is out and least throttle across from it, with ``tilting`` also the largest tilt there,
@@ -134,12 +134,12 @@ class RollAxis:
 
 
 def next_or(values: Sequence[float], k: int) -> float:
-    """The value of step ``k``, the last where there are no more."""
+    """Return the value of step ``k``, or the last one if there are no more."""
     return values[k] if k < len(values) else values[-1]
 
 
 def _upright(vehicle: Vehicle, after: int) -> list[float]:
-    """The share of its thrust that a bank keeps upright, tilted as far and as fast as its servo goes."""
+    """Return the fraction of its thrust that a bank keeps upright, tilted as far and as fast as its servo goes."""
 
     if vehicle.servo is None:
         return [1.0]
@@ -158,7 +158,7 @@ def _damping(vehicle: Vehicle) -> float:
 
 
 def opposite_of(vehicle: Vehicle, jet: int) -> int:
-    """The jet, from 1, across the centre of gravity."""
+    """Return the jet, from 1, across the centre of gravity."""
 
     return opposites(vehicle)[jet - 1] + 1
 

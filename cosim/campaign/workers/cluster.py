@@ -254,7 +254,7 @@ class _Tasks:
                 self._client.cancel(futures, force=True)
 
     def _next(self, tasks: int) -> list[Flight]:
-        """The flights of the next task of so many: one, until it is known how long that takes, and fewer at the end."""
+        """Return the flights of the next of ``tasks``: one until a flight's duration is known, and fewer at the end."""
         size = 1 if self._usual is None else min(MOST_IN_TASK, max(1, round(TASK_S / max(self._usual, 1e-3))))
         missing = size * tasks - len(self._taken)
         self._taken.extend(islice(self._flights, max(0, missing)))
@@ -322,12 +322,12 @@ class _Tasks:
 
 
 def _same(frozen: Frozen) -> Frozen:
-    """The study as a task, which Dask repeats where its result was lost."""
+    """Return the study itself, as a task that Dask repeats where its result was lost."""
     return frozen
 
 
 def _fly(frozen: Frozen, digest: str, expected: Mapping[str, str], flights: list[Flight], limit: float) -> list[Row]:
-    """What a worker does."""
+    """Fly these flights on a worker of the cluster.  Raises FlightError if its packages are not the expected ones."""
     worker = _dask().get_worker()
     wrong = remote.differences(remote.installed(), expected)
     if wrong:
@@ -336,7 +336,7 @@ def _fly(frozen: Frozen, digest: str, expected: Mapping[str, str], flights: list
 
 
 async def _end_idle() -> None:
-    """What a worker does last, without an answer: its processes need not wait for more flights."""
+    """End the worker's idle processes."""
     remote.end_idle()
 
 
@@ -358,7 +358,7 @@ def _dask() -> Any:
 
 
 def _scheduler_at(address: str) -> str:
-    """The address of a scheduler that answers; Dask's client is less patient with its user.  Raises InputError."""
+    """Return the address of a scheduler that answers within ``CONNECT_S``.  Raises InputError if none does."""
     if address.endswith(".json"):
         try:
             scheduler = str(json.loads(Path(address).read_text(encoding="utf-8"))["address"])
@@ -398,7 +398,7 @@ async def _identity(address: str) -> dict[str, Any]:
 
 
 def _describe(error: BaseException) -> str:
-    """What went wrong with a worker, in one line."""
+    """Describe a worker's error in one line."""
     if isinstance(error, ModuleNotFoundError) and str(error.name).split(".")[0] == "cosim":
         return "hexjet-cosim is not installed there"
     return f"{type(error).__name__}: {_line(error)}"

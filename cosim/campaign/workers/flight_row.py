@@ -55,7 +55,7 @@ _KINDS: Kinds = {"float": float, "int": int, "bool": bool, "choice": str}
 
 
 def kinds(study: Study, own: Sequence[str] | None = None) -> Kinds:
-    """The columns of a study's rows in their order, and what is in each; ``own``: the metrics of the user's, if known.
+    """Return the columns of a study's rows in order, with types; ``own``: names of the custom metrics, if known.
 
     What was not measured is None; flight, draw, controller, seed, what was varied, outcome, reason and success always
     have a value.
@@ -91,7 +91,7 @@ def fly_one(study: Study, flight: Flight) -> Row:
 
 
 def with_autopilot(study: Study, scenario: Scenario, folder: Path, page: bool = True) -> tuple[Row, Run]:
-    """A flight of the study's autopilot, recorded whole in ``folder``: what its row says, and the run.
+    """Fly the study's autopilot, recorded whole in ``folder``, and return the values for its row, and the run.
 
     What it was made from is the scenario as the study has it: the record of the autopilot's commands is of the flight.
     Raises InputError and FlightError.
@@ -124,18 +124,18 @@ def with_autopilot(study: Study, scenario: Scenario, folder: Path, page: bool = 
 
 
 def own_names(study: Study) -> list[str]:
-    """The metrics of the user's that a study's rows have."""
+    """Return the names of the custom metrics that a study's rows have."""
     return [name for metric in metrics_of(study.base()) for name in metric.names]
 
 
 def _plugin_kinds(study: Study) -> Kinds:
-    """A column where a study brings anything beside its controllers."""
+    """Return the column that a study with plug-ins beside its controllers has."""
     base = study.base()
     return {"brought_sha256": str} if base.metrics or base.observers or base.sensor_plugin or base.wind else {}
 
 
 def _sink(scenario: Scenario) -> DigestSink:
-    """Keeps what metrics read, everything where one of the user's does not say what it reads."""
+    """Return a sink that keeps what metrics read: everything if a custom metric does not name its columns."""
     waypoints = any(isinstance(entry, WaypointsCommand) for entry in scenario.command)
     names = list(metrics.columns(logged_vehicle(scenario.resolved_vehicle()[0]), waypoints))
     own = metrics_of(scenario)
@@ -145,14 +145,14 @@ def _sink(scenario: Scenario) -> DigestSink:
 
 
 def failed_row(study: Study, flight: Flight, reason: str) -> Row:
-    """The row of a flight of which nothing is known but why."""
+    """Return the row of a flight of which only the reason of its failure is known."""
     stated: Row = {"flight": flight.number, "draw": flight.draw, "controller": flight.controller, "seed": flight.seed}
     failed: Row = {"outcome": "failed", "reason": reason, "success": False}
     return {**dict.fromkeys(kinds(study)), **stated, **flight.values, **failed}
 
 
 def inputs(run: Run) -> str:
-    """What a run was made from, as JSON: versions of what computes, and hashes of the files of aircraft and engines."""
+    """Return as JSON what a run was made from: versions of packages, hashes of the files of aircraft and engines."""
     summary = run.summary
     files = {name: value for name, value in summary.sha256.items() if not name.endswith(" as flown")}
     return json.dumps({"versions": summary.versions, "sha256": files}, sort_keys=True)
@@ -199,7 +199,7 @@ def _kind(study: Study, key: str) -> type[Value]:
 
 
 def _machine_trouble(error: BaseException | None) -> OSError | None:
-    """The error of the operating system behind another, if it says that the machine has no more to give."""
+    """Return the error of the operating system behind another, if it says that the machine has no more to give."""
     while error is not None and not (isinstance(error, OSError) and error.errno in MACHINE_TROUBLE):
         error = error.__cause__ or error.__context__
     return error

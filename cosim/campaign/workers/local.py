@@ -146,7 +146,7 @@ class LocalWorkers:
         return max(0.0, min([LOOK_S, *(end - time.monotonic() for end in ends)]))
 
     def _after_loss(self, study: Study, process: _Process, waiting: _Waiting) -> Iterator[Row]:
-        """What a lost process had is flown again, and what it was flying counts the loss."""
+        """Put back the flights of a lost process; yield a failed row for a flight that has lost too many processes."""
         begun, end = process.since is not None, process.how_it_ended()
         given = self._end(process)
         if not begun:
@@ -250,7 +250,7 @@ class _Process:
         self.given.append(flight)
 
     def receive(self) -> Any:
-        """A row, that the process is ready, or why it cannot go on; None: it is lost."""
+        """Return a row, a message that the process is ready, or why it cannot go on; None if the process is lost."""
         try:
             message = self.connection.recv()
         except (EOFError, OSError, pickle.UnpicklingError):
@@ -273,7 +273,7 @@ class _Process:
         return self._process.describe_end(1.0, "ended by {}", "left with status {}") or open_yet
 
     def mark(self, wall_s: float | None = None) -> Row:
-        """What a row says of who flew it."""
+        """Return the part of a row that says which process flew it."""
         return {"worker": f"{os.uname().nodename}:{self._process.pid}", "wall_s": wall_s}
 
     def end(self) -> None:
@@ -287,7 +287,7 @@ class _Process:
 
 
 def serve(descriptor: int, folder: str) -> None:
-    """The process: fly what comes until nobody is there any more; ``folder`` is its own, and goes with it."""
+    """Fly the flights that arrive until the other end is gone; ``folder`` is the process's own, deleted at the end."""
     os.set_inheritable(descriptor, False)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _have_it_ended()

@@ -24,10 +24,10 @@ def time_limit(study: Study) -> float:
 
 
 def lost(end: str) -> str:
-    """The reason of a flight that was given up; ``end`` says how its last process ended."""
+    """Return the reason of a flight that was given up; ``end`` says how its last process ended."""
     return f"the process was lost in this flight {LOSSES} times; the last {end}"
 
 
 def too_slow(limit: float) -> str:
-    """The reason of a flight that took longer than ``limit`` seconds."""
+    """Return the reason of a flight that took longer than ``limit`` seconds."""
     return f"not finished within the time limit of {limit:g} s"

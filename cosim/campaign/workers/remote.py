@@ -77,7 +77,7 @@ atexit.register(_processes.end_idle)
 
 
 def fly_together(frozen: Frozen, digest: str, flights: Sequence[Flight], limit: float, folder: Path) -> list[Row]:
-    """The rows of some flights of the study with this digest; ``folder`` is one that goes when the worker goes."""
+    """Fly some flights of the study with this digest; ``folder`` is one that goes when the worker goes."""
     with _unpacking:  # a worker has several threads
         _unpack(frozen, folder / digest)
         trust(folder / digest)  # whoever sent it has looked at its code: that is what a cluster is for
@@ -99,7 +99,7 @@ def end_idle() -> None:
 
 @cache
 def installed() -> dict[str, str]:
-    """What makes a flight's numbers here, and may be another elsewhere."""
+    """Return the versions of what determines a flight's numbers here, and may differ elsewhere."""
     known = versions()
     minor = ".".join(platform.python_version_tuple()[:2])
     return {"python": minor, **{name: known.get(name, "none") for name in PARTS}, FILES: _files()}

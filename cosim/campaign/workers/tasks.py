@@ -38,7 +38,7 @@ def as_finished(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> 
 
 
 def in_order(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> Iterator[R]:
-    """The answers of :func:`as_finished` in the order of the arguments; one worker is this process."""
+    """Yield the answers of :func:`as_finished` in the order of the arguments; one worker is this process."""
     if workers == 1:
         yield from map(act, arguments)
         return

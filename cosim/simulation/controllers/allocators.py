@@ -47,7 +47,7 @@ def make_allocator(
 
 
 def effectiveness_of(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> EffectivenessAllocator:
-    """The allocation of a vehicle with this engine at every station.  Raises InputError as a flight."""
+    """Return the allocation of a vehicle with this engine at every station.  Raises InputError as a flight."""
     stations = [engine] * len(vehicle.jets)
     thrust_map, _ = map_thrust(vehicle, engine, stations)
     return _by_effectiveness(scenario, vehicle, stations, thrust_map)
@@ -110,12 +110,12 @@ def _late(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) 
 
 
 def _surface_effects(scenario: Scenario, vehicle: Vehicle) -> list[tuple[float, ...]]:
-    """What each surface of the vehicle's own JSBSim model does per unit and Pa, as the model says."""
+    """Return what each surface does per unit and Pa, as the vehicle's own JSBSim model gives it."""
     return ask_model("surfaces", scenario, vehicle, Airframe.surface_effects) if vehicle.surfaces else []
 
 
 def ask_model(what: str, scenario: Scenario, vehicle: Vehicle, ask: Callable[[Airframe], T]) -> T:
-    """What the vehicle's own JSBSim model says of surfaces, or of a wing, once for a vehicle and a model."""
+    """Return what ``ask`` reads from the vehicle's own JSBSim model, built once for a vehicle and a model."""
     _, folder = scenario.resolved_vehicle()
     model = None if vehicle.model is None else read_model(folder / vehicle.model)
 

@@ -42,7 +42,7 @@ class Requirements(Model):
     step_rad: float = STEP_RAD  # an attitude step of this size must not saturate
 
     def delay_samples(self, transport: float) -> float:
-        """The tolerance, in samples, of a transport delay of so many."""
+        """Return the tolerance, in samples, of a transport delay of so many."""
         return max(1.0, self.delay_tolerance * transport) if self.delay_tolerance else 0.0
 
 
@@ -125,13 +125,13 @@ class ControllerFile(Model):
     design: Purpose
 
     def check_step(self, path: Path, step: float) -> None:
-        """Raises InputError where it was made for another control step than ``step`` [s]."""
+        """Raise InputError where it was made for another control step than ``step`` [s]."""
         if abs(step - self.design.step_s) > SAME_STEP_S:
             raise InputError(f"{path}: designed for steps of {self.design.step_s:g} s, not of {step:g} s")
 
 
 def purpose_of(path: Path) -> Purpose:
-    """What a controller file was made for.  Raises InputError as :func:`read_controller`."""
+    """Return what a controller file was made for.  Raises InputError as :func:`read_controller`."""
     return validate(ControllerFile, read_toml(path), str(path)).design
 
 
@@ -274,5 +274,5 @@ def _proof_and_engine(made: Purpose, spec: EngineSpec) -> list[str]:
 
 
 def _airframe(changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Changes of a vehicle that are not its controller."""
+    """Return the changes of a vehicle that are not its controller."""
     return {key: value for key, value in changes.items() if key not in ("control", "identified")}

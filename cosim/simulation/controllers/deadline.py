@@ -39,20 +39,20 @@ class Deadline:
         self._watcher: threading.Thread | None = None
 
     def begin(self) -> float:
-        """A call begins; :meth:`done` is told what this gives back."""
+        """Start the clock of a call and return its start time [s], which :meth:`done` takes."""
         if self._watcher is None:
             self._start()
         self._begun = begun = monotonic()
         return begun
 
     def done(self, begun: float) -> None:
-        """The call that began then has ended.  Raises LateError where it took longer than the limit."""
+        """Stop the clock of the call that began then.  Raises LateError where it took longer than the limit."""
         self._begun = None
         if monotonic() - begun > self.limit:
             raise LateError
 
     def drop(self) -> None:
-        """The call has ended with an error of its own."""
+        """Stop the clock of a call that ended with an error."""
         self._begun = None
 
     def close(self) -> None:

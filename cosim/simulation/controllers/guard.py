@@ -76,7 +76,7 @@ class Named:
         return answer
 
     def numbers(self, answer: Any, names: Sequence[str], what: str = "update") -> tuple[float, ...]:
-        """An answer as so many finite numbers.  Raises FlightError."""
+        """Return an answer as so many finite numbers.  Raises FlightError."""
         found = within(answer, len(names), -_LARGEST, _LARGEST)
         if found is not None:
             return found
@@ -92,7 +92,7 @@ class Named:
         return values
 
     def shown(self, block: Any, columns: Sequence[Column]) -> tuple[float, ...]:
-        """What a block shows, one number for each column.  Raises FlightError."""
+        """Return the values that a block shows, one number for each column.  Raises FlightError."""
         try:
             return tuple([float(value) for value in block.shown])
         except Exception as error:
@@ -105,7 +105,7 @@ def _short(value: Any) -> str:
 
 
 def columns_from(block: Any) -> tuple[Column, ...]:
-    """The columns that a block shows, each as it is or as four texts."""
+    """Return the columns that a block shows, each as it is or as four texts."""
     return tuple([Column(*column) for column in getattr(block, "columns", ())])
 
 
@@ -216,7 +216,7 @@ class GuardedController:
         self.signals = self._own_signals(self._idle)
 
     def reset(self, on_ground: bool, burnt: float) -> PerJet:
-        """The engines stand where they hold the vehicle up, or idle; see :class:`cosim.base.protocols.Controller`."""
+        """Return the throttles that hold the vehicle up, or idle; see :class:`cosim.base.protocols.Controller`."""
         jets, share = len(self._names), self._share
         if burnt:
             share = self._thrust_map.share((self._mass - burnt) * GRAVITY / jets)
@@ -230,7 +230,7 @@ class GuardedController:
         return throttle
 
     def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
-        """What the user's answers, looked at; idle engines are ours to see to."""
+        """Return the block's checked answer; while the engines do not fly, idle throttle without asking the block."""
         if engines is not _FLY:
             self._flying = False
             off = self._every_jet if engines is EngineState.OFF else NO_JETS
@@ -247,7 +247,7 @@ class GuardedController:
         return answer
 
     def _own_signals(self, throttle: PerJet) -> ControlSignals:
-        """What the block shows of a cascade, and what can be said of any controller: its mean throttle."""
+        """Return the signals of a block that is a cascade; of any other controller only its mean throttle is known."""
         signals = getattr(self._block, "signals", None)
         if isinstance(signals, ControlSignals):
             return signals
@@ -290,7 +290,7 @@ class GuardedController:
         return tuple([clip(value, 0.0, 1.0) for value in throttle])
 
     def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
-        """What the engines report goes into what the next update is told."""
+        """Store the engines' output and the fuel burnt [kg] for the next update; no engine is reported as failed."""
         self._engines, self._burnt = engines, burnt
         return ALL_WELL
 

@@ -119,7 +119,7 @@ def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list
 
 
 def _one_command(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> str:
-    """What to do about an engine for which there is no model: design for it, and fly that."""
+    """Return the advice for an engine without an identified model: the command that designs a controller for it."""
     what = engine.name if engine.library else str(engine.mapping or engine.path)
     named = aircraft_seen_from(scenario.aircraft, scenario.folder)
     aircraft = "" if named == "hexjet" else f" --aircraft {named}"

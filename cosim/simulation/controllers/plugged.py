@@ -29,7 +29,7 @@ from cosim.spec.vehicle import Vehicle
 
 
 def find_controller(scenario: Scenario) -> Source | None:
-    """The scenario's controller where it is from outside.  Raises InputError for an unknown one, or another file."""
+    """Return the scenario's user-supplied controller.  Raises InputError for an unknown one, or another file."""
     source = find(scenario.controller, scenario.folder, f"unknown controller {scenario.controller!r}")
     if source is not None:
         source.expect(scenario.controller_sha256, f"scenario {scenario.name}")
@@ -37,7 +37,7 @@ def find_controller(scenario: Scenario) -> Source | None:
 
 
 def own_parameters(scenario: Scenario, own: Source | None) -> dict[str, float]:
-    """The values of a controller's own parameters.  Raises InputError where the scenario states others."""
+    """Return the values of a controller's own parameters.  Raises InputError where the scenario states others."""
     where = f"scenario {scenario.name}: controller_parameters"
     if own is not None:
         return own.values(scenario.controller_parameters, where)
@@ -91,7 +91,7 @@ class Plugged:
             self.attitude = GuardedAttitude(self._made(self._belief), self._named)
 
     def predictors(self) -> list[Predictor]:
-        """What stands between measurement and our rate loop: the user's where engines answer, or one of ours."""
+        """Return the predictors before the rate loop: the user's if the controller is one, else built-in ones."""
         belief = self._belief
         if self._own.level != "predictor":
             return belief.predictors(self._own.predictor)
@@ -102,7 +102,7 @@ class Plugged:
         ]
 
     def _made(self, belief: Belief) -> Any:
-        """A block that is told what it may believe.  Raises InputError for one that takes that badly."""
+        """Return a new block that was given its beliefs.  Raises InputError if its ``prepare`` fails."""
         block = self._own.make()
         self._blocks.append(block)
         if isinstance(block, ProcessBlock):  # it has limits of its own, and takes a while to start

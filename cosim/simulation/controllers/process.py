@@ -68,7 +68,7 @@ class Connection:
         return data
 
     def send(self, data: bytes) -> None:
-        """Raises FlightError if it is not there any more."""
+        """Write to the process.  Raises FlightError if it has ended."""
         assert self._process.stdin is not None
         try:
             view = memoryview(data)
@@ -100,7 +100,7 @@ class Connection:
 
 
 def describe(command: Command, folder: Path, label: str) -> dict[str, Any]:
-    """What a process says that it is.  Raises InputError."""
+    """Return a process's description of itself.  Raises InputError."""
     with tempfile.TemporaryFile() as errors:  # it ends before it has begun, and need not like that
         connection = _started(command, folder, label, errors)
         try:
@@ -207,7 +207,7 @@ class ProcessBlock:
         return connection
 
     def reset(self) -> None:
-        """The next frame has the number 0."""
+        """Start the numbers of frames at 0 again."""
         self._k = 0
 
     def update(self, *told: Any) -> Any:

@@ -25,7 +25,7 @@ Row = tuple[PerJet, tuple[float, float], tuple[float, ...]]  # throttles, tilts 
 
 
 def header(jets: int, servo: bool) -> str:
-    """The first line of such a table."""
+    """Return the header line of a table of actuator commands."""
     tilts = TILTS if servo else ()
     return ",".join([*(f"throttle_{number}" for number in range(1, jets + 1)), *tilts, *[c.name for c in COLUMNS]])
 
@@ -37,7 +37,7 @@ def line(row: Row, servo: bool) -> str:
 
 
 def read(path: Path, where: str) -> tuple[list[Row], tuple[Column, ...]]:
-    """The rows of a table, and the columns for the log.  Raises InputError with the line that does not fit."""
+    """Read the rows of a table, and the columns for the log.  Raises InputError with the line that does not fit."""
     try:
         first, *lines = path.read_text().splitlines()
     except (OSError, ValueError) as error:
@@ -90,7 +90,7 @@ class Recorded:
         self.shown: tuple[float, ...] = (0.0,) * len(self.columns)
 
     def update(self, command: Command, measured: Measured, applied: Applied) -> Actuation:
-        """The next row.  Raises FlightError behind the last."""
+        """Return the commands of the next row.  Raises FlightError behind the last."""
         if self._next >= len(self._rows):
             raise FlightError(f"the record ends after {len(self._rows)} steps")
         throttle, tilt, self.shown = self._rows[self._next]

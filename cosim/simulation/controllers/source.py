@@ -123,7 +123,7 @@ class Source:
 
 
 def find(controller: str, folder: Path, complaint: str) -> Source | None:
-    """The controller of that name, a file seen from ``folder``; None where it is one of ours.
+    """Return the controller of that name, a file seen from ``folder``; None for a built-in one.
 
     Raises InputError: ``complaint`` and what there is, or what is wrong with it.
     """
@@ -165,7 +165,7 @@ def find_python(kind: str, name: str, folder: Path) -> Source | None:
 
 
 def names() -> Iterator[tuple[str, str]]:
-    """The controllers of installed packages, and what each is.  Raises InputError for one that cannot be loaded.
+    """Yield the controllers of installed packages, and what each is.  Raises InputError for one that cannot be loaded.
 
     One that only says that it is installed is not run for that.
     """
@@ -180,7 +180,7 @@ def names() -> Iterator[tuple[str, str]]:
 
 
 def of_object(given: Any) -> Source:
-    """A class or an object of a program.  Raises InputError for one that is no controller.
+    """Return the source of a class or an object of a program.  Raises InputError for one that is no controller.
 
     A class of a file flies again from that file, and so does an object that is as its class makes it without being told
     anything.  Of one of a notebook's cell the text is hashed, where it is to be had.
@@ -213,7 +213,7 @@ def _as_made(given: Any, made: type) -> bool:
 
 
 def file_of(made: Any) -> Path | None:
-    """The file that a class or a function is in; not that of the module into which its text was executed."""
+    """Return the file that a class or a function is in, unless its text was executed into that file's module."""
     try:
         found = inspect.getsourcefile(made)
     except (TypeError, OSError):
@@ -231,7 +231,7 @@ def _codes(made: type) -> list[CodeType]:
 
 
 def _text_of(made: type) -> str:
-    """The text of a class that no file holds, as a notebook keeps it for its tracebacks; empty where nobody does."""
+    """Return the text of a class that no file holds, from the line cache that a notebook fills; empty if not there."""
     for code in _codes(made):
         text = "".join(linecache.getlines(code.co_filename))
         try:
@@ -307,7 +307,7 @@ def _of_record(controller: str, path: Path) -> Source:
 def _described(
     controller: str, said: Mapping[str, Any], files: Mapping[str, Path], command: Command, folder: Path
 ) -> Source:
-    """What a process or an FMU says of itself.  Raises InputError for what does not fit."""
+    """Return the source of a process or an FMU from its description.  Raises InputError for what does not fit."""
     label = label_of(controller)
     where = f"controller {label}"
     known = ("level", "predictor", "extras", "parameters", "columns")
@@ -444,7 +444,7 @@ def check_method(block: Any, method: str, told: Sequence[str], where: str) -> No
 
 
 def parameters_of(block: Any, where: str) -> tuple[Parameter, ...]:
-    """The parameters that a block states.  Raises InputError."""
+    """Return the parameters that a block states.  Raises InputError."""
     parameters: list[Parameter] = []
     stated = getattr(block, "parameters", ())
     if not isinstance(stated, (list, tuple)):

@@ -73,7 +73,7 @@ class Commander:
         self._last = Command((0.0, 0.0, 0.0), height)
 
     def at(self, k: int) -> Command:
-        """The command held over step ``k``."""
+        """Return the command held over step ``k``."""
         if not self._waves and self._last_values:
             return self._last
         values = self._base.copy()
@@ -202,7 +202,7 @@ def _sticks(entry: SticksCommand, scenario: Scenario, start: int, where: str) ->
 
 
 def _running_sum(wave: Waveform, factor: float, start: int, end: int) -> Waveform:
-    """The sum of ``factor * wave`` over the steps before ``k``; constant from ``end`` on."""
+    """Return the sum of ``factor * wave`` over the steps before ``k``; constant from ``end`` on."""
     sums = [0.0]
     for k in range(start, end):
         sums.append(sums[-1] + factor * wave(k))
@@ -210,7 +210,7 @@ def _running_sum(wave: Waveform, factor: float, start: int, end: int) -> Wavefor
 
 
 def read_columns(path: Path, allowed: Sequence[str], where: str) -> tuple[list[float], dict[str, list[float]]]:
-    """Times and named columns of a CSV with a header line ``time_s,...``.
+    """Read times and named columns of a CSV with a header line ``time_s,...``.
 
     Raises InputError that names the file and the line: unknown column, a cell that is no finite number, times that
     do not grow, no rows.
@@ -220,14 +220,7 @@ def read_columns(path: Path, allowed: Sequence[str], where: str) -> tuple[list[f
             rows = list(csv.reader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{where}: {path}: {getattr(error, 'strerror', None) or error}") from error
-    header = [cell.strip() for cell in rows[0]] if rows else []
-    if not header or header[0] != "time_s":
-        raise InputError(f"{path}: line 1: the first column must be time_s")
-    for name in header[1:]:
-        if name not in allowed:
-            raise InputError(f"{path}: line 1: unknown column {name!r}; {nearest(name, allowed)}")
-    if len(set(header)) != len(header):
-        raise InputError(f"{path}: line 1: a column stands twice")
+    header = _read_header(rows, path, allowed)
     table: list[list[float]] = []
     for number, row in enumerate(rows[1:], 2):
         if not row:
@@ -245,6 +238,19 @@ def read_columns(path: Path, allowed: Sequence[str], where: str) -> tuple[list[f
         raise InputError(f"{path}: line 2: time_s starts below 0")
     times, *columns = (list(column) for column in zip(*table, strict=True))
     return times, dict(zip(header[1:], columns, strict=True))
+
+
+def _read_header(rows: Sequence[Sequence[str]], path: Path, allowed: Sequence[str]) -> list[str]:
+    """Return the names of the columns, of which the first is time_s.  Raises InputError."""
+    header = [cell.strip() for cell in rows[0]] if rows else []
+    if not header or header[0] != "time_s":
+        raise InputError(f"{path}: line 1: the first column must be time_s")
+    for name in header[1:]:
+        if name not in allowed:
+            raise InputError(f"{path}: line 1: unknown column {name!r}; {nearest(name, allowed)}")
+    if len(set(header)) != len(header):
+        raise InputError(f"{path}: line 1: a column stands twice")
+    return header
 
 
 def _number(cell: str, path: Path, line: int) -> float:

@@ -80,7 +80,7 @@ class Disturber:
         self._gusts[start] = (entry.velocity_ned_m_s, entry.rise_s, entry.hold_s, entry.fall_s)
 
     def at(self, k: int) -> Disturbance:
-        """The disturbance held over step ``k``."""
+        """Return the disturbance held over step ``k``."""
         if self._calm and self._parts:
             return self._last
         parts = (

@@ -13,7 +13,7 @@ from cosim.spec.vehicle import Vehicle
 
 
 def as_flown(vehicle: Vehicle, mismatch: Mismatch) -> Vehicle:
-    """The vehicle that flies where ``vehicle`` is what is known of it; the same object without a mismatch.
+    """Return the vehicle that flies where the controller assumes ``vehicle``; the same object without a mismatch.
 
     Its body axes start from the true centre of gravity, to which the moments of inertia stated belong then.
     Raises InputError if there is more fuel than mass.

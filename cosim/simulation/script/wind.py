@@ -25,14 +25,14 @@ class FieldWind:
         self.at_jets: list[Vector3] = []  # m/s NED, beyond the wind at the centre of gravity
 
     def reset(self, wind: Vector3) -> Vector3:
-        """The wind at the start, where the disturbances blow ``wind``."""
+        """Return the wind at the start, m/s, where the disturbances blow ``wind``."""
         self._reset()
         self.at_jets = []
         x, y, z = self._velocity(0.0, 0.0, 0.0, self._height)
         return (wind[0] + x, wind[1] + y, wind[2] + z)
 
     def with_wind(self, k: int, state: State, disturbance: Disturbance) -> Disturbance:
-        """The disturbance of step ``k`` with the field's wind in it."""
+        """Return the disturbance of step ``k`` with the field's wind added."""
         time = k * self._step
         north, east, _ = state.position
         height = state.altitude
