@@ -161,12 +161,12 @@ def fmu_check(options: Check) -> int:
 
 def _check_controller(path: Path, output: opt.Output) -> int:
     """Print what a controller's FMU is told and answers, and whether a second of hover is twice the same."""
-    from cosim.engine.make.controller_fmu import describing, read_controller_fmu
+    from cosim.engine.make.controller_fmu import describe_controller, read_controller_fmu
     from cosim.flight import fly
     from cosim.spec.scenario import Scenario
 
     fmu = read_controller_fmu(path)
-    description = describing(fmu)
+    description = describe_controller(fmu)
     with output_to_stderr(output.as_json):
         run = fly(Scenario.load("hover").replace(duration_s=1.0, expect=[], controller=str(path.absolute())))
     own = run.summary.own_controller

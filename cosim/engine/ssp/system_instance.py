@@ -304,7 +304,7 @@ class _Stepper:
         self._event, self._terminate, self._early = (ctypes.c_bool() for _ in range(3))
         self._last = ctypes.c_double()
         outputs = (self._event, self._terminate, self._early, self._last)
-        self._more = () if component.archive.fmi == 2 else tuple(map(ctypes.byref, outputs))
+        self._more = () if component.archive.fmi == 2 else tuple(ctypes.byref(output) for output in outputs)
 
     def step(self, time: float, step: float) -> None:
         """Step the component from ``time`` by ``step`` seconds; raise InstanceError on failure."""

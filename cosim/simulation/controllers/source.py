@@ -283,7 +283,7 @@ def _of_process(controller: str, path: Path, arguments: str) -> Source:
 
 
 def _of_fmu(controller: str, path: Path) -> Source:
-    from cosim.engine.make.controller_fmu import command, describing, read_controller_fmu
+    from cosim.engine.make.controller_fmu import command, describe_controller, read_controller_fmu
 
     try:
         fmu = read_controller_fmu(path)
@@ -292,7 +292,9 @@ def _of_fmu(controller: str, path: Path) -> Source:
     need_trust([code_of(fmu.path, path, fmu.path)], f"controller {label_of(controller)}")
     key = (controller, str(path), *[_sha256(file) for file in fmu.files.values()])
     run = command(path)
-    return _known.get(key, lambda: _described(controller, describing(fmu), fmu.files, lambda: run, path.parent))
+    return _known.get(
+        key, lambda: _described(controller, describe_controller(fmu), fmu.files, lambda: run, path.parent)
+    )
 
 
 def _of_record(controller: str, path: Path) -> Source:

@@ -80,7 +80,9 @@ class Vehicle(Model):
 
     @model_validator(mode="after")
     def _hinges_move_jets(self) -> Vehicle:
-        _differ("hinges, surfaces", [part.name for part in (*self.hinges, *self.surfaces)])
+        _differ(
+            "hinges, surfaces", [*(hinge.name for hinge in self.hinges), *(surface.name for surface in self.surfaces)]
+        )
         for number, hinge in enumerate(self.hinges):
             for jet in (*hinge.carries, *hinge.deflects):
                 if jet > len(self.jets):
