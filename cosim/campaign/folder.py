@@ -64,7 +64,7 @@ class Frozen:
 
 
 def freeze(study: Study) -> Frozen:
-    """Everything that a folder needs to fly ``study``.
+    """Return everything that a folder needs to fly ``study``.
 
     Each controller is tried on the scenario as it stands, so that what cannot fly at all is found here.  Raises
     InputError.
@@ -98,7 +98,7 @@ def load(folder: Path) -> Study:
 
 
 def is_campaign(folder: Path) -> bool:
-    """Whether a folder is a campaign's, begun at least."""
+    """Return whether a folder is a campaign's, begun at least."""
     return (folder / STUDY).is_file() and (folder / FLIGHTS).is_dir()
 
 
@@ -156,7 +156,7 @@ def _controller(name: str, folder: Path, sources: dict[str, Path | bytes]) -> st
 
 
 def _copied(source: Path, sources: dict[str, Path | bytes]) -> str:
-    """Note a file to be copied; its name in the folder."""
+    """Note a file to be copied, and return its name in the folder."""
     name, number = source.name, len(sources)
     while name in sources:
         name, number = f"{number}-{source.name}", number + 1

@@ -107,7 +107,7 @@ def opened(name: str, out: Path | None, resume: bool, **options: Any) -> tuple[S
 
 
 def workers_at(count: int | None, cluster: str | None, time_limit_s: float | None) -> Workers:
-    """Where a command line says to fly: so many processes here, by default one a processor, or a cluster.
+    """Return the workers of a command line: so many processes here, by default one a processor, or a cluster.
 
     Raises InputError.
     """
@@ -119,14 +119,14 @@ def workers_at(count: int | None, cluster: str | None, time_limit_s: float | Non
 
 
 def _at_work(workers: Workers | int | None) -> AbstractContextManager[Workers]:
-    """Workers that are closed by whoever made them."""
+    """Open workers that are closed by whoever made them."""
     if workers is None or isinstance(workers, int):
         return LocalWorkers(processors() if workers is None else workers)
     return nullcontext(workers)
 
 
 def processors() -> int:
-    """How many this process may use."""
+    """Return how many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -151,7 +151,7 @@ class RepeatedFlight:
 
     @property
     def verdict(self) -> str:
-        """In words."""
+        """Whether the flight is the same, in words."""
         if not self.comparable:
             return "the first time was not recorded to its end"
         return "the same, bit for bit" if self.same else "not the same"
@@ -189,7 +189,7 @@ def flight_of(study: Study, row: Row) -> Flight:
 
 
 def _otherwise(row: Row, run: Run) -> list[str]:
-    """Why a flight may be another one now."""
+    """Return why a flight may differ now from the recorded one."""
     then, now = json.loads(str(row["inputs"])), json.loads(inputs(run))
     differences = [
         f"{name} was {_short(then[kind].get(name))} and is {_short(now[kind].get(name))}"

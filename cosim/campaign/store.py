@@ -53,7 +53,7 @@ _CHECKED = 16  # finished flights whose draws are compared when a campaign is ta
 
 
 class Numbers:
-    """Which of so many flights are finished: a byte each, for there may be millions."""
+    """The numbers of finished flights, a byte each, for there may be millions."""
 
     def __init__(self, of: int) -> None:
         self._marks = bytearray(of)
@@ -283,7 +283,7 @@ class Store:
 
 @dataclass(frozen=True)
 class Campaign:
-    """A campaign as it was when it was opened; it may go on meanwhile.
+    """A campaign as it was when it was opened; flights may be added to its folder meanwhile.
 
     ``columns["outcome"]`` is a list with an entry for each finished flight, in the order of their numbers; there are
     flight, draw, controller, seed, every varied key under its dotted name, outcome, reason, success, steps, duration_s,
@@ -361,7 +361,7 @@ class _Columns(Mapping[str, list[Value]]):
 
 
 def _hardly_begun(folder: Path) -> bool:
-    """Whether a process was killed between its first file here and the study, which is written last."""
+    """Return whether a process was killed between its first file here and the study, which is written last."""
     journal = folder / JOURNAL
     begun = journal.is_file() and not (folder / STUDY).exists()
     return begun and not journal.stat().st_size and not any((folder / FLIGHTS).glob("*"))
@@ -413,7 +413,7 @@ def _open_journal(folder: Path, how: int) -> int:
 
 
 def _sync(file: int, path: Path) -> None:
-    """See to it that what was written is on the disk.  Raises FlightError."""
+    """Write a file's data to the disk.  Raises FlightError."""
     try:
         os.fsync(file)
     except OSError as error:

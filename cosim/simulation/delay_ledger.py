@@ -120,7 +120,7 @@ class _Hover:
         return [LedgerRow(*row, axis) for row in (*held, *acting, *self._airframe(), *self._gyro())]
 
     def _acting(self, axis: str, turned: AxisShares) -> list[tuple[str, str, str, float | None]]:
-        """Element, owner, kind and samples of what gives the axis."""
+        """Return element, owner, kind and samples of what gives the axis."""
         by_thrust, by_servo = sum(turned.thrusts), sum(turned.servos)
         if not by_thrust and not by_servo:
             return [(f"nothing turns it in {axis}", "allocation", "mixed", None)]
@@ -244,7 +244,7 @@ def _mean(values: Sequence[float | None], weights: Sequence[float]) -> float | N
 
 
 def _delay(engine: EngineSpec, step: float) -> float | None:
-    """Transport delay in control steps, as stated or measured."""
+    """Return the transport delay in control steps, as stated or measured."""
     if engine.delay is not None:
         return engine.delay / step
     return None if engine.small is None else float(engine.small.delay)

@@ -12,7 +12,7 @@ from cosim.spec.vehicle import Limits
 
 @dataclass(frozen=True)
 class Ending:
-    """How a flight ended, and why, in words."""
+    """The outcome of a flight, and its reason in words."""
 
     outcome: Outcome
     reason: str

@@ -21,7 +21,7 @@ _OVER = 1e-6  # of the change: it has ended once it has been no further off for 
 
 
 class AroundTrim(NamedTuple):
-    """How an engine answers small changes of the throttle around one that it is held at."""
+    """The response of an engine to small changes of the throttle around a constant one."""
 
     late: float | None  # all delay at low frequency, control steps from the throttle's move; None: it does not answer
     speed: float  # rad/s; 0 where it has none
@@ -130,7 +130,7 @@ def _measure(spec: EngineSpec, step: float) -> EngineReference:
 
 
 def _answer(bank: Engines, first: float, then: float, step: float) -> tuple[float, float]:
-    """Lag and delay [s] of a step of the throttle: how long nothing moves, and from there to 63 % of the change."""
+    """Return lag and delay [s] of a step of the throttle: the time without motion, and then to 63 % of the change."""
     after = bank.reset(then).thrust[0]
     before = bank.reset(first).thrust[0]
     begun = None

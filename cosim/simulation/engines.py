@@ -64,7 +64,7 @@ def engines_of(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
 
 
 def _starts_in_flight(scenario: Scenario, stations: Sequence[EngineSpec]) -> bool:
-    """Whether starts are flown.  Raises InputError where that is asked for, and no engine has one."""
+    """Return whether starts are flown.  Raises InputError where that is asked for, and no engine has one."""
     if scenario.engine_start == "before flight":
         return False
     if not any(spec.archive.starting.stages for spec in stations):

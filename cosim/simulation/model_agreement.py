@@ -68,7 +68,7 @@ _HIGHEST = 0.8 * np.pi  # rad per step
 
 @dataclass(frozen=True)
 class ModelAgreement:
-    """One identified model beside what the vehicle and its engine come to."""
+    """The comparison of one identified model with the vehicle and its engine."""
 
     engine: str  # the family that the model is filed under
     axis: str
@@ -84,12 +84,12 @@ class ModelAgreement:
 
     @property
     def ratio(self) -> float:
-        """Gain of the model over that of the vehicle."""
+        """The model's gain over that of the vehicle."""
         return self.gain / self.own_gain
 
     @property
     def noted(self) -> bool:
-        """Whether the two differ by more than is to be passed over."""
+        """Whether the two differ by more than the threshold of a note."""
         return self._excess(1.0 + NOTED, NOTED, NOTED) > 1.0
 
     @property
@@ -99,11 +99,11 @@ class ModelAgreement:
 
     @property
     def distance(self) -> float:
-        """How far they are apart, of what is noted: 1 there."""
+        """The difference in units of the threshold of a note."""
         return self._excess(1.0 + NOTED, NOTED, NOTED)
 
     def _excess(self, gain: float, delay: float, lag: float) -> float:
-        """Of the three differences the largest, over its limit; a model of the other sign is beyond any."""
+        """Return the largest of the three differences, over its limit; a model of the other sign is beyond any."""
         if self.opposite:
             return inf
         samples = max(LEAST_SAMPLES, delay * self.own_late)
@@ -111,7 +111,7 @@ class ModelAgreement:
 
     @property
     def numbers(self) -> str:
-        """Gain and delay of both, and how far the lag is off, in words."""
+        """Gain and delay of both, and the error of the lag, in words."""
         if self.opposite:
             return f"it turns the other way than the vehicle, which has {self.own_gain:.4g} {self.unit}"
         said = (
@@ -125,13 +125,13 @@ class ModelAgreement:
 
     @property
     def note(self) -> str:
-        """One line for whoever flies with it."""
+        """The line for whoever flies with it."""
         where = f" {self.state}" if self.state else ""
         return f"{self.axis}: the identified model with {self.engine} is not that of the vehicle{where}: {self.numbers}"
 
 
 class _EngineResponse(NamedTuple):
-    """Thrust to a command, over thrust at rest, on a grid."""
+    """The frequency response from command to thrust, over thrust at rest, on a grid."""
 
     omega: Array  # rad/s
     value: Complex
@@ -245,7 +245,7 @@ def _first_radian(late: Array, omega: Array) -> float:
 
 
 def _unit(vehicle: Vehicle, index: int) -> str:
-    """Of an axis' gain."""
+    """Return the unit of an axis' gain."""
     if vehicle.allocation == "effectiveness":
         return "rad/s^2 per rad/s^2"
     return "rad/s^2 per throttle" if by_throttle(vehicle, index) else "rad/s^2 per rad"
@@ -263,7 +263,7 @@ def _parts(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, index: int,
 
 
 def _actuators(parts: Sequence[AxisPart], engine: _EngineResponse, z: Complex, step: float) -> Complex:
-    """Command to moment, over that at rest: the shares of engines and servos, with what turning kicks back."""
+    """Return command to moment, over that at rest: the parts of engines and servos, with what turning kicks back."""
     total = np.zeros_like(z)
     for part in parts:
         answer = engine.value
@@ -276,7 +276,7 @@ def _actuators(parts: Sequence[AxisPart], engine: _EngineResponse, z: Complex, s
 
 
 def _airframe(scenario: Scenario, vehicle: Vehicle, damping: float, z: Complex) -> Complex:
-    """Angular acceleration to measured rate."""
+    """Return the response of measured rate to angular acceleration."""
     gyro = vehicle.sensors.gyro
     shares, pole = turning(damping, scenario.step_s, scenario.substeps)
     body = scenario.step_s * rate_response(z, shares, pole)
@@ -284,7 +284,7 @@ def _airframe(scenario: Scenario, vehicle: Vehicle, damping: float, z: Complex) 
 
 
 def _engine_response(vehicle: Vehicle, engine: EngineSpec, step: float) -> _EngineResponse | None:
-    """Of the engine's own answer to small steps of its throttle; None where it gives none.
+    """Return the engine's response to small steps of its throttle; None where it gives none.
 
     One of the library is taken where it hovers.  One that states a pole answers alike everywhere; any other at the
     nearest throttle of a grid, so that many vehicles share it, and by steps that its trembling does not hide.

@@ -14,7 +14,7 @@ _WINDOW = 1.0  # s of wall time over which the factor that is reached is measure
 
 
 class PaceReport(NamedTuple):
-    """How well the flight keeps in step."""
+    """The timing of a flight against the wall clock."""
 
     factor: float | None = None  # asked for, of real time; None: as fast as it goes
     steps: int = 0
@@ -47,7 +47,7 @@ class Pace:
         self.start(0)
 
     def start(self, k: int) -> None:
-        """Begin anew: step ``k`` is due now."""
+        """Set the present as the due time of step ``k``."""
         self._origin = self._clock()
         self._first = k
         self._k = k
@@ -59,7 +59,7 @@ class Pace:
         self._load: float | None = None
 
     def wait(self, k: int) -> None:
-        """``k`` steps are done: sleep until the next one is due."""
+        """Sleep until the step after ``k`` finished ones is due."""
         self._k = k
         now = self._clock()
         began, before = self._marked
@@ -89,7 +89,7 @@ class Pace:
 
     @property
     def report(self) -> PaceReport:
-        """How it went so far."""
+        """The timing up to now."""
         steps = self._k - self._first
         return PaceReport(
             self._factor, steps, self._missed, self._worst, self._stalls, self._lost, self._reached, self._load

@@ -37,7 +37,7 @@ _KEYS = {"observer": 2, "sensors": 3, "wind": 4}  # of the random numbers of eac
 
 @dataclass(frozen=True)
 class BlockInfo:
-    """What a block of the user's is told in ``prepare``, where it has one.  It is none of it the controller's."""
+    """The scenario's facts for a plug-in's ``prepare``, where it has one; nothing in it is of the controller."""
 
     step_s: float
     vehicle: Vehicle  # as stated
@@ -45,7 +45,7 @@ class BlockInfo:
     _key: tuple[int, int]
 
     def random(self) -> np.random.Generator:
-        """Random numbers that nobody else draws from, the same at every call: for ``reset``, or for each flight."""
+        """Return a random generator of the block's own, the same at every call: for ``reset``, or for each flight."""
         import numpy as np
 
         return np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=self._key))
@@ -53,14 +53,14 @@ class BlockInfo:
 
 @dataclass(frozen=True)
 class OwnMetric:
-    """A metric of the user's: what it says, what it reads (None: anything), and itself."""
+    """A custom metric: its names, the columns that it reads (None: any), and itself."""
 
     source: Source
     names: tuple[str, ...]  # with PREFIX
     columns: tuple[str, ...] | None
 
     def of(self, log: Columns, step_s: float) -> dict[str, float | None]:
-        """Its numbers, None for what this flight cannot tell.  Raises FlightError."""
+        """Return its numbers, None for what this flight cannot tell.  Raises FlightError."""
         where = f"metric {self.source.label}"
         try:
             answer = self.source.make()(log, step_s)
@@ -331,7 +331,7 @@ class WindTable:
         return cls(times, velocities)
 
     def velocity(self, time: float, north: float, east: float, height: float) -> Vector3:
-        """Of the air at that time, wherever."""
+        """Return the velocity of the air at that time, wherever."""
         after = bisect_right(self._times, time)
         if after == 0:
             return self._velocities[0]

@@ -44,7 +44,7 @@ _ON_THE_GRID = 1e-9  # of a step, so that a row on the grid counts from its own 
 
 
 class PlacePilot:
-    """Flies what the scenario's guided commands say, one after the other, each from its start on.
+    """The pilot that flies a scenario's guided commands, one after the other, each from its start on.
 
     ``hover`` and ``idle`` are the collective in hover and the idle thrust in its unit.  Raises InputError where the
     vehicle states no position law, where a command of a lean or a body rate stands beside a guided one, or one of the
@@ -90,18 +90,18 @@ class PlacePilot:
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """How many waypoints are still to be reached, where there are any."""
+        """The column of waypoints still to be reached, where there are any."""
         if not self._points:
             return ()
         return (Column("waypoints_left", "1", "", "waypoints of the script that were not reached yet"),)
 
     @property
     def shown(self) -> tuple[float, ...]:
-        """See :attr:`columns`."""
+        """The values of :attr:`columns`."""
         return (float(self._left),) if self._points else ()
 
     def reset(self, measured: Measured) -> None:
-        """At rest where the sensors say."""
+        """Start at rest where the sensors say."""
         self.seen = measured
         self._estimator.reset((measured.position[0], measured.position[1]))
         self._law.reset()
@@ -159,7 +159,7 @@ class PlacePilot:
         self._reached: int | None = None  # the step at which it was
 
     def _begin(self, number: int, aim: GuidedCommand, command: Command, fix: Fix) -> None:
-        """Another command begins; what it leaves open goes on as it is."""
+        """Begin another command; what it leaves open goes on as it is."""
         if self._drawn is not None:
             track, height = self._drawn
             self._tracker.start(track.position, track.velocity)
@@ -192,7 +192,7 @@ class PlacePilot:
         self._rise_and_turn(point.altitude_m, point.yaw_deg, command)
 
     def _go_on(self, k: int, aim: WaypointsCommand, command: Command, fix: Fix, height: float) -> None:
-        """Whether the waypoint is reached, and from then on its time is over: to the next."""
+        """Go on to the next waypoint once one is reached and has been held for its time."""
         while self._point < len(aim.waypoint):
             point = aim.waypoint[self._point]
             if self._reached is None:
@@ -224,7 +224,7 @@ class PlacePilot:
         return track
 
     def _rise_and_turn(self, altitude: float | None, yaw_deg: float | None, command: Command) -> None:
-        """Height and heading that are stated are gone to from what is asked for now."""
+        """Start height and heading that are stated from the present commands."""
         if altitude is not None:
             if self._to_altitude is None:
                 self._height.start((command.altitude, 0.0), (0.0, 0.0))
@@ -280,7 +280,7 @@ class Drawn:
                 )
 
     def at(self, t: float) -> tuple[Track, Pair | None, float | None]:
-        """Place, velocity and acceleration; height and its rate of change; heading [rad], each if it is stated."""
+        """Return place, velocity and acceleration; height and its rate; heading [rad], each if it is stated."""
         times = self._times
         i = min(max(bisect_right(times, t + self._slack) - 1, 0), max(len(times) - 2, 0))
         u = min(max(t, times[0]), times[-1]) - times[i]
@@ -309,14 +309,14 @@ def _spline(times: Sequence[float], values: Sequence[float]) -> list[Cubic]:
 
 
 def _piece(cubic: Cubic, u: float, resting: bool) -> tuple[float, float, float]:
-    """Value, slope and curvature; beyond the ends it rests."""
+    """Return value, slope and curvature; constant beyond the ends."""
     a, b, c, d = cubic
     value = ((a * u + b) * u + c) * u + d
     return (value, 0.0, 0.0) if resting else (value, (3.0 * a * u + 2.0 * b) * u + c, 6.0 * a * u + 2.0 * b)
 
 
 def _states(aim: GuidedCommand, drawn: Drawn | None, key: str) -> str:
-    """In words what of a guided command states the height (``altitude_m``) or the heading (``yaw_deg``); or nothing."""
+    """Describe what of a guided command states the height (``altitude_m``) or the heading (``yaw_deg``); or nothing."""
     if drawn is not None:
         return f"track states {key}" if key in drawn.states else ""
     if isinstance(aim, WaypointsCommand):

@@ -29,7 +29,7 @@ CURVES = 12  # keys with a curve of their own, and bars: the most influential
 def campaign_figures(
     table: FlightTable, shares: Sequence[Share], rankings: Mapping[str, Sequence[Ranking | None]], order: Sequence[int]
 ) -> dict[str, Figure]:
-    """Every figure of the page by its name; ``order`` are the keys by influence."""
+    """Return every figure of the report by its name; ``order`` are the keys by influence."""
     figures = {"outcomes": outcomes(table), "probability": probability(table, shares)}
     figures |= {f"ranking-{name}": ranking_figure(table, ranking) for name, ranking in rankings.items() if any(ranking)}
     figures |= {f"key-{number}": success_over(table, table.keys[key]) for number, key in enumerate(order[:CURVES])}
@@ -95,7 +95,7 @@ def probability(table: FlightTable, shares: Sequence[Share]) -> Figure:
 
 
 def _percent_range(table: FlightTable, shares: Sequence[Share]) -> list[float]:
-    """Around everything that is drawn, a tenth of what may be at least."""
+    """Return the range of an axis in percent around all bounds, with a margin of at least a tenth of their span."""
     ends = [
         end for share in shares if share.of for end in ((share.hits / share.of,) * 2 if table.grid else share.exact)
     ]
@@ -112,7 +112,7 @@ def _rows_height(table: FlightTable) -> int:
 
 
 def ranking_figure(table: FlightTable, rankings: Sequence[Ranking | None]) -> Figure:
-    """First-order indices, the largest on top; shaded is what chance gives, pale what is not above it."""
+    """Return the figure of first-order indices, the largest on top; shaded is chance, pale what is not above it."""
     known = [(place, ranking) for place, ranking in enumerate(rankings) if ranking is not None]
     by_key = {place: {effect.key: effect for effect in ranking.effects} for place, ranking in known}
     labels = {key.path: wrapped(key.label) for key in table.keys}
@@ -230,7 +230,7 @@ def group_medians(numbered: NDArray[np.integer[Any]], values: Array) -> Array:
 
 
 def _offset(middle: Array, place: int, table: FlightTable, key: KeyColumn) -> list[float]:
-    """Beside each other, where controllers would hide each other."""
+    """Return the shift of a controller's marks, so that controllers do not hide each other."""
     apart = place - 0.5 * (len(table.controllers) - 1)
     if key.levels:
         return rounded(middle + 0.12 * apart)
@@ -298,7 +298,7 @@ def distribution(table: FlightTable, metric: Metric) -> Figure:
 
 
 def _stretch(table: FlightTable, metric: Metric) -> Figure:
-    """Logarithmic for what is spread over decades."""
+    """Return the axis of a metric, logarithmic for values that are spread over decades."""
     values = table.values[metric.name]
     known = values[np.isfinite(values)]
     low, high = np.quantile(known, [0.05, 0.95]) if known.size else (0.0, 0.0)
@@ -309,7 +309,7 @@ def _stretch(table: FlightTable, metric: Metric) -> Figure:
 
 
 def rounded(values: Array, digits: int = 4) -> list[Any]:
-    """To so many significant digits, None for what is not a number."""
+    """Round to so many significant digits, with None for what is not a number."""
     return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values.tolist()]
 
 

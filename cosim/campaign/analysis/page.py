@@ -121,7 +121,7 @@ def page(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def facts(campaign: Campaign, table: FlightTable) -> list[tuple[str, str]]:
-    """Name and value of what was flown, without anything of the machine."""
+    """Return name and value of what was flown, without anything of the machine."""
     study = campaign.study
     wall = np.array([seconds or 0.0 for seconds in campaign.columns.get("wall_s", [])], dtype=np.float64)
     simulated = float(np.nansum(table.duration))
@@ -226,7 +226,7 @@ def _value_text(value: Any) -> str:
 
 
 def correlation_words(correlation: Correlation) -> str:
-    """One correlation asked for."""
+    """Describe one requested correlation."""
     return f"{correlation.keys[0]} with {correlation.keys[1]}: {correlation.rank:g}"
 
 
@@ -256,7 +256,7 @@ def warnings(campaign: Campaign, table: FlightTable) -> list[str]:
 
 
 def made_from(campaign: Campaign) -> dict[str, list[str]]:
-    """Versions of what computed the flights and hashes of the files of aircraft and engines: by name, every one met."""
+    """Return by name every version and file hash of aircraft and engines with which flights were computed."""
     sources: dict[str, list[str]] = {}
     for text in dict.fromkeys(campaign.columns.get("inputs", [])):
         for part in json.loads(str(text)).values() if text else ():
@@ -302,7 +302,7 @@ def _joint(rows: Any, first: Array, second: Array, values: Array) -> float:
 
 
 def ranking_tables(table: FlightTable, rankings: Mapping[str, Sequence[Ranking | None]]) -> list[dict[str, Any]]:
-    """One table for success and for each metric that could be ranked."""
+    """Return one table for success and for each metric that could be ranked."""
     labels = {SUCCESS: "success"} | {metric.name: metric.label for metric in table.metrics}
     return [
         {
@@ -345,7 +345,7 @@ def _span(ends: Interval | Sequence[float] | None, form: str) -> str:
 
 
 def comparison_rows(table: FlightTable) -> list[dict[str, Any]]:
-    """Every two controllers on the draws both have flown, as texts."""
+    """Return a row of texts for every two controllers, on the draws that both have flown."""
     return [
         {
             "first": table.controllers[comparison.first],
@@ -386,7 +386,7 @@ def points(share: float) -> str:
 
 
 def signed(value: float) -> str:
-    """With its sign, 0 without."""
+    """Format a number with its sign, 0 without."""
     return f"{value:+.3g}" if value else "0"
 
 
@@ -396,7 +396,7 @@ def p_text(p: float) -> str:
 
 
 def metric_rows(table: FlightTable) -> list[dict[str, Any]]:
-    """How each metric is spread for each controller."""
+    """Return the spread of each metric for each controller."""
     rows = []
     for number, metric in enumerate(table.metrics):
         cells = []
@@ -418,7 +418,7 @@ def metric_rows(table: FlightTable) -> list[dict[str, Any]]:
 
 
 def reason_rows(campaign: Campaign, table: FlightTable) -> list[dict[str, Any]]:
-    """Why flights are no successes, the commonest first, with the count of every controller."""
+    """Return the reasons of flights without success, the commonest first, with the count of every controller."""
     counted = [reasons(table, table.of(place), campaign.study.success) for place in places(table)]
     names = sorted(
         {name for counter in counted for name in counter},
@@ -433,7 +433,7 @@ def reason_rows(campaign: Campaign, table: FlightTable) -> list[dict[str, Any]]:
 
 
 def python_lines(folder: Path) -> list[str]:
-    """How to go on in Python."""
+    """Return the lines of Python that open the campaign."""
     return [
         "from cosim.campaign import open_campaign",
         f"campaign = open_campaign({folder.as_posix()!r})",

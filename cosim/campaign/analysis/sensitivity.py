@@ -31,7 +31,7 @@ LEVEL = 0.95  # of the largest index that chance gives to any key
 
 @dataclass(frozen=True)
 class Effect:
-    """What one key does to one result."""
+    """The effect of one key on one result."""
 
     key: str
     index: float  # first order, corrected for chance; may come out a little below 0
@@ -82,7 +82,7 @@ def _effect(key: str, numbered: Counts, result: Array, floor: float, direction: 
 
 
 def most_classes(flights: int) -> int:
-    """How many classes of a key: enough to follow a curve, each large enough for a mean.
+    """Return the largest number of classes of a key: enough to follow a curve, each large enough for a mean.
 
     Of its index a straight line loses 1 / classes^2 to the classes and a wave of m periods (1.8 m / classes)^2; chance
     adds (classes - 1) / flights, of which only the mean can be taken off again.
@@ -143,7 +143,7 @@ def joint(first: Array, second: Array, result: Array) -> float:
 
 
 def rank_correlations(numbers: Sequence[Array], result: Array) -> list[tuple[float, float]]:
-    """Spearman's rank correlation of each key with the result, and the partial one.
+    """Return Spearman's rank correlation of each key with the result, and the partial one.
 
     The partial one follows from the inverse P of the matrix of rank correlations: -P_xy / sqrt(P_xx P_yy).  A key that
     has one value only has neither: 0.
@@ -165,7 +165,7 @@ def rank_correlations(numbers: Sequence[Array], result: Array) -> list[tuple[flo
 
 
 def rank_interval(rank: float, flights: int) -> Interval:
-    """Between what limits a rank correlation lies.
+    """Return the 95 % interval of a rank correlation.
 
     Source: D. G. Bonett and T. A. Wright, Psychometrika 65 (2000) 23-28: atanh(rank) deviates by
     sqrt((1 + rank^2 / 2) / (n - 3)).

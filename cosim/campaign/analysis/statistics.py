@@ -23,7 +23,7 @@ Z = float(stats.norm.ppf(0.5 + LEVEL / 2.0))
 
 
 class Share(NamedTuple):
-    """So many of so many, and between what limits the probability behind them lies."""
+    """A fraction of flights, with the intervals of the probability behind it."""
 
     hits: int
     of: int
@@ -32,7 +32,7 @@ class Share(NamedTuple):
 
     @property
     def value(self) -> float | None:
-        """The share, 0 to 1; None of none."""
+        """The fraction, 0 to 1; None without flights."""
         return self.hits / self.of if self.of else None
 
 
@@ -62,7 +62,7 @@ def wilson(hits: NDArray[np.generic], of: NDArray[np.generic]) -> tuple[Array, A
 
 
 class Pairs(NamedTuple):
-    """How the same draws came out with two controllers: in how many who succeeded."""
+    """The outcomes of the same draws with two controllers: in how many both, one or neither succeeded."""
 
     both: int
     first: int  # only the first
@@ -76,7 +76,7 @@ class Pairs(NamedTuple):
 
     @property
     def difference(self) -> float | None:
-        """The second's share of success less the first's."""
+        """The second's fraction of successes less the first's."""
         return (self.second - self.first) / self.draws if self.draws else None
 
 
@@ -127,7 +127,7 @@ def _phi(pairs: Pairs) -> float:
 
 
 def holm(values: Sequence[float]) -> list[float]:
-    """p-values of several comparisons, corrected for there being several (S. Holm, Scand. J. Stat. 6 (1979) 65-70)."""
+    """Return p-values of several comparisons, corrected for their number (S. Holm, Scand. J. Stat. 6 (1979) 65-70)."""
     adjusted, largest = [1.0] * len(values), 0.0
     for place, index in enumerate(np.argsort(values, kind="stable")):
         largest = max(largest, min(1.0, (len(values) - place) * values[index]))
@@ -136,7 +136,7 @@ def holm(values: Sequence[float]) -> list[float]:
 
 
 class MedianDifference(NamedTuple):
-    """How a metric of the same draws differs between two controllers, second less first."""
+    """The difference of a metric of the same draws between two controllers, second less first."""
 
     draws: int  # that have the metric with both
     median: float

@@ -44,7 +44,7 @@ BRACKETS = re.compile(r"\s*\([^()]*\)")
 
 
 class Comparison(NamedTuple):
-    """Two controllers on the draws that both have flown, by their places."""
+    """Two controllers, by their indices, on the draws that both have flown."""
 
     first: int
     second: int
@@ -76,18 +76,18 @@ def shares(table: FlightTable) -> list[Share]:
 
 
 def places(table: FlightTable) -> range:
-    """Of the controllers."""
+    """Return the indices of the controllers."""
     return range(len(table.controllers))
 
 
 def kinds(table: FlightTable, controller: int) -> dict[str, int]:
-    """How many flights of a controller came to what."""
+    """Return how many flights of a controller ended in each kind of outcome."""
     counts = np.bincount(table.kind[table.of(controller)], minlength=len(KINDS))
     return {name: int(count) for name, count in zip(KINDS, counts, strict=True)}
 
 
 def spread(table: FlightTable, controller: int, name: str) -> Spread | None:
-    """How a metric of a controller is spread; None if no flight has it."""
+    """Return the spread of a metric of a controller; None if no flight has it."""
     mine = table.of(controller)
     values = table.values[name][mine & table.completed]
     known = values[np.isfinite(values)]
@@ -99,7 +99,7 @@ def spread(table: FlightTable, controller: int, name: str) -> Spread | None:
 
 
 def comparisons(table: FlightTable) -> list[Comparison]:
-    """Every two controllers on the draws that both have flown."""
+    """Compare every two controllers on the draws that both have flown."""
     compared = [_compared(table, first, second) for first, second in combinations(places(table), 2)]
     corrected = holm([comparison.p for comparison in compared])
     return [comparison._replace(p_holm=p) for comparison, p in zip(compared, corrected, strict=True)]
@@ -140,7 +140,7 @@ def ranked(table: FlightTable, controller: int, name: str) -> Ranking | None:
 
 
 def reasons(table: FlightTable, rows: Mask, success: Mapping[str, Range]) -> Counter[str]:
-    """Why flights are no successes, alike reasons together: without their numbers and what stands in brackets."""
+    """Count the reasons of flights without success, similar ones as one: without their numbers and brackets."""
     counts: Counter[str] = Counter()
     missed = table.kind == KINDS.index("missed")
     for row in np.flatnonzero(rows & ~table.success):
@@ -154,7 +154,7 @@ def plain(reason: str) -> str:
 
 
 def missing(table: FlightTable, row: int, success: Mapping[str, Range]) -> list[str]:
-    """Which of a study's criteria a completed flight does not meet."""
+    """Return the criteria of a study that a completed flight does not meet."""
     lines = [f"{metric(name).label} beyond the flight's own limit" for name in table.beyond[row]]
     for name, allowed in success.items():
         value = table.values[name][row] if name in table.values else np.nan
@@ -172,7 +172,7 @@ def missing(table: FlightTable, row: int, success: Mapping[str, Range]) -> list[
 
 
 def campaign_summary(campaign: Campaign) -> dict[str, Any]:
-    """Everything that a program wants to know of a campaign, ready for JSON; a share of nothing is null."""
+    """Return everything that a program may need of a campaign, ready for JSON; a fraction of nothing is null."""
     table = read(campaign)
     study = campaign.study
     return {
@@ -262,7 +262,7 @@ def _ranking(ranking: Ranking | None) -> dict[str, Any] | None:
 
 
 def success_lines(summary: Mapping[str, Any]) -> Iterator[str]:
-    """For a terminal: how often each controller succeeds, and what became of the other flights."""
+    """Return lines for a terminal: how often each controller succeeds, and how the other flights ended."""
     whole = "" if summary["finished"] else f" of {summary['planned']}: not finished"
     yield f"{summary['flights']} flights{whole}; success: {summary['success_is']}"
     for name, entry in summary["controllers"].items():
@@ -270,7 +270,7 @@ def success_lines(summary: Mapping[str, Any]) -> Iterator[str]:
 
 
 def spread_table(summary: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """For a terminal: titles and rows of the metrics' medians, a column a controller, with the flights behind each.
+    """Return titles and rows for a terminal: the metrics' medians, a column a controller, with the flights behind each.
 
     Where there is one controller, with the middle 90 % as well.
     """
@@ -293,7 +293,7 @@ def spread_table(summary: Mapping[str, Any]) -> tuple[list[str], list[list[str]]
 
 
 def comparison_lines(summary: Mapping[str, Any]) -> Iterator[str]:
-    """For a terminal: each controller against the first, draw by draw, and what drives success.
+    """Return lines for a terminal: each controller against the first, draw by draw, and what drives success.
 
     Where there are more than three pairs the others are left to the page, and that is said.
     """

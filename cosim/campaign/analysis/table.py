@@ -48,7 +48,7 @@ OF_THE_WHOLE = (
 
 
 class KeyColumn(NamedTuple):
-    """One varied key with its value on every row: a number, or the place of a choice in ``levels``."""
+    """One varied key with its value on every row: a number, or the index of a choice in ``levels``."""
 
     path: str
     label: str  # short enough for an axis, and no other key's
@@ -59,7 +59,7 @@ class KeyColumn(NamedTuple):
 
     @property
     def title(self) -> str:
-        """For an axis."""
+        """The title of an axis."""
         return f"{self.label} [{self.unit}]" if self.unit else self.label
 
 
@@ -81,12 +81,12 @@ class FlightTable(NamedTuple):
 
     @property
     def success(self) -> Mask:
-        """Whether a flight is one."""
+        """Whether each flight is a success."""
         return np.equal(self.kind, KINDS.index("success"))
 
     @property
     def completed(self) -> Mask:
-        """Whether a flight came to its planned end."""
+        """Whether each flight came to its planned end."""
         return self.kind <= KINDS.index("missed")
 
     def of(self, controller: int) -> Mask:

@@ -50,7 +50,7 @@ def case_rows(campaign: Campaign, table: FlightTable) -> list[dict[str, Any]]:
 
 
 def worst(study: Study, table: FlightTable, controller: int) -> list[Case]:
-    """Those lost soonest, those that fail nearest to the middle of what was drawn, those not flown to a verdict.
+    """Return the flights lost soonest, those failed nearest to the middle of the draws, and those without a verdict.
 
     Then the successes with the worst of the first metric; a flight is named once.
     """
@@ -78,7 +78,7 @@ def worst(study: Study, table: FlightTable, controller: int) -> list[Case]:
 
 
 def eccentricity(table: FlightTable) -> Array:
-    """How far each flight's numbers lie from the middle of all: 0 at every median, 1 where every one is extreme."""
+    """Return how far each flight's numbers lie from the middle: 0 at every median, 1 where every one is extreme."""
     size = max(table.flight.size, 1)
     squares = np.zeros(table.flight.size)
     count = 0
@@ -152,7 +152,7 @@ def _written(folder: Path, name: str) -> str:
 
 
 def write_flight(scenario: Scenario, folder: Path, name: str) -> str:
-    """Write a scenario as it flies below ``folder``; its place as seen from there.
+    """Write a scenario as it flies below ``folder``, and return its path from there.
 
     Where files go along with it it has a folder of its own.  Raises InputError or FlightError if it cannot be built or
     written.

@@ -110,7 +110,7 @@ def _over(text: str | None) -> list[Vary]:
 
 
 def _tolerances(texts: Sequence[str], keys: Sequence[str]) -> dict[str, float]:
-    """``X`` where one key is varied, else ``KEY=X``."""
+    """Parse ``X`` where one key is varied, else ``KEY=X``."""
     tolerances: dict[str, float] = {}
     for text in texts:
         key, equals, number = text.rpartition("=")
@@ -157,7 +157,7 @@ def run_search(
 
 
 def _begun(out: Path, frozen: Frozen, plan: Plan, resume: bool) -> bool:
-    """Whether the folder holds this very search, to be gone on with; InputError if it holds anything else."""
+    """Return whether the folder holds this very search, to be resumed; InputError if it holds anything else."""
     if not out.exists() or not any(out.iterdir()):
         return False
     if not (out / QUESTION).is_file():

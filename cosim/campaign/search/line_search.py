@@ -21,7 +21,7 @@ Name = TypeVar("Name", bound=Hashable)
 
 @dataclass(frozen=True)
 class Scan:
-    """What a walk found: every place it looked at, in order from the start, and whether it breaks there."""
+    """The result of one walk: every position that it evaluated, from the start, and whether it breaks there."""
 
     places: tuple[float, ...]
     breaks: tuple[bool, ...]
@@ -34,7 +34,7 @@ class Scan:
 
     @property
     def bands(self) -> list[tuple[float, float, bool]]:
-        """Stretches of places that are alike: first and last place, and whether it breaks in them."""
+        """Ranges of positions that are alike: first and last position, and whether it breaks in them."""
         bands: list[tuple[float, float, bool]] = []
         for place, broken in zip(self.places, self.breaks, strict=True):
             if bands and bands[-1][2] == broken:
@@ -45,7 +45,7 @@ class Scan:
 
 
 def outward(places: Sequence[float], between: Between, at_once: int | None = None) -> Walk:
-    """Look at ``places``, the start first, and bisect the first change.
+    """Evaluate ``places``, the start first, and bisect the first change.
 
     ``between(a, b)`` is the place to look at next between two, None where they are close enough.  ``at_once``: so many
     places at a time, and none beyond the first change; by default all of them, for what comes back further out.
@@ -74,7 +74,7 @@ def _first_change(known: Mapping[float, bool]) -> tuple[float, float] | None:
 def side_by_side(
     walks: Mapping[Name, Walk], look: Callable[[Sequence[tuple[Name, float]]], Sequence[bool]]
 ) -> dict[Name, Scan]:
-    """Go all walks to their ends; ``look`` tells of all places that they want to know of at one time."""
+    """Run all walks to their ends; ``look`` evaluates at one time all positions that they need next."""
     scans: dict[Name, Scan] = {}
     pending: dict[Name, Sequence[float]] = {name: next(walk) for name, walk in walks.items()}
     while pending:

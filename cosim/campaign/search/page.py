@@ -88,7 +88,7 @@ def text(value: Value | None, unit: str = "") -> str:
 
 
 def table(result: SearchResult) -> tuple[list[str], list[list[str]]]:
-    """Every edge: titles and rows, without the columns that are the same in all of them by what was asked."""
+    """Return titles and rows of every edge, without the columns that the request makes the same in all of them."""
     over = result.plan.over
     titles = [over.key.path if title == "at" and over else title for title in COLUMNS]
     left_out = {1} if len(result.plan.spans) == 1 else set()
@@ -125,7 +125,7 @@ def _then(edge: Edge) -> str:
 
 
 def how_fine(span: Span) -> str:
-    """How closely a key was looked at."""
+    """Describe the resolution at which a key was searched."""
     unit = span.key.unit
     fine = "exactly" if span.key.kind == "int" and span.tolerance <= 1.0 else f"to {text(span.tolerance, unit)}"
     nominal = span.key.nominal
@@ -183,7 +183,7 @@ def figures(result: SearchResult, prober_points: list[tuple[Point, bool]]) -> di
 
 
 def _bands(result: SearchResult, span: Span) -> Figure:
-    """Where it holds and where it breaks, a bar for each controller."""
+    """Return the figure of where it holds and where it breaks, a bar for each controller."""
     data: list[Figure] = []
     edges = [edge for edge in result.edges if edge.key == span.key.path]
     for edge in edges:
@@ -275,7 +275,7 @@ def _branch(edges: list[Edge], colour: str, name: str, first: bool) -> list[Figu
 
 
 def _pair(plan: Plan, joint: Joint, looked: list[tuple[Point, bool]]) -> Figure:
-    """Every point of two keys that was flown, and the smallest that breaks, with what lies as near around the start."""
+    """Return the figure of every flown point of two keys, the smallest that breaks, and the circle of its deviation."""
     first, second = plan.spans
     data: list[Figure] = []
     for breaks, colour, name in ((False, GREEN, "holds"), (True, RED, "breaks")):
@@ -328,7 +328,7 @@ def _at(span: Span, deviation: float) -> float | None:
 
 
 def _shares(result: SearchResult) -> Figure:
-    """By how much each key deviates in the nearest that breaks, of its range."""
+    """Return the figure of each key's deviation, as a fraction of its range, in the nearest point that breaks."""
     data = [
         {
             "type": "bar",

@@ -28,13 +28,13 @@ class Point:
 
     @classmethod
     def of(cls, controller: str, values: Mapping[str, Value]) -> Point:
-        """Values in any order make the same point."""
+        """Return the point of these values, which is the same in any order of them."""
         return cls(controller, tuple(sorted(values.items())))
 
 
 @dataclass(frozen=True)
 class PointResult:
-    """What became of a point's flights."""
+    """The outcome of a point's flights."""
 
     broken: int
     flights: int
@@ -43,11 +43,11 @@ class PointResult:
 
 
 class SpentError(Exception):
-    """No flight is left of those allowed."""
+    """None of the allowed flights is left."""
 
 
 def needed(share: float, flights: int) -> int:
-    """How many of a point's flights have to break before it does."""
+    """Return how many of a point's flights have to break before it does."""
     return max(1, ceil(share * flights - 1e-9))
 
 
@@ -84,11 +84,11 @@ class Prober:
 
     @property
     def points(self) -> list[Point]:
-        """Every point that was looked at, in order."""
+        """Every point that was flown, in order."""
         return list(dict.fromkeys(point for point, _ in self._requests))
 
     def look(self, points: Sequence[Point]) -> list[bool]:
-        """Whether each of them breaks.  Raises SpentError if that takes more flights than are allowed."""
+        """Return whether each point breaks.  Raises SpentError if that takes more flights than are allowed."""
         self._fly(points)
         return [self.result(point).breaks for point in points]
 
@@ -136,7 +136,7 @@ class Journal:
         self.path = path
 
     def read(self) -> Known:
-        """Every row that is whole; a torn last line is cut off.  Raises FlightError if the file cannot be read."""
+        """Read every whole row and cut off a torn last line.  Raises FlightError if the file cannot be read."""
         known: Known = {}
         try:
             if not self.path.exists():

@@ -64,7 +64,7 @@ class SavedSearch:
 
 
 def _sha256(base: Scenario, controller: str) -> str | None:
-    """Of a controller from outside."""
+    """Return the hash of a user-supplied controller."""
     if is_design(controller):
         return None
     own = find_controller(with_values(base, {"controller": controller}))

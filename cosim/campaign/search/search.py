@@ -65,7 +65,7 @@ class Plan:
     budget: int = 1000  # flights of a search of several keys together, for each controller
 
     def point(self, controller: str, changed: Mapping[str, Value], level: Value | None = None) -> Point:
-        """Where every key is at its start but those that are ``changed``; ``level``: of the second key."""
+        """Return the point where every key is at its start but the ``changed`` ones; ``level``: of the second key."""
         values = {span.key.path: span.at(0.0) for span in self.spans} | dict(changed)
         if self.over and level is not None:
             values[self.over.key.path] = level
@@ -74,7 +74,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Edge:
-    """Where one key breaks one controller, on one side of where the search starts."""
+    """The smallest change of one key that breaks one controller, on one side of where the search starts."""
 
     controller: str
     key: str
@@ -123,7 +123,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What a search came to."""
+    """The result of a search."""
 
     study: Study
     plan: Plan
@@ -133,7 +133,7 @@ class SearchResult:
 
     @property
     def criterion(self) -> str:
-        """When a point breaks, in words."""
+        """The condition on which a point breaks, in words."""
         metrics = []
         for name, span in self.study.success.items():
             metrics += [f"{name} is below {span.min:g}"] if span.min is not None else []
@@ -193,7 +193,7 @@ class _Line:
 
 
 def alone(plan: Plan, prober: Prober, controllers: Sequence[str]) -> list[Edge]:
-    """Every key by itself, for every controller, side and level, all side by side."""
+    """Search every key by itself, for every controller, side and level, all side by side."""
     lines = [
         _Line(controller, number, side, level)
         for controller in controllers
@@ -243,7 +243,7 @@ def _edge(plan: Plan, prober: Prober, line: _Line, scan: Scan) -> Edge:
 
 
 class _Ray:
-    """The way from the start in one direction, to where the first key is at the end of its range; places 0 to 1."""
+    """The way from the start in one direction, to where the first key is at the end of its range; positions 0 to 1."""
 
     def __init__(self, plan: Plan, controller: str, direction: Array) -> None:
         unit = direction / np.linalg.norm(direction)
@@ -277,7 +277,7 @@ class _Ray:
 
 
 class _Broken(NamedTuple):
-    """Where a ray breaks."""
+    """The point at which a ray breaks."""
 
     distance: float
     direction: Array
@@ -286,7 +286,7 @@ class _Broken(NamedTuple):
 
 
 class _Rays:
-    """How far it holds in many directions."""
+    """The distances up to which it holds in many directions."""
 
     def __init__(self, plan: Plan, prober: Prober, controller: str, single: float | None) -> None:
         self._plan, self._prober, self._controller = plan, prober, controller
@@ -296,18 +296,18 @@ class _Rays:
 
     @property
     def nothing_breaks(self) -> bool:
-        """Whether nothing that breaks is known."""
+        """Whether no point that breaks is known."""
         return self.best is None and self._single is None
 
     @property
     def limit(self) -> float:
-        """The distance up to which a ray is worth looking at."""
+        """The distance up to which a ray is searched."""
         known = [self.best.distance] if self.best else []
         known += [] if self._single is None else [self._single]
         return FURTHEST_RATIO * min(known, default=sqrt(len(self._plan.spans)) / FURTHEST_RATIO)
 
     def distances(self, directions: Array, ring: float = RAY_STEP, gap: float = COARSE_STEP) -> Array:
-        """At which distance each of the directions (a column each) breaks first; the limit where it does not."""
+        """Return the distance at which each direction (a column each) breaks first; the limit where it does not."""
         limit = self.limit
         rays = {
             number: _Ray(self._plan, self._controller, column)
@@ -329,7 +329,7 @@ class _Rays:
         return distances
 
     def refine(self) -> None:
-        """Look closer at the best ray."""
+        """Bisect the best ray more finely."""
         if self.best is not None:
             self.distances(self.best.direction[:, None], RAY_STEP / 2.0, FINE_STEP)
 
@@ -375,12 +375,12 @@ def together(plan: Plan, prober: Prober, controller: str, edges: Sequence[Edge])
 
 
 def distance(plan: Plan, values: Mapping[str, Value]) -> float:
-    """How far values are from where the search starts, in ranges."""
+    """Return how far values are from where the search starts, in ranges."""
     return sqrt(sum(span.deviation(float(values[span.key.path])) ** 2 for span in plan.spans))
 
 
 def _evolve(plan: Plan, rays: _Rays) -> None:
-    """Differential evolution over the directions: of each key alone, of the best so far, and random ones.
+    """Run differential evolution over the directions: of each key alone, of the best so far, and random ones.
 
     Before anything that breaks is known, random directions alone: there would be nothing to evolve from.
     Deterministic; ends with the flights, or when the directions agree.
@@ -392,7 +392,7 @@ def _evolve(plan: Plan, rays: _Rays) -> None:
     random = np.random.default_rng(1)
 
     def anywhere(count: int) -> Array:
-        """Directions spread evenly over the sphere, as far as there is room."""
+        """Return directions spread evenly over the sphere, as far as there is room."""
         turned = random.standard_normal((count, len(bounds)))
         side = np.where((turned < 0.0) & (lower == 0.0) | (turned > 0.0) & (upper == 0.0), -1.0, 1.0)
         return np.asarray(side * turned / np.linalg.norm(turned, axis=1)[:, None])

@@ -46,12 +46,12 @@ class Span:
 
     @property
     def whole(self) -> float | None:
-        """Of what the key takes whole multiples only; None: of nothing."""
+        """The step of which the key takes whole multiples only; None without one."""
         return quantum(self.key)
 
     @property
     def step(self) -> str:
-        """The scan's step in words: what is narrower may be missed."""
+        """The scan's step in words: a band that is narrower may be missed."""
         if self.logarithmic:
             return f"a factor of {(self.high / self.low) ** (1.0 / (self.points - 1)):.4g}"
         step = (self.high - self.low) / (self.points - 1)

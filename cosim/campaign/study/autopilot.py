@@ -12,7 +12,7 @@ from cosim.base.storage.toml import Model
 
 
 class StudyAutopilot(Model):
-    """In the place of the controller: see ``hexjet sitl`` for what each of them takes.
+    """The autopilot that flies in place of the controller; see ``hexjet sitl`` for the options that each takes.
 
     The gains of the scenario's controller go into it: those of the vehicle, or of a file of ``hexjet design``.
     """
@@ -27,7 +27,7 @@ class StudyAutopilot(Model):
 
     @model_validator(mode="after")
     def _fits(self) -> StudyAutopilot:
-        """Every autopilot takes what is its own."""
+        """Refuse options that the autopilot does not take."""
         owned = {"lines": ("betaflight",), "parameters": ("px4", "ardupilot"), "channels": ("ardupilot",)}
         for key, owners in owned.items():
             if getattr(self, key) and self.name not in owners:
@@ -39,5 +39,5 @@ class StudyAutopilot(Model):
         return self
 
     def seen_from(self, folder: Path) -> StudyAutopilot:
-        """With its program by absolute path."""
+        """Return a copy with its program by absolute path."""
         return self.model_copy(update={"binary": str((folder / self.binary).absolute())}) if self.binary else self

@@ -136,7 +136,7 @@ class Vary(Model):
 
     @property
     def text(self) -> str:
-        """As the command line has it; :func:`parse_vary` makes the same of it."""
+        """The text of the command line; :func:`parse_vary` makes the same of it."""
         sign = next(sign for sign, relative in RELATIVE.items() if relative == self.relative)
         return f"{self.key}{sign}{self._drawn_from()}"
 
@@ -160,7 +160,7 @@ class Vary(Model):
 
 
 def _reaches(form: Normal | LogNormal) -> bool:
-    """Whether the bounds leave something within 8 standard deviations: beyond it the inverse loses its digits."""
+    """Return whether the bounds leave something within 8 standard deviations, where the inverse keeps its digits."""
     if isinstance(form, Normal):
         low, high = ((bound - form.mean) / form.sd if bound is not None else None for bound in (form.min, form.max))
     else:
@@ -244,6 +244,6 @@ def _text(value: bool | int | float | str) -> str:
 
 
 def number_text(value: float) -> str:
-    """As short as it can be said without losing a bit."""
+    """Format a number as short as it can be without losing a bit."""
     short = f"{value:g}"
     return short if float(short) == value else repr(value)

@@ -38,7 +38,7 @@ SMALLEST = 2.0**-54  # a share of 0 would be minus infinity under a normal distr
 
 @dataclass(frozen=True)
 class Draw:
-    """What one flight is flown with, under every controller: absolute values by dotted key, and a seed."""
+    """The inputs of one flight under every controller: absolute values by dotted key, and a seed."""
 
     number: int
     seed: int
@@ -97,13 +97,13 @@ def flight_seed(seed: int, number: int) -> int:
 
 
 class Points(Protocol):
-    """Where the draws ``first`` to ``end - 1`` lie, of one block and from its start: a row for each, a column a key."""
+    """The positions of the draws ``first`` to ``end - 1`` in their block: a row for each, a column a key."""
 
     def __call__(self, first: int, end: int) -> Array: ...
 
 
 class Grid:
-    """Every combination of the levels, by their places; the last key's changes fastest, a repeat begins anew."""
+    """Every combination of the levels, by their indices; the last key's changes fastest, a repeat begins anew."""
 
     def __init__(self, study: Study) -> None:
         self._sides = [len(levels(vary, study.key(vary.key))) for vary in study.vary]
@@ -183,7 +183,7 @@ def _correlated(matrix: Array) -> list[int]:
 
 
 def _copula(study: Study) -> Callable[[Array], Array]:
-    """Points of independent sides to points whose correlated sides go together."""
+    """Map points of independent sides to points whose sides are correlated."""
     matrix = study.correlations()
     sides = _correlated(matrix)
     lower = np.linalg.cholesky(matrix[np.ix_(sides, sides)])
@@ -205,7 +205,7 @@ def _copula(study: Study) -> Callable[[Array], Array]:
 
 
 def rearranged(points: Array, matrix: Array) -> Array:
-    """Points whose sides keep their numbers and take another order, with (nearly) these correlations.
+    """Return points whose sides keep their numbers in another order, with (nearly) these correlations.
 
     Normal scores of the ranks are freed of the correlation that they have by chance, given the one wanted, and the
     numbers of each side are put into the order of the scores (Iman and Conover, 1982).
@@ -231,13 +231,13 @@ def rearranged(points: Array, matrix: Array) -> Array:
 
 
 def level(vary: Vary, key: Key) -> Callable[[Array], list[Value]]:
-    """Places on a side of the grid to values."""
+    """Map indices on a side of the grid to values."""
     values = levels(vary, key)
     return lambda places: [values[int(place)] for place in places]
 
 
 def inverse(vary: Vary, key: Key) -> Callable[[Array], list[Value]]:
-    """Points of a side (0 to 1) to values of its key."""
+    """Map points of a side (0 to 1) to values of its key."""
     if vary.values is not None:
         ladder = levels(vary, key)
         return lambda shares: [ladder[min(int(share * len(ladder)), len(ladder) - 1)] for share in shares]
@@ -256,7 +256,7 @@ def inverse(vary: Vary, key: Key) -> Callable[[Array], list[Value]]:
 
 
 def _relation(vary: Vary, key: Key) -> tuple[float, float]:
-    """Value = scale * drawn + shift."""
+    """Return scale and shift of value = scale * drawn + shift."""
     nominal = float(key.nominal or 0.0)
     return {"": (1.0, 0.0), "factor": (nominal, 0.0), "offset": (1.0, nominal)}[vary.relative]
 

@@ -95,7 +95,7 @@ MOST_SUGGESTIONS = 4  # names in a message
 
 @dataclass(frozen=True)
 class Key:
-    """One value that can be varied: what it is now, and what it may be."""
+    """One value that can be varied: its nominal value, unit and bounds."""
 
     path: str
     kind: Kind
@@ -126,7 +126,7 @@ class Key:
         return what
 
     def fit(self, value: Value) -> Value:
-        """``value`` as the key takes it: rounded where the key counts something.
+        """Return ``value`` as the key takes it: rounded where the key counts something.
 
         Raises InputError: one line with the key, the value and what is allowed.
         """
@@ -190,7 +190,7 @@ def find_key(scenario: Scenario, text: str) -> Key:
 
 
 def all_keys(scenario: Scenario) -> list[Key]:
-    """Every key of a scenario with its aircraft and its engines: its own first, then vehicle, engine, stations.
+    """Return every key of a scenario with its aircraft and engines: its own first, then vehicle, engine, stations.
 
     Raises InputError if the aircraft or an engine is not usable.
     """
@@ -222,7 +222,7 @@ def matching(keys: Iterable[Key], pattern: str) -> list[Key]:
 
 
 def with_values(scenario: Scenario, values: Mapping[str, Value]) -> Scenario:
-    """``scenario`` with ``values`` written over it by key, all at once; what it expected is left out.
+    """Return ``scenario`` with ``values`` written over it by key, all at once; what it expected is left out.
 
     Anything with a dotted path may be written, ``seed`` too.  Another aircraft comes with the engine that it is made
     for, another engine takes every station, and a ``controller`` that is a file, as ``hexjet design`` writes it, brings
@@ -407,7 +407,7 @@ def _leaves(path: str, annotation: Any, value: Any) -> Iterator[Key]:
 
 
 def _leaf(path: str, plain: Any, bounds: list[Any], value: Any) -> Key | None:
-    """One value's key; None for text, tables that are not stated, and choices that are none."""
+    """Return one value's key; None for text, tables that are not stated, and choices without names."""
     if get_origin(plain) is Literal:
         choices = get_args(plain)
         return Key(path, "choice", value, choices=choices) if len(choices) > 1 else None
@@ -513,7 +513,7 @@ def _station_keys(scenario: Scenario, jets: int) -> Iterator[Key]:
 
 
 def _nearest(name: str, keys: Iterable[str]) -> str:
-    """Which keys were meant: those that end alike, or have its words in their parts."""
+    """Return the keys that may be meant: those that end alike, or have its words in their parts."""
     alike = {LIST_INDEX.sub("#", path): path for path in reversed(list(keys))}  # the first of those at different places
     scored = sorted((-_likeness(name, path), len(path), path) for path in alike.values())
     least = max(0.6, -scored[0][0] - 0.15)
@@ -524,7 +524,7 @@ def _nearest(name: str, keys: Iterable[str]) -> str:
 
 
 def _likeness(name: str, path: str) -> float:
-    """0 to 1: of ``name`` and the whole path, or as many of its last parts; places in lists do not count."""
+    """Return the similarity, 0 to 1, of ``name`` and the path or its last parts, list indices not counted."""
     if not name:
         return 0.0
     parts = [part for part in path.split(".") if not part.isdigit()]

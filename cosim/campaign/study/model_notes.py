@@ -90,7 +90,7 @@ def _ends(study: Study) -> Iterator[Flight]:
 
 
 def _extremes(values: list[Value]) -> set[int]:
-    """Where the least and the greatest number are; of what is no number the first of each value."""
+    """Return the indices of the least and the greatest number, or of the first of each value that is no number."""
     numbers = [value for value in values if isinstance(value, (int, float))]
     if len(numbers) < len(values):
         return {values.index(value) for value in dict.fromkeys(values)}

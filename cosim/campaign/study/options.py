@@ -103,7 +103,7 @@ def _opened(name: str | Path) -> tuple[dict[str, Any], Path, str]:
 
 
 def _seen_from_here(table: dict[str, Any]) -> dict[str, Any]:
-    """Aircraft and engines that are files, on the command line, are meant from here."""
+    """Resolve aircraft and engine files of the command line against the current folder."""
     last = table["key"].split(".")[-1]
     seen = {"aircraft": aircraft_seen_from, "engine": file_seen_from}.get(last)
     if seen is None or "values" not in table:
@@ -117,7 +117,7 @@ def _usual_design(data: Mapping[str, Any]) -> str:
 
 
 def _written_over(tables: Any, new: list[dict[str, Any]], what: Any) -> list[Any]:
-    """``tables`` with those of ``new`` in the place of what has the same key, or behind all."""
+    """Return ``tables`` with those of ``new`` in the place of the ones with the same key, or at the end."""
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         return [tables] if new == [] else new  # the model says what is wrong with it
     replaced = {what(table): table for table in new}

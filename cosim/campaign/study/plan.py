@@ -35,7 +35,7 @@ class Flight:
 
 
 class _Flights(Sequence[Flight]):
-    """Made when asked for: a study of a million flights is not held in memory."""
+    """The flights of a study, made when asked for: a million of them is not held in memory."""
 
     def __init__(self, draws: Sequence[Draw], controllers: Sequence[str]) -> None:
         self._draws = draws
@@ -60,13 +60,13 @@ class _Flights(Sequence[Flight]):
 
 
 def flights(study: Study) -> Sequence[Flight]:
-    """Every flight of ``study``, in the order in which they are flown."""
+    """Return every flight of ``study``, in the order in which they are flown."""
 
     return _Flights(draws(study), controllers(study))
 
 
 def flight_count(study: Study) -> int:
-    """How many flights ``study`` has."""
+    """Return how many flights ``study`` has."""
     return study.draws * len(controllers(study))
 
 

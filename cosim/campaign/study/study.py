@@ -98,12 +98,12 @@ class Study(Model):
 
     @property
     def folder(self) -> Path:
-        """What relative file names in the study start from."""
+        """The folder from which relative file names in the study start."""
         return self._folder
 
     @property
     def draws(self) -> int:
-        """How many draws; times the controllers, how many flights."""
+        """The number of draws; times the controllers, the number of flights."""
         if self.design != "grid":
             assert self.runs is not None
             return self.runs
@@ -116,7 +116,7 @@ class Study(Model):
 
     @property
     def controller_names(self) -> list[str]:
-        """Who flies, as rows have it: the controllers, or the autopilot in their place."""
+        """The names in rows of who flies: the controllers, or the autopilot in their place."""
         return self.tried if self.autopilot is None else [self.autopilot.name]
 
     def base(self) -> Scenario:
@@ -148,7 +148,7 @@ class Study(Model):
         return self._keys[name]
 
     def know(self, keys: Mapping[str, Key]) -> None:
-        """Take these varied keys as they are, rather than from the scenario and the code that it names."""
+        """Set these varied keys, instead of finding them in the scenario and the code that it names."""
         self._keys |= keys
 
     def correlations(self) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -266,7 +266,7 @@ class Study(Model):
 
     @model_validator(mode="after")
     def _correlations_fit(self) -> Study:
-        """Each pair once, of keys that have an order, and all together possible."""
+        """Refuse pairs that stand twice, keys without an order, and correlations that cannot hold together."""
         by_key = {vary.key: vary for vary in self.vary}
         pairs: set[frozenset[str]] = set()
         for correlation in self.correlate:
@@ -355,7 +355,7 @@ def _levels(vary: Vary) -> int:
 
 
 def study_names() -> list[str]:
-    """Every study that is shipped."""
+    """Return the name of every study that is shipped."""
     return files_in("studies")
 
 
@@ -372,7 +372,7 @@ def find_study(name: str | Path) -> Path:
 
 
 def dotted(settings: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, Any]]:
-    """Nested tables as dotted keys, as the command line has them."""
+    """Return nested tables as dotted keys, as the command line has them."""
     for key, value in settings.items():
         if isinstance(value, Mapping) and value:
             yield from dotted(value, f"{above}{key}.")
@@ -381,7 +381,7 @@ def dotted(settings: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, 
 
 
 def _check_together(study: Study) -> None:
-    """Another aircraft or engine can be drawn together with what else is drawn."""
+    """Refuse another aircraft or engine that cannot be drawn together with what else is drawn."""
     nominal = {vary.key: study.key(vary.key).nominal for vary in study.vary}
     stated = {name: value for name, value in nominal.items() if value is not None}
     for vary in study.vary:

@@ -10,7 +10,7 @@ from cosim.campaign.study.keys import Key, Value
 
 
 def check_vary(vary: Vary, key: Key) -> None:
-    """One key and what it is drawn from."""
+    """Check one key against what it is drawn from."""
     if key.kind in ("choice", "bool"):
         if vary.values is None:
             raise InputError(f"vary {vary.text}: {key.path} is one of {key.allowed}; list values of them")
@@ -33,7 +33,7 @@ def check_vary(vary: Vary, key: Key) -> None:
 
 
 def _check_steps(vary: Vary, key: Key, low: float, high: float) -> None:
-    """Whole numbers, and times of whole steps: there are enough of them for what is asked."""
+    """Refuse values between whole numbers or control steps, and ranges with too few of them for the levels."""
     step = quantum(key)
     if step is None:
         return
@@ -61,14 +61,14 @@ def levels(vary: Vary, key: Key) -> list[Value]:
 
 
 def _between(low: float, high: float, count: int, in_ratio: bool) -> list[float]:
-    """``count`` numbers from ``low`` to ``high``; those between rounded to 12 digits (0.3, not 0.30000000000000004)."""
+    """Return ``count`` numbers from ``low`` to ``high``, those between rounded to 12 digits."""
     shares = [place / (count - 1) for place in range(1, count - 1)]
     inner = [low * exp(share * log(high / low)) if in_ratio else low + share * (high - low) for share in shares]
     return [low, *(float(f"{value:.12g}") for value in inner), high]
 
 
 def whole(values: list[float], vary: Vary, key: Key) -> list[float]:
-    """Values to the nearest that the key takes and that lies within the bounds, where it takes steps only."""
+    """Round values to the nearest step within the bounds, for a key that takes steps only."""
     step = quantum(key)
     if step is None:
         return values
@@ -77,7 +77,7 @@ def whole(values: list[float], vary: Vary, key: Key) -> list[float]:
 
 
 def quantum(key: Key) -> float | None:
-    """Of what the key takes whole multiples only: 1 for integers, the control step for times; None: of nothing."""
+    """Return the step of which the key takes whole multiples: 1 for integers, the control step for times; else None."""
     return 1.0 if key.kind == "int" else key.grid
 
 
@@ -103,7 +103,7 @@ def absolute_support(vary: Vary, key: Key) -> tuple[float, float]:
 
 
 def _inside(low: float, high: float, key: Key) -> bool:
-    """Whether all between, a bound that is never reached aside, is allowed."""
+    """Return whether all values between are allowed, a bound that is never reached aside."""
     above = low > key.low if key.open_low and isfinite(low) else low >= key.low
     below = high < key.high if key.open_high and isfinite(high) else high <= key.high
     return above and below

@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Line:
-    """One thing that was looked at."""
+    """One check and its result."""
 
     name: str
     text: str
@@ -53,7 +53,7 @@ class Line:
 
 @dataclass(frozen=True)
 class AircraftCheck:
-    """What was found out about an aircraft with its engine."""
+    """The results of checking an aircraft with its engine."""
 
     aircraft: str
     title: str
@@ -65,7 +65,7 @@ class AircraftCheck:
 
     @property
     def exact(self) -> bool:
-        """Whether what is attained is all that there is of authority, to three digits; else it is at least that."""
+        """Whether the attained authority is all that there is, to three digits; else it is a lower bound."""
         return all(
             authority.falls or all(authority.span(axis).met for axis in range(3)) for authority in self.authority
         )
@@ -76,7 +76,7 @@ class AircraftCheck:
         return not any(line.fault for line in self.lines)
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the results for JSON."""
         return {
             "aircraft": self.aircraft,
             "engine": self.engine,
@@ -90,7 +90,7 @@ class AircraftCheck:
 
 
 def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = None) -> AircraftCheck:
-    """Look an aircraft over, and draw it into ``out`` if given.
+    """Check an aircraft, and draw it into ``out`` if given.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
 
 
 def _authority_json(authority: Authority) -> dict[str, Any]:
-    """For JSON: what is not known, or not there, is null."""
+    """Return the authority for JSON: what is not known, or not there, is null."""
     most = authority.moment_at_most
     return authority._asdict() | {
         "lift_at_most": authority.lift_at_most if isfinite(authority.lift_at_most) else None,
@@ -159,7 +159,7 @@ def _authority_json(authority: Authority) -> dict[str, Any]:
 
 
 def _forces(simulation: Simulation) -> Line:
-    """Each jet alone, hinges at zero and at the ends of their ranges: force and moment in JSBSim against ``r x F``."""
+    """Compare each jet's force and moment in JSBSim with ``r x F``, hinges at zero and at the ends of their ranges."""
     vehicle, frame = simulation.vehicle, simulation.airframe
     layout, propulsion = vehicle.layout(), simulation.propulsion
     stances = [(0.0,) * len(vehicle.turns), *zip(*vehicle.turns, strict=True)]
@@ -179,7 +179,7 @@ def _forces(simulation: Simulation) -> Line:
 
 
 def _masses(simulation: Simulation) -> Line:
-    """Mass, centre of gravity and moments of inertia in JSBSim against those stated."""
+    """Compare mass, centre of gravity and moments of inertia in JSBSim with those stated."""
     vehicle, frame = simulation.vehicle, simulation.airframe
     frame.reset(simulation.scenario.initial, [ZERO3] * len(vehicle.jets), ZERO3)
     mass, cg, inertia = frame.mass_properties()
@@ -199,7 +199,7 @@ def _masses(simulation: Simulation) -> Line:
 
 
 def _sizes(vehicle: Vehicle) -> list[Line]:
-    """Radii of gyration beside how far the parts are from each axis: a wrong unit is far off."""
+    """Compare radii of gyration with how far the parts are from each axis: a wrong unit is far off."""
     parts, lines = np.array(places(vehicle)), []
     for number, (axis, moment) in enumerate(zip("xyz", vehicle.inertia_kg_m2, strict=True)):
         radius = sqrt(moment / vehicle.mass_kg)
@@ -261,7 +261,7 @@ def _axes(authority: Sequence[Authority], inertia: Vector3) -> list[Line]:
 
 
 def _models(simulation: Simulation) -> list[Line]:
-    """Each identified model against vehicle and engine, with full and with empty tank; a line a model."""
+    """Compare each identified model with vehicle and engine, with full and with empty tank; a line a model."""
     vehicle, lines = simulation.vehicle, []
     for family, models in vehicle.identified.items():
         scenario, engine = simulation.scenario, simulation.engine

@@ -52,7 +52,7 @@ THRESHOLD, SOONER_THRESHOLD = 0.2, 0.1
 
 @dataclass(frozen=True)
 class Flight:
-    """One engine out at one station of one vehicle, and what became of it."""
+    """The outcome of one engine out at one station of one vehicle."""
 
     aircraft: str
     engine: str
@@ -89,7 +89,7 @@ class EngineOut:
     levers: list[Lever]
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON; a bound beyond the furthest that is followed is null."""
+        """Return the table for JSON; a bound beyond the furthest that is followed is null."""
         return {
             "flights": [finite(flight) for flight in self.flights],
             "left": [asdict(left) for left in self.left],
@@ -99,7 +99,7 @@ class EngineOut:
 
 @dataclass(frozen=True)
 class Lever:
-    """What could be changed so that an engine out need not lose the vehicle; leans are bounds for throttles alone."""
+    """A change after which an engine out need not lose the vehicle; leans are bounds for throttles alone."""
 
     aircraft: str
     engine: str
@@ -266,7 +266,7 @@ def _levers(scenario: Scenario) -> Lever:
 
 
 def _half(simulation: Simulation, whole: RollAxis) -> RollAxis | None:
-    """Half the mass and inertia on the same engines; None where these cannot go so low."""
+    """Return the roll axis with half the mass and inertia on the same engines; None where these cannot go so low."""
     share = simulation.cascade.thrust_map.share(0.5 * whole.hover)
     if share <= simulation.vehicle.control.allocation.throttle_min:
         return None
@@ -364,13 +364,13 @@ def write_pages(result: EngineOut, folder: Path) -> list[Path]:
 
 
 def check_pages(folder: Path) -> None:
-    """Before the flights: raises InputError if a page cannot be written or lacks a mark."""
+    """Raise InputError if a page cannot be written or lacks a mark; called before the flights."""
     for page in PAGES:
         check_marks(folder / page, TABLES)
 
 
 def write(result: EngineOut, folder: Path) -> Path:
-    """``engine-out.csv`` in ``folder``.  Raises InputError if it cannot be written."""
+    """Write ``engine-out.csv`` in ``folder``.  Raises InputError if it cannot be written."""
     path = folder / "engine-out.csv"
     try:
         write_records(path, Flight, result.flights)

@@ -81,7 +81,7 @@ class Task(NamedTuple):
 
 @dataclass(frozen=True)
 class Row:
-    """What became of one flight."""
+    """The outcome of one flight."""
 
     failsafe: str
     height_m: float
@@ -103,13 +103,13 @@ class Row:
 
     @property
     def start(self) -> Start:
-        """Where it was when something failed."""
+        """The position and velocity at which something failed."""
         return Start(self.height_m, self.wind_m_s, self.speed_m_s)
 
 
 @dataclass(frozen=True)
 class FailsafeFlight:
-    """A row, and what flies it again."""
+    """A row, with the scenario and the requests that fly it again."""
 
     row: Row
     scenario: Scenario
@@ -269,7 +269,7 @@ class _Flight:
 
 
 class HoldTarget:
-    """The place and the height that a vehicle is to hold from now on: those of its set-point, or where that stops.
+    """The position and the height that a vehicle is to hold from now on: those of its set-point, or where that stops.
 
     A set-point at speed v stops within v^2/2a + v a/2j, with the acceleration a and the jerk j that it is allowed.
     """

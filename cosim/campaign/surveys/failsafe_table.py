@@ -54,7 +54,7 @@ def write_flight(folder: Path, name: str, scenario: Scenario, entries: Sequence[
 
 
 def file_name(row: Row) -> str:
-    """Of the flight's files, without what they end in."""
+    """Return the name of the flight's files, without their suffix."""
     return (
         f"{row.failsafe.lower().replace(' ', '-')}-{row.height_m:g}m-{row.wind_m_s:g}m_s"
         + (f"-at-{row.speed_m_s:g}m_s" if row.speed_m_s else "")
@@ -76,7 +76,7 @@ class FailsafeSummary:
 
 
 def summary(result: Failsafes) -> list[FailsafeSummary]:
-    """For each failsafe, wind and speed what became of it at all heights."""
+    """Return the outcomes at all heights for each failsafe, wind and speed."""
     table = []
     for name, wind, speed in dict.fromkeys((row.failsafe, row.wind_m_s, row.speed_m_s) for row in result.rows):
         rows = [row for row in result.rows if (row.failsafe, row.wind_m_s, row.speed_m_s) == (name, wind, speed)]
@@ -142,7 +142,7 @@ def _column(row: Row) -> str:
 
 
 def cell_of_several(rows: Sequence[Row]) -> str:
-    """Several flights as they stand in the page's table: how many ended how, and the worst numbers of all."""
+    """Return the cell of several flights of the page's table: how many ended how, and the worst numbers of all."""
     counts: dict[str, list[Row]] = {}
     for row in sorted(rows, key=lambda row: row.verdict not in ("landed", "holds")):
         counts.setdefault(row.verdict, []).append(row)

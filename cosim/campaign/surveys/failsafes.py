@@ -74,11 +74,11 @@ class Failsafes:
 
     @property
     def rows(self) -> list[Row]:
-        """What became of the flights."""
+        """The outcomes of the flights."""
         return [flight.row for flight in self.flights]
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON; null where there is no number."""
+        """Return the table for JSON; null where there is no number."""
         return {
             "aircraft": self.aircraft,
             "engine": self.engine,

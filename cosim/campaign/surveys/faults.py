@@ -60,7 +60,7 @@ class Case(NamedTuple):
 
 @dataclass(frozen=True)
 class Row:
-    """What became of one flight."""
+    """The outcome of one flight."""
 
     kind: str
     place: str
@@ -77,7 +77,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Moments:
-    """What one lost engine does before anything can be done about it, about roll."""
+    """The effect of one lost engine about roll before anything can be done about it."""
 
     thrust: float  # N, of one jet in hover
     moment: float  # N m
@@ -89,7 +89,7 @@ class Moments:
 
 @dataclass(frozen=True)
 class Limit:
-    """How far a quantity may grow, on a grid, before the vehicle is lost."""
+    """The largest value of a quantity, on a grid, before the vehicle is lost."""
 
     quantity: str
     start: str
@@ -119,7 +119,7 @@ class Survival:
         return [own.label for own in self.own if own.level == WHOLE_CONTROLLER]
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the table for JSON."""
         return {
             "aircraft": self.aircraft,
             "engine": self.engine,

@@ -57,7 +57,7 @@ class ThrustCourses:
         self._shut: dict[int, list[float]] = {}
 
     def shut(self, at: int) -> list[float]:
-        """Least throttle from the start and shut off from step ``at`` on."""
+        """Return the course at least throttle from the start and shut off from step ``at`` on."""
         if at not in self._shut:
             self._shut[at] = self._run(lambda k: self._least, shut_at=at)
         return self._shut[at]
@@ -80,7 +80,7 @@ class ThrustCourses:
 
 @dataclass(frozen=True)
 class RollAxis:
-    """What turns a vehicle about its rolling axis, and how it may be changed."""
+    """A vehicle's dynamics about its roll axis, and the changes of it that are compared."""
 
     vehicle: Vehicle
     courses: ThrustCourses
@@ -149,7 +149,7 @@ def _upright(vehicle: Vehicle, after: int) -> list[float]:
 
 
 def _damping(vehicle: Vehicle) -> float:
-    """N m s: the airframe's, and that of six streams at full flow, which is more than they have."""
+    """Return the roll damping, N m s: the airframe's, and an upper bound of that of six streams at full flow."""
     damping = vehicle.aero.damping_n_m_s[0]
     flow = vehicle.airflow
     if flow is not None:
@@ -164,7 +164,7 @@ def opposite_of(vehicle: Vehicle, jet: int) -> int:
 
 
 def courses_of(simulation: Simulation, share: float, seconds: float = FOLLOWED_S) -> ThrustCourses:
-    """Of the engines of a built flight, all alike, from a ``share`` of their range of thrust on."""
+    """Return the courses of a built flight's engines, all alike, from a ``share`` of their range of thrust on."""
     limits = simulation.vehicle.control.allocation
     count = len(simulation.vehicle.jets)
     hover, least, most = (
@@ -175,7 +175,7 @@ def courses_of(simulation: Simulation, share: float, seconds: float = FOLLOWED_S
 
 
 def roller(simulation: Simulation, seconds: float = FOLLOWED_S) -> RollAxis:
-    """For the vehicle of a built flight, all of whose engines are alike; ``seconds``: how long they are followed."""
+    """Return the roll axis of a built flight's vehicle with engines all alike, followed for ``seconds``."""
     vehicle = simulation.vehicle
     courses = courses_of(simulation, simulation.cascade.allocator.hover, seconds)
     return RollAxis(vehicle, courses, vehicle.mass_kg * GRAVITY / len(vehicle.jets))

@@ -72,7 +72,7 @@ def fly_all(
     done: int = 0,
     of: int = 0,
 ) -> Iterator[R]:
-    """Yield what becomes of every task, in order; ``done`` of all ``of`` were flown before them."""
+    """Yield the outcome of every task, in order; ``done`` of all ``of`` were flown before them."""
     for count, result in enumerate(in_order(act, tasks, workers), done + 1):
         say(describe(result), count, of or len(tasks))
         yield result

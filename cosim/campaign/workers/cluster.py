@@ -138,13 +138,13 @@ class DaskWorkers:
             tasks.cancel()
 
     def _packed(self, study: Study) -> Frozen:
-        """Everything that flying ``study`` elsewhere takes."""
+        """Return everything that flying ``study`` elsewhere takes."""
         if self._frozen is None or self._frozen[0] is not study:
             self._frozen = study, freeze(study)
         return self._frozen[1]
 
     def _need_cluster(self) -> None:
-        """Raise FlightError if there is nobody any more who could fly."""
+        """Raise FlightError if no worker is left that could fly."""
         if self._client.status in ("closing", "closed"):
             raise FlightError(f"{self._where}: the scheduler is lost")
         without = self._threads.without_s
@@ -192,11 +192,11 @@ class _Threads:
 
     @property
     def without_s(self) -> float:
-        """For how long there have been none, s."""
+        """The time for which there have been no workers, s."""
         return 0.0 if self._known else monotonic() - self._seen
 
     def look(self) -> dict[str, int]:
-        """Threads by worker."""
+        """Ask for the number of threads by worker."""
         with suppress(OSError, TimeoutError):
             self._known = dict(self._client.sync(self._client.scheduler.ncores, callback_timeout=CONNECT_S))
         self._counted_at = monotonic()
@@ -306,7 +306,7 @@ class _Tasks:
             yield from rows
 
     def _after_losses(self, batch: list[Flight], error: Any) -> Iterator[Row]:
-        """Flights that lost several workers, so that Dask gives them up: each is tried once more, alone."""
+        """Fly once more, alone, each of the flights that lost several workers, so that Dask gave them up."""
         if len(batch) > 1:
             self._back.extend([flight] for flight in batch)
             return

@@ -159,7 +159,7 @@ def inputs(run: Run) -> str:
 
 
 def inputs_sha256(run: Run) -> str:
-    """Hash of :func:`inputs` and of every number that the aircraft and the engines flew with."""
+    """Return the hash of :func:`inputs` and of every number that the aircraft and the engines flew with."""
     scenario = run.scenario
     return hashlib.sha256("\n".join([inputs(run), scenario.model_dump_json()]).encode()).hexdigest()
 
@@ -187,7 +187,7 @@ def _outcome_row(study: Study, run: Run, digest: str) -> Row:
 
 
 def _plugin_hashes(run: Run) -> str:
-    """One line for every block of the user's beside the controller."""
+    """Return one line for every plug-in beside the controller."""
     return "; ".join(f"{block.key} {block.name} {block.sha256}" for block in run.summary.brought)
 
 

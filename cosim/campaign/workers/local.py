@@ -162,7 +162,7 @@ class LocalWorkers:
             self._end(process)
 
     def _end(self, process: _Process) -> list[Flight]:
-        """End a process; what it had been given and not flown."""
+        """End a process, and return the flights that it had been given and did not fly."""
         self._processes.remove(process)
         process.end()
         return list(process.given)
@@ -180,7 +180,7 @@ class _Waiting:
         return self._first.popleft() if self.more_than(0) else None
 
     def more_than(self, count: int) -> bool:
-        """Whether there are; no more are taken from the study than it takes to know."""
+        """Return whether more than ``count`` flights wait, taking no more from the study than it takes to know."""
         while len(self._first) <= count:
             try:
                 self._first.append(next(self._flights))
@@ -192,13 +192,13 @@ class _Waiting:
         self._first.extendleft(reversed(list(flights)))
 
     def lose(self, flight: Flight) -> int:
-        """Count a process that was lost in this flight; how many there were."""
+        """Count a process that was lost in this flight, and return how many there were."""
         self._losses[flight.number] += 1
         return self._losses[flight.number]
 
 
 class _QueueDepth:
-    """How many flights wait in a process: none where they are long, so that all processes end together."""
+    """The number of flights that wait in a process: none where they are long, so that all processes end together."""
 
     def __init__(self) -> None:
         self.flights = 0

@@ -19,7 +19,7 @@ LIMIT_FACTOR = 10.0  # chosen by us: of simulated time; a flight takes a hundred
 
 
 def time_limit(study: Study) -> float:
-    """How long a flight of ``study`` may take, s of wall time, where nobody says so."""
+    """Return how long a flight of ``study`` may take by default, s of wall time."""
     return max(LEAST_LIMIT_S, LIMIT_FACTOR * study.base().duration_s)
 
 

@@ -106,7 +106,7 @@ def installed() -> dict[str, str]:
 
 
 def differences(theirs: Mapping[str, str], ours: Mapping[str, str]) -> list[str]:
-    """In words, what is installed otherwise there than here."""
+    """Describe what is installed otherwise there than here."""
     return [
         f"other {name}" if name == FILES else f"{name} {theirs.get(name, 'none')} (here {value})"
         for name, value in ours.items()

@@ -36,7 +36,7 @@ def make_allocator(
     hover: float,
     catch: Catch | None,
 ) -> Allocator:
-    """By what the vehicle has, or states."""
+    """Return the allocator for what the vehicle has, or states."""
     limits = vehicle.control.allocation
     if vehicle.allocation == "effectiveness":
         return _by_effectiveness(scenario, vehicle, stations, thrust_map)
@@ -98,7 +98,7 @@ def _by_effectiveness(
 
 
 def _late(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> Late | None:
-    """Of the engines, where the vehicle is to be caught without one of them.
+    """Return the lateness of the engines, where the vehicle is to be caught without one of them.
 
     A throttle has acted after the delay and a third of the lag, by when an engine is well on its way: chosen by us.
     """
@@ -131,7 +131,7 @@ def ask_model(what: str, scenario: Scenario, vehicle: Vehicle, ask: Callable[[Ai
 
 
 def _thrust_at(curve: StaticCurve, throttle: float) -> float:
-    """Thrust at rest [N], linear between the points of the curve."""
+    """Return the thrust at rest [N], linear between the points of the curve."""
     for (u, v), (f, g) in zip(pairwise(curve.throttle), pairwise(curve.thrust), strict=True):
         if throttle <= v:
             return f + (g - f) * (throttle - u) / (v - u)
@@ -139,7 +139,7 @@ def _thrust_at(curve: StaticCurve, throttle: float) -> float:
 
 
 def _lift(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> float:
-    """How far a throttle may go up in a step for the height that is lost with an engine.
+    """Return how far a throttle may go up in a step to make up for the height that is lost with an engine.
 
     From least to most in no less than the longest lag of the engines: told to go faster they are at the limit of their
     acceleration, all alike, and what roll asks for between them is lost.

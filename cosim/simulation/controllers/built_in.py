@@ -144,7 +144,7 @@ def _wing(
 def _reduced(
     scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap
 ) -> ReducedAttitude | None:
-    """Where rotors do not tilt and a lost one is to be caught."""
+    """Return the reduced attitude law, where rotors do not tilt and a lost one is to be caught."""
     monitor = vehicle.control.monitor
     if vehicle.allocation != "rotors" or not scenario.monitored or monitor is None or not monitor.catch:
         return None
@@ -155,7 +155,7 @@ def _reduced(
 
 
 def _catch(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap) -> Catch | None:
-    """Where the opposite of a lost engine is shut off, with the engine that the vehicle is made for.
+    """Return the recovery that shuts off the opposite of a lost engine, with the engine the vehicle is made for.
 
     With that one its constants were chosen; slower ones stay longer at their limits, which it does not know.
     """
@@ -176,7 +176,7 @@ def _catch(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec],
 
 
 def opposites(vehicle: Vehicle) -> tuple[int, ...]:
-    """For every jet, from 0, the one across the centre of gravity.  Raises InputError if one has none."""
+    """Return for every jet, from 0, the one across the centre of gravity.  Raises InputError if one has none."""
     places = [jet.position_m for jet in vehicle.jets]
     pairs = []
     for number, (x, y, _) in enumerate(places, 1):

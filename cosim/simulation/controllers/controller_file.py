@@ -31,7 +31,7 @@ MAX_OVERSHOOT = 0.2  # of a step: what a peak sensitivity alone does not keep wh
 
 
 class Requirements(Model):
-    """What a design must keep."""
+    """The requirements that a design must meet."""
 
     max_sensitivity: float = 1.7
     delay_tolerance: NotNegative = 0.3  # of the transport delay, at least one sample
@@ -47,7 +47,7 @@ class Requirements(Model):
 
 
 class AxisRecord(Model):
-    """What a design says about one channel; for people, a flight does not read it."""
+    """The results of a design for one channel; for people, a flight does not read it."""
 
     controller: str
     peak_sensitivity: float
@@ -63,7 +63,7 @@ class AxisRecord(Model):
 
 
 class LevelRecord(Model):
-    """What a design says about the channels that engines answer, with a part of the fuel."""
+    """The results for the channels that engines answer, with a part of the fuel."""
 
     fuel: float  # share of the tank
     mass_kg: float
@@ -86,7 +86,7 @@ class FlownRecord(Model):
 
 
 class ProofRecord(Model):
-    """What a design was flown with before it was believed; a flight does not read it."""
+    """The flights that a design was proven in; a flight does not read it."""
 
     flights: int  # all kept what was promised, where nothing failed
     failed: str | None = None  # why it failed; only of a design whose file was written under an earlier proof
@@ -96,7 +96,7 @@ class ProofRecord(Model):
 
 
 class Purpose(Model):
-    """What a controller was designed for."""
+    """The vehicle, engine and step that a controller was designed for."""
 
     aircraft: str
     engine: str
@@ -163,7 +163,7 @@ def read_controller(path: Path, aircraft: str | None = None, folder: Path = Path
 
 
 def _older_than_banks(file: ControllerFile, original: Vehicle) -> bool:
-    """Whether a file is from before the reaction of tilting banks, and its gains therefore not for it."""
+    """Return whether a file predates the model of the banks' reaction, so that its gains are not for it."""
     servo = original.servo
     stated = any(
         "bank_inertia_kg_m2" in table.get("servo", {}) for table in (file.vehicle, file.design.vehicle_changes)

@@ -56,7 +56,7 @@ class Deadline:
         self._begun = None
 
     def close(self) -> None:
-        """No call follows; may be called twice."""
+        """Release the signal; no call follows.  May be called twice."""
         self._ended.set()
         self._begun, self._watcher = None, None
         if self in _OPEN:
@@ -67,7 +67,7 @@ class Deadline:
 
     @property
     def late(self) -> bool:
-        """Whether a call is on that has taken longer than the limit."""
+        """Whether a running call has taken longer than the limit."""
         begun = self._begun
         return begun is not None and monotonic() - begun > self.limit
 

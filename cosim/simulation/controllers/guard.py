@@ -46,7 +46,7 @@ _FLY: Final = EngineState.FLY
 
 @dataclass(frozen=True)
 class Named:
-    """What the messages call a block, and the time that each of its calls may take; None: any."""
+    """A block's name in messages, and the time that each of its calls may take; None: any."""
 
     label: str
     deadline: Deadline | None = None
@@ -282,7 +282,7 @@ class GuardedController:
         )
 
     def _near(self, throttles: Any) -> PerJet:
-        """Throttles that are not all from 0 to 1, but for somebody's rounding.  Raises FlightError."""
+        """Return the throttles, limited to 0 to 1, of which only rounding may be outside.  Raises FlightError."""
         throttle = self._named.numbers(throttles, self._names, "throttles: update")
         for name, value in zip(self._names, throttle, strict=True):
             if not -_ROUNDING <= value <= 1.0 + _ROUNDING:
@@ -295,16 +295,16 @@ class GuardedController:
         return ALL_WELL
 
     def forgive(self) -> None:
-        """Nothing is judged here."""
+        """Do nothing: engines are not watched here."""
 
     @property
     def lost(self) -> tuple[int, ...]:
-        """None: engines are not watched here."""
+        """The failed engines: none, as engines are not watched here."""
         return ()
 
     @property
     def diagnostics(self) -> tuple[Diagnostics, Diagnostics, Diagnostics]:
-        """There are no predictors that could be seen."""
+        """The predictors' signals, all unknown: there are no predictors."""
         return (UNKNOWN3, UNKNOWN3, UNKNOWN3)
 
     @property

@@ -82,7 +82,7 @@ class Plugged:
         self._belief = make_belief(scenario, vehicle, engine, stations, parameters)
 
     def make(self) -> None:
-        """Its block, but for predictors.  Raises InputError as ``_made``; :meth:`close` ends what was begun by then."""
+        """Make its block, but for predictors.  Raises InputError as ``_made``; :meth:`close` ends what was begun."""
         if self._own.level == "controller":
             self.whole = GuardedController(self._made(self._belief), self._named, self._belief)
         elif self._own.level == "rate":
@@ -118,7 +118,7 @@ class Plugged:
 
     @property
     def source(self) -> Source:
-        """Where the controller comes from."""
+        """The source of the controller."""
         return self._own
 
     def repeats(self) -> bool | None:

@@ -50,7 +50,7 @@ class Connection:
         self._rest = b""
 
     def line(self, limit: float) -> bytes:
-        """One line of its output.  Raises FlightError."""
+        """Read one line of its output.  Raises FlightError."""
         end = monotonic() + limit
         while b"\n" not in self._rest:
             if len(self._rest) > _LINE:
@@ -60,7 +60,7 @@ class Connection:
         return line
 
     def read(self, count: int, limit: float) -> bytes:
-        """So many bytes of its output.  Raises FlightError."""
+        """Read so many bytes of its output.  Raises FlightError."""
         end = monotonic() + limit
         while len(self._rest) < count:
             self._rest += self._some(end, limit)
@@ -163,7 +163,7 @@ class ProcessBlock:
         self._k = 0
 
     def limit(self, seconds: float) -> None:
-        """So long it may take for an answer."""
+        """Set the time limit for an answer, s."""
         self._limit = seconds
 
     def prepare(self, belief: Belief) -> None:
@@ -211,7 +211,7 @@ class ProcessBlock:
         self._k = 0
 
     def update(self, *told: Any) -> Any:
-        """One frame to it, one back.  Raises FlightError."""
+        """Send one frame and read one back.  Raises FlightError."""
         assert self._connection is not None
         frame = self._in.pack(float(self._k), *wire.numbers(told, self._level, self._ahead))
         answer = self._exchange(self._connection, frame, self._k)
@@ -263,7 +263,7 @@ class ProcessBlock:
 
 
 def program(path: Path, arguments: str) -> Command:
-    """How a file is run: one of Python by this interpreter, any other as a program."""
+    """Return the command that runs a file: one of Python by this interpreter, any other as a program."""
     words = arguments.split()
 
     def command() -> Sequence[str]:

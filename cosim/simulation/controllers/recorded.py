@@ -31,7 +31,7 @@ def header(jets: int, servo: bool) -> str:
 
 
 def line(row: Row, servo: bool) -> str:
-    """One of the others."""
+    """Return the line of one step."""
     throttle, tilt, shown = row
     return ",".join([repr(value) for value in (*throttle, *(tilt if servo else ()), *shown)])
 
@@ -67,7 +67,7 @@ def read(path: Path, where: str) -> tuple[list[Row], tuple[Column, ...]]:
 
 
 def _numbers(text: str) -> list[float]:
-    """None of them where one is no number."""
+    """Return the cells as numbers, None of them where one is no number."""
     try:
         values = [float(cell) for cell in text.split(",")]
     except ValueError:
@@ -85,7 +85,7 @@ class Recorded:
         self.reset()
 
     def reset(self) -> None:
-        """At the first row."""
+        """Start at the first row."""
         self._next = 0
         self.shown: tuple[float, ...] = (0.0,) * len(self.columns)
 

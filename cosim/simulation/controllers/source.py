@@ -62,7 +62,7 @@ def _sha256(path: Path) -> str:
 
 @dataclass(frozen=True)
 class Source:
-    """A block of the user's before it flies: a controller of a level, or a block of another kind.
+    """A user-supplied block before it flies: a controller of a level, or a block of another kind.
 
     ``files``: what it is made of, the first being the one that its name names, under the names that they have in a
     run's folder.  ``make`` makes a block, at rest.
@@ -82,19 +82,19 @@ class Source:
 
     @property
     def label(self) -> str:
-        """What messages and rows call it."""
+        """The name in messages and rows."""
         return label_of(self.name)
 
     @cached_property
     def hashes(self) -> dict[str, str]:
-        """SHA-256 of each file, or of a text that is in none."""
+        """The SHA-256 of each file, or of a text that is in none."""
         if self.text:
             return {f"{self.label}, its source": hashlib.sha256(self.text.encode()).hexdigest()}
         return {name: _sha256(path) for name, path in self.files.items()}
 
     @property
     def sha256(self) -> str:
-        """One hash for all: that of its file where it is one; empty where there is nothing to be had of it."""
+        """One hash for all: that of its file where it is one; empty where nothing can be hashed."""
         if not self.hashes:
             return ""
         if len(self.hashes) == 1:
@@ -102,7 +102,7 @@ class Source:
         return hashlib.sha256("".join(f"{value}  {name}\n" for name, value in self.hashes.items()).encode()).hexdigest()
 
     def values(self, stated: Mapping[str, float], where: str) -> dict[str, float]:
-        """Its parameters with what is stated of them.  Raises InputError: one line with the key and what is allowed."""
+        """Return its parameters' values.  Raises InputError: one line with the key and what is allowed."""
         known = {parameter.name: parameter for parameter in self.parameters}
         for name, value in stated.items():
             if name not in known:
@@ -226,7 +226,7 @@ def file_of(made: Any) -> Path | None:
 
 
 def _codes(made: type) -> list[CodeType]:
-    """Of the functions that its own text defines."""
+    """Return the code objects of the functions that its own text defines."""
     return [inspect.unwrap(function).__code__ for function in vars(made).values() if inspect.isfunction(function)]
 
 
@@ -348,7 +348,7 @@ def _of_entry(kind: str, name: str, entry: EntryPoint) -> Source:
 
 
 def version_of(module: str) -> str:
-    """Name and version of the installed package that a module belongs to; empty where it belongs to none."""
+    """Return name and version of the installed package that a module belongs to; empty where it belongs to none."""
     top = module.split(".")[0]
     for package in packages_distributions().get(top, []):
         try:
@@ -403,7 +403,7 @@ def _stated(
 
 
 def _states(block: Any, where: str, column: str) -> tuple[str, str, tuple[Column, ...], tuple[Parameter, ...]]:
-    """Level, predictor, columns and parameters that a block states; ``column``: how it writes one.
+    """Return level, predictor, columns and parameters that a block states; ``column``: how it writes one.
 
     Raises InputError for what does not fit.
     """

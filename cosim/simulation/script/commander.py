@@ -94,7 +94,7 @@ class Commander:
 
 
 def sweep(step: float, start: int, length: int, amplitude: float, low: float, high: float) -> Waveform:
-    """Exponential chirp: ``amplitude sin(2 pi low L (exp(t/L) - 1))``, ``L = D / ln(high/low)``, t from ``start``.
+    """Return the chirp ``amplitude sin(2 pi low L (exp(t/L) - 1))``, ``L = D / ln(high/low)``, t from ``start``.
 
     Its frequency is ``low`` Hz at the first and ``high`` Hz at the last of ``length`` steps.
     """
@@ -113,7 +113,7 @@ def sweep(step: float, start: int, length: int, amplitude: float, low: float, hi
 
 
 def doublet(start: int, width: int, amplitude: float) -> Waveform:
-    """``amplitude`` for ``width`` steps, then its opposite for as long."""
+    """Return a waveform of ``amplitude`` for ``width`` steps, then its opposite for as long."""
 
     def wave(k: int) -> float:
         n = k - start
@@ -123,7 +123,7 @@ def doublet(start: int, width: int, amplitude: float) -> Waveform:
 
 
 def pulse(start: int, end: int | None, amplitude: float) -> Waveform:
-    """``amplitude`` from step ``start`` to before ``end``, or for good."""
+    """Return a waveform of ``amplitude`` from step ``start`` to before ``end``, or for good."""
 
     def wave(k: int) -> float:
         return amplitude if k >= start and (end is None or k < end) else 0.0
@@ -163,7 +163,7 @@ def _table(entry: TableCommand, scenario: Scenario, start: int, where: str) -> l
 
 
 def _interpolated(times: Sequence[float], values: Sequence[float], how: str, step: float, start: int) -> Waveform:
-    """0 before the first row, the last row's value after it."""
+    """Return the waveform of rows: 0 before the first, the last one's value after it."""
     linear = how == "linear"
 
     def wave(k: int) -> float:

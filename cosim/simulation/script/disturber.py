@@ -99,7 +99,7 @@ class Disturber:
         return self._last
 
     def _payload(self, k: int) -> Payload:
-        """All payloads on board as one point mass at their common centre."""
+        """Return all payloads on board as one point mass at their common centre."""
         mass = x = y = z = 0.0
         for on, (m, px, py, pz) in self._payloads:
             if on(k):

@@ -57,7 +57,7 @@ class FaultSchedule:
         self.reset()
 
     def reset(self) -> None:
-        """Back to the start of a flight, before the blocks are."""
+        """Return to the start of a flight, before the blocks do."""
         self._spans: list[tuple[int, int, Fault]] = []
         self._acting: list[Fault] = []
         self._jams: list[ServoJam | None] = [None] * len(self._servos)
@@ -168,7 +168,7 @@ class FaultSchedule:
             self._jams[i] = jam
 
     def _flagged(self, acting: Sequence[Fault]) -> tuple[float, ...]:
-        """1 for every jet, servo and sensor that a fault acts on, in the order of the log's columns."""
+        """Return 1 for every jet, servo and sensor that a fault acts on, in the order of the log's columns."""
         flags = list(self._none)
         for fault in acting:
             if isinstance(fault, ServoJam):

@@ -55,7 +55,7 @@ def as_flown(vehicle: Vehicle, mismatch: Mismatch) -> Vehicle:
 
 
 def engines_as_flown(mismatch: Mismatch, jets: int) -> tuple[PerJet | None, int]:
-    """Thrust over that of the engines that are known, None where it is theirs, and by how many steps they are later.
+    """Return thrust over the nominal engines' thrust, None where equal, and the added delays in steps.
 
     Raises InputError for a factor of a jet that the vehicle has not.
     """

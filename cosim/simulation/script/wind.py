@@ -11,7 +11,7 @@ Velocity = Callable[[float, float, float, float], Vector3]  # s, then north, eas
 
 
 class FieldWind:
-    """What a field blows at the vehicle over a step, held from its beginning, and how much else at each engine.
+    """The wind of a field over a step, held from its beginning: at the vehicle, and the difference at each engine.
 
     The airframe flies in the air at its centre of gravity; an engine's intake, and what its stream does to the
     vehicle, in the air at its station.  ``places``: the stations [m, body], none where the wind is the same everywhere.
