@@ -38,7 +38,9 @@ from cosim.groundstation.links import Links, about_of
 from cosim.groundstation.mavlink.vehicle import Vehicle
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 from cosim.groundstation.mavlink.wire.link import Link
-from cosim.groundstation.session import Session, scripted_status, session_info, snapshot_of
+from cosim.groundstation.read_only import scripted_status
+from cosim.groundstation.session import RecordOptions, Session
+from cosim.groundstation.session_flight import session_info, snapshot_of
 from cosim.pages import table, write_marks
 from cosim.simulation.build import build
 from cosim.simulation.pacing import PaceReport
@@ -451,8 +453,8 @@ def stalled(seconds: float) -> str:
 
 def _session(links: Links, folder: Path, factor: float | None, duration: float | None = None) -> Session:
     return Session(
-        Scenario.load("hover").replace(name="gcs"), links.exchange, factor=factor, out=folder, duration=duration,
-        report=False, begun=links.begin, over=links.end,
+        Scenario.load("hover").replace(name="gcs"), links.exchange, factor=factor, duration=duration,
+        records=RecordOptions(folder, report=False), begun=links.begin, over=links.end,
     )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ from cosim.base.errors import InputError
 from cosim.cli.main import main as hexjet
 from cosim.control.autopilot import requests as rq
 from cosim.groundstation.exchange import Exchange
-from cosim.groundstation.session import Session
+from cosim.groundstation.session import RecordOptions, Session
 from cosim.groundstation.web.server import WebServer
 from cosim.shelf.index import Shelf
 from cosim.shelf.server import ShelfServer
@@ -111,7 +111,7 @@ def live(folder: Path, flies: bool = True) -> Iterator[str]:
     exchange = Exchange()
     windy = Scenario.load("hover", ["environment.wind_ned_m_s=[2.0, 1.0, 0.0]"])
     scenario = windy.replace(name="gcs", engine="edf-as-flown", controller="smith")
-    session = Session(scenario, exchange, factor=1.0, out=folder, report=False)
+    session = Session(scenario, exchange, factor=1.0, records=RecordOptions(folder, report=False))
     thread = threading.Thread(target=session.run)
 
     def until(true: Callable[[Any], bool], asked: Any) -> None:

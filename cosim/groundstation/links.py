@@ -22,7 +22,7 @@ from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.signing import Signing, read_key
 from cosim.groundstation.mavlink.wire.tlog import Log
 from cosim.groundstation.mavlink.wire.transports import endpoint
-from cosim.groundstation.session import ReadOnlyObserver
+from cosim.groundstation.read_only import ReadOnlyObserver
 from cosim.results.autopilot.request_log import REQUESTS
 from cosim.results.run import TELEMETRY
 

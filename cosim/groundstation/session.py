@@ -12,34 +12,25 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.geodesy import Geodesy
-from cosim.base.protocols import EngineState, Observer
-from cosim.base.signals import Sample
-from cosim.control.autopilot.autopilot import Autopilot
-from cosim.control.autopilot.estimation.position import Fix
-from cosim.control.autopilot.modes import Home, LandedState, Mode, Severity
-from cosim.control.autopilot.parameters import Caution, Parameters, table
+from cosim.base.protocols import Observer
+from cosim.control.autopilot.modes import LandedState, Severity
+from cosim.control.autopilot.parameters import Caution
 from cosim.control.autopilot.requests import (
     Answer,
     MissionClear,
-    MissionItem,
     MissionUpload,
-    Request,
     Result,
     SetParameter,
-    Sticks,
 )
-from cosim.control.autopilot.status import Status
-from cosim.flight import record, reserve_folder, with_page
-from cosim.groundstation.exchange import Exchange, Restart, SessionInfo, Shutdown, Snapshot, Waiting
-from cosim.groundstation.log_limit import LIMIT_MB, LogLimit
+from cosim.flight import reserve_folder
+from cosim.groundstation.exchange import Exchange, Restart, SessionInfo, Shutdown, Waiting
+from cosim.groundstation.log_limit import LIMIT_MB
 from cosim.groundstation.parameter_guard import (
     Judge,
     ParameterGuard,
@@ -50,14 +41,12 @@ from cosim.groundstation.parameter_guard import (
     warn_of,
 )
 from cosim.groundstation.parameter_store import vehicle_key
-from cosim.groundstation.stick_owner import StickOwner
-from cosim.results.autopilot.autopilot_record import PilotRecord
-from cosim.results.autopilot.request_log import REQUESTS, RequestLog
-from cosim.results.run import AUTOPILOT, Recording, Run, claim_folder
+from cosim.groundstation.session_flight import Publisher, SessionFlight, pass_on, session_info
+from cosim.results.autopilot.request_log import REQUESTS
+from cosim.results.run import Run, claim_folder
 from cosim.simulation.build import build
 from cosim.simulation.ending import Ending
-from cosim.simulation.pacing import Pace, PaceReport
-from cosim.simulation.step import Simulation
+from cosim.simulation.pacing import Pace
 from cosim.simulation.with_autopilot import with_autopilot
 from cosim.spec.scenario import Scenario
 
@@ -65,21 +54,29 @@ LONGEST_S = 86_400.0  # of one flight that has no planned end: a day
 # Chosen by us: a request costs some 10 us, a new predictor 3 ms, a step has 4 ms of which stepping takes a tenth.
 _MOST_A_STEP = 8  # requests
 _REQUEST_TIME = 0.5e-3  # s of a step after which the next request waits for the next step
-_PUBLISH_EVERY = 2e-3  # s of wall time: twice as often as steps at 250 Hz; a flight at full speed publishes less
-_WARN_EVERY = 10.0  # s of wall time between two messages about missed deadlines
 _SWITCH = 0.5e-3  # s after which a thread that computes gives way; Python's 5 ms are longer than a step
 _OVER_EVERY = 0.02  # s between two looks at what is asked after the end of a flight
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """Where and how the flights of a session are recorded.
+
+    ``out``: the first run's folder, or None for new ones in ``runs/``; a restart goes to the next of ``OUT-2``,
+    ``OUT-3``... that is free.  ``log_mb``: of each flight's log at most, None without a limit.
+    """
+
+    out: Path | None = None
+    report: bool = True
+    log_mb: float | None = LIMIT_MB
 
 
 class Session:
     """Flights on request, each recorded in a folder of its own.
 
-    ``factor``: of real time, None as fast as it goes.  ``out``: the first run's folder, or None for new ones in
-    ``runs/``; a restart goes to the next of ``OUT-2``, ``OUT-3``... that is free.  ``log_mb``: of each flight's log at
-    most, None without a limit.  ``parameters``: a TOML file that
-    parameters are read from, and written to whenever one is changed.  ``duration`` [s of flight] ends the session;
-    without it :meth:`stop` does.  ``begun`` is called when a flight's folder is there, ``over`` when a flight is done
-    with.
+    ``factor``: of real time, None as fast as it goes.  ``parameters``: a TOML file that parameters are read from, and
+    written to whenever one is changed.  ``duration`` [s of flight] ends the session; without it :meth:`stop` does.
+    ``begun`` is called when a flight's folder is there, ``over`` when a flight is done with.
     Raises InputError for a scenario that cannot be flown, and for a file of parameters that cannot be used.
     """
 
@@ -89,11 +86,9 @@ class Session:
         exchange: Exchange,
         *,
         factor: float | None = 1.0,
-        out: Path | None = None,
         parameters: Path | None = None,
         duration: float | None = None,
-        report: bool = True,
-        log_mb: float | None = LIMIT_MB,
+        records: RecordOptions = RecordOptions(),
         begun: Callable[[SessionInfo], None] = lambda facts: None,
         over: Callable[[], None] = lambda: None,
     ) -> None:
@@ -102,8 +97,7 @@ class Session:
         self.factor = factor
         self.duration = duration
         self.runs: list[Run] = []
-        self._out = out
-        self._report, self._log_mb = report, log_mb
+        self._records = records
         self._begun, self._over = begun, over
         self._parameters = ParameterWriter(
             parameters, vehicle_key(scenario), lambda text: exchange.say(Severity.WARNING, text)
@@ -112,7 +106,7 @@ class Session:
         self._stopping = ""
         self._restart = False
         self._numbered = 1  # of the last folder beside ``out``
-        self._next: _Flight | None = self._build()  # what is wrong with the input is said before any link opens
+        self._next: SessionFlight | None = self._build()  # what is wrong with the input is said before any link opens
 
     @property
     def facts(self) -> SessionInfo:
@@ -163,7 +157,7 @@ class Session:
 
     # --- one flight ----------------------------------------------------------------------------------------------
 
-    def _build(self) -> _Flight:
+    def _build(self) -> SessionFlight:
         """Build a flight without beginning it: nothing but its folder is written yet."""
         number = len(self.runs) + 1
         simulation = build(self.scenario)
@@ -173,30 +167,30 @@ class Session:
         except BaseException:
             simulation.close()
             raise
-        return _Flight(simulation, pilot, facts, Pace(simulation.dt, self.factor), self.exchange)
+        return SessionFlight(simulation, pilot, facts, Pace(simulation.dt, self.factor), self.exchange)
 
     def _folder(self, number: int) -> Path:
         """Return the run's folder; the first is claimed now, so that an error is reported before anybody connects."""
-        if self._out is None:
+        if self._records.out is None:
             return reserve_folder(Path("runs"), f"gcs-{self.scenario.aircraft_name}")
         if number == 1:
-            claim_folder(self._out)
-            return self._out
+            claim_folder(self._records.out)
+            return self._records.out
         # a folder that holds another run already is left alone: a vehicle that is asked to reboot must come back
         self._numbered = max(number, self._numbered + 1)
-        while (folder := self._out.with_name(f"{self._out.name}-{self._numbered}")).exists():
+        while (folder := self._records.out.with_name(f"{self._records.out.name}-{self._numbered}")).exists():
             self._numbered += 1
         return folder
 
-    def _fly(self, flight: _Flight) -> Ending:
+    def _fly(self, flight: SessionFlight) -> Ending:
         simulation, exchange = flight.simulation, self.exchange
-        recording = flight.begin(self._log_mb)
-        assert flight.noting is not None
+        recording = flight.begin(self._records.log_mb)
+        assert flight.pilot_record is not None
         # meant for the flight before
         while flight.facts.number > 1 and (late := [*self._guard.left(), *exchange.take(1)]):
             for waiting in late:
                 waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "a new flight begins"))
-        self._parameters.restore(flight.put)
+        self._parameters.restore(flight.set_parameter)
         self._begun(flight.facts)
         exchange.say(Severity.INFO, f"flight {flight.facts.number}: {flight.facts.vehicle.name}")
         parameters = flight.pilot.parameters
@@ -206,7 +200,7 @@ class Session:
         with steady():
             begin = time.perf_counter()
             try:
-                observers: list[Observer] = [recording, flight.noting, _Publisher(flight)]
+                observers: list[Observer] = [recording, flight.pilot_record, Publisher(flight)]
                 observers += simulation.plugins.observers
                 ending = simulation.run(observers, flight.pace, lambda k: self._between(flight, k))
                 simulation.plugins.close()
@@ -220,10 +214,10 @@ class Session:
             exchange.say(Severity.CRITICAL, f"{ending.outcome}: {ending.reason}"[:200], simulation.k)
             exchange.say(Severity.NOTICE, "the flight is over; reboot the vehicle for a new one", simulation.k)
         flight.publish(None, ending)
-        self.runs.append(flight.finish(ending, wall, self._report))
+        self.runs.append(flight.finish(ending, wall, self._records.report))
         return ending
 
-    def _between(self, flight: _Flight, k: int) -> Ending | None:
+    def _between(self, flight: SessionFlight, k: int) -> Ending | None:
         """Handle requests between two steps, within bounds; return an ending if one is requested."""
         if self._stopping:
             flies = flight.pilot.armed and flight.pilot.status.landed is not LandedState.ON_GROUND
@@ -245,7 +239,7 @@ class Session:
             return Ending("completed", "a restart was asked for")
         return None
 
-    def _serve(self, flight: _Flight, waiting: Waiting, k: int) -> Answer:
+    def _serve(self, flight: SessionFlight, waiting: Waiting, k: int) -> Answer:
         """Execute a request and return the answer."""
         request = waiting.request
         if isinstance(request, (Restart, Shutdown)):
@@ -261,7 +255,7 @@ class Session:
             flight.publish(None, None)  # who has the answer may read the mission back
         return answer
 
-    def _serve_judged(self, flight: _Flight, waiting: Waiting, cautions: list[Caution] | None, k: int) -> Answer:
+    def _serve_judged(self, flight: SessionFlight, waiting: Waiting, cautions: list[Caution] | None, k: int) -> Answer:
         """Make a parameter change that has its verdict, and warn of it; or refuse it, which is recorded too."""
         request, pilot = waiting.request, flight.pilot
         assert isinstance(request, SetParameter)
@@ -276,7 +270,7 @@ class Session:
             warn_of(self.exchange.say, request, cautions, k)
         return answer
 
-    def _refuse_or_leave(self, flight: _Flight, request: Restart | Shutdown, sender: str) -> Answer:
+    def _refuse_or_leave(self, flight: SessionFlight, request: Restart | Shutdown, sender: str) -> Answer:
         if flight.pilot.armed:
             what = "restart" if isinstance(request, Restart) else "shutdown"
             return Answer(False, Result.TEMPORARILY_REJECTED, f"{what} refused: it is armed")
@@ -289,7 +283,7 @@ class Session:
         else:
             self.stop(f"shut down by {sender}")
 
-    def _linger(self, flight: _Flight, ending: Ending) -> None:
+    def _linger(self, flight: SessionFlight, ending: Ending) -> None:
         """Answer requests after a flight has ended by itself, until there is a restart or the session ends."""
         exchange = self.exchange
         patience = None
@@ -311,7 +305,7 @@ class Session:
             flight.publish(None, ending)
             time.sleep(_OVER_EVERY)
 
-    def _keep_for_next(self, flight: _Flight, request: SetParameter, cautions: list[Caution] | None) -> Answer:
+    def _keep_for_next(self, flight: SessionFlight, request: SetParameter, cautions: list[Caution] | None) -> Answer:
         """Set a parameter for the next flight, as this one is over."""
         if why := refusal(request, cautions, False, {}):
             return Answer(False, Result.TEMPORARILY_REJECTED, why)
@@ -322,231 +316,6 @@ class Session:
             self.exchange.say(Severity.NOTICE, f"{request.name} {value:g} from the next flight on")
             warn_of(self.exchange.say, request, cautions, flight.simulation.k)
         return answer
-
-
-@dataclass
-class _Flight:
-    """One flight with its autopilot, its records and its link to the exchange."""
-
-    simulation: Simulation
-    pilot: Autopilot
-    facts: SessionInfo
-    pace: Pace
-    exchange: Exchange
-    recording: Recording | None = None
-    log: RequestLog | None = None
-    noting: PilotRecord | None = None
-    sample: Sample | None = None
-    last_message: int = 0  # messages of the pilot that have been passed on
-
-    def __post_init__(self) -> None:
-        self.hands = StickOwner(self.pilot.parameters, self.simulation.dt)
-
-    def begin(self, log_mb: float | None = LIMIT_MB) -> LogLimit:
-        """Make the run's folder, for a log of so many MB.  Raises InputError if it is not usable."""
-        assert self.facts.folder is not None
-        self.recording = record(self.simulation, self.facts.folder, {REQUESTS: b""}, background=True)
-        self.log = RequestLog(self.facts.folder / REQUESTS)
-        self.noting = PilotRecord(self.pilot, self.facts.folder / AUTOPILOT, self.simulation.dt)
-        warn = partial(self.exchange.say, Severity.WARNING)
-        self.limited = LogLimit(self.recording, log_mb, lambda text: warn(text, self.simulation.k))
-        return self.limited
-
-    def ask(self, sender: str, request: Request, k: int) -> Answer:
-        """Pass a request to the autopilot and log it; sticks only from their holder.  Raises FlightError."""
-        assert self.log is not None
-        if isinstance(request, Sticks) and (holder := self.hands.others(sender, k)):
-            if self.hands.first_time():
-                self.exchange.say(Severity.WARNING, f"sticks of {sender} not taken: {holder} flies", k)
-            return Answer(False, Result.TEMPORARILY_REJECTED, f"sticks refused: {holder} flies")
-        answer = self.pilot.handle(request, k)
-        self.log.write(k, sender, request, answer)
-        return answer
-
-    def refuse(self, sender: str, request: Request, answer: Answer, k: int) -> None:
-        """Log a request that was not passed to the autopilot.  Raises FlightError."""
-        assert self.log is not None
-        self.log.write(k, sender, request, answer, asked=False)
-
-    def put(self, name: str, value: float) -> None:
-        """Set a saved parameter.  Raises InputError where it is refused."""
-        answer = self.ask("parameters", SetParameter(name, value), 0)
-        if not answer.accepted:
-            raise InputError(answer.text)
-
-    def publish(self, sample: Sample | None, ending: Ending | None) -> None:
-        """Publish a snapshot of the flight."""
-        exchange = self.exchange
-        self.last_message = pass_on(self.pilot, exchange, self.last_message)
-        self.sample = sample or self.sample
-        simulation, status = self.simulation, self.pilot.status
-        if ending is not None:
-            refusals = (f"the flight is over: {ending.reason}",)
-            landed = LandedState.ON_GROUND if ending.outcome == "crashed" else status.landed
-            status = status._replace(
-                armed=False, ready=False, refusals=refusals, engines=EngineState.OFF, landed=landed
-            )
-        mission = tuple(self.pilot.mission.items)
-        exchange.publish(
-            snapshot_of(
-                simulation, self.facts, self.sample, status, self.pace.report, exchange.clock(), ending, mission
-            )
-        )
-
-    def finish(self, ending: Ending, wall: float, report: bool) -> Run:
-        """Put the run's files into place and return it; its scenario ends where the flight has ended."""
-        assert self.recording is not None
-        self.close_record()
-        steps, reason = self.simulation.k, ending.reason
-        if self.limited.full and self.limited.rows < steps:
-            steps = self.limited.rows
-            reason = f"{reason}; the log ends at {steps * self.simulation.dt:g} s, where it had its size"
-        self.recording.shorten(steps)
-        run = self.recording.finish(ending.outcome, reason, wall, self.pace.report)
-        return with_page(run) if report else run
-
-    def close(self) -> None:
-        if self.log is not None:
-            self.log.close()
-        self.close_record()
-        self.simulation.close()
-
-    def close_record(self) -> None:
-        """Close the autopilot's record, which is then on disk as far as there is room."""
-        if self.noting is not None:
-            with suppress(FlightError):
-                self.noting.close()
-
-
-class _Publisher:
-    """Observer that publishes snapshots, not more often than anybody looks, and reports missed deadlines."""
-
-    def __init__(self, flight: _Flight) -> None:
-        self._flight = flight
-        self._last = self._warned = time.monotonic()
-        self._missed = 0
-
-    def observe(self, sample: Sample) -> None:
-        now = time.monotonic()
-        if now - self._last < _PUBLISH_EVERY:
-            return
-        self._last = now
-        self._flight.publish(sample, None)
-        if now - self._warned >= _WARN_EVERY:
-            self._warned = now
-            self._warn()
-
-    def _warn(self) -> None:
-        report = self._flight.pace.report
-        missed = report.missed - self._missed
-        self._missed = report.missed
-        if missed:
-            self._flight.exchange.say(
-                Severity.WARNING,
-                f"{missed} deadlines missed in {_WARN_EVERY:g} s, latest by {1e3 * report.worst:.1f} ms",
-                self._flight.simulation.k,
-            )
-
-
-class ReadOnlyObserver:
-    """Factory of observers that publish a scripted or recorded flight and refuse every request."""
-
-    def __init__(self, exchange: Exchange, begun: Callable[[SessionInfo], None] = lambda facts: None) -> None:
-        self._exchange = exchange
-        self._begun = begun
-
-    def __call__(self, simulation: Simulation, pace: Pace, folder: Path | None, factor: float | None) -> _ReadOnly:
-        pilot = simulation.pilot if isinstance(simulation.pilot, Autopilot) else None
-        parameters = pilot.parameters if pilot else _parameters(simulation)
-        facts = session_info(simulation, 1, parameters, folder, factor)
-        self._begun(facts)
-        return _ReadOnly(simulation, pilot, facts, pace, self._exchange)
-
-
-class _ReadOnly:
-    """Observer that publishes a flight and refuses every request."""
-
-    def __init__(
-        self, simulation: Simulation, pilot: Autopilot | None, facts: SessionInfo, pace: Pace, exchange: Exchange
-    ) -> None:
-        self._simulation, self._pilot, self._facts, self._pace = simulation, pilot, facts, pace
-        self._exchange = exchange
-        self._last_message = 0
-        self._last = -1.0
-
-    def observe(self, sample: Sample) -> None:
-        now = time.monotonic()
-        if now - self._last < _PUBLISH_EVERY:
-            return
-        self._last = now
-        exchange, simulation, pilot = self._exchange, self._simulation, self._pilot
-        for waiting in exchange.take(_MOST_A_STEP):
-            waiting.answer(Answer(False, Result.DENIED, "this flight follows its script"))
-        if pilot is not None:
-            self._last_message = pass_on(pilot, exchange, self._last_message)
-        status = scripted_status(simulation, sample) if pilot is None else pilot.status
-        mission = tuple(pilot.mission.items) if pilot else ()
-        exchange.publish(
-            snapshot_of(simulation, self._facts, sample, status, self._pace.report, exchange.clock(), None, mission)
-        )
-
-
-def snapshot_of(
-    simulation: Simulation,
-    facts: SessionInfo,
-    sample: Sample | None,
-    status: Status,
-    pace: PaceReport,
-    published: float,
-    ending: Ending | None = None,
-    mission: tuple[MissionItem, ...] = (),
-) -> Snapshot:
-    """Return a snapshot of the flight as it is now, after ``sample``."""
-    k, state, measured = simulation.k, simulation.state, simulation.measured
-    time = k * facts.scenario.step_s
-    seen = simulation.controller.diagnostics
-    return Snapshot(published, facts, k, time, sample, state, measured, status, pace, ending, mission, seen)
-
-
-def pass_on(pilot: Autopilot, exchange: Exchange, after: int) -> int:
-    """Pass on the autopilot's messages after number ``after``, and return the number of its last one."""
-    messages = pilot.messages
-    if messages and messages[-1].number > after:
-        for message in messages:
-            if message.number > after:
-                exchange.say(message.severity, message.text, message.k)
-        return messages[-1].number
-    return after
-
-
-def scripted_status(simulation: Simulation, sample: Sample) -> Status:
-    """Return the status of a flight without an autopilot: armed, and holding what the script commands."""
-    north, east, _ = simulation.measured.position
-    fix = Fix((north, east), simulation.measured.velocity[:2], (0.0, 0.0))
-    on_ground = simulation.state.on_ground
-    return Status(
-        simulation.k,
-        Mode.HOLD,
-        True,
-        LandedState.ON_GROUND if on_ground else LandedState.IN_AIR,
-        EngineState.FLY,
-        True,
-        (),
-        Home(0.0, 0.0, 0.0),
-        fix,
-        None,
-        None,
-        sample.command.altitude,
-        sample.command.attitude[2],
-        0,
-        0,
-        -1,
-        False,
-        "",
-        None,
-        False,
-        False,
-    )
 
 
 def waiting_scenario(scenario: Scenario, duration: float | None) -> Scenario:
@@ -577,17 +346,6 @@ def place_at(text: str) -> dict[str, float]:
     except ValueError as error:
         raise InputError(f"--place {text}: must be LAT,LON in degrees, such as 22.35,113.59") from error
     return {"latitude_deg": latitude, "longitude_deg": longitude}
-
-
-def session_info(
-    simulation: Simulation, number: int, parameters: Parameters, folder: Path | None, factor: float | None
-) -> SessionInfo:
-    """Return a flight's constant data, known before its first step."""
-    place = simulation.scenario.environment
-    geodesy = Geodesy(place.latitude_deg, place.longitude_deg, place.ground_m)
-    stations = tuple(simulation.stations)
-    scenario, vehicle, own = simulation.scenario, simulation.vehicle, simulation.columns
-    return SessionInfo(number, scenario, vehicle, stations, geodesy, parameters, folder, factor, own)
 
 
 @contextmanager
@@ -621,14 +379,3 @@ def stopped_by_signals(session: Session) -> Iterator[None]:
     finally:
         for caught, handler in kept.items():
             signal.signal(caught, handler)
-
-
-def _parameters(simulation: Simulation) -> Parameters:
-    """Return the parameters that this vehicle's autopilot would have; none if it has no autopilot."""
-    control = simulation.vehicle.control
-    if control.position is None or control.pilot is None:
-        return Parameters([])
-    own = simulation.own
-    controller = simulation.scenario.controller if own is None else own.label
-    level = "" if own is None else own.level
-    return Parameters(table(control, control.pilot, controller, None, level, simulation.vehicle.jets))

@@ -20,7 +20,7 @@ from cosim.base.frames import to_euler
 from cosim.control.autopilot.modes import Severity
 from cosim.groundstation.exchange import Exchange
 from cosim.groundstation.foxglove_feed import FoxgloveFeed, address
-from cosim.groundstation.session import Session
+from cosim.groundstation.session import RecordOptions, Session
 from cosim.results.export.mcap_file import SUBJECTS
 from cosim.spec.scenario import Scenario
 
@@ -36,7 +36,7 @@ def test_channels_pose_scene_and_words_of_a_flight(tmp_path: Path) -> None:
 
     exchange = Exchange()
     scenario = Scenario.load("hover").replace(name="gcs", engine="edf-as-flown", controller="smith")
-    session = Session(scenario, exchange, factor=1.0, out=tmp_path / "run", report=False)
+    session = Session(scenario, exchange, factor=1.0, records=RecordOptions(tmp_path / "run", report=False))
     feed = FoxgloveFeed(exchange, "127.0.0.1", 0)
     feed.start()
     flight = threading.Thread(target=session.run)

@@ -29,7 +29,8 @@ from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.control.autopilot.requests import SetParameter
 from cosim.groundstation import session
 from cosim.groundstation.exchange import Exchange, Snapshot
-from cosim.groundstation.session import Session, session_info
+from cosim.groundstation.session import RecordOptions, Session
+from cosim.groundstation.session_flight import session_info
 from cosim.groundstation.web import feed, server
 from cosim.groundstation.web.server import WebServer
 from cosim.results.report.page import ASSETS
@@ -47,7 +48,7 @@ class Flown:
     def __init__(self, folder: Path, factor: float) -> None:
         self.exchange = Exchange()
         scenario = Scenario.load("hover").replace(name="gcs", engine="edf-as-flown", controller="smith")
-        self.session = Session(scenario, self.exchange, factor=factor, out=folder, report=False)
+        self.session = Session(scenario, self.exchange, factor=factor, records=RecordOptions(folder, report=False))
         self.folder = folder
         self.web = WebServer(self.exchange, 0)
         self.thread = threading.Thread(target=self.session.run)

@@ -14,7 +14,7 @@ from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import Mode
 from cosim.control.autopilot.requests import Answer
 from cosim.groundstation.exchange import Exchange, Snapshot
-from cosim.groundstation.session import Session
+from cosim.groundstation.session import RecordOptions, Session
 from cosim.spec.scenario import Scenario
 
 
@@ -63,7 +63,7 @@ def flown(folder: Path, script: Callable[[Pilot, Session], None], **options: Any
     """A session that flies a script as fast as it goes, and stops."""
     scenario = options.pop("scenario", Scenario.load("hover").replace(name="gcs"))
     judge = options.pop("judge", None)
-    session = Session(scenario, Exchange(), factor=None, out=folder, report=False, **options)
+    session = Session(scenario, Exchange(), factor=None, records=RecordOptions(folder, report=False), **options)
     if judge is not None:
         session.judged_by(judge)
     failed: list[BaseException] = []

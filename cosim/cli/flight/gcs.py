@@ -93,7 +93,7 @@ def gcs(options: Gcs) -> int:
     from cosim.design.measured.judge import LoopJudge
     from cosim.groundstation.links import Links
     from cosim.groundstation.parameter_store import default_file, vehicle_key
-    from cosim.groundstation.session import Session, place_at, stopped_by_signals
+    from cosim.groundstation.session import RecordOptions, Session, place_at, stopped_by_signals
 
     loaded = options.load()
     changes: dict[str, Any] = {"name": "gcs" if options.scenario == "hover" else loaded.name}
@@ -114,10 +114,9 @@ def gcs(options: Gcs) -> int:
             loaded,
             opened.exchange,
             factor=options.rtf or None,
-            out=options.out,
             parameters=kept,
             duration=options.duration,
-            log_mb=options.log_limit,
+            records=RecordOptions(options.out, log_mb=options.log_limit),
             begun=opened.begin,
             over=opened.end,
         )

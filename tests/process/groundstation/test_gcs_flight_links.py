@@ -28,7 +28,7 @@ from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.transports.channel import RETRY, STALL
 from cosim.groundstation.mavlink.wire.transports.endpoint import parse
-from cosim.groundstation.session import pass_on, session_info, snapshot_of
+from cosim.groundstation.session_flight import pass_on, session_info, snapshot_of
 from cosim.simulation.pacing import PaceReport
 
 LOOK_STEPS = 5  # of flight between two turns of the link's loop

@@ -20,7 +20,7 @@ from cosim.control.autopilot.requests import Answer, Result
 from cosim.design.measured.judge import LoopJudge
 from cosim.flight import fly
 from cosim.groundstation.exchange import Exchange, Restart
-from cosim.groundstation.session import Session
+from cosim.groundstation.session import RecordOptions, Session
 from cosim.results.autopilot.request_log import REQUESTS, read_requests
 from cosim.spec.scenario import Scenario
 
@@ -127,7 +127,7 @@ def test_parameters_of_a_file_that_lose_the_vehicle_are_told_before_anybody_conn
     kept = tmp_path / "kept.toml"
     head = 'format = 1\nvehicle = "hexjet-edf-as-flown-smith"\n[parameters]\n'
     kept.write_text(f"{head}HJ_PRED_DELAY = 100.0\nMPC_XY_VEL_MAX = 3.0\nHJ_PITCH_P = 99999.0\nHJ_FORCE = 1.0\n")
-    session = Session(SCENARIO, Exchange(), out=tmp_path / "run", parameters=kept, report=False)
+    session = Session(SCENARIO, Exchange(), parameters=kept, records=RecordOptions(tmp_path / "run", report=False))
     session.judged_by(judge)
     assert session.kept_lines() == [
         "HJ_PRED_DELAY 100 (default 25)",

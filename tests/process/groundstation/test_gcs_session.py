@@ -33,7 +33,8 @@ from cosim.groundstation.exchange import (
     Restart,
     Shutdown,
 )
-from cosim.groundstation.session import ReadOnlyObserver, Session, place_at
+from cosim.groundstation.read_only import ReadOnlyObserver
+from cosim.groundstation.session import RecordOptions, Session, place_at
 from cosim.results.autopilot.request_log import REQUESTS, RequestLog, read_requests
 from cosim.results.recorder import Log
 from cosim.results.run import Run, open_run
@@ -278,7 +279,9 @@ def test_every_request_is_in_the_log_with_its_step_and_sender(toured: Run) -> No
 
 def test_of_two_who_hold_sticks_the_first_flies_until_it_lets_go(tmp_path: Path) -> None:
     """One centred and one full: whoever came last in a step flew it."""
-    session = Session(Scenario.load("hover").replace(name="gcs"), Exchange(), out=tmp_path / "run", report=False)
+    session = Session(
+        Scenario.load("hover").replace(name="gcs"), Exchange(), records=RecordOptions(tmp_path / "run", report=False)
+    )
     flight = session._next
     assert flight is not None
     flight.begin()
@@ -310,7 +313,9 @@ def test_of_two_who_hold_sticks_the_first_flies_until_it_lets_go(tmp_path: Path)
 
 def test_a_second_stations_full_sticks_move_nobody(tmp_path: Path) -> None:
     """They came last in every step, and the vehicle flew off at 4 m/s."""
-    session = Session(Scenario.load("hover").replace(name="gcs"), Exchange(), out=tmp_path / "run", report=False)
+    session = Session(
+        Scenario.load("hover").replace(name="gcs"), Exchange(), records=RecordOptions(tmp_path / "run", report=False)
+    )
     flight = session._next
     assert flight is not None
     flight.begin()
@@ -442,7 +447,7 @@ def test_a_file_of_parameters_that_cannot_be_used_is_refused(tmp_path: Path, tex
     kept = tmp_path / "kept.toml"
     kept.write_text(text)
     with pytest.raises(InputError, match=r"kept\.toml") as caught:
-        Session(Scenario.load("hover"), Exchange(), out=tmp_path / "run", parameters=kept)
+        Session(Scenario.load("hover"), Exchange(), parameters=kept, records=RecordOptions(tmp_path / "run"))
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "run").exists()

@@ -11,7 +11,7 @@ import pytest
 from cosim.flight import fly
 from cosim.groundstation.exchange import Exchange
 from cosim.groundstation.log_limit import hourly_mb
-from cosim.groundstation.session import Session
+from cosim.groundstation.session import RecordOptions, Session
 from cosim.results.run import open_run
 from cosim.spec.scenario import Scenario
 
@@ -19,7 +19,11 @@ from cosim.spec.scenario import Scenario
 def test_the_run_is_what_was_recorded_and_flies_again_as_that(tmp_path: Path) -> None:
     exchange = Exchange()
     session = Session(
-        Scenario.load("hover"), exchange, factor=None, out=tmp_path / "run", duration=6.0, report=False, log_mb=1.0
+        Scenario.load("hover"),
+        exchange,
+        factor=None,
+        duration=6.0,
+        records=RecordOptions(tmp_path / "run", report=False, log_mb=1.0),
     )
     row = hourly_mb(session.facts) * 1e6 / 3600.0 * 0.004
     (run,) = session.run()
@@ -39,7 +43,11 @@ def test_the_run_is_what_was_recorded_and_flies_again_as_that(tmp_path: Path) ->
 
 def test_without_a_limit_everything_is_recorded(tmp_path: Path) -> None:
     session = Session(
-        Scenario.load("hover"), Exchange(), factor=None, out=tmp_path / "run", duration=2.0, report=False, log_mb=None
+        Scenario.load("hover"),
+        Exchange(),
+        factor=None,
+        duration=2.0,
+        records=RecordOptions(tmp_path / "run", report=False, log_mb=None),
     )
     (run,) = session.run()
     assert len(run.log) == 500

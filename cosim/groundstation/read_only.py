@@ -1,0 +1,106 @@
+"""Publishing of flights that no ground station can change: scripted or recorded ones."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from cosim.base.protocols import EngineState
+from cosim.base.signals import Sample
+from cosim.control.autopilot.autopilot import Autopilot
+from cosim.control.autopilot.estimation.position import Fix
+from cosim.control.autopilot.modes import Home, LandedState, Mode
+from cosim.control.autopilot.parameters import Parameters, table
+from cosim.control.autopilot.requests import Answer, Result
+from cosim.control.autopilot.status import Status
+from cosim.groundstation.exchange import Exchange, SessionInfo
+from cosim.groundstation.session_flight import PUBLISH_EVERY, pass_on, session_info, snapshot_of
+from cosim.simulation.pacing import Pace
+from cosim.simulation.step import Simulation
+
+_MOST_AT_ONCE = 8  # requests that are refused together
+
+
+class ReadOnlyObserver:
+    """Factory of observers that publish a scripted or recorded flight and refuse every request."""
+
+    def __init__(self, exchange: Exchange, begun: Callable[[SessionInfo], None] = lambda facts: None) -> None:
+        self._exchange = exchange
+        self._begun = begun
+
+    def __call__(self, simulation: Simulation, pace: Pace, folder: Path | None, factor: float | None) -> _ReadOnlyFeed:
+        pilot = simulation.pilot if isinstance(simulation.pilot, Autopilot) else None
+        parameters = pilot.parameters if pilot else _list_parameters(simulation)
+        facts = session_info(simulation, 1, parameters, folder, factor)
+        self._begun(facts)
+        return _ReadOnlyFeed(simulation, pilot, facts, pace, self._exchange)
+
+
+class _ReadOnlyFeed:
+    """Observer that publishes a flight and refuses every request."""
+
+    def __init__(
+        self, simulation: Simulation, pilot: Autopilot | None, facts: SessionInfo, pace: Pace, exchange: Exchange
+    ) -> None:
+        self._simulation, self._pilot, self._facts, self._pace = simulation, pilot, facts, pace
+        self._exchange = exchange
+        self._last_message = 0
+        self._last = -1.0
+
+    def observe(self, sample: Sample) -> None:
+        now = time.monotonic()
+        if now - self._last < PUBLISH_EVERY:
+            return
+        self._last = now
+        exchange, simulation, pilot = self._exchange, self._simulation, self._pilot
+        for waiting in exchange.take(_MOST_AT_ONCE):
+            waiting.answer(Answer(False, Result.DENIED, "this flight follows its script"))
+        if pilot is not None:
+            self._last_message = pass_on(pilot, exchange, self._last_message)
+        status = scripted_status(simulation, sample) if pilot is None else pilot.status
+        mission = tuple(pilot.mission.items) if pilot else ()
+        exchange.publish(
+            snapshot_of(simulation, self._facts, sample, status, self._pace.report, exchange.clock(), None, mission)
+        )
+
+
+def scripted_status(simulation: Simulation, sample: Sample) -> Status:
+    """Return the status of a flight without an autopilot: armed, and holding what the script commands."""
+    north, east, _ = simulation.measured.position
+    fix = Fix((north, east), simulation.measured.velocity[:2], (0.0, 0.0))
+    on_ground = simulation.state.on_ground
+    return Status(
+        simulation.k,
+        Mode.HOLD,
+        True,
+        LandedState.ON_GROUND if on_ground else LandedState.IN_AIR,
+        EngineState.FLY,
+        True,
+        (),
+        Home(0.0, 0.0, 0.0),
+        fix,
+        None,
+        None,
+        sample.command.altitude,
+        sample.command.attitude[2],
+        0,
+        0,
+        -1,
+        False,
+        "",
+        None,
+        False,
+        False,
+    )
+
+
+def _list_parameters(simulation: Simulation) -> Parameters:
+    """Return the parameters that this vehicle's autopilot would have; none if it has no autopilot."""
+    control = simulation.vehicle.control
+    if control.position is None or control.pilot is None:
+        return Parameters([])
+    own = simulation.own
+    controller = simulation.scenario.controller if own is None else own.label
+    level = "" if own is None else own.level
+    return Parameters(table(control, control.pilot, controller, None, level, simulation.vehicle.jets))

@@ -1,0 +1,196 @@
+"""One flight of a session: its autopilot, its records, and the snapshots that it publishes."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.geodesy import Geodesy
+from cosim.base.protocols import EngineState
+from cosim.base.signals import Sample
+from cosim.control.autopilot.autopilot import Autopilot
+from cosim.control.autopilot.modes import LandedState, Severity
+from cosim.control.autopilot.parameters import Parameters
+from cosim.control.autopilot.requests import Answer, MissionItem, Request, Result, SetParameter, Sticks
+from cosim.control.autopilot.status import Status
+from cosim.flight import record, with_page
+from cosim.groundstation.exchange import Exchange, SessionInfo, Snapshot
+from cosim.groundstation.log_limit import LIMIT_MB, LogLimit
+from cosim.groundstation.stick_owner import StickOwner
+from cosim.results.autopilot.autopilot_record import PilotRecord
+from cosim.results.autopilot.request_log import REQUESTS, RequestLog
+from cosim.results.run import AUTOPILOT, Recording, Run
+from cosim.simulation.ending import Ending
+from cosim.simulation.pacing import Pace, PaceReport
+from cosim.simulation.step import Simulation
+
+# Chosen by us: twice as often as steps at 250 Hz; a flight at full speed publishes less.
+PUBLISH_EVERY = 2e-3  # s of wall time
+_WARN_EVERY = 10.0  # s of wall time between two messages about missed deadlines
+
+
+@dataclass
+class SessionFlight:
+    """One flight with its autopilot, its records and its link to the exchange."""
+
+    simulation: Simulation
+    pilot: Autopilot
+    facts: SessionInfo
+    pace: Pace
+    exchange: Exchange
+    recording: Recording | None = None
+    log: RequestLog | None = None
+    pilot_record: PilotRecord | None = None
+    sample: Sample | None = None
+    last_message: int = 0  # messages of the pilot that have been passed on
+
+    def __post_init__(self) -> None:
+        self.stick_owner = StickOwner(self.pilot.parameters, self.simulation.dt)
+
+    def begin(self, log_mb: float | None = LIMIT_MB) -> LogLimit:
+        """Make the run's folder, for a log of so many MB.  Raises InputError if it is not usable."""
+        assert self.facts.folder is not None
+        self.recording = record(self.simulation, self.facts.folder, {REQUESTS: b""}, background=True)
+        self.log = RequestLog(self.facts.folder / REQUESTS)
+        self.pilot_record = PilotRecord(self.pilot, self.facts.folder / AUTOPILOT, self.simulation.dt)
+        warn = partial(self.exchange.say, Severity.WARNING)
+        self.log_limit = LogLimit(self.recording, log_mb, lambda text: warn(text, self.simulation.k))
+        return self.log_limit
+
+    def ask(self, sender: str, request: Request, k: int) -> Answer:
+        """Pass a request to the autopilot and log it; sticks only from their holder.  Raises FlightError."""
+        assert self.log is not None
+        if isinstance(request, Sticks) and (holder := self.stick_owner.others(sender, k)):
+            if self.stick_owner.first_time():
+                self.exchange.say(Severity.WARNING, f"sticks of {sender} not taken: {holder} flies", k)
+            return Answer(False, Result.TEMPORARILY_REJECTED, f"sticks refused: {holder} flies")
+        answer = self.pilot.handle(request, k)
+        self.log.write(k, sender, request, answer)
+        return answer
+
+    def refuse(self, sender: str, request: Request, answer: Answer, k: int) -> None:
+        """Log a request that was not passed to the autopilot.  Raises FlightError."""
+        assert self.log is not None
+        self.log.write(k, sender, request, answer, asked=False)
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Set a saved parameter.  Raises InputError where it is refused."""
+        answer = self.ask("parameters", SetParameter(name, value), 0)
+        if not answer.accepted:
+            raise InputError(answer.text)
+
+    def publish(self, sample: Sample | None, ending: Ending | None) -> None:
+        """Publish a snapshot of the flight."""
+        exchange = self.exchange
+        self.last_message = pass_on(self.pilot, exchange, self.last_message)
+        self.sample = sample or self.sample
+        simulation, status = self.simulation, self.pilot.status
+        if ending is not None:
+            refusals = (f"the flight is over: {ending.reason}",)
+            landed = LandedState.ON_GROUND if ending.outcome == "crashed" else status.landed
+            status = status._replace(
+                armed=False, ready=False, refusals=refusals, engines=EngineState.OFF, landed=landed
+            )
+        mission = tuple(self.pilot.mission.items)
+        exchange.publish(
+            snapshot_of(
+                simulation, self.facts, self.sample, status, self.pace.report, exchange.clock(), ending, mission
+            )
+        )
+
+    def finish(self, ending: Ending, wall: float, report: bool) -> Run:
+        """Put the run's files into place and return it; its scenario ends where the flight has ended."""
+        assert self.recording is not None
+        self.close_record()
+        steps, reason = self.simulation.k, ending.reason
+        if self.log_limit.full and self.log_limit.rows < steps:
+            steps = self.log_limit.rows
+            reason = f"{reason}; the log ends at {steps * self.simulation.dt:g} s, where it had its size"
+        self.recording.shorten(steps)
+        run = self.recording.finish(ending.outcome, reason, wall, self.pace.report)
+        return with_page(run) if report else run
+
+    def close(self) -> None:
+        if self.log is not None:
+            self.log.close()
+        self.close_record()
+        self.simulation.close()
+
+    def close_record(self) -> None:
+        """Close the autopilot's record, which is then on disk as far as there is room."""
+        if self.pilot_record is not None:
+            with suppress(FlightError):
+                self.pilot_record.close()
+
+
+class Publisher:
+    """Observer that publishes snapshots, not more often than anybody looks, and reports missed deadlines."""
+
+    def __init__(self, flight: SessionFlight) -> None:
+        self._flight = flight
+        self._last = self._warned = time.monotonic()
+        self._missed = 0
+
+    def observe(self, sample: Sample) -> None:
+        now = time.monotonic()
+        if now - self._last < PUBLISH_EVERY:
+            return
+        self._last = now
+        self._flight.publish(sample, None)
+        if now - self._warned >= _WARN_EVERY:
+            self._warned = now
+            self._warn()
+
+    def _warn(self) -> None:
+        report = self._flight.pace.report
+        missed = report.missed - self._missed
+        self._missed = report.missed
+        if missed:
+            self._flight.exchange.say(
+                Severity.WARNING,
+                f"{missed} deadlines missed in {_WARN_EVERY:g} s, latest by {1e3 * report.worst:.1f} ms",
+                self._flight.simulation.k,
+            )
+
+
+def snapshot_of(
+    simulation: Simulation,
+    facts: SessionInfo,
+    sample: Sample | None,
+    status: Status,
+    pace: PaceReport,
+    published: float,
+    ending: Ending | None = None,
+    mission: tuple[MissionItem, ...] = (),
+) -> Snapshot:
+    """Return a snapshot of the flight as it is now, after ``sample``."""
+    k, state, measured = simulation.k, simulation.state, simulation.measured
+    time = k * facts.scenario.step_s
+    seen = simulation.controller.diagnostics
+    return Snapshot(published, facts, k, time, sample, state, measured, status, pace, ending, mission, seen)
+
+
+def pass_on(pilot: Autopilot, exchange: Exchange, after: int) -> int:
+    """Pass on the autopilot's messages after number ``after``, and return the number of its last one."""
+    messages = pilot.messages
+    if messages and messages[-1].number > after:
+        for message in messages:
+            if message.number > after:
+                exchange.say(message.severity, message.text, message.k)
+        return messages[-1].number
+    return after
+
+
+def session_info(
+    simulation: Simulation, number: int, parameters: Parameters, folder: Path | None, factor: float | None
+) -> SessionInfo:
+    """Return a flight's constant data, known before its first step."""
+    place = simulation.scenario.environment
+    geodesy = Geodesy(place.latitude_deg, place.longitude_deg, place.ground_m)
+    stations = tuple(simulation.stations)
+    scenario, vehicle, own = simulation.scenario, simulation.vehicle, simulation.columns
+    return SessionInfo(number, scenario, vehicle, stations, geodesy, parameters, folder, factor, own)
