@@ -80,13 +80,14 @@ CYCLE_S = 10.0  # of a hover, its last part, in which a limit cycle stands
 def searched(case: Case, out: Path) -> dict[str, Any]:
     """What each of TRIED reaches on roll, as ``hexjet design`` searches for it, and what limits the best."""
     from cosim.design.design import (
+        _Asked,
         _axis,
         _scenario,
         dynamics_of,
         identify_there,
     )
     from cosim.design.loop.actuator import Actuator
-    from cosim.design.loop.channel import channels, engine_lead
+    from cosim.design.loop.channel import channels
     from cosim.engine import load_engine
 
     need = Requirements(noise_share=case.noise_share)
@@ -94,8 +95,8 @@ def searched(case: Case, out: Path) -> dict[str, Any]:
     spec = load_engine(case.name, {}, flight.step_s)
     dynamics = Actuator.of(case.name, dynamics_of(identify_there(flight, vehicle, spec, None)))
     channel = channels(flight, vehicle, spec, dynamics)["roll"]
-    lead, predictor = engine_lead(channel), vehicle.control.predictor
-    roll = _axis(channel, vehicle, spec, TRIED, need, case.name, predictor, lambda text: None, lead)
+    asked = _Asked(vehicle, spec, TRIED, need, case.name, True, None, lambda text: None)
+    roll = _axis(channel, asked, None)
     return {
         "limits_hz": dict(roll.limits),
         "candidates": {name: value if isfinite(value) else None for name, value in roll.candidates.items()},

@@ -137,7 +137,7 @@ class GuardedPredictor:
 
 
 class GuardedRate:
-    """A rate loop of the user's: see :class:`cosim.control.cascade.OwnRate`."""
+    """A rate loop of the user's: see :class:`cosim.control.phases.law.OwnRate`."""
 
     def __init__(self, block: Any, named: Named) -> None:
         self._block, self._named = block, named
@@ -171,7 +171,7 @@ class GuardedRate:
 
 
 class GuardedAttitude:
-    """An attitude loop of the user's: see :class:`cosim.control.cascade.OwnAttitude`."""
+    """An attitude loop of the user's: see :class:`cosim.control.phases.law.OwnAttitude`."""
 
     def __init__(self, block: Any, named: Named) -> None:
         self._block, self._named = block, named

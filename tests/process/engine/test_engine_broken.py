@@ -233,10 +233,10 @@ def test_in_another_air_it_is_only_measured(tmp_path: Path, monkeypatch: pytest.
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"throttle": [0], "thrust": [1]}', "null", '{"throttle": 1}'])
 def test_a_broken_memory_is_no_memory(text: str, sound: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = check.find_source(str(sound))
-    place = check._memory(source, {}, STEP, STANDARD_AIR)
+    place = check._cache_path(source, {}, STEP, STANDARD_AIR)
     place.parent.mkdir(parents=True)
     place.write_text(text)
-    assert check._recall(place) is None
+    assert check._read_cached(place) is None
 
 
 def test_a_memory_that_cannot_be_kept_is_done_without(sound: Path, tmp_path: Path) -> None:
