@@ -6,17 +6,73 @@ same time, which is built once; a slot that was missed is left out and not made 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from math import ceil, floor, inf, log, sqrt
 
-from cosim.groundstation.mavlink.telemetry import STREAMS, Stream
+from cosim.groundstation.mavlink import engine_telemetry, telemetry
+from cosim.groundstation.mavlink.view import View
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message, frame_size
 from cosim.groundstation.mavlink.wire.peer import Peer
+
+Build = Callable[[View], list[Message]]
+
+
+@dataclass(frozen=True)
+class Stream:
+    """A message or group of messages, its default rate [Hz of wall time] (0: on request only) and its builder."""
+
+    name: str
+    rate: float
+    build: Build
+
+
+STREAMS = (
+    Stream("HEARTBEAT", 1.0, telemetry.heartbeat),
+    Stream("SYS_STATUS", 2.0, telemetry.sys_status),
+    Stream("SYSTEM_TIME", 1.0, telemetry.system_time),
+    Stream("GPS_RAW_INT", 5.0, telemetry.gps_raw_int),
+    Stream("ATTITUDE", 25.0, telemetry.attitude),
+    Stream("ATTITUDE_QUATERNION", 25.0, telemetry.attitude_quaternion),
+    Stream("LOCAL_POSITION_NED", 10.0, telemetry.local_position_ned),
+    Stream("GLOBAL_POSITION_INT", 10.0, telemetry.global_position_int),
+    Stream("SERVO_OUTPUT_RAW", 2.0, engine_telemetry.servo_output_raw),
+    Stream("MISSION_CURRENT", 0.0, telemetry.mission_current),
+    Stream("VFR_HUD", 5.0, telemetry.vfr_hud),
+    Stream("ATTITUDE_TARGET", 5.0, telemetry.attitude_target),
+    Stream("POSITION_TARGET_LOCAL_NED", 2.0, telemetry.position_target_local_ned),
+    Stream("POSITION_TARGET_GLOBAL_INT", 0.0, telemetry.position_target_global_int),
+    Stream("HIGHRES_IMU", 0.0, telemetry.highres_imu),
+    Stream("HIL_STATE_QUATERNION", 0.0, telemetry.hil_state_quaternion),
+    Stream("ALTITUDE", 2.0, telemetry.altitude),
+    Stream("BATTERY_STATUS", 1.0, telemetry.battery_status),
+    Stream("AUTOPILOT_VERSION", 0.0, telemetry.autopilot_version),
+    Stream("GPS_GLOBAL_ORIGIN", 0.0, telemetry.gps_global_origin),
+    Stream("EFI_STATUS", 1.0, engine_telemetry.efi_status),
+    Stream("ESTIMATOR_STATUS", 1.0, telemetry.estimator_status),
+    Stream("WIND_COV", 1.0, telemetry.wind_cov),
+    Stream("HOME_POSITION", 0.5, telemetry.home_position),
+    Stream("ORBIT_EXECUTION_STATUS", 2.0, telemetry.orbit_execution_status),
+    Stream("EXTENDED_SYS_STATE", 2.0, telemetry.extended_sys_state),
+    Stream("DEBUG_VECT", 0.0, telemetry.debug_vect),
+    Stream("NAMED_VALUE_FLOAT", 10.0, telemetry.named_values),
+    Stream("FLIGHT_INFORMATION", 0.0, telemetry.flight_information),
+    Stream("ESC_INFO", 1.0, engine_telemetry.esc_info),
+    Stream("ESC_STATUS", 10.0, engine_telemetry.esc_status),
+    Stream("PROTOCOL_VERSION", 0.0, telemetry.protocol_version),
+    Stream("ODOMETRY", 0.0, telemetry.odometry),
+    Stream("RAW_RPM", 1.0, engine_telemetry.raw_rpm),
+    Stream("DEBUG_FLOAT_ARRAY", 5.0, telemetry.predictor_array),
+    Stream("FUEL_STATUS", 1.0, engine_telemetry.fuel_status),
+    Stream("ACTUATOR_OUTPUT_STATUS", 1.0, engine_telemetry.actuator_output_status),
+    Stream("COMPONENT_INFORMATION_BASIC", 0.0, telemetry.component_information_basic),
+    Stream("AVAILABLE_MODES", 0.0, telemetry.available_modes),
+    Stream("CURRENT_MODE", 0.5, telemetry.current_mode),
+)
 
 FASTEST = 0.004  # s: a control step; nothing is new more often
 BY_ID: dict[int, Stream] = {BY_NAME[stream.name].id: stream for stream in STREAMS}
 DEFAULT: dict[int, float] = {number: 1.0 / stream.rate if stream.rate else 0.0 for number, stream in BY_ID.items()}
-
 
 HEARTBEAT = BY_NAME["HEARTBEAT"].id
 _STRETCH = 1.1  # by which intervals are stretched, so that they do not change all the time; chosen by us

@@ -5,27 +5,19 @@ What is not known is left out or told as unknown; nothing is made up for a gauge
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from math import atan2, ceil, degrees, hypot, isfinite, isnan, nan, pi
+from math import atan2, degrees, hypot, isfinite, isnan, nan, pi
 
 from cosim.base.constants import GRAVITY
 from cosim.base.frames import conjugate, from_euler, rotate
-from cosim.base.signals import PerServo
 from cosim.control.autopilot.estimation.wind import estimate_wind
 from cosim.control.autopilot.modes import Home, LandedState, Mode
 from cosim.control.autopilot.status import Status
 from cosim.groundstation.mavlink.about import VehicleInfo
+from cosim.groundstation.mavlink.fields import I16, I32, U8, U16, e7, mm, to_field
 from cosim.groundstation.mavlink.modes import AUTOPILOT, LANDED, LIST, STANDARD, base_mode, custom_mode, vehicle_type
-from cosim.groundstation.mavlink.view import U32, View
+from cosim.groundstation.mavlink.view import View
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
 from cosim.vehicle.atmosphere import standard_density
-
-U8, U16, I16, I32 = 0xFF, 0xFFFF, 0x7FFF, 0x7FFFFFFF
-KELVIN = 273.15
-# kg/m^3: in the middle of what Jet A-1 may be at 15 degC (775 to 840, ASTM D1655); fuel flow is asked for by volume
-KEROSENE = 808.0
-_RPM = 30.0 / pi
 
 _GYRO, _ACCEL, _MAG, _BARO, _GPS = 1, 2, 4, 8, 32
 _RATE, _ATTITUDE, _YAW, _HEIGHT, _PLACE, _MOTORS = 1024, 2048, 4096, 8192, 16384, 32768
@@ -39,21 +31,7 @@ _BYTEWISE, _C_CAST = 16, 131072
 PARAMETER_ENCODING = {"px4": _BYTEWISE, "ardupilot": _C_CAST, "generic": 0}
 
 _LOCAL_NED, _BODY_FRD = 1, 12  # MAV_FRAME
-_LIQUID = 1  # MAV_FUEL_TYPE
 _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5  # MISSION_STATE
-
-
-def to_field(value: float, least: int, most: int) -> int:
-    """Return a value rounded and clipped to a field's range; NaN becomes 0."""
-    return 0 if isnan(value) else round(min(max(value, least), most))
-
-
-def e7(angle_deg: float) -> int:
-    return to_field(angle_deg * 1e7, -I32, I32)
-
-
-def mm(metres: float) -> int:
-    return to_field(metres * 1e3, -I32, I32)
 
 
 def heartbeat(v: View) -> list[Message]:
@@ -166,46 +144,6 @@ def global_position_int(v: View) -> list[Message]:
     ]  # fmt: skip
 
 
-def servo_output_raw(v: View) -> list[Message]:
-    """Return throttles, and servos from the seventh or behind the last, as pulses of 1000 to 2000 us.
-
-    1500 us is straight up, or the middle of a hinge's range; as many as the message has.
-    """
-    actuation, reach = v.sample.actuation, v.about.tilt_range
-    pulses = [0] * 16
-    for i, throttle in enumerate(actuation.throttle[: v.about.jets]):
-        pulses[i] = to_field(1000.0 + 1000.0 * throttle, 0, U16)
-    first = max(6, v.about.jets)
-    if v.about.ranges:
-        for i, share in enumerate(_shares(actuation.tilt, v.about.ranges)[: len(pulses) - first]):
-            pulses[first + i] = to_field(1500.0 + 500.0 * share, 0, U16)
-    else:
-        for i, tilt in enumerate(actuation.tilt[: len(pulses) - first]):
-            pulses[first + i] = 0 if isnan(reach) else to_field(1500.0 + 500.0 * tilt / reach, 0, U16)
-    return [mav.MAVLink_servo_output_raw_message(v.us & U32, 0, *pulses)]
-
-
-def actuator_output_status(v: View) -> list[Message]:
-    """Return throttles 0 to 1, and from 6 on or behind them servos -1 to 1, or in rad where they have no range."""
-    actuation, reach = v.sample.actuation, v.about.tilt_range
-    values = [0.0] * 32
-    jets = v.about.jets
-    values[:jets] = actuation.throttle[:jets]
-    first = max(6, jets)
-    if v.about.ranges:
-        moved = _shares(actuation.tilt, v.about.ranges)[: len(values) - first]
-    else:
-        moved = [tilt if isnan(reach) else tilt / reach for tilt in actuation.tilt]
-    values[first : first + len(moved)] = moved
-    active = (1 << jets) - 1 | ((1 << len(moved)) - 1) << first
-    return [mav.MAVLink_actuator_output_status_message(v.us, active, values)]
-
-
-def _shares(tilt: PerServo, ranges: tuple[tuple[float, float], ...]) -> list[float]:
-    """Return servo positions normalised to their ranges, -1 to 1."""
-    return [(2.0 * at - least - most) / (most - least) for at, (least, most) in zip(tilt, ranges, strict=True)]
-
-
 def vfr_hud(v: View) -> list[Message]:
     heading = to_field(degrees(v.euler[2]) % 360.0, 0, 360) % 360
     throttle = to_field(100.0 * v.sample.control.collective, 0, 100)
@@ -264,22 +202,6 @@ def battery_status(v: View) -> list[Message]:
     voltages = [U16] * 10
     percent = -1 if burns else _percent(v)
     return [mav.MAVLink_battery_status_message(0, function, 0, I16, voltages, -1, -1, -1, percent, 0, 0, [0] * 4, 0, 0)]
-
-
-def fuel_status(v: View) -> list[Message]:
-    """Return kerosene in ml and ml/s, as MAVLink has liquid fuel, from mass and mass flow."""
-    full, fuel = v.about.fuel_capacity, v.sample.fuel
-    if isnan(full) or isnan(fuel):
-        return []
-    left = min(1.0, max(0.0, fuel / full))
-    flow = sum(flow for flow in v.sample.engines.fuel_flow[: v.about.jets])
-    capacity, rate = (mass / KEROSENE * 1e6 for mass in (full, flow))
-    percent = to_field(100.0 * left, 0, 100)
-    return [
-        mav.MAVLink_fuel_status_message(
-            0, capacity, (1.0 - left) * capacity, left * capacity, percent, rate, nan, _LIQUID
-        )
-    ]
 
 
 def autopilot_version(v: View) -> list[Message]:
@@ -448,71 +370,6 @@ def mission_current(v: View) -> list[Message]:
     return [mission_progress(v.status)]
 
 
-def _engines(v: View) -> list[int]:
-    """Return the first engine of each message, as each has room for four."""
-    return [4 * i for i in range(ceil(v.about.jets / 4))]
-
-
-def _spools(v: View) -> list[float]:
-    return [speed * _RPM for speed in v.sample.engines.spool_speed[: v.about.jets]]
-
-
-def esc_status(v: View) -> list[Message]:
-    """Return spool speeds [rpm]; none where no engine reports one, as the field has no value for "unknown"."""
-    rpm = _spools(v)
-    if not any(isfinite(speed) for speed in rpm):
-        return []
-    unknown = [nan] * 4
-    return [
-        mav.MAVLink_esc_status_message(
-            first, v.us, [to_field(speed, -I32, I32) for speed in _four(rpm, first, 0.0)], unknown, unknown
-        )
-        for first in _engines(v)
-    ]
-
-
-def esc_info(v: View) -> list[Message]:
-    """Return which engines work; the exhaust's temperature, the only one known, does not fit its field."""
-    health = [1.0 if share > 0.0 else 0.0 for share in v.sample.health[: v.about.jets]]
-    counter = v.sample.k & U16
-    return [
-        mav.MAVLink_esc_info_message(
-            first, v.us, counter, v.about.jets, 0,
-            sum(1 << i for i, alive in enumerate(_four(health, first, 0.0)) if alive),
-            [0] * 4, [0] * 4, [I16] * 4,
-        )
-        for first in _engines(v)
-    ]  # fmt: skip
-
-
-def _four(values: Sequence[float], first: int, missing: float) -> list[float]:
-    return [values[i] if i < len(values) else missing for i in range(first, first + 4)]
-
-
-def efi_status(v: View) -> list[Message]:
-    """Return each engine's control unit; NaN is unknown, but for voltage and pressure MAVLink defines 0 as that."""
-    sample, engines = v.sample, v.sample.engines
-    messages = []
-    for i in range(v.about.jets):
-        full = v.about.full_thrust[i] if i < len(v.about.full_thrust) else nan
-        flow = engines.fuel_flow[i] / KEROSENE * 1e6 * 60.0  # cm^3/min
-        throttle = 100.0 * sample.actuation.throttle[i]
-        load = 100.0 * engines.thrust[i] / full
-        exhaust = engines.exhaust_temperature[i] - KELVIN
-        messages.append(
-            mav.MAVLink_efi_status_message(
-                int(sample.health[i] > 0.0), float(i), engines.spool_speed[i] * _RPM, nan, flow, load, throttle,
-                nan, nan, nan, nan, nan, nan, nan, exhaust, throttle, nan, 0.0, 0.0,
-            )
-        )  # fmt: skip
-    return messages
-
-
-def raw_rpm(v: View) -> list[Message]:
-    """Return the spool speeds [rpm] of the first four engines, as no station shows more."""
-    return [mav.MAVLink_raw_rpm_message(i, rpm) for i, rpm in enumerate(_spools(v)[:4]) if isfinite(rpm)]
-
-
 def predictor_array(v: View) -> list[Message]:
     """Return DEBUG_FLOAT_ARRAY "predictor": seven times roll, pitch, yaw.
 
@@ -600,59 +457,3 @@ def statustext(severity: int, text: str, number: int) -> list[Message]:
         pieces.append(b"")  # a piece that is full says that there is more
     number = number % U16 + 1
     return [mav.MAVLink_statustext_message(severity, piece, number, i) for i, piece in enumerate(pieces)]
-
-
-Build = Callable[[View], list[Message]]
-
-
-@dataclass(frozen=True)
-class Stream:
-    """A message or group of messages, its default rate [Hz of wall time] (0: on request only) and its builder."""
-
-    name: str
-    rate: float
-    build: Build
-
-
-STREAMS = (
-    Stream("HEARTBEAT", 1.0, heartbeat),
-    Stream("SYS_STATUS", 2.0, sys_status),
-    Stream("SYSTEM_TIME", 1.0, system_time),
-    Stream("GPS_RAW_INT", 5.0, gps_raw_int),
-    Stream("ATTITUDE", 25.0, attitude),
-    Stream("ATTITUDE_QUATERNION", 25.0, attitude_quaternion),
-    Stream("LOCAL_POSITION_NED", 10.0, local_position_ned),
-    Stream("GLOBAL_POSITION_INT", 10.0, global_position_int),
-    Stream("SERVO_OUTPUT_RAW", 2.0, servo_output_raw),
-    Stream("MISSION_CURRENT", 0.0, mission_current),
-    Stream("VFR_HUD", 5.0, vfr_hud),
-    Stream("ATTITUDE_TARGET", 5.0, attitude_target),
-    Stream("POSITION_TARGET_LOCAL_NED", 2.0, position_target_local_ned),
-    Stream("POSITION_TARGET_GLOBAL_INT", 0.0, position_target_global_int),
-    Stream("HIGHRES_IMU", 0.0, highres_imu),
-    Stream("HIL_STATE_QUATERNION", 0.0, hil_state_quaternion),
-    Stream("ALTITUDE", 2.0, altitude),
-    Stream("BATTERY_STATUS", 1.0, battery_status),
-    Stream("AUTOPILOT_VERSION", 0.0, autopilot_version),
-    Stream("GPS_GLOBAL_ORIGIN", 0.0, gps_global_origin),
-    Stream("EFI_STATUS", 1.0, efi_status),
-    Stream("ESTIMATOR_STATUS", 1.0, estimator_status),
-    Stream("WIND_COV", 1.0, wind_cov),
-    Stream("HOME_POSITION", 0.5, home_position),
-    Stream("ORBIT_EXECUTION_STATUS", 2.0, orbit_execution_status),
-    Stream("EXTENDED_SYS_STATE", 2.0, extended_sys_state),
-    Stream("DEBUG_VECT", 0.0, debug_vect),
-    Stream("NAMED_VALUE_FLOAT", 10.0, named_values),
-    Stream("FLIGHT_INFORMATION", 0.0, flight_information),
-    Stream("ESC_INFO", 1.0, esc_info),
-    Stream("ESC_STATUS", 10.0, esc_status),
-    Stream("PROTOCOL_VERSION", 0.0, protocol_version),
-    Stream("ODOMETRY", 0.0, odometry),
-    Stream("RAW_RPM", 1.0, raw_rpm),
-    Stream("DEBUG_FLOAT_ARRAY", 5.0, predictor_array),
-    Stream("FUEL_STATUS", 1.0, fuel_status),
-    Stream("ACTUATOR_OUTPUT_STATUS", 1.0, actuator_output_status),
-    Stream("COMPONENT_INFORMATION_BASIC", 0.0, component_information_basic),
-    Stream("AVAILABLE_MODES", 0.0, available_modes),
-    Stream("CURRENT_MODE", 0.5, current_mode),
-)

@@ -18,7 +18,7 @@ from cosim.groundstation.exchange import Port, Snapshot
 from cosim.groundstation.mavlink.about import VehicleInfo
 from cosim.groundstation.mavlink.modes import from_custom
 from cosim.groundstation.mavlink.services import commands, setpoints
-from cosim.groundstation.mavlink.services.commands import OF_RESULT, Ack, Context, Order, Plan
+from cosim.groundstation.mavlink.services.orders import OF_RESULT, Ack, Context, Order, Plan, order_of
 from cosim.groundstation.mavlink.services.service import Client
 from cosim.groundstation.mavlink.streams import Streams
 from cosim.groundstation.mavlink.telemetry import (
@@ -275,7 +275,7 @@ class Vehicle:
         sender.peer.radio(message.txbuf)
 
     def _command(self, message: Message, sender: Sender) -> None:
-        order = commands.order_of(message)
+        order = order_of(message)
         view = self._view
         if view is None:
             self._acknowledge(order, sender, Ack.TEMPORARILY_REJECTED)

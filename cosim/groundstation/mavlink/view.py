@@ -12,8 +12,7 @@ from cosim.base.signals import Vector3
 from cosim.control.autopilot.modes import LandedState
 from cosim.groundstation.exchange import Snapshot
 from cosim.groundstation.mavlink.about import VehicleInfo
-
-U32 = 0xFFFFFFFF
+from cosim.groundstation.mavlink.fields import U32
 
 
 @dataclass

@@ -23,7 +23,7 @@ from cosim.control.autopilot.estimation.estimates import LEAN_SURE, SPEED_SURE
 from cosim.control.autopilot.requests import Answer, Result
 from cosim.flight import fly
 from cosim.groundstation.mavlink.about import VehicleInfo
-from cosim.groundstation.mavlink.telemetry import STREAMS
+from cosim.groundstation.mavlink.streams import STREAMS
 from cosim.groundstation.mavlink.view import Since, View
 from cosim.groundstation.session import waiting_scenario
 from cosim.groundstation.web.feed import state as web_state

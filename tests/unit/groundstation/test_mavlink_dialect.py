@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from mavlink_tools import ABOUT, message_of, sample, snapshot, status
 
-from cosim.groundstation.mavlink.telemetry import STREAMS
+from cosim.groundstation.mavlink.streams import STREAMS
 from cosim.groundstation.mavlink.view import Since, View
 from cosim.groundstation.mavlink.wire.dialect import (
     BY_NAME,

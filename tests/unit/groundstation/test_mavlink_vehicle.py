@@ -23,11 +23,8 @@ from cosim.control.autopilot.modes import (
 from cosim.control.autopilot.requests import LinkBack, LinkLost
 from cosim.groundstation.mavlink.about import PERSONALITIES
 from cosim.groundstation.mavlink.modes import base_mode, custom_mode, from_custom, vehicle_type
-from cosim.groundstation.mavlink.streams import BY_ID, DEFAULT
-from cosim.groundstation.mavlink.telemetry import (
-    STREAMS,
-    statustext,
-)
+from cosim.groundstation.mavlink.streams import BY_ID, DEFAULT, STREAMS
+from cosim.groundstation.mavlink.telemetry import statustext
 from cosim.groundstation.mavlink.view import Since, View
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 from cosim.spec.vehicle import load_vehicle

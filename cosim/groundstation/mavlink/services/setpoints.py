@@ -6,7 +6,7 @@ from math import cos, isfinite, remainder, sin, tau
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot.requests import OffboardAttitude, OffboardPosition, OffboardVelocity, Sticks
-from cosim.groundstation.mavlink.services.commands import ABSOLUTE_FRAMES, LOCAL_NED, RELATIVE_FRAMES
+from cosim.groundstation.mavlink.services.orders import ABSOLUTE_FRAMES, LOCAL_NED, RELATIVE_FRAMES
 from cosim.groundstation.mavlink.view import View
 from cosim.groundstation.mavlink.wire.dialect import Message
 

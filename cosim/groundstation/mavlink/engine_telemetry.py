@@ -1,0 +1,138 @@
+"""Messages on engines, servos and fuel, each a function of one snapshot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil, isfinite, isnan, nan, pi
+
+from cosim.base.signals import PerServo
+from cosim.groundstation.mavlink.fields import I16, I32, U16, U32, to_field
+from cosim.groundstation.mavlink.view import View
+from cosim.groundstation.mavlink.wire.dialect import Message, mav
+
+KELVIN = 273.15
+# kg/m^3: in the middle of what Jet A-1 may be at 15 degC (775 to 840, ASTM D1655); fuel flow is asked for by volume
+KEROSENE = 808.0
+_RPM = 30.0 / pi
+_LIQUID = 1  # MAV_FUEL_TYPE
+
+
+def servo_output_raw(v: View) -> list[Message]:
+    """Return throttles, and servos from the seventh or behind the last, as pulses of 1000 to 2000 us.
+
+    1500 us is straight up, or the middle of a hinge's range; as many as the message has.
+    """
+    actuation, reach = v.sample.actuation, v.about.tilt_range
+    pulses = [0] * 16
+    for i, throttle in enumerate(actuation.throttle[: v.about.jets]):
+        pulses[i] = to_field(1000.0 + 1000.0 * throttle, 0, U16)
+    first = max(6, v.about.jets)
+    if v.about.ranges:
+        for i, share in enumerate(_shares(actuation.tilt, v.about.ranges)[: len(pulses) - first]):
+            pulses[first + i] = to_field(1500.0 + 500.0 * share, 0, U16)
+    else:
+        for i, tilt in enumerate(actuation.tilt[: len(pulses) - first]):
+            pulses[first + i] = 0 if isnan(reach) else to_field(1500.0 + 500.0 * tilt / reach, 0, U16)
+    return [mav.MAVLink_servo_output_raw_message(v.us & U32, 0, *pulses)]
+
+
+def actuator_output_status(v: View) -> list[Message]:
+    """Return throttles 0 to 1, and from 6 on or behind them servos -1 to 1, or in rad where they have no range."""
+    actuation, reach = v.sample.actuation, v.about.tilt_range
+    values = [0.0] * 32
+    jets = v.about.jets
+    values[:jets] = actuation.throttle[:jets]
+    first = max(6, jets)
+    if v.about.ranges:
+        moved = _shares(actuation.tilt, v.about.ranges)[: len(values) - first]
+    else:
+        moved = [tilt if isnan(reach) else tilt / reach for tilt in actuation.tilt]
+    values[first : first + len(moved)] = moved
+    active = (1 << jets) - 1 | ((1 << len(moved)) - 1) << first
+    return [mav.MAVLink_actuator_output_status_message(v.us, active, values)]
+
+
+def _shares(tilt: PerServo, ranges: tuple[tuple[float, float], ...]) -> list[float]:
+    """Return servo positions normalised to their ranges, -1 to 1."""
+    return [(2.0 * at - least - most) / (most - least) for at, (least, most) in zip(tilt, ranges, strict=True)]
+
+
+def fuel_status(v: View) -> list[Message]:
+    """Return kerosene in ml and ml/s, as MAVLink has liquid fuel, from mass and mass flow."""
+    full, fuel = v.about.fuel_capacity, v.sample.fuel
+    if isnan(full) or isnan(fuel):
+        return []
+    left = min(1.0, max(0.0, fuel / full))
+    flow = sum(flow for flow in v.sample.engines.fuel_flow[: v.about.jets])
+    capacity, rate = (mass / KEROSENE * 1e6 for mass in (full, flow))
+    percent = to_field(100.0 * left, 0, 100)
+    return [
+        mav.MAVLink_fuel_status_message(
+            0, capacity, (1.0 - left) * capacity, left * capacity, percent, rate, nan, _LIQUID
+        )
+    ]
+
+
+def _engines(v: View) -> list[int]:
+    """Return the first engine of each message, as each has room for four."""
+    return [4 * i for i in range(ceil(v.about.jets / 4))]
+
+
+def _spools(v: View) -> list[float]:
+    return [speed * _RPM for speed in v.sample.engines.spool_speed[: v.about.jets]]
+
+
+def esc_status(v: View) -> list[Message]:
+    """Return spool speeds [rpm]; none where no engine reports one, as the field has no value for "unknown"."""
+    rpm = _spools(v)
+    if not any(isfinite(speed) for speed in rpm):
+        return []
+    unknown = [nan] * 4
+    return [
+        mav.MAVLink_esc_status_message(
+            first, v.us, [to_field(speed, -I32, I32) for speed in _four(rpm, first, 0.0)], unknown, unknown
+        )
+        for first in _engines(v)
+    ]
+
+
+def esc_info(v: View) -> list[Message]:
+    """Return which engines work; the exhaust's temperature, the only one known, does not fit its field."""
+    health = [1.0 if share > 0.0 else 0.0 for share in v.sample.health[: v.about.jets]]
+    counter = v.sample.k & U16
+    return [
+        mav.MAVLink_esc_info_message(
+            first, v.us, counter, v.about.jets, 0,
+            sum(1 << i for i, alive in enumerate(_four(health, first, 0.0)) if alive),
+            [0] * 4, [0] * 4, [I16] * 4,
+        )
+        for first in _engines(v)
+    ]  # fmt: skip
+
+
+def _four(values: Sequence[float], first: int, missing: float) -> list[float]:
+    return [values[i] if i < len(values) else missing for i in range(first, first + 4)]
+
+
+def efi_status(v: View) -> list[Message]:
+    """Return each engine's control unit; NaN is unknown, but for voltage and pressure MAVLink defines 0 as that."""
+    sample, engines = v.sample, v.sample.engines
+    messages = []
+    for i in range(v.about.jets):
+        full = v.about.full_thrust[i] if i < len(v.about.full_thrust) else nan
+        flow = engines.fuel_flow[i] / KEROSENE * 1e6 * 60.0  # cm^3/min
+        throttle = 100.0 * sample.actuation.throttle[i]
+        load = 100.0 * engines.thrust[i] / full
+        exhaust = engines.exhaust_temperature[i] - KELVIN
+        messages.append(
+            mav.MAVLink_efi_status_message(
+                int(sample.health[i] > 0.0), float(i), engines.spool_speed[i] * _RPM, nan, flow, load, throttle,
+                nan, nan, nan, nan, nan, nan, nan, exhaust, throttle, nan, 0.0, 0.0,
+            )
+        )  # fmt: skip
+    return messages
+
+
+def raw_rpm(v: View) -> list[Message]:
+    """Return the spool speeds [rpm] of the first four engines, as no station shows more."""
+    return [mav.MAVLink_raw_rpm_message(i, rpm) for i, rpm in enumerate(_spools(v)[:4]) if isfinite(rpm)]

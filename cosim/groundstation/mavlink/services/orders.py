@@ -1,0 +1,84 @@
+"""Orders of COMMAND_LONG and COMMAND_INT, and the plans by which they are executed.
+
+A parameter that is NaN is not given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from enum import IntEnum
+from math import isfinite
+from typing import Any, NamedTuple
+
+from cosim.control.autopilot.requests import Request, Result
+from cosim.groundstation.mavlink.about import VehicleInfo
+from cosim.groundstation.mavlink.view import View
+from cosim.groundstation.mavlink.wire.dialect import Message
+from cosim.groundstation.mavlink.wire.peer import Peer
+
+
+class Ack(IntEnum):
+    """MAV_RESULT."""
+
+    ACCEPTED = 0
+    TEMPORARILY_REJECTED = 1
+    DENIED = 2
+    UNSUPPORTED = 3
+    FAILED = 4
+    UNSUPPORTED_FRAME = 9
+
+
+OF_RESULT = {result: Ack[result.name] for result in Result}
+
+GLOBAL, LOCAL_NED, RELATIVE, GLOBAL_INT, RELATIVE_INT = 0, 1, 3, 5, 6  # MAV_FRAME
+ABSOLUTE_FRAMES, RELATIVE_FRAMES = (GLOBAL, GLOBAL_INT), (RELATIVE, RELATIVE_INT)
+_NOT_GIVEN = 0x7FFFFFFF  # x and y of COMMAND_INT
+
+
+class Order(NamedTuple):
+    """A command of either message; None: not given.  Latitude and longitude are in degrees."""
+
+    number: int
+    p: tuple[float | None, ...]  # 1 to 7, from 0
+    frame: int | None  # None: COMMAND_LONG has none
+    confirmation: int
+
+    @property
+    def place(self) -> tuple[float, float] | None:
+        """Latitude and longitude; None where one is missing, or both are 0, which some send for none."""
+        lat, lon = self.p[4], self.p[5]
+        return None if lat is None or lon is None or lat == lon == 0.0 else (lat, lon)
+
+
+class Plan(NamedTuple):
+    """How a command is executed: requests one after another until one is refused, or a result at once."""
+
+    requests: tuple[Request, ...] = ()
+    result: Ack = Ack.ACCEPTED
+    text: str = ""
+    messages: tuple[Message, ...] = ()  # after the acknowledgement
+
+
+class Context(NamedTuple):
+    """The vehicle and the station for which a command is planned."""
+
+    about: VehicleInfo
+    view: View
+    peer: Peer
+    requested: Callable[[int], Sequence[Message] | None]  # beside the telemetry; None: not there
+    endings: tuple[Any, ...] = ()  # what to ask for a reboot, and for a shutdown
+
+
+def order_of(message: Message) -> Order:
+    """Return the order in a COMMAND_LONG or COMMAND_INT."""
+    first = [message.param1, message.param2, message.param3, message.param4]
+    if message.msgname == "COMMAND_LONG":
+        values = [*first, message.param5, message.param6, message.param7]
+        return Order(message.command, tuple(map(_given, values)), None, message.confirmation)
+    # 1e-4 m where the frame is local: such frames are refused by those who use places
+    place = [None if value == _NOT_GIVEN else value * 1e-7 for value in (message.x, message.y)]
+    return Order(message.command, (*map(_given, first), *place, _given(message.z)), message.frame, 0)
+
+
+def _given(value: float) -> float | None:
+    return value if isfinite(value) else None
