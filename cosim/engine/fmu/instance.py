@@ -16,7 +16,8 @@ from typing import Any, Literal
 
 import cosim.engine._bank as _bank
 from cosim.engine.fmu.air import STANDARD_AIR, Air
-from cosim.engine.fmu.archive import Archive, InputClock
+from cosim.engine.fmu.archive import Archive
+from cosim.engine.fmu.clocks import InputClock
 from cosim.engine.fmu.container import one_line
 from cosim.engine.fmu.port_kinds import BASE, INPUTS, OUTPUTS
 from cosim.engine.fmu.starting import Ignition, Setting, StartError

@@ -11,7 +11,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.fmu.variables import Port, Variable
 from cosim.engine.measure import Measured, measure_once
 from cosim.engine.qualify.remembered import misbehaves, remember_misbehaviour, write
+from cosim.engine.qualify.report import CheckReport
 from cosim.engine.qualify.supervisor import READ, STARTED, Apart, Limits, run_apart
 from cosim.engine.response import (
     NO_CHANGE,
@@ -55,145 +56,6 @@ PARTS = (
 )  # fmt: skip
 NEEDED = ("load", "start", "run", "measure")  # without these there is nothing to judge by
 DESCRIBED = ("name", "type", "unit", "min", "max", "start", "description")
-
-
-@dataclass
-class CheckReport:
-    """Findings of a check; ``problems`` is empty for a sound engine, ``notes`` do not prevent a flight.
-
-    Times are in s, thrusts in N.  A field is None where an earlier problem prevented its measurement.
-    """
-
-    path: str
-    name: str
-    fmi_version: str
-    sha256: str
-    step: float
-    ports: list[dict[str, Any]]
-    inputs: list[dict[str, Any]]
-    outputs: list[dict[str, Any]]
-    parameters: list[dict[str, Any]]
-    features: list[str] = field(default_factory=list)  # of FMI, that it uses or offers
-    throttle: list[float] | None = None  # of the static curve
-    thrust: list[float] | None = None
-    delay_samples_up: int | None = None  # communication steps
-    delay_samples_down: int | None = None
-    tenth_up: float | None = None  # from the throttle's move to 10 % of the change: delay, lag and slow start together
-    tenth_down: float | None = None
-    rise_time_up: float | None = None  # 10 to 90 %
-    rise_time_down: float | None = None
-    course_up: list[float] | None = None  # thrust after the throttle was opened, every ``course_step_up`` s
-    course_down: list[float] | None = None
-    course_step_up: float | None = None
-    course_step_down: float | None = None
-    deterministic: bool | None = None
-    processes_agree: bool | None = None  # two processes, bit for bit
-    independent: bool | None = None  # six at once
-    reset_restores_start: bool | None = None
-    state_restores: bool | None = None  # None also if the FMU does not claim it
-    serialized_state_restores: bool | None = None
-    microseconds_per_step: float | None = None
-    bytes_per_instance: float | None = None  # resident, without the library itself
-    bytes_per_step: float | None = None  # that are not given back
-    apart: str | None = None  # what it does to the process that it runs in, for which flights give it one of its own
-    problems: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-    @property
-    def ok(self) -> bool:
-        """Whether no problem was found."""
-        return not self.problems
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the report as plain lists, numbers and strings, for JSON."""
-        return {"ok": self.ok, **asdict(self)}
-
-    @property
-    def standard(self) -> str:
-        """Name and version of the standard, FMI or SSP."""
-        return self.fmi_version if self.fmi_version.startswith("SSP") else f"FMI {self.fmi_version}"
-
-    def lines(self) -> list[tuple[str, str]]:
-        """Return the report as (label, text) rows without the problems."""
-        rows = [
-            ("file", self.path),
-            ("model", f"{self.name}, {self.standard}, sha256 {self.sha256[:12]}"),
-            *((port["port"].replace("_", " "), _port_text(port)) for port in self.ports),
-            *(("input", _variable_text(v)) for v in self._unused(self.inputs)),
-            *(("output", _variable_text(v)) for v in self._unused(self.outputs)),
-            *(("parameter", _variable_text(v)) for v in self._unused(self.parameters)),
-            ("FMI features", ", ".join(self.features) or "not found"),
-            ("step", f"{self.step:g} s"),
-            *self.response_lines(),
-            *self.verdict_lines(),
-        ]
-        return [*rows, *(("note", note) for note in self.notes)]
-
-    def _unused(self, variables: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-        used = {port["name"] for port in self.ports}
-        return [v for v in variables if v["name"] not in used]
-
-    def response_lines(self) -> list[tuple[str, str]]:
-        """Return rows with static thrust, delay and rise time."""
-        rows = []
-        if self.throttle is not None and self.thrust is not None:
-            shown = range(0, len(self.throttle), len(self.throttle) // 5)
-            points = (f"{self.throttle[k]:g}: {round(self.thrust[k], 3) + 0.0:g}" for k in shown)
-            rows.append(("static thrust [N]", ", ".join(points)))
-        for way in ("up", "down"):
-            delay, tenth, rise = (getattr(self, f"{what}_{way}") for what in ("delay_samples", "tenth", "rise_time"))
-            if delay is not None and rise is not None:
-                first = "" if tenth is None else f", 10 % after {tenth:.4g} s"
-                text = f"delay {delay} samples ({delay * self.step:g} s){first}, then 10 to 90 % in {rise:.4g} s"
-                rows.append((f"throttle {way}", text))
-        return rows
-
-    def verdict_lines(self) -> list[tuple[str, str]]:
-        """Return rows with the result of each trial, and the time and memory of a step and an instance."""
-        rows = [
-            ("runs repeat", _verdict(self.deterministic)),
-            ("two processes agree", _verdict(self.processes_agree)),
-            ("six at once", _verdict(self.independent)),
-            ("reset", _verdict(self.reset_restores_start)),
-            ("saved state", _verdict(self.state_restores)),
-            ("serialized state", _verdict(self.serialized_state_restores)),
-        ]
-        if self.microseconds_per_step is not None:
-            rows.append(("one step takes", f"{self.microseconds_per_step:.2f} us"))
-        if self.bytes_per_instance is not None:
-            rows.append(("one instance takes", f"{self.bytes_per_instance / 1024.0:.0f} kB"))
-        if self.bytes_per_step is not None:
-            rows.append(("a step leaves behind", f"{self.bytes_per_step:.0f} bytes"))
-        if self.apart:
-            rows.append(("flown", f"in a process of its own: it {self.apart}"))
-        return rows
-
-
-def _port_text(port: dict[str, Any]) -> str:
-    unit = f" [{port['unit']}]" if port["unit"] else ""
-    if port["from"] is not None:
-        what = f", {port['from']:g} to {port['to']:g} are 0 to 1"
-    elif (port["scale"], port["offset"]) != (1.0, 0.0):
-        what = f", 1 is {port['scale'] + port['offset']:g} {port['si']}, 0 is {port['offset']:g}"
-    else:
-        what = ""
-    return f"{port['name']}{unit}{what}, found {port['found']}"
-
-
-def _variable_text(v: dict[str, Any]) -> str:
-    unit = "" if v["unit"] in (None, "1") else f" {v['unit']}"
-    start = "" if v["start"] is None else f" = {v['start']:g}{unit}"
-    limits = "" if v["min"] is None and v["max"] is None else f", {_limit(v['min'])} to {_limit(v['max'])}"
-    what = f": {v['description']}" if v["description"] else ""
-    return f"{v['name']}{start or unit}{limits}{what}"
-
-
-def _limit(value: float | None) -> str:
-    return "any" if value is None else f"{value:g}"
-
-
-def _verdict(passed: bool | None) -> str:
-    return {True: "good", False: "bad", None: "not tried"}[passed]
 
 
 # ---- the check

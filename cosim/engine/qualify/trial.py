@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import locale
 import os
 import re
 import struct
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cosim.engine._bank as _bank
 from cosim.base.errors import FlightError, InputError
-from cosim.base.runtime.processes import measure_megabytes
 from cosim.base.signals import EngineOutput
 from cosim.engine.bank import EngineBank
 from cosim.engine.fmu.air import STANDARD_AIR, Air
@@ -31,6 +28,13 @@ from cosim.engine.fmu.unpacked import contents, unpack
 from cosim.engine.load import load_unchecked
 from cosim.engine.measure import Measured, measure
 from cosim.engine.qualify.check import NEEDED, all_curve_problems, as_table
+from cosim.engine.qualify.process_state import (
+    count_threads,
+    describe_changes,
+    mapped_libraries,
+    process_state,
+    resident_bytes,
+)
 from cosim.engine.qualify.supervisor import READ
 from cosim.engine.response import (
     NO_CHANGE,
@@ -195,29 +199,6 @@ def perform(order: Mapping[str, Any], say: Say) -> None:
             say({"of": "files", "found": {}, "problems": ["changes or deletes files of its own archive"]})
 
 
-# ---- what the FMU shares with everything else in its process
-
-
-def _surroundings() -> dict[str, Any]:
-    third, smallest = [1.0, 3.0], [sys.float_info.min, 0.5]  # in lists, so that Python computes it here and now
-    return {
-        "the working directory": os.getcwd(),
-        "how the processor rounds": (third[0] / third[1], -third[0] / third[1]),
-        "how the processor handles tiny numbers (is it built with -ffast-math?)": (
-            # as text: where tiny numbers count as 0, they also compare equal to it
-            (smallest[0] * smallest[1]).hex()
-        ),
-        "the locale's decimal point": locale.localeconv()["decimal_point"],
-    }
-
-
-def _changes(before: Mapping[str, Any]) -> list[str]:
-    after = _surroundings()
-    with suppress(OSError):
-        os.chdir(before["the working directory"])
-    return [f"changes {what}, for everything in the same process" for what in before if after[what] != before[what]]
-
-
 # ---- the parts
 
 
@@ -252,10 +233,10 @@ def _features(description: Any) -> list[str]:
 
 def _load(trial: Trial) -> Findings:
     """Load and unload the library, or those of a system's components one after the other."""
-    before = _surroundings()
+    before = process_state()
     for library in libraries_of(trial.archive):
         _load_library(trial, trial.folder / library)
-    return {}, _changes(before)
+    return {}, describe_changes(before)
 
 
 def _load_library(trial: Trial, library: Path) -> None:
@@ -280,40 +261,23 @@ def _start(trial: Trial) -> Findings:
     import fmpy.fmi2  # type: ignore[import-untyped]
     import fmpy.fmi3  # type: ignore[import-untyped] # noqa: F401 - these start threads of numpy
 
-    before, threads, libraries = _surroundings(), _threads(), _libraries()
+    before, threads, libraries = process_state(), count_threads(), mapped_libraries()
     with trial.instance() as instance:
         trial.zigzag(instance, 0, 1)
-        runtimes = sorted({match[0] for name in _libraries() - libraries if (match := RUNTIMES.match(name))})
-        more = _threads() - threads
+        runtimes = sorted({match[0] for name in mapped_libraries() - libraries if (match := RUNTIMES.match(name))})
+        more = count_threads() - threads
     own = f"brings a run time of its own ({', '.join(runtimes)})" if runtimes else ""
     if more > 0 and not own:
         own = f"starts {more} thread{'s' if more > 1 else ''} of its own"
-    return ({"own": own} if own else {}), _changes(before)
-
-
-def _threads() -> int:
-    """Return the number of this process's threads; 0 where there is no ``/proc``."""
-    try:
-        return len(os.listdir("/proc/self/task"))
-    except OSError:
-        return 0
-
-
-def _libraries() -> set[str]:
-    """Return the names of the files mapped by this process; empty where there is no ``/proc``."""
-    try:
-        with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
-            return {os.path.basename(line.split()[-1]) for line in maps if "/" in line}
-    except OSError:
-        return set()
+    return ({"own": own} if own else {}), describe_changes(before)
 
 
 def _run(trial: Trial) -> Findings:
-    before = _surroundings()
+    before = process_state()
     with trial.instance() as instance:
         thrusts = trial.zigzag(instance, 0, max(TRIAL_STEPS, round(RUN_S / trial.step)))
     digest = hashlib.sha256(struct.pack(f"<{len(thrusts)}d", *thrusts)).hexdigest()
-    return {"digest": digest}, _changes(before)
+    return {"digest": digest}, describe_changes(before)
 
 
 def _measure(trial: Trial) -> Findings:
@@ -398,14 +362,14 @@ def _together(trial: Trial) -> Findings:
     For an FMU with several engines, compare one of two instances with one stepped alone.
     """
     trial.say({"at": "while several of it were instantiated"})
-    memory = _resident()
+    memory = resident_bytes()
     spec = _spec(trial)
     runs = []
     held = len(trial.archive.engines)
     most = 2 * held if held > 1 else ENGINES
     for count in (most, held):
         with EngineBank(spec, count, trial.step) as bank:
-            begin = _resident()
+            begin = resident_bytes()
             for _ in range(2):  # a second flight of the same bank
                 trial.say({"at": f"while {count} of it were started"})
                 bank.reset(0.25)
@@ -495,21 +459,12 @@ def _grow(trial: Trial) -> Findings:
         for _ in range(3):
             for _ in range(GROWTH_STEPS // CHUNK):
                 hold(0.5, CHUNK)
-            resident.append(_resident())
+            resident.append(resident_bytes())
     per_step = min(b - a for a, b in pairwise(resident)) / GROWTH_STEPS
     leaks = per_step >= LEAST_LEAK
     return {"bytes_per_step": max(0.0, per_step)}, [
         f"takes {per_step:.0f} bytes more memory in every step"
     ] if leaks else []
-
-
-def _resident() -> float:
-    """Return the resident memory [bytes]; where there is no ``/proc``, its maximum so far."""
-    if size := measure_megabytes(os.getpid()):
-        return size * 2**20
-    import resource
-
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1.0 if sys.platform == "darwin" else 1024.0)
 
 
 PARTS: Mapping[str, Callable[[Trial], Findings]] = {

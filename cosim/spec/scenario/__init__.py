@@ -52,15 +52,8 @@ from cosim.spec.scenario.provenance import (
     copied_parameters,
     flown_parameters,
 )
-from cosim.spec.scenario.scenario import (
-    Environment,
-    Expectation,
-    FlightLimits,
-    Initial,
-    Range,
-    Scenario,
-    Station,
-)
+from cosim.spec.scenario.scenario import Scenario
+from cosim.spec.scenario.sections import Environment, Expectation, FlightLimits, Initial, Range, Station
 
 __all__ = [
     "SIGNALS",

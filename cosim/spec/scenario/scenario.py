@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
 from cosim.base.errors import InputError
-from cosim.base.outcomes import Outcome
 from cosim.base.storage.toml import (
     Duration,
     Model,
-    NotNegative,
-    Vector,
     merge,
     parse_setting,
     read_toml,
@@ -29,93 +25,9 @@ from cosim.spec.scenario.faults import FaultEntry, SensorBias, SensorDropout, Se
 from cosim.spec.scenario.files import find_scenario
 from cosim.spec.scenario.mismatch import Mismatch
 from cosim.spec.scenario.parameter_file import ParameterFile
+from cosim.spec.scenario.sections import Environment, Expectation, FlightLimits, Initial, Station
 from cosim.spec.vehicle import STEP_S, Step, Vehicle, is_own
 from cosim.spec.vehicle.sensor_profile import STATED, load_with_profile, profile_names, refuse_restated
-
-
-class Initial(Model):
-    """Initial state of the flight."""
-
-    on_ground: bool = False
-    engines: Literal["idle", "off"] = "idle"  # on the ground, before an autopilot is armed
-    altitude_m: Annotated[float, Field(ge=0.0, le=20000.0)] = 30.0  # above the ground; not used on the ground
-    attitude_deg: Vector = (0.0, 0.0, 0.0)
-    velocity_ned_m_s: Vector = (0.0, 0.0, 0.0)
-    rate_deg_s: Vector = (0.0, 0.0, 0.0)
-    fuel: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0  # of the tank, where the aircraft has one
-
-
-class Environment(Model):
-    """Location, steady wind and turbulence (JSBSim's MIL-F-8785C model)."""
-
-    latitude_deg: Annotated[float, Field(ge=-89.0, le=89.0)] = 22.35
-    longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 113.59
-    ground_m: Annotated[float, Field(ge=-400.0, le=5000.0)] = 0.0
-    wind_ned_m_s: Vector = (0.0, 0.0, 0.0)
-    turbulence_wind_m_s: NotNegative = 0.0  # mean wind at 6 m that sets the turbulence's strength below 300 m
-    # probability-of-exceedance index; 0 is none; below 300 m any other is the same: a switch
-    turbulence_severity: Annotated[int, Field(ge=0, le=7)] = 0
-
-
-class Range(Model):
-    min: float | None = None
-    max: float | None = None
-
-    @model_validator(mode="after")
-    def _says_something(self) -> Range:
-        if self.min is None and self.max is None:
-            raise ValueError("give min, max or both")
-        return self
-
-
-def _most(value: Any) -> float | Literal[False] | None:
-    if value is None or value is False:
-        return value
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < inf:
-        raise ValueError("must be a number of at least 0, or false for no limit")
-    return float(value)
-
-
-Most = Annotated[bool | float | None, BeforeValidator(_most)]
-
-
-class FlightLimits(Model):
-    """Upper limits on a flight's metrics; false: no limit, absent: the default of :mod:`cosim.results.limits`."""
-
-    height_error_m: Most = None  # largest, from the height asked for
-    place_error_m: Most = None  # largest, from the place asked for
-    drift_m: Most = None  # largest, from the start; not limited by default where a place is asked for
-    speed_m_s: Most = None  # largest, over the ground
-    saturated_percent: Most = None  # of the steps in the air
-    settling_s: Most = None  # of every axis, after a step of its set-point
-    oscillation_rad: Most = None  # of every axis, in the last second
-    alternating_percent: Most = None  # of the steps of any second, on which a command turns back
-    throttle_activity_1_s: Most = None  # none by default
-    tilt_activity_rad_s: Most = None  # none by default
-    fuel_burnt_kg: Most = None  # none by default
-
-
-class Expectation(Model):
-    """Expected outcome and metrics of a flight with this controller, engine and aircraft."""
-
-    controller: str
-    engine: str
-    aircraft: str = ""  # not stated: the one that the scenario states
-    outcome: list[Outcome] = ["completed"]
-    metrics: dict[str, Range] = {}  # "roll.overshoot_percent" -> range
-
-
-class Station(Model):
-    """Replacement of the scenario's engine, or of its parameters, at one engine station."""
-
-    engine: str | None = None  # None: the scenario's
-    parameters: dict[str, float] = {}  # over the scenario's engine_parameters if the engine is the scenario's
-
-    @model_validator(mode="after")
-    def _says_something(self) -> Station:
-        if self.engine is None and not self.parameters:
-            raise ValueError("give engine, parameters or both")
-        return self
 
 
 class Scenario(Model):
