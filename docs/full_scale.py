@@ -215,12 +215,8 @@ def dead_band(amplitude: float, samples: int = 4000) -> complex:
 
 def predicted(engine: str, out: Path) -> dict[str, Any]:
     """Amplitude in dead bands and frequency [Hz] of the limit cycle: where the roll loop times that function is -1."""
-    from cosim.design.design import (
-        _scenario,
-        dynamics_of,
-        identify_there,
-        shipped,
-    )
+    from cosim.design.assessment import shipped
+    from cosim.design.design import _scenario, dynamics_of, identify_there
     from cosim.design.loop.actuator import Actuator
     from cosim.design.loop.channel import channels
     from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid

@@ -10,7 +10,8 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.as_flown import FlownMeasures, worse_lines
-from cosim.design.design import Assessment, Design
+from cosim.design.assessment import Assessment
+from cosim.design.design import Design
 from cosim.design.loop.channel import Channel
 from cosim.design.proof import Proof
 from cosim.simulation.controllers.controller_file import AxisRecord, FlownRecord, LevelRecord, ProofRecord, Purpose

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import ceil, floor, inf, isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,8 @@ from cosim.base.storage.toml import (
     parse_setting,
     set_path,
 )
-from cosim.control.predictors.registry import BASELINE, PREDICTORS, SMITH
+from cosim.control.predictors.registry import BASELINE, PREDICTORS
+from cosim.design.assessment import Assessment, AxisDesign, assess, believed, shipped
 from cosim.design.levels import (
     DESIGNED,
     THRUST_AXES,
@@ -29,7 +30,8 @@ from cosim.design.levels import (
     levels,
     schedule,
 )
-from cosim.design.loop.actuator import SERVO, Actuator
+from cosim.design.limits import Say, bandwidths_without_limits, find_allowances, tolerance_checks, why_not
+from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, engine_lead, hover_share
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import Dynamics, fit_dynamics, lags, with_misfit
@@ -42,8 +44,6 @@ from cosim.identify.sweep import Identification, identify_engine
 from cosim.simulation.controllers.controller_file import Requirements, read_controller
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import (
-    EngineLead,
-    RateGains,
     RateModel,
     Schedule,
     Vehicle,
@@ -57,56 +57,9 @@ CHANNELS = (*AXES, "altitude")
 SWING = 0.005  # of the throttle, around hover: what an engine's limits on its acceleration do not see
 ABOVE_REST = 2.0  # times the thrust's own movement at rest, where a mapping file states one
 MISFIT = 0.005  # of one lag and a delay, above which more is fitted
-GAINS = 7  # in the grid of the tolerance
-BISECTIONS = 5
 COMPLEXITY_COST = 0.06  # of the objective: a more complex controller must answer 3 % faster to be chosen
 LEAD_COST = 0.19  # the same of a lead, 10 % faster: it works the throttle, and believes in the engine's lags
 WITH_LEAD = " + lead"
-
-Say = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class LeastMargins:
-    """The smaller of each pair of :class:`LoopMargins`, as a design reports it.
-
-    Of the loop broken at the plant's input, attitude and rate loop closed; None where nothing is crossed."""
-
-    gain_db: float | None  # least factor up to instability
-    gain_down_db: float | None  # least factor down to it
-    phase_deg: float | None
-    delay_s: float | None
-
-
-@dataclass(frozen=True)
-class Assessment:
-    """A tuning on a channel with the numbers of its closed loop."""
-
-    controller: str
-    tuning: Tuning
-    stable: bool
-    margins: LeastMargins | None
-    peak_sensitivity: float | None
-    bandwidth_hz: float | None
-    tolerated: float | None  # times the tolerances until instability
-    noise: float | None  # of the command, one standard deviation, its unit
-    step_error: float | None  # integrated absolute error over fifty times the delay, rad s per rad (m s per m)
-    load_error: float | None  # rad s (m s) per unit of load at the plant's input
-    overshoot: float | None  # share of a step
-    settling_s: float | None  # within 5 % of a step; None where that takes longer than is looked at
-    step_peak: float | None  # command per unit of a step of the set-point
-
-
-@dataclass(frozen=True)
-class AxisDesign:
-    """The design of one channel: its loop before, the candidates' objectives, and the chosen loop."""
-
-    channel: Channel
-    before: Assessment
-    candidates: Mapping[str, float]  # objective; infinite where the requirements cannot be kept
-    after: Assessment | None
-    limits: Mapping[str, float]  # bandwidth [Hz] without delay, without lag, without the bound on noise
-    checks: Mapping[str, bool]
 
 
 @dataclass(frozen=True)
@@ -224,8 +177,10 @@ def design(
             axes[axis] = _axis(plants[axis], asked, chosen)
         else:
             axes[axis] = _again(plants[axis], asked, chosen, begin[axis][1.0])
-    reason = _why_not(axes, need)
-    allowing = _allowing(axes["roll"], names, need, say, lead) if reason and start is None and not firmware else {}
+    reason = why_not(axes, need)
+    allowing = (
+        find_allowances(axes["roll"], names, need, say, lead) if reason and start is None and not firmware else {}
+    )
     burning: list[LevelDesign] = []
     plan: Schedule | None = None
     if vehicle.fuel is not None and not reason and not model:
@@ -344,12 +299,6 @@ def _again(channel: Channel, asked: _Asked, roll: Tuning | None, start: Tuning) 
     return AxisDesign(channel, before, {key: value}, after, {}, tolerance_checks(channel, tuned, need))
 
 
-def believed(channel: Channel, source: str) -> RateModel:
-    """Return a channel's model as its predictor has it in flight, with the delay that the controller adds itself."""
-    own = channel.model(source)
-    return own.model_copy(update={"delay_samples": own.delay_samples + channel.added_delay})
-
-
 def _scenario(engine: str, aircraft: str, settings: Sequence[str]) -> tuple[Scenario, Vehicle]:
     """Return the scenario of a hover with this engine and its aircraft, at the sample time of the aircraft's models."""
     table: dict[str, Any] = {"name": "design", "duration_s": 1.0}
@@ -455,7 +404,7 @@ def _axis(channel: Channel, asked: _Asked, roll: Tuning | None) -> AxisDesign:
     limits = {}
     if axis == "roll":
         say("what limits it")
-        limits = _limits(channel, after, need, lead)
+        limits = bandwidths_without_limits(channel, after, need, lead)
     return AxisDesign(channel, before, objectives, after, limits, tolerance_checks(channel, after.tuning, need))
 
 
@@ -470,153 +419,3 @@ def _simplest(objectives: Mapping[str, float]) -> str:
     among = led if led and min(led.values()) < least - LEAD_COST else plain
     enough = min(among.values()) + COMPLEXITY_COST
     return next(name for name, value in among.items() if value <= enough)
-
-
-def shipped(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
-    """Return the aircraft's own gains on a channel, with Smith's predictor where it has a model of the engine."""
-    control = vehicle.control
-    lead = getattr(control.lead, channel.name, None) or None
-    if channel.name == "altitude":
-        own = control.altitude
-        gains = RateGains(
-            p=own.velocity_1_s, i=own.integral_1_s2, d=0.0, d_filter_s=1.0, integral_limit=own.integral_limit_m_s2
-        )
-        return Tuning(BASELINE.name, own.position_1_s, gains, control.predictor, channel.model("none"), lead)
-    gains = getattr(control.rate, channel.name)
-    angle = control.attitude.gain_1_s[CHANNELS.index(channel.name)]
-    model = vehicle.identified.get(spec.family, {}).get(channel.name)  # type: ignore[call-overload]
-    if model is None or not spec.owns(model.engine_sha256) or abs(model.sample_time_s - channel.step) > 1e-9:
-        return Tuning(BASELINE.name, angle, gains, control.predictor, channel.model("none"), lead)
-    model = model.model_copy(update={"delay_samples": model.delay_samples + channel.added_delay})
-    return Tuning(SMITH.name, angle, gains, control.predictor, model, lead)
-
-
-def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
-    """Compute everything that is reported of a tuning, at more frequencies than the search takes."""
-    closed = ClosedLoop(FrequencyGrid(channel, close=FINE), tuning)
-    if closed.unstable_poles:
-        return Assessment(tuning.controller, tuning, False, *[None] * 10)
-    settled = bool(tuning.gains.i) and not closed.load_left
-    return Assessment(
-        tuning.controller,
-        tuning,
-        True,
-        margins(closed),
-        closed.peak_sensitivity,
-        closed.bandwidth,
-        closed.tolerated(need.delay_samples(channel.transport_samples), need.gain_tolerance),
-        closed.noise,
-        closed.step_error,
-        closed.load_error if settled else None,
-        closed.overshoot,
-        closed.settling_s if isfinite(closed.settling_s) else None,
-        closed.step_peak,
-    )
-
-
-def margins(closed: ClosedLoop) -> LeastMargins:
-    """Return what is kept of a loop's margins: of lag and lead the less, lead with a minus."""
-    found = closed.margins
-    lag, lead = found.phase_deg, found.phase_lead_deg
-    turns = [turn for turn in (lag, None if lead is None else -lead) if turn is not None]
-    return LeastMargins(found.gain_db, found.gain_down_db, min(turns, key=abs, default=None), found.delay_s)
-
-
-def _limits(channel: Channel, after: Assessment, need: Requirements, lead: EngineLead | None) -> dict[str, float]:
-    """Compute the bandwidth, Hz, that the same controller would reach without each limit, by the limit's name."""
-    free = need.model_copy(update={"min_bandwidth_hz": 0.0})
-    kept = lead if after.tuning.lead else None
-    cases: dict[str, tuple[Channel, Requirements]] = {"delay": (channel.with_delay(0.0), free)}
-    if channel.identified is None:
-        cases["lag"] = (channel.with_lags(0.0), free)
-    cases["noise and saturation"] = (channel, free.model_copy(update={"noise_share": 1e6, "step_rad": 0.0}))
-    limits = {}
-    for what, (changed, needed) in cases.items():
-        led = None if what == "lag" else kept
-        tuned = tune(changed, after.controller, changed.model("without"), after.tuning, needed, lead=led)
-        if isfinite(tuned.objective):
-            limits[what] = ClosedLoop(FrequencyGrid(changed, close=FINE), tuned.tuning).bandwidth
-    return limits
-
-
-def tolerance_checks(channel: Channel, tuning: Tuning, need: Requirements) -> dict[str, bool]:
-    """Check that a loop is stable at all tolerated whole samples of delay and gains, and with lags 30 % off."""
-    wide = need.delay_samples(channel.transport_samples)
-    own = channel.actuator_delay
-    delays = sorted({max(0.0, own - wide), own, own + wide, *_whole(own - wide, own + wide)})
-    gains = np.linspace(1.0 - need.gain_tolerance, 1.0 + need.gain_tolerance, GAINS)
-    checks = {}
-    checks[f"gain {gains[0]:.2f} to {gains[-1]:.2f} times delay {delays[0]:g} to {delays[-1]:g} samples"] = all(
-        _stable(replace(channel.with_delay(delay), gain=channel.gain * gain), tuning)
-        for delay in delays
-        for gain in (gains if channel.identified is None else gains[GAINS // 2 : GAINS // 2 + 1])
-    )
-    if channel.identified is None:
-        checks[f"lags of the {_what(channel)} 0.7 and 1.3 times"] = all(
-            _stable(channel.with_lags(factor), tuning) for factor in (0.7, 1.3)
-        )
-    return checks
-
-
-def _what(channel: Channel) -> str:
-    return SERVO if channel.by_servo else "engine"
-
-
-def _whole(low: float, high: float) -> list[float]:
-    return [float(n) for n in range(max(0, ceil(low)), floor(high) + 1)]
-
-
-def _stable(channel: Channel, tuning: Tuning) -> bool:
-    return ClosedLoop(FrequencyGrid(channel, close=2000), tuning).unstable_poles == 0
-
-
-# ---- where there is none
-
-
-def _why_not(axes: Mapping[str, AxisDesign], need: Requirements) -> str:
-    for axis, axis_design in axes.items():
-        if axis_design.after is None:
-            bandwidth = f", {need.min_bandwidth_hz:g} Hz included" if axis in ("roll", "pitch") else ""
-            unsure = axis_design.channel.actuator.dynamics.unsure_words()
-            beside = f"whatever others and what its hinges turn add to it, {unsure.removeprefix('what was measured, ')}"
-            misfit = f", for every engine that differs from the model by {unsure}" if unsure else ""
-            misfit = f", {beside}" if unsure and axis_design.channel.by_servo else misfit
-            return f"{axis}: no gains keep the requirements{bandwidth}{misfit}"
-    return ""
-
-
-def _allowing(
-    roll: AxisDesign, names: Sequence[str], need: Requirements, say: Say, with_lead: bool
-) -> dict[str, float]:
-    """Return the longest delay, s, and the largest factor of the lags with which roll could keep the requirements."""
-    channel = roll.channel
-    if roll.after is not None:
-        return {}
-    tried = dict.fromkeys((names[0], names[-1]))  # what takes least, and what takes most
-    allowances = {}
-    whole = channel.actuator_delay
-
-    def works(changed: Channel) -> bool:
-        fixed = roll.before.tuning
-        lead, model = engine_lead(changed) if with_lead else None, changed.model("trial")
-        return any(isfinite(tune(changed, name, model, fixed, need, lead=lead).objective) for name in tried)
-
-    say("which delay would allow one")
-    if whole > 0.0 and (share := _largest(lambda part: works(channel.with_delay(round(part * whole))))) is not None:
-        allowances["delay_s"] = round(share * whole) * channel.step
-    if channel.identified is None:
-        say("which lag would allow one")
-        if (share := _largest(lambda part: works(channel.with_lags(part)))) is not None:
-            allowances["lag_factor"] = share
-    return allowances
-
-
-def _largest(works: Callable[[float], bool]) -> float | None:
-    """Return the largest factor from 0 to 1 that works, found by bisection; None if 0 does not."""
-    if not works(0.0):
-        return None
-    low, high = 0.0, 1.0
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if works(middle) else (low, middle)
-    return low

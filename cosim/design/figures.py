@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.design.design import AxisDesign, Design
+from cosim.design.assessment import AxisDesign
+from cosim.design.design import Design
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.tuning import Tuning
 from cosim.results.report.plot import BLUE, GREY, ORANGE, RED, Figure, panels, trace

@@ -19,13 +19,9 @@ from cosim.design.as_flown import (
     comparison_rows,
     worse_lines,
 )
+from cosim.design.assessment import Assessment, AxisDesign
 from cosim.design.controller_table import controller_table
-from cosim.design.design import (
-    WITH_LEAD,
-    Assessment,
-    AxisDesign,
-    Design,
-)
+from cosim.design.design import WITH_LEAD, Design
 from cosim.design.figures import design_figures
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.closed_loop import window_s

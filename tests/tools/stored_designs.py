@@ -9,9 +9,7 @@ import numpy as np
 from places import DESIGNS
 from state_space import Engine, realised
 
-from cosim.design.design import (
-    throttle_for,
-)
+from cosim.design.design import throttle_for
 from cosim.engine import EngineBank, load_engine
 from cosim.spec.vehicle import load_vehicle
 

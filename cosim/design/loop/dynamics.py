@@ -195,20 +195,64 @@ def _runs(dynamics: Dynamics) -> bool:
     return len(model.zero_pairs) <= len(model.pole_pairs)
 
 
-def _fit(response: FrequencyResponse, form: Sequence[str], delay: float, lag: float) -> Dynamics:
-    from scipy.optimize import least_squares
+class _FormFit:
+    """The search for the parameters of a form that suit a response.
 
-    weight = np.sqrt(counts(response))
-    use = (weight > 0.0) & (response.hertz * response.step <= HELD)
-    use = use if use.any() else weight > 0.0
-    hertz, value, weight = response.hertz[use], response.value[use], weight[use]
-    omega = 2.0 * np.pi * hertz
-    # a hold is half a step late and a little weak; what it does at frequencies of an engine is no more than that
-    s = 1j * omega
-    hold = (1.0 - np.exp(-s * response.step)) / (s * response.step)
+    They are ``ln gain, ln natural frequency, ln damping, delay [samples]`` and the logarithms of the times of zero,
+    further lag and quick zero, of which a form without them leaves the last ones alone.
+    """
 
-    def parts(x: Array) -> tuple[tuple[complex, ...], tuple[complex, ...]]:
-        natural, damping = exp(x[1]), exp(x[2])
+    def __init__(self, response: FrequencyResponse, form: Sequence[str]) -> None:
+        weight = np.sqrt(counts(response))
+        use = (weight > 0.0) & (response.hertz * response.step <= HELD)
+        use = use if use.any() else weight > 0.0
+        hertz, self._value, self._weight = response.hertz[use], response.value[use], weight[use]
+        # a hold is half a step late and a little weak; what it does at frequencies of an engine is no more than that
+        self._s = 1j * (2.0 * np.pi * hertz)
+        self._hold = (1.0 - np.exp(-self._s * response.step)) / (self._s * response.step)
+        self._form, self._step, self._quick = form, response.step, 0.5 * response.step
+        self._low = np.array([-60.0, log(1e-3), log(0.05), 0.0, log(1e-4), log(1e-4), log(0.01 * self._quick)])
+        self._high = np.array([60.0, log(1e3), log(20.0), 1000.0, log(20.0), log(20.0), log(10.0 * self._quick)])
+        more = [k for k, name in ((4, "zero"), (4, "right"), (5, "lag"), (6, "quick")) if name in form]
+        self._free = [0, 1, 2, 3, *more]
+
+    def dynamics(self, x: Array) -> Dynamics:
+        """Return the dynamics at a point, with their misfit."""
+        misfit = float(np.sqrt(np.mean(np.abs(self._error(x)) ** 2)))
+        return Dynamics(*self._poles_and_zeros(x), float(x[3]), self._step, misfit)
+
+    def search(self, delay: float, lag: float) -> Array:
+        """Find the best point with a free delay from several starts around ``delay`` [samples] and ``lag`` [s]."""
+        best: tuple[float, Array] = (inf, np.zeros(7))
+        gain, form = log(float(np.abs(self._value[0]))), self._form
+        starts = [
+            (damping, zero, last)
+            for damping in (0.6, 1.5)
+            for zero in ((0.1, 1.0) if {"zero", "right"} & set(form) else (0.1,))
+            for last in ((0.1, 1.0) if "lag" in form else (0.1,))
+        ]
+        for damping, zero, last in starts:
+            times = [log(zero * lag), log(last * lag), log(self._quick)]
+            start = np.array([gain, log(2.0 / lag), log(damping), delay, *times])
+            solution = self._solve(np.clip(start, self._low + 1e-6, self._high - 1e-6), self._free)
+            if solution[0] < best[0]:
+                best = solution
+        return best[1]
+
+    def round_delay(self, best: Array) -> Array:
+        """Find the point near ``best`` whose delay is the whole number of samples that leaves least."""
+        chosen: tuple[float, Array] = (inf, best)
+        others = [k for k in self._free if k != 3]
+        for samples in sorted({max(0, round(best[3]) + k) for k in range(-SEARCHED, SEARCHED + 1)}):
+            fixed = best.copy()
+            fixed[3] = samples
+            solution = self._solve(fixed, others)
+            if solution[0] < chosen[0]:
+                chosen = solution
+        return chosen[1]
+
+    def _poles_and_zeros(self, x: Array) -> tuple[tuple[complex, ...], tuple[complex, ...]]:
+        natural, damping, form = exp(x[1]), exp(x[2]), self._form
         root = np.sqrt(complex(damping * damping - 1.0))
         poles = [natural * (-damping + root), natural * (-damping - root)]
         poles = [complex(p.real, p.imag if abs(p.imag) > 1e-9 * abs(p) else 0.0) for p in poles]
@@ -219,58 +263,33 @@ def _fit(response: FrequencyResponse, form: Sequence[str], delay: float, lag: fl
             poles.append(complex(-exp(-x[5])))
         return tuple(poles), tuple(zeros)
 
-    def error(x: Array) -> Complex:
-        poles, zeros = parts(x)
-        model = hold * exp(x[0]) * np.exp(-s * x[3] * response.step)
+    def _error(self, x: Array) -> Complex:
+        poles, zeros = self._poles_and_zeros(x)
+        model = self._hold * exp(x[0]) * np.exp(-self._s * x[3] * self._step)
         for p in poles:
-            model = model / (1.0 - s / p)
+            model = model / (1.0 - self._s / p)
         for z in zeros:
-            model = model * (1.0 - s / z)
-        return np.asarray(np.log(model / value))
+            model = model * (1.0 - self._s / z)
+        return np.asarray(np.log(model / self._value))
 
-    def residuals(x: Array) -> Array:
-        off = error(x)
-        return np.concatenate([weight * off.real, weight * off.imag])
+    def _residuals(self, x: Array) -> Array:
+        off = self._error(x)
+        return np.concatenate([self._weight * off.real, self._weight * off.imag])
 
-    def fitted(start: Array, free: Sequence[int]) -> tuple[float, Array]:
+    def _solve(self, start: Array, free: list[int]) -> tuple[float, Array]:
         """Return cost and solution of the least squares from ``start`` over the entries ``free``, the others fixed."""
-        free = list(free)
+        from scipy.optimize import least_squares
 
         def put(part: Array) -> Array:
             x = start.copy()
             x[free] = part
             return x
 
-        solution = least_squares(lambda part: residuals(put(part)), start[free], bounds=(low[free], high[free]))
+        bounds = self._low[free], self._high[free]
+        solution = least_squares(lambda part: self._residuals(put(part)), start[free], bounds=bounds)
         return float(solution.cost), put(solution.x)
 
-    quick = 0.5 * response.step
-    low = np.array([-60.0, log(1e-3), log(0.05), 0.0, log(1e-4), log(1e-4), log(0.01 * quick)])
-    high = np.array([60.0, log(1e3), log(20.0), 1000.0, log(20.0), log(20.0), log(10.0 * quick)])
-    free = [0, 1, 2, 3, *(k for k, name in ((4, "zero"), (4, "right"), (5, "lag"), (6, "quick")) if name in form)]
-    best: tuple[float, Array] = (inf, np.zeros(7))
-    gain = log(float(np.abs(value[0])))
-    starts = [
-        (damping, zero, last)
-        for damping in (0.6, 1.5)
-        for zero in ((0.1, 1.0) if {"zero", "right"} & set(form) else (0.1,))
-        for last in ((0.1, 1.0) if "lag" in form else (0.1,))
-    ]
-    for damping, zero, last in starts:
-        start = np.array([gain, log(2.0 / lag), log(damping), delay, log(zero * lag), log(last * lag), log(quick)])
-        solution = fitted(np.clip(start, low + 1e-6, high - 1e-6), free)
-        if solution[0] < best[0]:
-            best = solution
-    # a delay is a whole number of samples: the whole one that leaves least
-    whole = sorted({max(0, round(best[1][3]) + k) for k in range(-SEARCHED, SEARCHED + 1)})
-    chosen: tuple[float, Array] = (inf, best[1])
-    others = [k for k in free if k != 3]
-    for samples in whole:
-        fixed = best[1].copy()
-        fixed[3] = samples
-        solution = fitted(fixed, others)
-        if solution[0] < chosen[0]:
-            chosen = solution
-    poles, zeros = parts(chosen[1])
-    misfit = float(np.sqrt(np.mean(np.abs(error(chosen[1])) ** 2)))
-    return Dynamics(poles, zeros, float(chosen[1][3]), response.step, misfit)
+
+def _fit(response: FrequencyResponse, form: Sequence[str], delay: float, lag: float) -> Dynamics:
+    search = _FormFit(response, form)
+    return search.dynamics(search.round_delay(search.search(delay, lag)))

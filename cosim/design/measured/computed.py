@@ -10,7 +10,8 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
-from cosim.design.design import dynamics_of, identify_there, shipped
+from cosim.design.assessment import shipped
+from cosim.design.design import dynamics_of, identify_there
 from cosim.design.levels import THRUST_AXES, at_share
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, hover_share

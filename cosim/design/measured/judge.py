@@ -122,7 +122,7 @@ class LoopJudge:
         return self._plants
 
     def _loop(self, plants: Plants, axis: str, tuning: Tuning) -> _Loop:
-        from cosim.design.design import margins
+        from cosim.design.assessment import margins
         from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 
         if axis not in self._points:

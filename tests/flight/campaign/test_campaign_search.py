@@ -31,7 +31,7 @@ from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.cli.main import main
-from cosim.design.design import shipped
+from cosim.design.assessment import shipped
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid

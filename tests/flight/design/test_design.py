@@ -23,14 +23,11 @@ from cosim.cli.main import main
 from cosim.control.predictors.linear import model_response, observer_response
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.predictors.state import ModalPredictor, Modes, modal_observer
-from cosim.design import design as make
+from cosim.design import limits
 from cosim.design import tune as search
+from cosim.design.assessment import margins
 from cosim.design.controller_table import controller_table
-from cosim.design.design import (
-    Design,
-    design,
-    margins,
-)
+from cosim.design.design import Design, design
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, without_instant
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
@@ -437,7 +434,7 @@ def test_a_design_keeps_what_it_states_and_is_the_same_again() -> None:
 @pytest.mark.usefixtures("quick")
 def test_where_there_is_no_design_it_says_which_delay_would_allow_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """2 Hz with 0.1 s of delay is beyond every candidate; with what it names it is not."""
-    monkeypatch.setattr(make, "BISECTIONS", 2)
+    monkeypatch.setattr(limits, "BISECTIONS", 2)
     found = short(least=2.0)
     assert not found.ok
     assert "roll" in found.reason

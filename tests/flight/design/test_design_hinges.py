@@ -16,16 +16,8 @@ from places import ROOT
 from cosim.base.arrays import Array
 from cosim.base.constants import GRAVITY
 from cosim.base.signals import AXES
-from cosim.design.design import (
-    _Asked,
-    _axis,
-    _scenario,
-    assess,
-    dynamics_of,
-    identify_there,
-    needed,
-    shipped,
-)
+from cosim.design.assessment import assess, shipped
+from cosim.design.design import _Asked, _axis, _scenario, dynamics_of, identify_there, needed
 from cosim.design.loop.actuator import SERVO, Actuator
 from cosim.design.loop.channel import Channel, channels, engine_lead
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid, steps_by_response

@@ -47,7 +47,7 @@ def _quick() -> Iterator[None]:
         patch.setattr(search, "GENERATIONS", 4)
         patch.setattr(search, "ROUNDS", 40)
         patch.setattr(making, "settle", lambda *a, **k: None)
-        patch.setattr(making, "_limits", lambda *a, **k: {})
+        patch.setattr(making, "bandwidths_without_limits", lambda *a, **k: {})
         yield
 
 

@@ -17,6 +17,7 @@ from stored_designs import LINEAR, small_step, stored
 
 from cosim.base.storage.toml import read_toml
 from cosim.control.predictors.registry import BASELINE
+from cosim.design.assessment import assess, believed, shipped
 from cosim.design.design import (
     AXES,
     WITH_LEAD,
@@ -24,14 +25,11 @@ from cosim.design.design import (
     _levels,
     _scenario,
     _simplest,
-    assess,
-    believed,
     design,
     dynamics_of,
     identify_there,
     lead_there,
     needed,
-    shipped,
 )
 from cosim.design.levels import THRUST_AXES, at_share, keeps
 from cosim.design.loop.actuator import Actuator

@@ -23,7 +23,7 @@ from cosim.autopilots.lockstep import Frame, Sticks
 from cosim.autopilots.run import LOCKSTEP, AutopilotRun, fly_autopilot, outside_rates
 from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Sample
-from cosim.design.design import margins
+from cosim.design.assessment import margins
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid

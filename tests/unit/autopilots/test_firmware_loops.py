@@ -16,7 +16,7 @@ from cosim.autopilots.betaflight import gains_of, units
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
 from cosim.cli.controllers.design import design
-from cosim.design.design import assess
+from cosim.design.assessment import assess
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid

@@ -186,7 +186,8 @@ def test_a_ground_station_is_offered_it(mine: PredictorSpec) -> None:
 @pytest.fixture(scope="module")
 def loop() -> tuple[Channel, Tuning]:
     """The roll channel with EDF engines, and the aircraft's own gains on it."""
-    from cosim.design.design import _scenario, believed, dynamics_of, identify_there, shipped
+    from cosim.design.assessment import believed, shipped
+    from cosim.design.design import _scenario, dynamics_of, identify_there
     from cosim.design.loop.actuator import Actuator
     from cosim.design.loop.channel import channels
     from cosim.engine import load_engine
