@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from cosim.base.trust import trust
     from cosim.flight import fly
     from cosim.results.report.flight_figures import plot
-    from cosim.results.run import Run, open_run, versions
+    from cosim.results.run import Run, open_run
+    from cosim.results.summary import versions
     from cosim.spec.scenario import Scenario
     from cosim.spec.vehicle import load_vehicle
     from cosim.stepper import Snapshot, Stepper
@@ -55,7 +56,7 @@ _WHERE = {
     "open_run": "cosim.results.run",
     "plot": "cosim.results.report.flight_figures",
     "trust": "cosim.base.trust",
-    "versions": "cosim.results.run",
+    "versions": "cosim.results.summary",
 }
 
 choose()  # before any module that may be compiled is imported

@@ -20,24 +20,19 @@ from cosim.engine import EngineSpec, engine_names, load_engine
 from cosim.engine.spec import find_source
 from cosim.results.autopilot.autopilot_record import PilotRecord
 from cosim.results.autopilot.request_log import REQUESTS, Replay, read_requests
-from cosim.results.columns import log_columns, logged_vehicle
 from cosim.results.limits import yardstick
+from cosim.results.log.columns import log_columns, logged_vehicle
+from cosim.results.log.recorder import KeepingSink
 from cosim.results.metrics import Reach, metric_names
-from cosim.results.recorder import KeepingSink
-from cosim.results.run import (
-    AUTOPILOT,
-    REPORT,
-    RUN_FILES,
+from cosim.results.run import AUTOPILOT, REPORT, RUN_FILES, Recording, Run, begin_run
+from cosim.results.summary import (
     DelayRow,
     Integration,
     OwnController,
     ParametersRecord,
     PluginRecord,
-    Recording,
-    Run,
     Setup,
     StationEngine,
-    begin_run,
     now,
     versions,
 )

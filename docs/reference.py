@@ -29,7 +29,7 @@ from cosim.campaign.study.study import Study
 from cosim.cli.main import INTERRUPTED, TERMINATED, cli
 from cosim.cli.options import DONE, FLIGHT_FAILED, WRONG_INPUT
 from cosim.engine.fmu.mapping import MappingFile
-from cosim.results.columns import log_columns
+from cosim.results.log.columns import log_columns
 from cosim.results.metrics import Metrics
 from cosim.simulation.controllers.controller_file import ControllerFile
 from cosim.spec.scenario import Scenario

@@ -22,7 +22,7 @@ from cosim.base.signals import (
     State,
     Vector3,
 )
-from cosim.results.recorder import Log
+from cosim.results.log.recorder import Log
 from cosim.simulation.build import build
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Environment, Initial

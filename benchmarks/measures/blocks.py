@@ -22,8 +22,8 @@ from benchmarks.measures.speed import (
 from benchmarks.timing import Action, Cost, Job
 from cosim.base.arrays import Array
 from cosim.base.signals import ZERO3, Sample, Unallocated
-from cosim.results.arrow import StreamSink
-from cosim.results.recorder import MemorySink, Recorder
+from cosim.results.log.arrow import StreamSink
+from cosim.results.log.recorder import MemorySink, Recorder
 from cosim.simulation.step import Simulation
 
 SUBSTEPS = 4  # as the shipped scenarios have it

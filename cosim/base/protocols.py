@@ -474,7 +474,7 @@ class Column(NamedTuple):
     unit: str
     frame: str  # body, NED, ...; empty where there is none
     meaning: str
-    source: str = ""  # as in cosim.results.columns; a block that shows leaves it out
+    source: str = ""  # as in cosim.results.log.columns; a block that shows leaves it out
 
 
 class Shows(Protocol):

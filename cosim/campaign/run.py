@@ -28,7 +28,7 @@ from cosim.campaign.workers.flight_row import Row, inputs, inputs_sha256, with_a
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.campaign.workers.protocol import Workers
 from cosim.flight import fly, new_folder
-from cosim.results.digest import log_digest
+from cosim.results.log.digest import log_digest
 from cosim.results.run import Run
 from cosim.spec.scenario import scenario_names
 

@@ -42,7 +42,7 @@ from cosim.campaign.workers.flight_row import (
     Value,
     kinds,
 )
-from cosim.results.arrow import read_table, write_table
+from cosim.results.log.arrow import read_table, write_table
 
 PART_ROWS = 4096  # 2 MB
 WRITE_S = 15.0  # how often the last part is replaced: it costs 50 ms

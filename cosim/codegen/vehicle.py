@@ -21,7 +21,8 @@ from cosim.codegen.vehicle_ports import Flight, Parts
 from cosim.codegen.vehicle_process import FLIGHT, MANIFEST
 from cosim.engine.build import FMI2_SUFFIX, FMI_VERSIONS, BuildError, Engine, Variable, archive_path, build_one
 from cosim.flight import resolve
-from cosim.results.run import scenario_toml, versions
+from cosim.results.run import scenario_toml
+from cosim.results.summary import versions
 from cosim.spec.scenario import Scenario
 
 MOST_SEED = 2**31 - 1  # FMI's integer

@@ -75,7 +75,7 @@ class _Server:
         from cosim.base.errors import InputError
         from cosim.base.trust import trust
         from cosim.codegen.vehicle_ports import Parts
-        from cosim.results.run import versions
+        from cosim.results.summary import versions
         from cosim.spec.scenario import Scenario
 
         self._socket = socket

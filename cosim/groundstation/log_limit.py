@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from cosim.base.signals import Sample
 from cosim.groundstation.exchange import SessionInfo
-from cosim.results.columns import log_columns, logged_vehicle
+from cosim.results.log.columns import log_columns, logged_vehicle
 from cosim.results.run import Recording
 
 MEGABYTE = 1e6

@@ -1,6 +1,6 @@
 /* The rows of a flight's log: what a Sample holds, read in one go, and handed over as columns.
  *
- * What is read, and where it goes, is a program: see cosim.results.columns.Program, whose fields these are.
+ * What is read, and where it goes, is a program: see cosim.results.log.row_program.Program, whose fields these are.
  *
  * A row is read completely before any of it is kept, so that a sample of a wrong kind is refused (TypeError) and leaves
  * no trace.  The rows stay until they are cleared: what could not be written can be tried again.

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.results.columns import COLUMNS
+from cosim.results.log.columns import COLUMNS
+from cosim.results.log.recorder import Log, MemoryLog
+from cosim.results.log.tables import TIME
 from cosim.results.metrics import wrap
-from cosim.results.recorder import Log, MemoryLog
 from cosim.results.run import Run
-from cosim.results.tables import TIME
 from cosim.spec.scenario import Scenario
 
 _EULER = "body to NED"  # the frame of angles, whose difference is taken the short way round

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from cosim.base.constants import SENSORS
 from cosim.base.errors import FlightError, InputError
 from cosim.results.autopilot.autopilot_record import read_pilot_record
-from cosim.results.columns import flown_in, jets_in
+from cosim.results.log.columns import flown_in, jets_in
 from cosim.results.metrics import Record
 
 if TYPE_CHECKING:
-    from cosim.results.recorder import Log
+    from cosim.results.log.recorder import Log
     from cosim.results.run import Run
     from cosim.spec.scenario import DisturbanceEntry, Fault, Scenario
 

@@ -22,7 +22,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import nearest
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES, JETS
-from cosim.results.columns import HEXJET, RATES, LoggedVehicle, flown_in, jets_in, log_columns, servos_in
+from cosim.results.log.columns import HEXJET, RATES, LoggedVehicle, flown_in, jets_in, log_columns, servos_in
 from cosim.spec.scenario import Range
 
 HOLD_S = 0.2  # chosen by us: shorter than any doublet worth flying, longer than the holds of recorded sticks at 10 Hz

@@ -20,7 +20,8 @@ from cosim.base.errors import InputError
 from cosim.base.storage.files import replacing, write_whole
 from cosim.campaign.folder import FLIGHTS, STUDY
 from cosim.identify.logs import is_flight_log
-from cosim.results.run import SUMMARY, ParametersRecord
+from cosim.results.run import SUMMARY
+from cosim.results.summary import ParametersRecord
 from cosim.results.verdict import read_verdict
 from cosim.spec.controller_name import controller_words
 

@@ -16,7 +16,7 @@ from places import ROOT
 
 from benchmarks.measures.browser import Look
 from cosim.flight import with_page
-from cosim.results.recorder import MemoryLog
+from cosim.results.log.recorder import MemoryLog
 from cosim.results.report.comparison import compare_report
 from cosim.results.report.flight import write_report
 from cosim.results.report.flight_figures import Panel, Reader, Trace, strips

@@ -21,7 +21,7 @@ from cosim.engine import EngineBank
 from cosim.engine.isolated import IsolatedBank
 from cosim.results import metrics
 from cosim.results.autopilot.autopilot_record import PilotRecord
-from cosim.results.recorder import Recorder
+from cosim.results.log.recorder import Recorder
 from cosim.results.run import Recording
 from cosim.simulation.controllers.guard import GuardedController, GuardedPredictor
 from cosim.simulation.plugins import Watching, WindTable

@@ -13,9 +13,9 @@ from cosim.campaign.surveys.survey import subject_of
 from cosim.control.autopilot import requests as rq
 from cosim.flight import fly
 from cosim.results.autopilot.request_log import Entry
-from cosim.results.columns import log_columns, logged_vehicle
-from cosim.results.digest import DigestSink, log_digest
-from cosim.results.recorder import Recorder
+from cosim.results.log.columns import log_columns, logged_vehicle
+from cosim.results.log.digest import DigestSink, log_digest
+from cosim.results.log.recorder import Recorder
 from cosim.results.run import Run
 from cosim.simulation.build import build
 from cosim.simulation.with_autopilot import with_autopilot

@@ -128,7 +128,7 @@ def _ulog(folder: Path) -> Path:
 
 
 def _parquet(folder: Path) -> Path:
-    from cosim.results.arrow import write_table
+    from cosim.results.log.arrow import write_table
 
     rows = [0.01 * n for n in range(120)]
     write_table(folder / "bench.parquet", {"time": rows, "u": rows, "name": [str(row) for row in rows]})

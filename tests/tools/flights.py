@@ -23,7 +23,7 @@ from cosim.base.signals import (
     Unallocated,
 )
 from cosim.results.export.ulog import export_ulog
-from cosim.results.run import DelayRow, Setup
+from cosim.results.summary import DelayRow, Setup
 from cosim.spec.scenario import Expectation, Range, Scenario
 
 STEP = 0.004

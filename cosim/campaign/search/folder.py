@@ -40,7 +40,7 @@ from cosim.campaign.study.values import check_vary, levels
 from cosim.campaign.workers.flight_row import Row
 from cosim.campaign.workers.protocol import Workers
 from cosim.flight import fly
-from cosim.results.digest import log_digest
+from cosim.results.log.digest import log_digest
 from cosim.spec.controller_name import short_name
 
 STUDY, QUESTION, JOURNAL, RESULT, REPORT, CASES = (

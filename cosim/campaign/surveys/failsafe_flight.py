@@ -17,9 +17,9 @@ from cosim.campaign.surveys.tipping import tip_speed
 from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.control.autopilot.requests import Arm, Goto, Request, Takeoff
 from cosim.results.autopilot.request_log import Entry
-from cosim.results.columns import log_columns, logged_vehicle
-from cosim.results.digest import DigestSink
-from cosim.results.recorder import Recorder
+from cosim.results.log.columns import log_columns, logged_vehicle
+from cosim.results.log.digest import DigestSink
+from cosim.results.log.recorder import Recorder
 from cosim.simulation.build import build
 from cosim.simulation.with_autopilot import with_autopilot
 from cosim.spec.scenario import Scenario
@@ -97,7 +97,7 @@ class Row:
     # of what is to hold, at the end, from the place and the height that it was to hold; NaN: another failsafe
     off_m: float
     height_off_m: float
-    log_sha256: str  # of every sample of the flight (cosim.results.digest): what flies it again must have the same
+    log_sha256: str  # of every sample of the flight (cosim.results.log.digest): what flies it again must have the same
     number: int = 0  # of the flights of its cell; 0: it began in the air
     hover_s: float = nan  # from the end of the take-off until it failed, or less where the fuel did not last; NaN: none
 

@@ -15,9 +15,9 @@ from cosim.base.signals import AXES
 from cosim.campaign.workers.tasks import in_order
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import load_engine
-from cosim.results.columns import jets_in
+from cosim.results.log.columns import jets_in
+from cosim.results.log.recorder import Log
 from cosim.results.metrics import wrap
-from cosim.results.recorder import Log
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, load_vehicle
 

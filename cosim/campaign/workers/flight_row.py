@@ -23,8 +23,8 @@ from cosim.campaign.study.keys import OWN_PARAMETERS
 from cosim.campaign.study.plan import Flight, scenario_of
 from cosim.flight import fly
 from cosim.results import metrics
-from cosim.results.columns import logged_vehicle
-from cosim.results.digest import DigestSink, log_digest
+from cosim.results.log.columns import logged_vehicle
+from cosim.results.log.digest import DigestSink, log_digest
 from cosim.results.metrics import check_expectations, metric_names
 from cosim.simulation.plugins import metrics_of
 from cosim.spec.scenario import WaypointsCommand

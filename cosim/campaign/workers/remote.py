@@ -21,7 +21,7 @@ from cosim.base.trust import trust
 from cosim.campaign.folder import STUDY, Frozen, load
 from cosim.campaign.workers.flight_row import Row
 from cosim.campaign.workers.local import LocalWorkers
-from cosim.results.run import versions
+from cosim.results.summary import versions
 
 if TYPE_CHECKING:
     from cosim.campaign.study.plan import Flight

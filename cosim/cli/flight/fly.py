@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from cosim.base.protocols import Observer
     from cosim.base.signals import Sample
     from cosim.campaign.run import RepeatedFlight
-    from cosim.results.run import Run, Summary
+    from cosim.results.run import Run
+    from cosim.results.summary import Summary
     from cosim.spec.scenario import Scenario
 
 

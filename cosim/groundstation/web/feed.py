@@ -16,8 +16,8 @@ from cosim.base.signals import Sample
 from cosim.control.autopilot.modes import DIRECT, Home, Message, Mode
 from cosim.control.autopilot.parameters import Parameters
 from cosim.groundstation.exchange import SessionInfo, Snapshot
-from cosim.results.columns import log_columns, logged_vehicle
-from cosim.results.recorder import OneRow
+from cosim.results.log.columns import log_columns, logged_vehicle
+from cosim.results.log.recorder import OneRow
 from cosim.results.report.signals_data import shape
 from cosim.spec.scenario import controller_shown
 

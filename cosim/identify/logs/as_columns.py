@@ -13,9 +13,9 @@ from cosim.base.signals import AXES, MOST_JETS
 from cosim.identify.logs.flight_log import Channel, FlightLog
 from cosim.identify.logs.read import signals_of
 from cosim.identify.logs.table import columns_with_time
-from cosim.results.columns import COLUMNS, RATES
-from cosim.results.recorder import MemoryLog
-from cosim.results.tables import TIME
+from cosim.results.log.columns import COLUMNS, RATES
+from cosim.results.log.recorder import MemoryLog
+from cosim.results.log.tables import TIME
 
 _TRUTH = "_groundtruth"  # of a simulation, PX4's or ours, behind the name of a topic
 _ATTITUDE = "vehicle_attitude{}.q[{}]"  # of PX4: w first, body to NED

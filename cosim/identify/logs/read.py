@@ -11,7 +11,7 @@ from cosim.base.signals import AXES
 from cosim.identify.logs import blackbox, crazyflie, dataflash, table, tlog, ulog
 from cosim.identify.logs.flight_log import SEARCHED, FlightLog, LogSignals
 from cosim.identify.logs.text_table import decoded
-from cosim.results.columns import RATES
+from cosim.results.log.columns import RATES
 
 KINDS = (
     "a run's folder, .ulg (ULog), .bin (ArduPilot DataFlash), .bbl or .bfl (Betaflight blackbox), "

@@ -13,10 +13,10 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError, nearest
 from cosim.identify.logs.flight_log import Channel, FlightLog
 from cosim.identify.logs.text_table import is_number, read_text, seconds
-from cosim.results.arrow import read_csv_numbers, read_numbers
-from cosim.results.columns import COLUMNS
+from cosim.results.log.arrow import read_csv_numbers, read_numbers
+from cosim.results.log.columns import COLUMNS
+from cosim.results.log.tables import TIME
 from cosim.results.run import open_run
-from cosim.results.tables import TIME
 
 PARQUET = b"PAR1"  # a file begins and ends with it
 TIMES = (TIME, "time", "t")  # what the time [s] may be called in a log of another tool

@@ -13,9 +13,9 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.base.protocols import Column
 from cosim.base.signals import Sample
-from cosim.results.columns import log_columns, logged_vehicle
 from cosim.results.export.output import LogLine
-from cosim.results.recorder import OneRow
+from cosim.results.log.columns import log_columns, logged_vehicle
+from cosim.results.log.recorder import OneRow
 from cosim.spec.scenario import Scenario
 
 WAITING = 256  # messages that may wait for one viewer, chosen by us: those of a second; then the oldest goes

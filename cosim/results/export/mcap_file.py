@@ -18,7 +18,6 @@ import numpy as np
 from cosim.base.errors import InputError
 from cosim.base.protocols import Column
 from cosim.results.autopilot.autopilot_record import read_pilot_record
-from cosim.results.columns import own_columns
 from cosim.results.export.output import (
     ROWS,
     Block,
@@ -31,6 +30,7 @@ from cosim.results.export.output import (
     output,
     scenario_of,
 )
+from cosim.results.log.columns import own_columns
 from cosim.results.run import SCENARIO, SUMMARY, open_run
 
 # What each column of every flight is about; those that blocks show of their own are in /own.

@@ -14,10 +14,11 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.outcomes import Verdict
 from cosim.base.protocols import Column
 from cosim.base.storage.files import one_line, replacing
-from cosim.results.columns import COLUMNS
 from cosim.results.events import events_of
 from cosim.results.export import ulog_autopilot
-from cosim.results.run import RUN_FILES, Run, Summary
+from cosim.results.log.columns import COLUMNS
+from cosim.results.run import RUN_FILES, Run
+from cosim.results.summary import Summary
 from cosim.spec.scenario import Scenario
 
 Block = dict[str, Array]

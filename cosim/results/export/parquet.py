@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from cosim.base.errors import FlightError, InputError
-from cosim.results.arrow import write_log
 from cosim.results.export.output import described, facts, output
+from cosim.results.log.arrow import write_log
 from cosim.results.run import LOG, open_run
 
 

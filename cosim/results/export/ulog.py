@@ -20,11 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.results.autopilot.autopilot_record import read_pilot_record
-from cosim.results.columns import flown_in, own_columns
 from cosim.results.export import ulog_autopilot
 from cosim.results.export.output import ROWS, Block, facts, log_lines, meaning, output, scenario_of, settings
 from cosim.results.export.ulog_topics import BY_AUTOPILOT, EVERY_S, OWN, STATES, Field, column, topics
-from cosim.results.run import Summary, open_run
+from cosim.results.log.columns import flown_in, own_columns
+from cosim.results.run import open_run
+from cosim.results.summary import Summary
 
 Rates = Literal["all", "px4"]
 _STRUCT = {"float": "f", "bool": "B", "uint8_t": "B", "int32_t": "i", "uint64_t": "Q"}

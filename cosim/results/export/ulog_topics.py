@@ -10,8 +10,8 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.constants import SENSORS
 from cosim.base.signals import AXES
-from cosim.results.columns import HEXJET, RATES, LoggedVehicle, jets_in
 from cosim.results.export.output import Block, quaternions
+from cosim.results.log.columns import HEXJET, RATES, LoggedVehicle, jets_in
 
 MOTORS = 12  # of PX4's actuator_motors
 _XYZ, _NED = ("x", "y", "z"), ("north", "east", "down")

@@ -12,13 +12,14 @@ import numpy as np
 from cosim.base.signals import AXES
 from cosim.results.comparison import ComparedFlight, Pair, Signal, inputs_differ, pairs, step_of
 from cosim.results.events import events_of
+from cosim.results.log.tables import TIME
 from cosim.results.report.flight import axis_cell, verdict, verdict_badge
 from cosim.results.report.flight_figures import comparison_figures, less_the_first
 from cosim.results.report.page import TEMPLATES, Flights, render
 from cosim.results.report.plot import run_colour
 from cosim.results.report.signals_data import run_data, vehicle_of
-from cosim.results.run import REPORT, Run, Summary
-from cosim.results.tables import TIME
+from cosim.results.run import REPORT, Run
+from cosim.results.summary import Summary
 from cosim.results.wording import AXIS_ROWS, NONE, WHOLE_ROWS, metric, shown, unit_shown
 
 

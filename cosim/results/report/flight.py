@@ -9,20 +9,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.base.outcomes import Verdict
-from cosim.results.columns import own_columns
 from cosim.results.events import Event, events_of
+from cosim.results.log.columns import own_columns
 from cosim.results.metrics import AxisMetrics
 from cosim.results.report.flight_figures import Reader, at_rest, run_figures
 from cosim.results.report.page import TEMPLATES, Flights, render
 from cosim.results.report.plot import BLUE
 from cosim.results.report.signals_data import run_data, vehicle_of
-from cosim.results.run import (
-    LOG,
-    SCENARIO,
-    DelayRow,
-    Run,
-    Summary,
-)
+from cosim.results.run import LOG, SCENARIO, Run
+from cosim.results.summary import DelayRow, Summary
 from cosim.results.verdict import BADGES
 from cosim.results.wording import (
     AXIS_ROWS,

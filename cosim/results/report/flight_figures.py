@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.protocols import Column
 from cosim.base.signals import AXES, JETS
-from cosim.results.columns import RATES, jets_in, known, own_columns, servos_in, surfaces_in
 from cosim.results.comparison import ComparedFlight, base_of, difference, step_of
-from cosim.results.recorder import Log, MemoryLog
+from cosim.results.log.columns import RATES, jets_in, known, own_columns, servos_in, surfaces_in
+from cosim.results.log.recorder import Log, MemoryLog
+from cosim.results.log.tables import TIME
 from cosim.results.report.page import drawn
 from cosim.results.report.plot import (
     ABOVE,
@@ -34,8 +35,8 @@ from cosim.results.report.plot import (
     run_colour,
     share,
 )
-from cosim.results.run import Run, Summary
-from cosim.results.tables import TIME
+from cosim.results.run import Run
+from cosim.results.summary import Summary
 
 MOST_POINTS = 4000  # per trace; more cannot be seen and makes the page slow
 MOST_SHADES = 30  # per figure

@@ -22,10 +22,10 @@ from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.layout import UP
 from cosim.results.events import Event
+from cosim.results.log.recorder import Log
+from cosim.results.log.tables import TIME
 from cosim.results.metrics import REFUSED, Reach, saturated_in_flight
-from cosim.results.recorder import Log
 from cosim.results.run import Run
-from cosim.results.tables import TIME
 from cosim.spec.vehicle import Vehicle
 
 BITS = 16  # of the usual range, chosen by us: sixteen times finer than a screen of 4000 pixels shows

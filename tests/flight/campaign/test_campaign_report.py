@@ -65,8 +65,8 @@ from cosim.campaign.store import Campaign
 from cosim.campaign.study.plan import Flight, flights
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.flight import fly
-from cosim.results.arrow import read_table, write_table
-from cosim.results.digest import log_digest
+from cosim.results.log.arrow import read_table, write_table
+from cosim.results.log.digest import log_digest
 from cosim.results.report.page import figure_json
 from cosim.simulation.build import build
 from cosim.spec.scenario import Range, Scenario

@@ -16,7 +16,7 @@ from cosim import Scenario, fly
 from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Actuation, Unallocated
 from cosim.engine import load_engine
-from cosim.results.digest import log_digest
+from cosim.results.log.digest import log_digest
 from cosim.simulation.build import build
 from cosim.spec.scenario import ThrustLoss
 

@@ -51,7 +51,7 @@ from cosim.engine.fmu.archive import read_archive, validate
 from cosim.engine.fmu.description import is_blemish
 from cosim.engine.make.compile import compile_archive, needs_compiling
 from cosim.engine.response import flat_notes
-from cosim.results.digest import log_digest
+from cosim.results.log.digest import log_digest
 from cosim.results.report import marks
 from cosim.simulation.build import build
 from cosim.simulation.delay_ledger import LedgerRow, delay_ledger, rows_of

@@ -16,7 +16,7 @@ from cosim.base.signals import Ambient
 from cosim.engine import EngineBank, EngineSpec, IsolatedBank, load_engine
 from cosim.engine.qualify import check
 from cosim.engine.qualify.trial import perform
-from cosim.results.digest import log_digest
+from cosim.results.log.digest import log_digest
 from cosim.stepper import Stepper
 
 LISTED = ("[ports]", "throttle = ['u0', 'u1', 'u2', 'u3', 'u4', 'u5']", "thrust = ['F0', 'F1', 'F2', 'F3', 'F4', 'F5']")

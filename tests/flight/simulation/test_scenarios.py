@@ -10,7 +10,7 @@ from long_cases import long_case
 
 from cosim.base.errors import InputError
 from cosim.flight import fly
-from cosim.results.recorder import Log
+from cosim.results.log.recorder import Log
 from cosim.spec.scenario import Initial, Scenario, scenario_names
 
 SHIPPED = {"hover", "roll-doublet", "pitch-doublet", "yaw-doublet", "manual", "payload-drop", "gust", "climb-and-land"}

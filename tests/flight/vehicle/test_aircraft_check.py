@@ -17,7 +17,7 @@ from cosim.base.signals import MOST_JETS
 from cosim.campaign.surveys import aircraft_check
 from cosim.campaign.surveys.aircraft_check import AircraftCheck, check_aircraft
 from cosim.control.allocation.authority import Authority, Reach, reach_of
-from cosim.results.digest import log_digest
+from cosim.results.log.digest import log_digest
 from cosim.simulation.build import build
 from cosim.spec.vehicle import load_vehicle
 

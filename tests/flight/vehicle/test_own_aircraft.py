@@ -11,7 +11,7 @@ from places import DESIGNS, ROOT
 
 from cosim import InputError, Run, Scenario, fly
 from cosim.base.storage.toml import read_toml
-from cosim.results.digest import log_digest
+from cosim.results.log.digest import log_digest
 from cosim.spec.vehicle import load_vehicle
 
 SHORT = {"controller": "baseline", "duration_s": 0.4, "expect": []}

@@ -9,7 +9,7 @@ import pytest
 from places import ROOT
 
 from cosim.flight import fly
-from cosim.results.digest import log_digest
+from cosim.results.log.digest import log_digest
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
 

@@ -120,9 +120,9 @@ def test_a_changed_number_of_the_aircraft_is_told(moved: Path) -> None:
 
 
 def test_a_changed_version_is_told(moved: Path, monkeypatch: pytest.MonkeyPatch, hexjet: Hexjet) -> None:
-    from cosim.results import run
+    from cosim.results.summary import versions
 
-    held = run.versions()
+    held = versions()
     monkeypatch.setattr("cosim.flight.versions", lambda: held | {"jsbsim": "9.9.9"})
     assert fly_again(open_campaign(moved), 0).same  # another version, and the same flight all the same
     monkeypatch.setattr("cosim.campaign.run.log_digest", lambda log: "another")
@@ -139,7 +139,7 @@ def test_an_unexplained_change_is_told_as_such(flown: Campaign, monkeypatch: pyt
 
 
 def test_a_flight_that_was_lost_cannot_be_compared(moved: Path, hexjet: Hexjet) -> None:
-    from cosim.results.arrow import read_table, write_table
+    from cosim.results.log.arrow import read_table, write_table
 
     part = moved / FLIGHTS / "part-00000.parquet"
     columns = read_table(part)

@@ -36,7 +36,7 @@ from cosim.campaign.run import run_campaign
 from cosim.campaign.store import Store, open_campaign
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
-from cosim.results.arrow import read_table
+from cosim.results.log.arrow import read_table
 
 MASS, WIND = "vehicle.mass_kg=5.4:5.8", "environment.wind_ned_m_s.1=normal(0,1)"  # as campaign_tools has them
 

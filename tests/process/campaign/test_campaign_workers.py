@@ -27,7 +27,7 @@ from cosim.campaign.workers.flight_row import Row, fly_one, kinds
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.campaign.workers.tasks import in_order
 from cosim.flight import fly
-from cosim.results.digest import log_digest
+from cosim.results.log.digest import log_digest
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +149,7 @@ def test_who_interrupts_a_flight_interrupts_it_all(monkeypatch: pytest.MonkeyPat
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("cosim.results.digest.DigestSink.write", interrupt)
+    monkeypatch.setattr("cosim.results.log.digest.DigestSink.write", interrupt)
     study = tools.study(1, 2.0)
     with pytest.raises(KeyboardInterrupt):
         fly_one(study, flights(study)[0])

@@ -28,7 +28,7 @@ from cosim.engine import EngineBank, IsolatedBank, bank, isolated, load_engine, 
 from cosim.engine.qualify import check
 from cosim.engine.qualify.supervisor import Apart
 from cosim.identify.sweep import identify_engine
-from cosim.results.digest import log_digest
+from cosim.results.log.digest import log_digest
 
 
 def test_a_bank_apart_gives_the_same_numbers() -> None:

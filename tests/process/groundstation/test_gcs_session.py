@@ -36,7 +36,7 @@ from cosim.groundstation.exchange import (
 from cosim.groundstation.read_only import ReadOnlyObserver
 from cosim.groundstation.session import RecordOptions, Session, place_at
 from cosim.results.autopilot.request_log import REQUESTS, RequestLog, read_requests
-from cosim.results.recorder import Log
+from cosim.results.log.recorder import Log
 from cosim.results.run import Run, open_run
 from cosim.simulation.pacing import CATCH_UP, Pace
 from cosim.spec.scenario import Scenario

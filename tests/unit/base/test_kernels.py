@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(
 needs_reference = pytest.mark.skipif(not can_use_reference(), reason="a processor without AVX2 and FMA")
 OTHER = "Nehalem"  # kernels that every processor with AVX2 can run too
 FLY = (
-    "from cosim import Scenario, fly; from cosim.results.digest import log_digest\n"
+    "from cosim import Scenario, fly; from cosim.results.log.digest import log_digest\n"
     "for name in ('fault-flame-out', 'hover-in-wind'):\n"
     "    run = fly(Scenario.load(name).replace(duration_s=3.0, expect=()), report=False)\n"
     "    print(log_digest(run.log), run.summary.blas_kernels)\n"

@@ -16,7 +16,7 @@ from damaged_files import KINDS, Kind, try_files
 from cosim.base.errors import InputError
 from cosim.base.protocols import Column
 from cosim.identify.logs import read_flight_log
-from cosim.results.arrow import write_log
+from cosim.results.log.arrow import write_log
 
 SOME, MANY = 25, 2000
 DEAR = ("ulog", "summary", "rows", "stream")  # a process, or a table of a whole run, for each

@@ -19,7 +19,7 @@ import pytest
 from places import DOCS, ROOT
 
 from cosim.cli.main import COMMANDS, cli
-from cosim.results.columns import log_columns
+from cosim.results.log.columns import log_columns
 from cosim.results.metrics import metric_names
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle

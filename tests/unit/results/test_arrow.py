@@ -16,8 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cosim.base.errors import FlightError, InputError
-from cosim.results import arrow as arrow_module
-from cosim.results.arrow import (
+from cosim.results.log import arrow as arrow_module
+from cosim.results.log.arrow import (
     ParquetLog,
     StreamSink,
     Value,
@@ -26,7 +26,7 @@ from cosim.results.arrow import (
     stream_to_parquet,
     write_table,
 )
-from cosim.results.columns import COLUMNS, NAMES
+from cosim.results.log.columns import COLUMNS, NAMES
 
 
 def tables(sizes: list[int], seed: int = 1) -> list[np.ndarray]:

@@ -16,10 +16,10 @@ from cosim.base.errors import InputError
 from cosim.cli.results.compare import compare
 from cosim.flight import with_page
 from cosim.identify.logs.as_columns import read_log
-from cosim.results.arrow import write_table
-from cosim.results.columns import COLUMNS
 from cosim.results.comparison import ComparedFlight, Signal, base_of, inputs_differ, pairs
-from cosim.results.recorder import MemoryLog
+from cosim.results.log.arrow import write_table
+from cosim.results.log.columns import COLUMNS
+from cosim.results.log.recorder import MemoryLog
 from cosim.results.report.comparison import comparison_rows, pair_said, write_comparison
 from cosim.results.report.flight_figures import comparison_figures, less_the_first
 from cosim.results.run import Run, begin_run

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from cosim.base.errors import InputError
 from cosim.base.signals import Sample
-from cosim.results.columns import NAMES
-from cosim.results.digest import Digest, DigestSink, log_digest
+from cosim.results.log.columns import NAMES
+from cosim.results.log.digest import Digest, DigestSink, log_digest
+from cosim.results.log.recorder import MemoryLog, MemorySink, Recorder
 from cosim.results.metrics import columns, flight_metrics
-from cosim.results.recorder import MemoryLog, MemorySink, Recorder
 from cosim.results.run import begin_run
 
 NUMBERS = st.floats() | st.sampled_from([float("nan"), -float("nan"), 0.0, -0.0])

@@ -19,7 +19,7 @@ from cosim.results.events import (
     verdicts,
 )
 from cosim.results.export.ulog import export_ulog
-from cosim.results.recorder import MemoryLog
+from cosim.results.log.recorder import MemoryLog
 from cosim.results.report.flight import write_report
 from cosim.results.report.flight_figures import Reader
 from cosim.results.report.plot import BLUE

@@ -15,11 +15,11 @@ from pyulog import ULog
 from cosim.base.errors import InputError
 from cosim.base.frames import from_euler, to_euler
 from cosim.base.signals import Command, EngineOutput
-from cosim.results.columns import NAMES
 from cosim.results.export.csv_file import export_csv
 from cosim.results.export.output import quaternions, settings
 from cosim.results.export.ulog import export_ulog
 from cosim.results.export.ulog_topics import TOPICS
+from cosim.results.log.columns import NAMES
 from cosim.results.report.flight import write_report
 from cosim.results.run import (
     LOG,

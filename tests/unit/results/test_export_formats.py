@@ -22,11 +22,11 @@ from cosim.base.errors import InputError
 from cosim.base.frames import jet_axis
 from cosim.base.protocols import Column
 from cosim.base.signals import EngineOutput
-from cosim.results.columns import COLUMNS, NAMES, log_columns
 from cosim.results.export.mat import export_mat, fields
 from cosim.results.export.mcap_file import OWN, SUBJECTS, TIME, export_mcap, subjects
 from cosim.results.export.parquet import export_parquet
 from cosim.results.export.scene import hover_n
+from cosim.results.log.columns import COLUMNS, NAMES, log_columns
 from cosim.results.run import LOG, SCENARIO, Run, begin_run
 
 STEPS = 125  # half a second

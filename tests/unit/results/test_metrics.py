@@ -14,7 +14,8 @@ from scipy.optimize import brentq
 from scipy.signal import lti
 
 from cosim.base.arrays import Array
-from cosim.results.columns import NAMES
+from cosim.results.log.columns import NAMES
+from cosim.results.log.recorder import MemorySink, Recorder
 from cosim.results.metrics import (
     PLACE,
     AxisMetrics,
@@ -40,8 +41,7 @@ from cosim.results.metrics import (
     touchdown,
     wrap,
 )
-from cosim.results.recorder import MemorySink, Recorder
-from cosim.results.run import summarize
+from cosim.results.summary import summarize
 from cosim.spec.scenario import Range
 
 OMEGA = 8.0

@@ -16,10 +16,10 @@ from cosim.base.protocols import Column, EngineState
 from cosim.base.signals import Actuation, Command, Disturbance, Measured
 from cosim.flight import record
 from cosim.results import metrics
-from cosim.results.columns import NAMES, log_columns
-from cosim.results.digest import DigestSink, log_digest
 from cosim.results.export.csv_file import export_csv
 from cosim.results.export.ulog import export_ulog
+from cosim.results.log.columns import NAMES, log_columns
+from cosim.results.log.digest import DigestSink, log_digest
 from cosim.results.report.flight import write_report
 from cosim.results.run import LOG, Run, open_run
 from cosim.simulation.build import build

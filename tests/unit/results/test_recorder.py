@@ -33,11 +33,11 @@ from cosim.base.signals import (
     State,
     Unallocated,
 )
-from cosim.results import arrow as arrow_module
-from cosim.results import recorder as recorder_module
-from cosim.results.arrow import ParquetLog, StreamSink, stream_to_parquet
-from cosim.results.columns import COLUMNS, NAMES
-from cosim.results.recorder import BackgroundSink, MemorySink, Recorder
+from cosim.results.log import arrow as arrow_module
+from cosim.results.log import recorder as recorder_module
+from cosim.results.log.arrow import ParquetLog, StreamSink, stream_to_parquet
+from cosim.results.log.columns import COLUMNS, NAMES
+from cosim.results.log.recorder import BackgroundSink, MemorySink, Recorder
 from cosim.results.run import (
     LOG,
     RUN_FILES,
@@ -340,9 +340,9 @@ def test_conversion_takes_no_more_memory_for_a_longer_flight(tmp_path: Path) -> 
 import resource, sys
 import numpy as np
 from pathlib import Path
-from cosim.results.columns import NAMES
+from cosim.results.log.columns import NAMES
 from cosim.results.metrics import flight_metrics
-from cosim.results.arrow import ParquetLog, StreamSink, stream_to_parquet
+from cosim.results.log.arrow import ParquetLog, StreamSink, stream_to_parquet
 folder = Path({str(tmp_path)!r})
 def peak(rows):
     sink = StreamSink(folder / f"{{rows}}.arrows", "")

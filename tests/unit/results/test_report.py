@@ -25,10 +25,10 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import Command, Sample
 from cosim.cli.results.runs import report
 from cosim.flight import integration, with_page
-from cosim.results.columns import NAMES
 from cosim.results.comparison import ComparedFlight
+from cosim.results.log.columns import NAMES
+from cosim.results.log.recorder import MemoryLog
 from cosim.results.metrics import Reach, flight_metrics
-from cosim.results.recorder import MemoryLog
 from cosim.results.report import signals_data
 from cosim.results.report.comparison import compare_report, run_labels
 from cosim.results.report.flight import verdict, write_report
@@ -46,7 +46,8 @@ from cosim.results.report.page import ASSETS, SCRIPTS, STYLES, THREE, deflated, 
 from cosim.results.report.plot import BLUE
 from cosim.results.report.signals_data import Packed, packed, run_data, shape, step_of, unpacked
 from cosim.results.report.three_views import three_views
-from cosim.results.run import DelayRow, Run, begin_run
+from cosim.results.run import Run, begin_run
+from cosim.results.summary import DelayRow
 from cosim.spec.vehicle import load_vehicle
 
 Change = Callable[[Sample], Sample]

@@ -34,8 +34,9 @@ from cosim.base.signals import (
     Unallocated,
 )
 from cosim.results._rows import Rows
-from cosim.results.columns import COLUMNS, NAMES, LoggedVehicle, log_columns, program
-from cosim.results.recorder import MemorySink, Recorder
+from cosim.results.log.columns import COLUMNS, NAMES, LoggedVehicle, log_columns
+from cosim.results.log.recorder import MemorySink, Recorder
+from cosim.results.log.row_program import program
 
 NUMBERS = st.one_of(st.floats(), st.sampled_from([nan, -nan, -0.0, 5e-324]), st.integers(-9, 9), st.booleans())
 

@@ -13,7 +13,7 @@ from places import ROOT
 
 from cosim import InputError, Scenario, fly, open_run, plot
 from cosim.base.protocols import Column
-from cosim.results.recorder import MemoryLog
+from cosim.results.log.recorder import MemoryLog
 from cosim.results.run import Run
 
 

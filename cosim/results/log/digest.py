@@ -10,8 +10,8 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.constants import SERVOS
 from cosim.base.protocols import Column
-from cosim.results.columns import flown_in, known, log_columns
-from cosim.results.recorder import Log, MemoryLog
+from cosim.results.log.columns import flown_in, known, log_columns
+from cosim.results.log.recorder import Log, MemoryLog
 
 _ROWS = 2048  # of a log, read at once: 2 MB
 
@@ -64,7 +64,7 @@ class DigestSink:
         self.begin(log_columns(flown._replace(servos=flown.servos or SERVOS)))
 
     def begin(self, columns: Sequence[Column]) -> None:
-        """See :class:`cosim.results.recorder.KeepingSink`."""
+        """See :class:`cosim.results.log.recorder.KeepingSink`."""
         names = [column.name for column in columns]
         chosen = names if self._whole else [known(name, names) for name in self._names]
         self._indices = [names.index(name) for name in chosen]

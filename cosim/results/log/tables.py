@@ -11,7 +11,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.protocols import Column
-from cosim.results.columns import known
+from cosim.results.log.columns import known
 
 TIME = "time_s"
 

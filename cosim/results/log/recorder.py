@@ -1,6 +1,6 @@
 """Recording a flight: one row of float64 a control step, handed on in blocks of one second of flight.
 
-In a run's folder the blocks go to disk (:mod:`cosim.results.arrow`), so that a killed process loses at most its
+In a run's folder the blocks go to disk (:mod:`cosim.results.log.arrow`), so that a killed process loses at most its
 last second; without a folder they stay in memory.
 """
 
@@ -18,9 +18,10 @@ from cosim.base.errors import FlightError
 from cosim.base.protocols import Column
 from cosim.base.signals import Sample
 from cosim.results._rows import Rows
-from cosim.results.arrow import ROW_GROUP
-from cosim.results.columns import COLUMNS, NAMES, Program, known, program
-from cosim.results.tables import Columnar
+from cosim.results.log.arrow import ROW_GROUP
+from cosim.results.log.columns import COLUMNS, NAMES, known
+from cosim.results.log.row_program import Program, program
+from cosim.results.log.tables import Columnar
 
 _BEHIND = 60  # blocks, of 0.3 MB at 250 Hz, that may wait for a disk
 WALL_FLUSH_S = 1.0  # a slow flight is handed on this often too
@@ -74,8 +75,8 @@ class Observe(Protocol):
 class Recorder:
     """An observer of the control loop that makes every sample a row; ``step_s`` is the control step.
 
-    ``columns``: of :func:`cosim.results.columns.log_columns`.  Raises InputError for one whose source is no place of a
-    sample.
+    ``columns``: of :func:`cosim.results.log.columns.log_columns`.  Raises InputError for one whose source is no place
+    of a sample.
     """
 
     def __init__(self, step_s: float, sink: Sink, columns: Sequence[Column] = COLUMNS) -> None:

@@ -9,39 +9,23 @@ A column's source is one of
 * ``state.euler.0``: a place in a :class:`cosim.base.signals.Sample`, field by field and element by element;
 * ``command.altitude unless command.collective``: the same, and NaN in a step in which the other place is not None;
 * ``a + b``: the sum of two places;
-* ``roll of measured.attitude``: one of :data:`ANGLES`, of a quaternion;
+* ``roll of measured.attitude``: one of :data:`cosim.results.log.row_program.ANGLES`, of a quaternion;
 * empty: NaN, of an engine that this vehicle has not.
 
-Where a place lies behind a field that is None the value is NaN.  :func:`program` makes of them what the C of
-``_rows.c`` runs once a step.
+Where a source lies behind a field that is None the value is NaN.  :mod:`cosim.results.log.row_program` reads them.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import count
 from typing import NamedTuple
 
-import numpy as np
-
-from cosim.base.arrays import Array
 from cosim.base.constants import SENSORS, SERVOS
 from cosim.base.errors import InputError, nearest
 from cosim.base.protocols import Column
-from cosim.base.signals import (
-    AXES,
-    JETS,
-    Actuation,
-    Command,
-    ControlSignals,
-    Disturbance,
-    EngineOutput,
-    Measured,
-    Sample,
-    State,
-    Unallocated,
-)
+from cosim.base.signals import AXES, JETS
 from cosim.spec.vehicle import Vehicle
 
 RATES = ("p", "q", "r")
@@ -377,129 +361,3 @@ def known(name: str, columns: Iterable[str], where: str = "log") -> str:
     if name not in columns:
         raise InputError(f"the {where} has no column {name!r}; {nearest(name, columns)}")
     return name
-
-
-# ---- what the C runs
-
-_RECORDS = {  # what stands at a place of a sample, where that has named fields
-    "": Sample, "command": Command, "state": State, "measured": Measured, "control": ControlSignals,
-    "actuation": Actuation, "actuation.unallocated": Unallocated, "engines": EngineOutput, "disturbance": Disturbance,
-}  # fmt: skip
-_OPTIONAL = ("command.place",)  # may be None
-_AT_LEAST = ("health",)  # of all that the log has columns for, or of those that the vehicle has
-
-
-def _roll(w: Array, x: Array, y: Array, z: Array) -> Array:
-    angle: Array = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    return angle
-
-
-def _pitch(w: Array, x: Array, y: Array, z: Array) -> Array:
-    angle: Array = np.arcsin(np.clip(2.0 * (w * y - x * z), -1.0, 1.0))
-    return angle
-
-
-def _yaw(w: Array, x: Array, y: Array, z: Array) -> Array:
-    angle: Array = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return angle
-
-
-# of a quaternion, as cosim.base.frames.to_euler; whole blocks at once, by numpy, whose arctan2 is not the C library's
-ANGLES: dict[str, Callable[[Array, Array, Array, Array], Array]] = {"roll": _roll, "pitch": _pitch, "yaw": _yaw}
-
-
-class Angle(NamedTuple):
-    """A column that is made of four others, block by block."""
-
-    column: int
-    of: int  # the first of the four, behind the log's columns
-    law: Callable[[Array, Array, Array, Array], Array]
-
-
-class Program(NamedTuple):
-    """How a sample becomes a row of ``width`` numbers: the log's columns, and behind them what angles are made of.
-
-    ``nodes``: the tuples to open, each by its name, the node it is in (-1: it is the sample) and its place there, how
-    many elements it has (negative: at least), and whether it may be None.  ``reads``: from a node, from an element on,
-    so many to a column and those behind it, NaN if the element of another node (-1: of none) is not None, to be added
-    to what is there (1) or not.  Columns that no read gives are NaN.
-    """
-
-    width: int
-    nodes: list[tuple[str, int, int, int, bool]]
-    reads: list[tuple[int, int, int, int, int, int, bool]]
-    angles: list[Angle]
-
-
-def program(columns: Sequence[Column]) -> Program:
-    """Return the sources of the columns, each looked up once.  Raises InputError for one that a sample has not."""
-    compiled = _Compiler()
-    angles: list[Angle] = []
-    quaternions: dict[str, int] = {}
-    width = len(columns)
-    for n, column in enumerate(columns):
-        law, _, quaternion = column.source.partition(" of ")
-        place, _, other = column.source.partition(" unless ")
-        if quaternion:
-            if quaternion not in quaternions:
-                quaternions[quaternion] = width
-                for element in range(4):
-                    compiled.read(f"{quaternion}.{element}", width + element)
-                width += 4
-            if law not in ANGLES:
-                raise InputError(f"column {column.name!r}: no angle {law!r}; allowed: {', '.join(ANGLES)}")
-            angles.append(Angle(n, quaternions[quaternion], ANGLES[law]))
-        elif place:
-            for k, part in enumerate(place.split(" + ")):
-                try:
-                    compiled.read(part, n, other, k > 0)
-                except InputError:
-                    raise
-                except ValueError:
-                    raise InputError(f"column {column.name!r}: no place of a sample: {part!r}") from None
-    return Program(width, *compiled.finished(), angles)
-
-
-class _Compiler:
-    """Places of a sample to nodes and reads."""
-
-    def __init__(self) -> None:
-        self._nodes: dict[str, tuple[int, int, int]] = {}  # number, parent's, place in it
-        self._sizes: dict[str, int] = {}
-        self._reads: list[tuple[int, int, int, int, int, int, bool]] = []
-        self._open("")
-
-    def read(self, place: str, column: int, other: str = "", add: bool = False) -> None:
-        node, element = self._find(place)
-        unless = self._find(other) if other else (-1, 0)
-        last = self._reads[-1] if self._reads else None
-        if last and (last[0], last[1] + last[2], last[3] + last[2], *last[4:]) == (node, element, column, *unless, add):
-            self._reads[-1] = (node, last[1], last[2] + 1, *last[3:])
-        else:
-            self._reads.append((node, element, 1, column, *unless, add))
-
-    def finished(self) -> tuple[list[tuple[str, int, int, int, bool]], list[tuple[int, int, int, int, int, int, bool]]]:
-        nodes = [
-            (name or "it", parent, element, self._sizes[name] * (-1 if name in _AT_LEAST else 1), name in _OPTIONAL)
-            for name, (_, parent, element) in self._nodes.items()
-        ]
-        return nodes, self._reads
-
-    def _find(self, place: str) -> tuple[int, int]:
-        """Return the node that holds a source, opened if need be, and the element there."""
-        parent, _, element = place.rpartition(".")
-        node = self._open(parent)
-        if parent in _RECORDS:
-            fields: tuple[str, ...] = _RECORDS[parent]._fields  # type: ignore[attr-defined]
-            index = int(element) if element.isdigit() else fields.index(known(element, fields, f"record {parent!r}"))
-        else:
-            index = int(element)
-            self._sizes[parent] = max(self._sizes[parent], index + 1)
-        return node, index
-
-    def _open(self, name: str) -> int:
-        if name not in self._nodes:
-            parent, element = self._find(name) if name else (-1, 0)
-            self._nodes[name] = (len(self._nodes), parent, element)
-            self._sizes[name] = len(_RECORDS[name]._fields) if name in _RECORDS else 0  # type: ignore[attr-defined]
-        return self._nodes[name][0]

@@ -23,8 +23,8 @@ from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Column
 from cosim.base.storage.files import lock, one_line, own_file, replacing
-from cosim.results.columns import COLUMNS, known
-from cosim.results.tables import Columnar
+from cosim.results.log.columns import COLUMNS, known
+from cosim.results.log.tables import Columnar
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -1,0 +1,389 @@
+"""What ``summary.json`` says of a run: what flew, how it ended, what was measured, and what it is compared with."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from platform import python_version
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict, model_validator
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.outcomes import Outcome, RunVerdict
+from cosim.base.storage.toml import Vector
+from cosim.results.limits import Yardstick, beyond, exceedance, flight_limits
+from cosim.results.log.recorder import Log
+from cosim.results.metrics import (
+    AltitudeMetrics,
+    AxisMetrics,
+    EffortMetrics,
+    Metrics,
+    PositionMetrics,
+    Reach,
+    Record,
+    SpeedMetrics,
+    check_expectations,
+    flatten,
+    flight_metrics,
+)
+from cosim.results.verdict import describe_end, judge, read_verdict
+from cosim.simulation.pacing import PaceReport
+from cosim.simulation.plugins import OwnMetric
+from cosim.spec.controller_name import SHORT, controller_words
+from cosim.spec.scenario import Expectation
+
+_TITLED = ("aircraft", "engine", "controller", "design", "models")  # changes that a title states as what flies
+_LISTED = 3  # further changes in a title
+_AS_STATED = "Of the scenario as its file states it, not of this flight:"
+_WIDTH = 120  # characters of a table or list on one line of the summary
+PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy", "pyarrow")
+
+
+class DelayRow(Record):
+    """One element of the chain from an axis's command to its measured rate, and the samples of delay that it owns."""
+
+    element: str
+    owner: str
+    kind: str
+    samples: float | None  # None where it is not known
+    axis: str = "roll"  # of runs written before there were others
+
+
+class StationEngine(Record):
+    """The engine at one station; ``curve`` as ``Setup.engine_curve``, empty if it is that one."""
+
+    engine: str
+    sha256: str  # of its archive
+    curve: tuple[tuple[float, float], ...] = ()
+    file: str = ""  # the name of its archive or mapping file; empty: of the library, or an older run
+    apart: str = ""  # what it was found to do to its process, for which the flight's engines had one of their own
+
+
+class Integration(Record):
+    """How the airframe is integrated: JSBSim's runs, and its methods by name."""
+
+    runs: int  # in a control step
+    run_s: float  # the time that each covers
+    rates: str  # angular acceleration to body rate
+    velocities: str
+    attitude: str
+    position: str
+    on_ground: str  # of rates and velocities instead, while anything touches the ground
+
+    @property
+    def methods(self) -> str:
+        """In words."""
+        air = [f"rates {self.rates}", f"velocities {self.velocities}"]
+        if self.rates == self.velocities:
+            air = [f"rates and velocities {self.rates}"]
+        if self.on_ground != self.rates or self.on_ground != self.velocities:
+            air[-1] += f" ({self.on_ground} while anything touches the ground)"
+        return ", ".join([*air, f"attitude {self.attitude}", f"position {self.position}"])
+
+
+class OwnController(Record):
+    """A controller from outside, as it flew."""
+
+    name: str
+    level: str  # predictor, rate, attitude or controller
+    sha256: (
+        str  # of its files, or its text; as in controller_sha256 of the scenario; empty: nothing was to be had of it
+    )
+    files: dict[str, str]  # SHA-256 by name
+    version: str = ""  # of the package that it is in
+    parameters: dict[str, float]
+    again: bool = True  # False: an object of a program, which no file can make again
+    repeatable: bool | None = None  # asked again with the same inputs it answered the same; None: not asked
+
+
+class ParametersRecord(Record):
+    """A file whose numbers flew: a controller of hexjet design, or identified models."""
+
+    kind: str  # design or models
+    file: str  # its name in the run's folder
+    sha256: str
+    controller: str = ""  # that a design is for
+    changed: tuple[str, ...] = ()  # keys with another value in the flight than in the file
+
+
+class PluginRecord(Record):
+    """A metric, an observer, sensors or a wind of the user's, as it flew."""
+
+    key: str  # of the scenario
+    name: str
+    sha256: str
+    files: dict[str, str]  # SHA-256 by name
+    version: str = ""  # of the package that it is in
+
+
+class Setup(BaseModel):
+    """What is known of a run before its first step."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    scenario: str
+    title: str = ""
+    description: str = ""
+    aircraft: str
+    engine: str
+    controller: str
+    own_controller: OwnController | None = None  # None: a built-in one
+    parameter_files: list[ParametersRecord] = []
+    changed: list[str] = []  # what was written over the scenario's own file, key = value
+    brought: list[PluginRecord] = []  # what else is the user's
+    seed: int
+    sensors: str = ""  # the profile over the aircraft's sensors, with its file's hash; empty: none, or not known
+    step_s: float
+    integration: Integration | None = None  # None: of a run from before it was written down
+    planned_s: float  # how long the flight is meant to be
+    started: str = ""  # UTC, ISO 8601
+    engine_curve: list[tuple[float, float]] = []  # throttle, thrust of one engine at rest [N]
+    stations: list[StationEngine] = []  # jet 1 first
+    jets_m: list[Vector] = []  # engine stations, body
+    delay_ledger: list[DelayRow] = []
+    reach: Reach | None = None  # of throttles and tilts
+    yardstick: Yardstick | None = None  # what its limits are made from; None: it has none
+    expectation: Expectation | None = None  # what this controller with this engine must come to
+    notes: list[
+        str
+    ] = []  # what is to be known of it: models that are not the vehicle's, what is stated and does nothing
+    by_hand: int = 0  # steps whose command, throttles or tilts a program gave: the scenario alone does not repeat them
+    versions: dict[str, str] = {}
+    blas_kernels: dict[str, str] = {}  # of OpenBLAS, by the package that brought it; empty: not known
+    sha256: dict[str, str] = {}  # of the aircraft model and of every FMU
+
+    @property
+    def controller_shown(self) -> str:
+        """The controller for people: a design, models or a custom controller by file and first letters of the hash."""
+        own = "" if self.own_controller is None else self.own_controller.sha256
+        return controller_words(self.controller, own, self.parameter_files)
+
+    @property
+    def engine_shown(self) -> str:
+        """The engine for people, one that is not of the library with its file and the first letters of its hash."""
+        files = {station.file: station.sha256 for station in self.stations if station.engine == self.engine}
+        return self.engine + "".join(f" ({name} {value[:SHORT]})" for name, value in files.items() if name)
+
+    def retitled(self) -> Self:
+        """Return the same under a title of what flies, where it is not what the scenario's file states.
+
+        The description is kept, marked as the scenario's.
+        """
+        if not self.changed:
+            return self
+        texts = [text for text in self.changed if text.partition(" = ")[0] not in _TITLED]
+        listed = [*texts[:_LISTED], *([f"{len(texts) - _LISTED} more changes"] if len(texts) > _LISTED else [])]
+        title = f"{self.scenario}: {self.aircraft}, {self.engine_shown}, {self.controller_shown}"
+        title += f", with {', '.join(listed)}" if listed else ""
+        story = f"{_AS_STATED} {self.description.strip()}" if self.description.strip() else ""
+        return self.model_copy(update={"title": title, "description": story})
+
+
+class Pacing(Record):
+    """How well a paced flight kept in step with the clock."""
+
+    factor: float | None  # asked for; None: as fast as it goes
+    missed_deadlines: int  # steps that were not done when the next one was due
+    worst_s: float  # how late the latest of them was
+    stalls: int  # after which the schedule was moved, rather than caught up with
+    lost_s: float  # by which it was moved, in all
+
+
+class Summary(Setup):
+    """What ``summary.json`` says."""
+
+    outcome: Outcome
+    reason: str
+    verdict: RunVerdict | None = None  # None: flown before there were any
+    steps: int
+    duration_s: float  # flown
+    wall_s: float | None = None  # spent on the steps; None if the process did not live to say so
+    realtime_factor: float | None = None
+    step_us: float | None = None
+    pacing: Pacing | None = None  # None: nothing was paced
+    metrics: dict[str, AxisMetrics]
+    altitude: AltitudeMetrics
+    touchdown_m_s: float | None = None
+    position: PositionMetrics = PositionMetrics()
+    speed: SpeedMetrics = SpeedMetrics()
+    effort: EffortMetrics = EffortMetrics()
+    fuel_burnt_kg: float | None = None
+    own_metrics: dict[str, float | None] = {}  # of the user's, each with "own." before its name
+    own_metrics_failed: list[str] = []  # a line for each that could not say anything
+    limits: dict[str, float] = {}  # the most that a metric may be, by its name
+    beyond: list[str] = []  # the metrics that are above that
+    expectations_met: bool | None = None  # None: nothing is expected
+    complaints: list[str] = []  # a line for each expectation that is not met
+
+    @property
+    def flat_metrics(self) -> dict[str, float | None]:
+        """Every metric under the name that an expectation uses, such as ``roll.rmse_rad``."""
+        return (
+            flatten(
+                Metrics(
+                    axes=self.metrics,
+                    altitude=self.altitude,
+                    touchdown_m_s=self.touchdown_m_s,
+                    position=self.position,
+                    speed=self.speed,
+                    effort=self.effort,
+                    fuel_burnt_kg=self.fuel_burnt_kg,
+                )
+            )
+            | self.own_metrics
+        )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _word_verdict(cls, data: Any) -> Any:
+        """Word the verdict of an older run as it is worded today."""
+        if isinstance(data, dict) and isinstance(data.get("verdict"), str):
+            return data | {"verdict": read_verdict(data["verdict"], data.get("expectations_met"))}
+        return data
+
+    @property
+    def as_planned(self) -> bool:
+        """Whether it completed within its limits and met what its scenario expects; False if nothing is expected."""
+        return self.succeeded and self.expectations_met is True
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether it completed, and nothing that was checked failed: its exit status is 0."""
+        return self.outcome == "completed" and not self.beyond and self.expectations_met is not False
+
+    @property
+    def ending(self) -> str:
+        """How it ended and its verdict, in words."""
+        return describe_end(self.outcome, self.reason, self.verdict)
+
+    @property
+    def exceeded(self) -> list[str]:
+        """What is beyond its limit, in words and with both figures."""
+        return [exceedance(name, self.limits, self.flat_metrics) for name in self.beyond]
+
+
+def summarize(
+    setup: Setup,
+    log: Log,
+    outcome: Outcome,
+    reason: str,
+    wall_s: float | None,
+    pace: PaceReport | None = None,
+    own: Sequence[OwnMetric] = (),
+) -> Summary:
+    """Return the summary of a flight from its log; ``own`` are the user's metrics, beside the built-in ones."""
+    metrics = flight_metrics(log, setup.step_s, setup.reach)
+    said, failed = _own(own, log, setup.step_s)
+    flat = flatten(metrics) | said
+    steps = len(log)
+    duration = steps * setup.step_s
+    limits = flight_limits(setup.yardstick, log, setup.step_s) if setup.yardstick is not None and steps else {}
+    above = beyond(limits, flat)
+    complaints = _complaints(setup.expectation, outcome, flat)
+    met = None if setup.expectation is None else not complaints
+    return Summary(
+        **dict(setup),
+        outcome=outcome,
+        reason=reason,
+        verdict=judge(outcome, above, met),
+        steps=steps,
+        duration_s=duration,
+        wall_s=wall_s,
+        realtime_factor=duration / wall_s if wall_s else None,
+        step_us=1e6 * wall_s / steps if wall_s is not None and steps else None,
+        pacing=None
+        if pace is None
+        else Pacing(
+            factor=pace.factor,
+            missed_deadlines=pace.missed,
+            worst_s=pace.worst,
+            stalls=pace.stalls,
+            lost_s=pace.lost,
+        ),
+        metrics=metrics.axes,
+        altitude=metrics.altitude,
+        touchdown_m_s=metrics.touchdown_m_s,
+        position=metrics.position,
+        speed=metrics.speed,
+        effort=metrics.effort,
+        fuel_burnt_kg=metrics.fuel_burnt_kg,
+        own_metrics=said,
+        own_metrics_failed=failed,
+        limits=limits,
+        beyond=above,
+        expectations_met=met,
+        complaints=complaints,
+    )
+
+
+def _own(metrics: Sequence[OwnMetric], log: Log, step_s: float) -> tuple[dict[str, float | None], list[str]]:
+    """Return the values of the user's metrics, and a line for each that failed; without a step all are None."""
+    values: dict[str, float | None] = {name: None for metric in metrics for name in metric.names}
+    failed = []
+    for each in metrics if len(log) else ():
+        try:
+            values |= each.of(log, step_s)
+        except (FlightError, InputError) as error:
+            failed.append(str(error))
+    return values, failed
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that a run depends on, by name: Python and the packages that make its numbers."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> dict[str, str]:
+    versions = {"python": python_version()}
+    for package in PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:  # the clone itself, not installed
+            continue
+    return versions
+
+
+def now() -> str:
+    """Return the time of day, UTC, for :attr:`Setup.started`."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _complaints(expectation: Expectation | None, outcome: Outcome, flat: Mapping[str, float | None]) -> list[str]:
+    if expectation is None:
+        return []
+    wrong = (
+        [] if outcome in expectation.outcome else [f"outcome = {outcome}, expected {' or '.join(expectation.outcome)}"]
+    )
+    return wrong + check_expectations(flat, expectation.metrics)
+
+
+def summary_json(summary: Summary) -> str:
+    """Return the summary as JSON, main entries first; a table or list is one line, a long one a line an entry."""
+    data = summary.model_dump(mode="json")
+    first: tuple[str, ...] = (
+        "outcome",
+        "reason",
+        "verdict",
+        "beyond",
+        "limits",
+        "complaints",
+        "metrics",
+        "altitude",
+        "touchdown_m_s",
+    )
+    first += ("position", "speed", "effort", "fuel_burnt_kg")
+    lines = []
+    for key, value in ({name: data[name] for name in first} | data).items():
+        text = json.dumps(value, allow_nan=False)
+        if isinstance(value, dict) and len(text) > _WIDTH:
+            inner = (f"    {json.dumps(name)}: {json.dumps(part, allow_nan=False)}" for name, part in value.items())
+            text = "{\n" + ",\n".join(inner) + "\n  }"
+        elif isinstance(value, list) and len(text) > _WIDTH:
+            text = "[\n" + ",\n".join(f"    {json.dumps(part, allow_nan=False)}" for part in value) + "\n  ]"
+        lines.append(f"  {json.dumps(key)}: {text}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
