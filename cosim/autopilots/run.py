@@ -17,7 +17,8 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import gravity
 from cosim.base.protocols import Observer
 from cosim.base.signals import Sample, Vector3
-from cosim.flight import record, resolve, with_page
+from cosim.flight import record, with_page
+from cosim.results.resolved_scenario import resolve
 from cosim.results.run import Run
 from cosim.simulation.build import build
 from cosim.simulation.controllers.recorded import ACTUATORS, COLUMNS, header, line

@@ -19,7 +19,7 @@ from cosim.campaign.study.keys import with_values
 from cosim.campaign.study.study import Study
 from cosim.control.predictors.registry import BASELINE
 from cosim.engine import EngineSpec, load_engine
-from cosim.flight import copied_controller, copied_vehicle, engine_files, resolve
+from cosim.results.resolved_scenario import copied_controller, copied_vehicle, engine_files, resolve
 from cosim.simulation.build import build
 from cosim.simulation.controllers.source import find
 from cosim.simulation.step import Simulation

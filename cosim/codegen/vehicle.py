@@ -20,7 +20,7 @@ from cosim.codegen.ssp import write_ssp
 from cosim.codegen.vehicle_ports import Flight, Parts
 from cosim.codegen.vehicle_process import FLIGHT, MANIFEST
 from cosim.engine.build import FMI2_SUFFIX, FMI_VERSIONS, BuildError, Engine, Variable, archive_path, build_one
-from cosim.flight import resolve
+from cosim.results.resolved_scenario import resolve
 from cosim.results.run import scenario_toml
 from cosim.results.summary import versions
 from cosim.spec.scenario import Scenario

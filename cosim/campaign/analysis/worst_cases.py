@@ -17,8 +17,8 @@ from cosim.campaign.analysis.summary import SUCCESS, missing, places
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.campaign.folder import CASES, SCENARIO
 from cosim.campaign.study.plan import scenario_of
-from cosim.flight import resolve
 from cosim.results.report.plot import run_colour
+from cosim.results.resolved_scenario import resolve
 from cosim.simulation.build import build
 
 if TYPE_CHECKING:

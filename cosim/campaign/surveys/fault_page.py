@@ -13,9 +13,9 @@ from cosim.base.storage.files import write_records
 from cosim.campaign.analysis.worst_cases import write_flight
 from cosim.campaign.surveys.faults import SCANS, STARTS, Cell, Limit, Moments, Row, Survival, summary
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.flight import copied_controller
 from cosim.results.report.marks import table, write_marks
 from cosim.results.report.page import render
+from cosim.results.resolved_scenario import copied_controller
 from cosim.spec.controller_name import is_design, label
 
 TEMPLATE = Path(__file__).parent / "templates" / "survival.html"

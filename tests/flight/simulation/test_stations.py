@@ -18,7 +18,8 @@ from cosim.cli.main import main
 from cosim.cli.options import engine_choices, load_scenario
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap, inverted
 from cosim.engine import EngineBank, load_engine
-from cosim.flight import fly, resolve
+from cosim.flight import fly
+from cosim.results.resolved_scenario import resolve
 from cosim.results.run import open_run
 from cosim.simulation.build import build
 from cosim.simulation.delay_ledger import total_samples

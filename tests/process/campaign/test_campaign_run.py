@@ -123,7 +123,7 @@ def test_a_changed_version_is_told(moved: Path, monkeypatch: pytest.MonkeyPatch,
     from cosim.results.summary import versions
 
     held = versions()
-    monkeypatch.setattr("cosim.flight.versions", lambda: held | {"jsbsim": "9.9.9"})
+    monkeypatch.setattr("cosim.results.setup.versions", lambda: held | {"jsbsim": "9.9.9"})
     assert fly_again(open_campaign(moved), 0).same  # another version, and the same flight all the same
     monkeypatch.setattr("cosim.campaign.run.log_digest", lambda log: "another")
     done = hexjet("fly", str(moved), "--flight", "0")

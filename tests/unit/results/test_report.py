@@ -24,7 +24,7 @@ from flights import STEP, samples, scenario, setup
 from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import Command, Sample
 from cosim.cli.results.runs import report
-from cosim.flight import integration, with_page
+from cosim.flight import with_page
 from cosim.results.comparison import ComparedFlight
 from cosim.results.log.columns import NAMES
 from cosim.results.log.recorder import MemoryLog
@@ -47,6 +47,7 @@ from cosim.results.report.plot import BLUE
 from cosim.results.report.signals_data import Packed, packed, run_data, shape, step_of, unpacked
 from cosim.results.report.three_views import three_views
 from cosim.results.run import Run, begin_run
+from cosim.results.setup import integration
 from cosim.results.summary import DelayRow
 from cosim.spec.vehicle import load_vehicle
 

@@ -25,7 +25,8 @@ from cosim.base.storage.toml import read_toml
 from cosim.cli.main import cli
 from cosim.cli.options import load_scenario
 from cosim.engine import load_engine
-from cosim.flight import check_expected, expectation, fly
+from cosim.flight import fly
+from cosim.results.expectations import check_expected, expectation
 from cosim.results.report.marks import parts_of
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import read_controller

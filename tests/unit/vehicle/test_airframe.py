@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from cosim.base.errors import FlightError, InputError
 from cosim.base.frames import jet_axis
 from cosim.base.signals import ZERO3, Disturbance, State, Vector3
-from cosim.flight import integration
+from cosim.results.setup import integration
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
 from cosim.vehicle._properties import Properties

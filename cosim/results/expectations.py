@@ -1,0 +1,51 @@
+"""What a scenario expects of its flight: which entry counts, and whether its names can be met at all."""
+
+from __future__ import annotations
+
+from cosim.base.errors import InputError, nearest
+from cosim.control.predictors.registry import PREDICTORS
+from cosim.engine import engine_names
+from cosim.results.metrics import metric_names
+from cosim.simulation.controllers.source import names as own_controllers
+from cosim.simulation.plugins import metrics_of
+from cosim.spec.controller_name import file_name
+from cosim.spec.scenario import Expectation, Scenario
+from cosim.spec.vehicle import aircraft_names, is_file, is_own
+
+
+def check_expected(scenario: Scenario) -> None:
+    """Refuse expectations that nothing could meet: of an unknown controller, engine or metric (InputError)."""
+    allowed_metrics = known_metrics(scenario)
+    for index, entry in enumerate(scenario.expect):
+        where = f"scenario {scenario.name}: expect.{index}"
+        known = (
+            ("controller", [entry.controller], _controllers_like(entry.controller)),
+            ("aircraft", [] if is_own(entry.aircraft) else [entry.aircraft], aircraft_names()),
+            ("metrics", list(entry.metrics), allowed_metrics),
+        )
+        for key, names, allowed in known:
+            for name in names:
+                if name not in allowed:
+                    raise InputError(f"{where}.{key}: unknown {name!r}; {nearest(name, allowed)}")
+        if not is_file(entry.engine):
+            plain = entry.engine.removesuffix("-fmi2")
+            if plain not in engine_names():
+                raise InputError(f"{where}.engine: unknown {entry.engine!r}; {nearest(plain, engine_names())}")
+
+
+def known_metrics(scenario: Scenario) -> list[str]:
+    """Return the names of the built-in metrics and of the scenario's own.  Raises InputError."""
+    return [*metric_names(), *(name for metric in metrics_of(scenario) for name in metric.names)]
+
+
+def _controllers_like(controller: str) -> list[str]:
+    """Return the names of the built-in ones, and this one where it is named as a user's is."""
+    if controller in PREDICTORS or ":" in controller or file_name(controller):
+        return [*PREDICTORS, controller]
+    return [*PREDICTORS, *(name for name, _ in own_controllers())]
+
+
+def expectation(scenario: Scenario) -> Expectation | None:
+    """Return what the scenario expects of its controller with its engine on its aircraft, if it does."""
+    flown = (scenario.controller, scenario.engine, scenario.aircraft)
+    return next((e for e in scenario.expect if (e.controller, e.engine, e.aircraft) == flown), None)

@@ -1,0 +1,237 @@
+"""The scenario of a flight as it flies, with every number in it, and the files beside it in a run's folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import InputError
+from cosim.base.storage.toml import read_toml, toml_text
+from cosim.engine import EngineSpec, load_engine
+from cosim.engine.spec import find_source
+from cosim.results.autopilot.request_log import REQUESTS
+from cosim.results.run import RUN_FILES
+from cosim.simulation.controllers.source import Source
+from cosim.simulation.plugins import Plugins
+from cosim.simulation.step import Simulation
+from cosim.spec.controller_name import FileName, file_name
+from cosim.spec.scenario import (
+    CommandEntry,
+    Scenario,
+    Station,
+    SticksCommand,
+    TableCommand,
+    TrackCommand,
+    changes_of,
+    copied_parameters,
+    flown_parameters,
+)
+from cosim.spec.vehicle import VEHICLE, as_read, is_file, is_own, load_vehicle
+from cosim.vehicle.model_file import read_model
+
+
+def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
+    """Return the scenario as it flies, with all numbers of vehicle and engines, and the files to go beside it."""
+    scenario = simulation.flown
+    files: dict[str, Path | bytes] = {}
+    if scenario.requests is not None:
+        files[REQUESTS] = scenario.folder / scenario.requests
+    commands: list[CommandEntry] = []
+    for index, entry in enumerate(scenario.command):
+        if isinstance(entry, (TableCommand, SticksCommand, TrackCommand)):
+            source = scenario.folder / entry.file
+            name = source.name if source.name not in files else f"{index}-{source.name}"
+            files[name] = source
+            entry = entry.model_copy(update={"file": name})
+        commands.append(entry)
+    parameters = flown_parameters(simulation.scenario)
+    own = simulation.own
+    controller: dict[str, Any] = _plugin_names(simulation.plugins, files)
+    if own is not None:
+        controller |= {"controller": copied_controller(own, files), "controller_sha256": own.sha256 or None}
+        told = own.values(scenario.controller_parameters, "controller_parameters")
+        controller["controller_parameters"] = _floats(told)
+    aircraft, vehicle, names = copied_aircraft(simulation, files)
+    engine, jets = simulation.engine, simulation.vehicle.jets
+    # each part was checked when the scenario was read, so nothing is checked once more
+    return scenario.resolved(
+        **{
+            **controller,
+            "parameter_files": copied_parameters(parameters, files, RUN_FILES),
+            "changed": changes_of(simulation.scenario, parameters),
+            "command": commands,
+            "engine": names[id(engine)],
+            "engine_parameters": _floats(engine.parameters),
+            "stations": {
+                str(number): Station(engine=names[id(station)], parameters=_floats(station.parameters))
+                for number, station in enumerate(simulation.stations, 1)
+                if station.source != engine.source or jets[number - 1].engine is not None
+            },
+            "aircraft": aircraft,
+            "expect": [
+                entry.model_copy(update={"aircraft": aircraft}) if entry.aircraft == scenario.aircraft else entry
+                for entry in scenario.expect
+            ],
+            "vehicle": vehicle,
+            **({"requests": REQUESTS} if scenario.requests is not None else {}),
+        }
+    ), files
+
+
+def copied_aircraft(
+    simulation: Simulation, files: dict[str, Path | bytes]
+) -> tuple[str, dict[str, Any], dict[int, str]]:
+    """Return the name of the aircraft beside a resolved scenario, its numbers, and the names of the engines there.
+
+    The engines are those of their specs' ids; files of the user's, of aircraft and engines, are added to ``files``.
+
+    Raises InputError where another file has the name of one of its own.
+    """
+    scenario, specs = simulation.flown, [simulation.engine, *simulation.stations]
+    stated = simulation.vehicle.model_dump(mode="json", exclude_none=True)
+    if not is_own(scenario.aircraft):
+        return scenario.aircraft, stated, engine_files(specs, files)
+    _, folder = scenario.resolved_vehicle()
+    table, own = as_read(scenario.aircraft, scenario.folder), dict[str, Path | bytes]()
+    model = simulation.vehicle.model
+    if model is not None:
+        own[Path(model).name] = read_model(folder / model)
+        renamed = {"model": Path(model).name}
+        table, stated = table | renamed, stated | renamed
+    own[VEHICLE] = b""
+    for name in own:
+        if name in files:
+            raise InputError(f"aircraft {scenario.aircraft_name}: another file of the flight has the name {name!r}")
+    files |= own
+    names = engine_files(specs, files)
+    called = {(spec.mapping or spec.path).resolve(): names[id(spec)] for spec in specs}
+    table, stated = (_with_engines(aircraft_table, folder, called) for aircraft_table in (table, stated))
+    files[VEHICLE] = toml_text(_written(table)).encode()
+    return VEHICLE, stated, names
+
+
+def _with_engines(table: dict[str, Any], folder: Path, called: Mapping[Path, str]) -> dict[str, Any]:
+    """Return a vehicle's table, its engine files seen from ``folder``, by their names beside a scenario.
+
+    An engine that does not fly is left out.
+    """
+
+    def renamed(part: dict[str, Any]) -> dict[str, Any]:
+        engine = part.get("engine")
+        if engine is None or not is_file(engine):
+            return part
+        name = called.get((folder / engine).resolve())
+        return {key: value for key, value in part.items() if key != "engine"} | ({"engine": name} if name else {})
+
+    jets = {"jets": [renamed(jet) for jet in table["jets"]]} if "jets" in table else {}
+    return renamed(table) | jets
+
+
+def copied_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) -> str:
+    """Return the name of one of several aircraft of the user's beside a scenario, whose files are added to ``files``.
+
+    Its files begin with its name.  Raises InputError as :func:`cosim.spec.vehicle.load_vehicle`, for its engine, and
+    where another file has the name of one of them.
+    """
+    vehicle, place = load_vehicle(aircraft, folder=folder)
+    table, own = as_read(aircraft, folder), dict[str, Path | bytes]()
+    if vehicle.model is not None:
+        name = f"{vehicle.name}-{Path(vehicle.model).name}"
+        own[name] = read_model(place / vehicle.model)
+        table = table | {"model": name}
+    stated = {
+        engine: None for engine in (vehicle.engine, *(jet.engine for jet in vehicle.jets)) if engine and is_file(engine)
+    }
+    step, sources = vehicle.control_step, [place / engine for engine in stated]
+    specs = {source.resolve(): load_engine(str(source), {}, step, apart=True) for source in sources}
+    names = engine_files(list(specs.values()), files)
+    table = _with_engines(table, place, {source: names[id(spec)] for source, spec in specs.items()})
+    own[f"{vehicle.name}-{VEHICLE}"] = toml_text(_written(table)).encode()
+    for name in own:
+        if name in files:
+            raise InputError(f"aircraft {vehicle.name}: another file has the name {name!r}")
+    files |= own
+    return f"{vehicle.name}-{VEHICLE}"
+
+
+def _written(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a table without the None that TOML cannot express."""
+    return {
+        key: _written(value) if isinstance(value, Mapping) else value
+        for key, value in table.items()
+        if value is not None
+    }
+
+
+def _plugin_names(plugins: Plugins, files: dict[str, Path | bytes]) -> dict[str, Any]:
+    """Return the blocks beside the controller, by what they are called beside a resolved scenario, and their hashes."""
+    stated: dict[str, Any] = {}
+    hashes: dict[str, str] = {}
+    for key, sources in plugins.sources.items():
+        names = [copied_controller(source, files) for source in sources]
+        stated[key] = names if key in ("metrics", "observers") else names[0]
+        hashes |= {name: source.sha256 for name, source in zip(names, sources, strict=True)}
+    return stated | ({"own_sha256": hashes} if hashes else {})
+
+
+def _floats(values: Mapping[str, float]) -> dict[str, float]:
+    return {name: float(value) for name, value in values.items()}
+
+
+def copied_controller(own: Source, files: dict[str, Path | bytes]) -> str:
+    """Return the name of a controller beside a resolved scenario; the files it is made of are added to ``files``.
+
+    Raises InputError where another file has the name of one that it imports.
+    """
+    named = file_name(own.name) or FileName("", own.name, "") if own.files and own.copied else None
+    if named is None:
+        return own.name
+    first, *others = own.files.items()
+    name, number = first[0], len(files)
+    while name in files and files[name] != first[1]:
+        name, number = f"{number}-{first[0]}", number + 1
+    files[name] = first[1]
+    for each, path in others:
+        if files.setdefault(each, path) != path:
+            raise InputError(f"{own.label}: imports {each}, and another file has this name already")
+    return named._replace(file=name).text
+
+
+def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) -> dict[int, str]:
+    """Return the name of each spec (by its id) beside a resolved scenario; foreign ones add their files to ``files``.
+
+    A mapping file goes along with its archive and names that archive there.
+    """
+    noted = {held.resolve(): name for name, held in files.items() if isinstance(held, Path)}
+    copied: dict[Path, str] = {}
+
+    def copy(source: Path, content: Path | bytes) -> str:
+        place = source.resolve()
+        if place not in copied:
+            name, number = noted.get(place, source.name), len(copied)
+            while name in files and name != noted.get(place):  # files of one name from several folders
+                name, number = f"{number}-{source.name}", number + 1
+            copied[place] = name
+            files[name] = content
+        return copied[place]
+
+    names = {}
+    for spec in specs:
+        if spec.library:
+            names[id(spec)] = spec.name
+            continue
+        archive = copy(spec.path, spec.path)
+        names[id(spec)] = archive if spec.mapping is None else copy(spec.mapping, _mapping(spec.mapping, archive))
+    return names
+
+
+def _mapping(path: Path, archive: str) -> Path | bytes:
+    """Return a mapping file as it is, or written anew with this name of its archive and its parameter set's values."""
+    stated = read_toml(path)
+    if "parameter_set" in stated:
+        del stated["parameter_set"]
+        stated["parameters"] = find_source(str(path)).mapping.parameters
+    elif stated["fmu"] == archive:
+        return path
+    return toml_text(stated | {"fmu": archive}).encode()

@@ -1,0 +1,163 @@
+"""What is known of a run before its first step, from the simulation that is about to fly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from hashlib import sha256
+from pathlib import Path
+
+from cosim.base.runtime import kernels
+from cosim.control.cascade import Cascade
+from cosim.engine import EngineSpec
+from cosim.results.expectations import expectation
+from cosim.results.limits import yardstick
+from cosim.results.metrics import Reach
+from cosim.results.summary import (
+    DelayRow,
+    Integration,
+    OwnController,
+    ParametersRecord,
+    PluginRecord,
+    Setup,
+    StationEngine,
+    now,
+    versions,
+)
+from cosim.simulation.controllers.controller_file import design_notes
+from cosim.simulation.controllers.source import OBJECT
+from cosim.simulation.model_agreement import flight_notes
+from cosim.simulation.notes import idle_notes
+from cosim.simulation.step import Simulation
+from cosim.spec.controller_name import file_name, label
+from cosim.spec.scenario import Scenario, flown_parameters
+from cosim.spec.vehicle import is_own
+from cosim.spec.vehicle.sensor_profile import profile_words
+from cosim.vehicle.airframe import IN_THE_AIR, METHODS, ON_THE_GROUND, POSITIONS
+
+
+def setup_of(simulation: Simulation, resolved: Scenario) -> Setup:
+    """Return what is known of a run before its first step; ``resolved`` is its scenario as it flies."""
+    scenario, engine = simulation.scenario, simulation.engine
+    flown = flown_parameters(scenario)
+    parameters = [
+        ParametersRecord(kind=each.kind, file=copy.file, sha256=copy.sha256, controller=each.controller,
+                         changed=tuple(each.changed))
+        for each, copy in zip(flown, resolved.parameter_files, strict=True)
+    ]  # fmt: skip
+    model = simulation.vehicle.model or f"{simulation.vehicle.name}.xml"
+    model = Path(model).name if is_own(scenario.aircraft) else model
+    return Setup(
+        scenario=scenario.name,
+        title=scenario.title,
+        description=scenario.description,
+        changed=resolved.changed,
+        parameter_files=parameters,
+        aircraft=scenario.aircraft_name,
+        engine=engine.name,
+        controller=label(scenario.controller),
+        own_controller=_own_controller(simulation),
+        brought=[
+            PluginRecord(key=key, name=source.label, sha256=source.sha256, files=source.hashes, version=source.version)
+            for key, sources in simulation.plugins.sources.items()
+            for source in sources
+        ],
+        seed=scenario.seed,
+        sensors=profile_words(scenario.sensor_profile),
+        step_s=scenario.step_s,
+        integration=integration(scenario),
+        planned_s=scenario.duration_s,
+        started=now(),
+        engine_curve=list(zip(engine.curve.throttle, engine.curve.thrust, strict=True)),
+        stations=[_station(station, engine) for station in simulation.stations],
+        jets_m=[jet.position_m for jet in simulation.vehicle.jets],
+        delay_ledger=[DelayRow(**asdict(row)) for row in simulation.ledger],
+        reach=reach(simulation),
+        yardstick=yardstick(scenario, simulation.vehicle),
+        expectation=expectation(scenario),
+        notes=[
+            *design_notes(flown, engine),
+            *flight_notes(scenario, simulation.vehicle, engine),
+            *idle_notes(scenario, simulation.vehicle, simulation.stations),
+        ],
+        versions=versions(),
+        blas_kernels=kernels.loaded(),
+        sha256={
+            model: simulation.airframe.file_sha256,
+            f"{model} as flown": simulation.airframe.sha256,
+            **_engine_hashes([engine, *simulation.stations]),
+            **{file.file: file.sha256 for file in resolved.parameter_files},
+            **(simulation.own.hashes if simulation.own is not None else {}),
+            **{
+                n: h
+                for sources in simulation.plugins.sources.values()
+                for source in sources
+                for n, h in source.hashes.items()
+            },
+        },
+    ).retitled()
+
+
+def _own_controller(simulation: Simulation) -> OwnController | None:
+    own, scenario = simulation.own, simulation.scenario
+    if own is None:
+        return None
+    named = file_name(own.name)
+    return OwnController(
+        name=own.name if named is None else named.seen_from(scenario.folder).text,
+        level=own.level,
+        sha256=own.sha256,
+        files=own.hashes,
+        version=own.version,
+        parameters=own.values(scenario.controller_parameters, "controller_parameters"),
+        again=not own.name.startswith(OBJECT),
+    )
+
+
+def integration(scenario: Scenario) -> Integration:
+    """Return how the airframe of a flight is integrated: see :mod:`cosim.vehicle.airframe`."""
+    return Integration(
+        runs=scenario.substeps,
+        run_s=scenario.step_s / scenario.substeps,
+        rates=METHODS[IN_THE_AIR],
+        velocities=METHODS[IN_THE_AIR],
+        attitude=METHODS[POSITIONS["rotational"]],
+        position=METHODS[POSITIONS["translational"]],
+        on_ground=METHODS[ON_THE_GROUND],
+    )
+
+
+def reach(simulation: Simulation) -> Reach:
+    """Return the range of the throttles and tilts of a flight: by the built-in allocation, or at all."""
+    vehicle, limits = simulation.vehicle, simulation.vehicle.control.allocation
+    jets = len(vehicle.jets)
+    least, most = (0.0,) * jets, (1.0,) * jets
+    if isinstance(simulation.controller, Cascade):
+        least, most = (
+            simulation.controller.thrust_map.throttle((share,) * jets)
+            for share in (limits.throttle_min, limits.throttle_max)
+        )
+    return Reach(
+        throttle=tuple(zip(least, most, strict=True)),
+        tilt_rad=vehicle.servo.range_rad if vehicle.servo else None,
+        servos=None if vehicle.servo else vehicle.ranges or None,
+    )
+
+
+def _station(spec: EngineSpec, reference: EngineSpec) -> StationEngine:
+    curve = () if spec is reference else tuple(zip(spec.curve.throttle, spec.curve.thrust, strict=True))
+    file = "" if spec.library else (spec.mapping or spec.path).name
+    return StationEngine(engine=spec.name, sha256=spec.sha256, curve=curve, file=file, apart=spec.misbehaves)
+
+
+def _engine_hashes(specs: Sequence[EngineSpec]) -> dict[str, str]:
+    """Return the hashes of every archive and mapping file, by name; what differs under one name, by path."""
+    hashes: dict[str, str] = {}
+    for spec in specs:
+        files = {spec.path: spec.sha256}
+        if spec.mapping is not None:
+            files[spec.mapping] = sha256(spec.mapping.read_bytes()).hexdigest()
+        for path, value in files.items():
+            name = path.name if hashes.get(path.name, value) == value else str(path)
+            hashes[name] = value
+    return hashes
