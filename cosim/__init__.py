@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cosim.base.signals import Command
     from cosim.base.trust import trust
     from cosim.flight import fly
-    from cosim.results.report.flight_figures import plot
+    from cosim.results.report.time_plot import plot
     from cosim.results.run import Run, open_run
     from cosim.results.summary import versions
     from cosim.spec.scenario import Scenario
@@ -54,7 +54,7 @@ _WHERE = {
     "load_vehicle": "cosim.spec.vehicle",
     "Run": "cosim.results.run",
     "open_run": "cosim.results.run",
-    "plot": "cosim.results.report.flight_figures",
+    "plot": "cosim.results.report.time_plot",
     "trust": "cosim.base.trust",
     "versions": "cosim.results.summary",
 }

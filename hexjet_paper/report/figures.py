@@ -1,6 +1,6 @@
 """The figures of the paper's report: what the paper draws, from both fidelities side by side, and what it does not.
 
-Plain dicts of Plotly's figure schema, as in :mod:`cosim.results.report.flight_figures`.
+Plain dicts of Plotly's figure schema, as in :mod:`cosim.results.report.time_plot`.
 """
 
 from __future__ import annotations

@@ -19,9 +19,11 @@ from cosim.flight import with_page
 from cosim.results.log.recorder import MemoryLog
 from cosim.results.report.comparison import compare_report
 from cosim.results.report.flight import write_report
-from cosim.results.report.flight_figures import Panel, Reader, Trace, strips
+from cosim.results.report.flight_figures import strips
+from cosim.results.report.log_reader import Reader
 from cosim.results.report.marks import parts_of
 from cosim.results.report.page import ASSETS, Flights, render
+from cosim.results.report.panels import Panel, Trace
 from cosim.results.report.signals_data import BITS, MOST_BANDS, NOISE_BITS, run_data
 from cosim.results.run import Run, begin_run
 

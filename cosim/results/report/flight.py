@@ -12,8 +12,10 @@ from cosim.base.outcomes import Verdict
 from cosim.results.events import Event, events_of
 from cosim.results.log.columns import own_columns
 from cosim.results.metrics import AxisMetrics
-from cosim.results.report.flight_figures import Reader, at_rest, run_figures
+from cosim.results.report.flight_figures import run_figures
+from cosim.results.report.log_reader import Reader
 from cosim.results.report.page import TEMPLATES, Flights, render
+from cosim.results.report.panels import at_rest
 from cosim.results.report.plot import BLUE
 from cosim.results.report.signals_data import run_data, vehicle_of
 from cosim.results.run import LOG, SCENARIO, Run

@@ -328,7 +328,8 @@ def test_the_resolved_scenario_states_what_stands_where() -> None:
 
 
 def test_the_page_names_the_odd_engine_and_draws_its_own_curve(tmp_path: Path) -> None:
-    from cosim.results.report.flight_figures import run_figures, thrust_curves
+    from cosim.results.report.flight_figures import run_figures
+    from cosim.results.report.panels import thrust_curves
 
     run = fly(scenario(duration_s=0.4, engine="turbine-20", stations={"3": {"engine": "edf"}}), tmp_path / "run")
     page = (tmp_path / "run" / "report.html").read_text()

@@ -25,7 +25,8 @@ from cosim.results.events import events_of
 from cosim.results.export.csv_file import export_csv
 from cosim.results.export.ulog import export_ulog
 from cosim.results.metrics import activity, fuel_burnt
-from cosim.results.report.flight_figures import jet_rows, run_figures
+from cosim.results.report.flight_figures import run_figures
+from cosim.results.report.panels import jet_rows
 from cosim.results.run import Run
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario

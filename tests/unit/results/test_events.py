@@ -21,7 +21,7 @@ from cosim.results.events import (
 from cosim.results.export.ulog import export_ulog
 from cosim.results.log.recorder import MemoryLog
 from cosim.results.report.flight import write_report
-from cosim.results.report.flight_figures import Reader
+from cosim.results.report.log_reader import Reader
 from cosim.results.report.plot import BLUE
 from cosim.results.report.signals_data import run_data
 from cosim.results.run import Run, open_run

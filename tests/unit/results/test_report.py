@@ -32,20 +32,14 @@ from cosim.results.metrics import Reach, flight_metrics
 from cosim.results.report import signals_data
 from cosim.results.report.comparison import compare_report, run_labels
 from cosim.results.report.flight import verdict, write_report
-from cosim.results.report.flight_figures import (
-    ATTITUDE,
-    Reader,
-    at_rest,
-    comparison_figures,
-    jet_rows,
-    run_figures,
-    stacked,
-    thinned,
-)
+from cosim.results.report.flight_figures import comparison_figures, run_figures
+from cosim.results.report.log_reader import Reader, thinned
 from cosim.results.report.page import ASSETS, SCRIPTS, STYLES, THREE, deflated, figure_json
+from cosim.results.report.panels import ATTITUDE, at_rest, jet_rows
 from cosim.results.report.plot import BLUE
 from cosim.results.report.signals_data import Packed, packed, run_data, shape, step_of, unpacked
 from cosim.results.report.three_views import three_views
+from cosim.results.report.time_plot import stacked
 from cosim.results.run import Run, begin_run
 from cosim.results.setup import integration
 from cosim.results.summary import DelayRow

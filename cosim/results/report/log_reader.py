@@ -1,0 +1,96 @@
+"""Reading a log for figures: its columns thinned out, and the intervals in which something disturbs the flight."""
+
+from __future__ import annotations
+
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.arrays import Array
+from cosim.base.signals import AXES
+from cosim.results.comparison import ComparedFlight, step_of
+from cosim.results.log.recorder import Log
+from cosim.results.log.tables import TIME
+from cosim.results.report.plot import Figure
+
+MOST_POINTS = 4000  # per trace; more cannot be seen and makes the page slow
+MOST_SHADES = 30  # per figure
+_UPSETS = (
+    *(f"disturbance_force_{x}_N" for x in "xyz"),
+    *(f"disturbance_moment_{x}_N_m" for x in "xyz"),
+    *(f"disturbance_torque_{axis}" for axis in AXES),
+    "payload_kg",
+)
+
+
+class Reader:
+    """The columns of a log as Plotly wants them, thinned out where there are more rows than can be seen."""
+
+    def __init__(self, log: Log, step_s: float, times: Array | None = None) -> None:
+        self.log = log
+        self.step_s = step_s
+        self._times = times  # of the rows, where they are not 0, step_s, ...
+
+    @classmethod
+    def of(cls, flight: ComparedFlight) -> Reader:
+        """Return a reader of a flight that is compared."""
+        if flight.run is not None:
+            return cls(flight.log, flight.run.summary.step_s)
+        times = flight.log[TIME]
+        return cls(flight.log, step_of(times), times)
+
+    def xy(self, values: Array) -> Figure:
+        """Return the x and y of a trace for one value a row."""
+        rows = thinned(values)
+        if self._times is not None:
+            x, y = (self._times, values) if rows is None else (self._times[rows], values[rows])
+            return {"x": x.astype(np.float64), "y": y.astype(np.float32)}
+        if rows is None:
+            return {"x0": 0.0, "dx": self.step_s, "y": values.astype(np.float32)}
+        return {"x": rows * self.step_s, "y": values[rows].astype(np.float32)}
+
+    def moves(self, column: str) -> bool:
+        """Return whether a column is ever anything but 0."""
+        return bool(np.any(np.abs(self.log[column]) > 0.0))
+
+    def known(self, column: str) -> bool:
+        """Return whether a column is there and ever a number."""
+        return column in self.log.columns and bool(np.any(np.isfinite(self.log[column])))
+
+    def upsets(self) -> list[tuple[float, float]]:
+        """Return the intervals [s] in which something disturbs the vehicle, wind apart."""
+        disturbed = np.zeros(len(self.log), dtype=bool)
+        for column in _UPSETS:
+            disturbed |= self.log[column] != 0.0
+        return self.stretches(disturbed)
+
+    def stretches(self, mask: NDArray[np.bool_]) -> list[tuple[float, float]]:
+        """Return the intervals [s] of a mask, gaps of less than 0.1 s closed; none if there are too many to see."""
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
+        starts, ends = edges[::2] * self.step_s, edges[1::2] * self.step_s
+        apart = starts[1:] - ends[:-1] >= 0.1
+        first = np.concatenate(([True], apart))[: starts.size]
+        last = np.concatenate((apart, [True]))[: ends.size]
+        pairs = list(zip(starts[first].tolist(), ends[last].tolist(), strict=True))
+        return pairs if len(pairs) <= MOST_SHADES else []
+
+
+def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp] | None:
+    """Return the rows to draw, at most ``most``, so that no peak is lost; None for all rows.
+
+    They are the first, the last, and the least and the greatest of each of many equal stretches.  A stretch without a
+    number stays a gap.
+    """
+    if values.size <= most:
+        return None
+    inner = values[1:-1]
+    length = ceil(inner.size / (most // 2 - 1))
+    padded = np.full(ceil(inner.size / length) * length, np.nan)
+    padded[: inner.size] = inner
+    stretches = padded.reshape(-1, length)
+    known = np.isfinite(stretches)
+    starts = 1 + length * np.arange(len(stretches))
+    low = starts + np.argmin(np.where(known, stretches, np.inf), axis=1)
+    high = starts + np.argmax(np.where(known, stretches, -np.inf), axis=1)
+    return np.unique(np.concatenate(([0], low, high, [values.size - 1])))

@@ -1,0 +1,221 @@
+"""The panels of a flight's figures: which columns of the log are drawn together, how, and in which unit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.signals import AXES, JETS
+from cosim.results.log.columns import RATES, jets_in, servos_in, surfaces_in
+from cosim.results.log.recorder import Log
+from cosim.results.report.log_reader import Reader
+from cosim.results.report.plot import BLUE, GREEN, GREY, MAGENTA, ORANGE, RED, run_colour
+from cosim.results.summary import Summary
+
+DEG = 180.0 / pi
+AT_REST = "thrust_{}_at_rest_N"
+JET_ROWS = ((3, 1), (6, 5), (2, 4))  # front to back, left and right: the Hex-Jet's numbering
+
+
+class Trace(NamedTuple):
+    """One column drawn in a panel."""
+
+    column: str
+    label: str
+    colour: str = BLUE
+    dash: str = "solid"
+    width: float = 1.8
+    held: bool = False  # drawn as a staircase: what is asked for is held over a control step
+    only_if_moving: bool = False  # left out where it is 0 throughout
+
+
+class Panel(NamedTuple):
+    """One pair of axes; columns times ``scale`` come to ``unit``."""
+
+    title: str
+    unit: str
+    traces: Sequence[Trace]
+    scale: float = 1.0
+    least_span: float = 0.0  # so that the noise around a constant does not fill the panel
+
+
+def _setpoint(column: str) -> Trace:
+    return Trace(column, "set-point", GREY, "dash", 1.5, held=True)
+
+
+def _followed(name: str, si: str, unit: str, scale: float, least_span: float) -> Panel:
+    """Return the panel of a quantity and its set-point: measured, true, and asked for; its columns end with ``si``."""
+    traces = [
+        Trace(f"{name}_measured_{si}", "measured", ORANGE, width=1.2),
+        Trace(f"{name}_{si}", "true", BLUE),
+        _setpoint(f"{name}_setpoint_{si}"),
+    ]
+    return Panel(name.capitalize(), unit, traces, scale, least_span)
+
+
+def _asked(column: str, label: str) -> Trace:
+    """Return the trace of a demand of a controller: noisy, so a thin line behind the others."""
+    return Trace(column, label, GREY, width=1.1, held=True)
+
+
+def _effort(name: str) -> list[Trace]:
+    return [
+        Trace(f"torque_{name}", "asked for", BLUE, width=1.5, held=True),
+        Trace(f"disturbance_torque_{name}", "disturbance", MAGENTA, "dot", held=True, only_if_moving=True),
+        Trace(f"refused_{name}", "refused", RED, held=True, only_if_moving=True),
+    ]
+
+
+def _vector(pattern: str, names: tuple[str, str, str]) -> list[Trace]:
+    return [
+        Trace(pattern.format(name), name, colour) for name, colour in zip(names, (BLUE, ORANGE, GREEN), strict=True)
+    ]
+
+
+ATTITUDE = [_followed(axis, "rad", "deg", DEG, 4.0) for axis in AXES]
+RATE = [
+    Panel(
+        f"{axis.capitalize()} rate",
+        "deg/s",
+        [
+            _asked(f"rate_{rate}_setpoint_rad_s", "set-point"),
+            Trace(f"rate_{rate}_measured_rad_s", "measured", ORANGE, width=1.5),
+            Trace(f"rate_{rate}_predicted_rad_s", "predicted", BLUE, width=1.5),
+        ],
+        DEG,
+        least_span=10.0,
+    )
+    for axis, rate in zip(AXES, RATES, strict=True)
+]
+
+
+def tilt_panels(log: Log) -> list[Panel]:
+    """Return the panels of servos: banks and hinges, and surfaces."""
+    angles = [
+        Panel(
+            f"{name.capitalize().replace('_', ' ')} servo",
+            "deg",
+            [_asked(f"tilt_{name}_command_rad", "commanded"), Trace(f"tilt_{name}_rad", "actual", width=1.4)],
+            DEG,
+            least_span=4.0,
+        )
+        for name in servos_in(log.columns)
+    ]
+    return angles + [
+        Panel(
+            name.capitalize().replace("_", " "),
+            "deflection",
+            [_asked(f"deflection_{name}_command", "commanded"), Trace(f"deflection_{name}", "actual", width=1.4)],
+            least_span=0.1,
+        )
+        for name in surfaces_in(log.columns)
+    ]
+
+
+def effort_panels(log: Log) -> list[Panel]:
+    """Return the panels of what the loops ask for, in the units of the vehicle's allocation."""
+    if not any(column.name == "torque_roll" and column.unit == "rad/s^2" for column in log.described):
+        return EFFORT
+    return [EFFORT[0], *(Panel(axis.capitalize(), "rad/s²", _effort(axis), least_span=0.5) for axis in AXES)]
+
+
+EFFORT = [
+    Panel(
+        "Collective",
+        "throttle",
+        [
+            Trace("collective", "asked for", BLUE, width=1.5, held=True),
+            Trace("refused_collective", "refused", RED, held=True, only_if_moving=True),
+        ],
+        least_span=0.2,
+    ),
+    Panel("Roll", "throttle", _effort("roll"), least_span=0.05),
+    Panel("Pitch", "deg of tilt", _effort("pitch"), DEG, least_span=2.0),
+    Panel("Yaw", "deg of tilt", _effort("yaw"), DEG, least_span=2.0),
+]
+HEIGHT = [
+    _followed("altitude", "m", "m", 1.0, 2.0),
+    Panel("Climb rate", "m/s", [Trace("velocity_down_m_s", "true", BLUE)], scale=-1.0, least_span=1.0),
+]
+PLACE = [_followed(name, "m", "m", 1.0, 2.0) for name in ("north", "east")]
+OUTSIDE = [  # a panel is left out where it is 0 throughout
+    Panel("Force", "N", _vector("disturbance_force_{}_N", ("x", "y", "z"))),
+    Panel("Moment", "N m", _vector("disturbance_moment_{}_N_m", ("x", "y", "z"))),
+    Panel("Wind", "m/s", _vector("wind_{}_m_s", ("north", "east", "down"))),
+    Panel("Payload", "kg", [Trace("payload_kg", "mass", held=True)]),
+]
+ENGINES = (  # a panel is left out where no engine says anything
+    ("Spool speed", "rpm", "spool_speed_{}_rad_s", 30.0 / pi),
+    ("Exhaust temperature", "K", "exhaust_temperature_{}_K", 1.0),
+    ("Fuel flow", "g/s", "fuel_flow_{}_kg_s", 1e3),
+)
+SPOOLS = Panel("Moment of the spools", "N m", _vector("spool_moment_{}_N_m", ("x", "y", "z")))
+TANK = Panel("Fuel on board", "kg", [Trace("fuel_kg", "fuel", BLUE)])
+
+
+def engine_panels(reader: Reader) -> list[Panel]:
+    """Return the panels of engine reports other than thrust, spools' moment and tank, where there are any."""
+    panels = []
+    jets = range(1, jets_in(reader.log.columns) + 1)
+    for title, unit, pattern, scale in ENGINES:
+        traces = [Trace(pattern.format(jet), f"jet {jet}", run_colour(jet - 1), width=1.4) for jet in jets]
+        known = [trace for trace in traces if reader.known(trace.column)]
+        if known:
+            panels.append(Panel(title, unit, known, scale))
+    healths = [Trace(f"health_{jet}", f"jet {jet}", run_colour(jet - 1), width=1.4) for jet in jets]
+    given_up = [trace for trace in healths if reader.known(trace.column) and np.nanmin(reader.log[trace.column]) < 1.0]
+    if given_up:
+        panels.append(Panel("Health, as monitored", "1", given_up, least_span=1.2))
+    return panels + [panel for panel in (SPOOLS, TANK) if reader.known(panel.traces[0].column)]
+
+
+def thrust_panels(summary: Summary) -> list[Panel]:
+    """Return a panel for each jet, front to back: the thrust at rest for its throttle, and the thrust delivered."""
+    curves = thrust_curves(summary)
+    return [
+        Panel(
+            f"Jet {jet}",
+            "N",
+            [
+                *([_asked(AT_REST.format(jet), "commanded")] if curves[jet - 1] else []),
+                Trace(f"thrust_{jet}_N", "delivered", width=1.5),
+            ],
+            least_span=4.0,
+        )
+        for row in jet_rows(summary.jets_m)
+        for jet in row
+    ]
+
+
+def at_rest(log: Log, summary: Summary) -> dict[str, Array]:
+    """Return columns that a page has beside the log's: each engine's thrust at rest for its throttle."""
+    columns = {}
+    for jet, curve in enumerate(thrust_curves(summary), 1):
+        if curve and f"throttle_{jet}" in log.columns:
+            points = np.array(curve, dtype=float)
+            columns[AT_REST.format(jet)] = np.interp(log[f"throttle_{jet}"], points[:, 0], points[:, 1])
+    return columns
+
+
+def thrust_curves(summary: Summary) -> list[list[tuple[float, float]]]:
+    """Return throttle and thrust at rest of the engine at each station, empty where it is not known."""
+    own = [list(station.curve) for station in summary.stations]
+    return [curve or summary.engine_curve for curve in own + [[]] * (max(JETS, len(summary.jets_m)) - len(own))]
+
+
+def jet_rows(jets_m: Sequence[Sequence[float]]) -> tuple[tuple[int, ...], ...]:
+    """Return jet numbers from front to back, (left, right), by their positions in the body frame if these are known."""
+    if not jets_m:
+        return JET_ROWS
+    places = sorted((-x, y, number) for number, (x, y, _) in enumerate(jets_m, start=1))
+    left = [number for _, y, number in places if y < 0.0]
+    right = [number for _, y, number in places if y >= 0.0]
+    if len(left) == len(right):
+        return tuple(zip(left, right, strict=True))
+    if len(jets_m) <= JETS:
+        return JET_ROWS
+    return tuple(tuple(range(n, min(n + 2, len(jets_m) + 1))) for n in range(1, len(jets_m) + 1, 2))

@@ -1,0 +1,152 @@
+"""Columns over time as figures of Plotly, which notebooks draw: one run, or several laid over each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.results.log.columns import known
+from cosim.results.report.flight_figures import over
+from cosim.results.report.log_reader import Reader
+from cosim.results.report.page import drawn
+from cosim.results.report.panels import ATTITUDE, Panel, Trace
+from cosim.results.report.plot import ABOVE, Figure, axis_name, layout, run_colour, share
+from cosim.results.run import Run
+
+PANEL_PX = 165
+_DASHES = ("solid", "dash", "dot", "dashdot")  # of several runs in one plot
+
+
+def plot(runs: Run | Sequence[Run], *columns: str) -> Any:
+    """Plot columns of a run, or of several, over time.
+
+    Parameters
+    ----------
+    runs : Run or sequence of Run
+        Whose logs are drawn over each other.
+    *columns : str
+        Their names; those of one unit share a panel, in SI units.  The attitude in degrees where none is named.
+
+    Returns
+    -------
+    plotly.graph_objects.Figure
+        A notebook shows it; ``write_html(path)`` makes a page of it, ``show()`` opens a browser.
+
+    Raises
+    ------
+    InputError
+        For a column that a log has not, or where Plotly is not installed.
+    """
+    flights = [runs] if isinstance(runs, Run) else list(runs)
+    readers = [Reader(run.log, run.summary.step_s) for run in flights]
+    if not columns:
+        labels = [
+            f"{n}: {run.summary.controller_shown}, {run.summary.engine_shown}" for n, run in enumerate(flights, 1)
+        ]
+        one = len(flights) == 1
+        return drawn(stacked(readers[0], ATTITUDE) if one else overlaid(readers, labels, ATTITUDE, "true"))
+    units = {column.name: column.unit for run in flights for column in run.log.described}
+    for name in columns:
+        for run in flights:
+            known(name, run.log.columns)
+    shared = list(dict.fromkeys(units.get(name, "") for name in columns))
+    panels = [Panel("", unit, []) for unit in shared]
+    data = []
+    for number, reader in enumerate(readers):
+        for n, name in enumerate(columns):
+            at = shared.index(units.get(name, ""))
+            label = name if len(readers) == 1 else f"{number + 1}: {name}"
+            trace = Trace(name, label, run_colour(n), _DASHES[number % len(_DASHES)])
+            data.append(_line(reader, panels[at], at, trace))
+    return drawn({"data": _named_once(data), "layout": _stacked_layout(panels, data)})
+
+
+def stacked(reader: Reader, panels: Sequence[Panel]) -> Figure:
+    """Return panels above each other over one time axis."""
+    data = [
+        _line(reader, panel, number, trace)
+        for number, panel in enumerate(panels)
+        for trace in panel.traces
+        if not trace.only_if_moving or reader.moves(trace.column)
+    ]
+    return {"data": _named_once(data), "layout": _stacked_layout(panels, data)}
+
+
+def overlaid(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str) -> Figure:
+    """Return the panels of :func:`over` as a figure of Plotly."""
+    figures = over(readers, labels, panels, which)
+    data = [_line(readers[run], panel, n, trace) for n, (panel, traces) in enumerate(figures) for run, trace in traces]
+    return {"data": _named_once(data), "layout": _stacked_layout([panel for panel, _ in figures], data)}
+
+
+def _line(reader: Reader, panel: Panel, number: int, trace: Trace) -> Figure:
+    """Return a trace in the panel with this number, counted from 0."""
+    return _values(reader, panel.scale * reader.log[trace.column], panel, trace) | {"yaxis": axis_name("y", number)}
+
+
+def _values(reader: Reader, values: Array, panel: Panel, trace: Trace) -> Figure:
+    return {
+        "type": "scatter",
+        "mode": "lines" if values.size > 1 else "markers",
+        "name": trace.label,
+        "legendgroup": trace.label,
+        "hovertemplate": f"{panel.title}, {trace.label}: %{{y:.4~g}} {panel.unit}<extra></extra>",
+        "line": {
+            "color": trace.colour,
+            "width": trace.width,
+            "dash": trace.dash,
+            "shape": "hv" if trace.held else "linear",
+        },
+        **reader.xy(values),
+    }
+
+
+def _named_once(data: list[Figure]) -> list[Figure]:
+    """Show each label once in the legend; a click on it works on all panels."""
+    seen: set[str] = set()
+    for trace in data:
+        trace["showlegend"] = trace["name"] not in seen
+        seen.add(trace["name"])
+    return data
+
+
+def _stacked_layout(panels: Sequence[Panel], data: Sequence[Mapping[str, Any]]) -> Figure:
+    made = _layout(len(panels) * PANEL_PX + 80)
+    for number, panel in enumerate(panels):
+        low, high = share(number, len(panels), gap=0.04)
+        axis = {"domain": [low, high], "anchor": "x", "title": {"text": f"{panel.title} [{panel.unit}]".lstrip()}}
+        drawn = [trace["y"] for trace in data if trace["yaxis"] == axis_name("y", number)]
+        narrow = _span(drawn, panel.least_span)
+        if narrow[1] - narrow[0] <= panel.least_span:
+            axis["range"] = narrow
+        made[axis_name("yaxis", number)] = axis
+    made["xaxis"] = _time_axis(data) | {"anchor": axis_name("y", len(panels) - 1)}
+    return made
+
+
+def _layout(height: int) -> Figure:
+    place = {"xref": "paper", "yref": "paper", "x": 0, "y": 1}
+    return layout(
+        height, 64, 12, 40, 44, hovermode="x unified", hoversubplots="axis",
+        legend={"orientation": "h", "traceorder": "normal", **place, **ABOVE},
+    )  # fmt: skip
+
+
+def _time_axis(data: Sequence[Mapping[str, Any]]) -> Figure:
+    ends = [(t["x"][-1] if "x" in t else t["x0"] + t["dx"] * (len(t["y"]) - 1)) for t in data if len(t["y"])]
+    return {
+        "title": {"text": "time [s]"},
+        "hoverformat": ".3f",
+        "range": [0.0, max([float(end) for end in ends] + [1e-3])],
+    }
+
+
+def _span(values: Sequence[Array], least: float) -> list[float]:
+    """Return the range from least to greatest with a margin, widened to ``least`` around the middle."""
+    known = np.concatenate([np.empty(0), *(part[np.isfinite(part)] for part in values)])
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    margin = max(0.06 * (high - low), 0.5 * (least - (high - low)))
+    return [low - margin, high + margin]
