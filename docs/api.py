@@ -25,14 +25,14 @@ PAGE = ROOT / "docs" / "api.md"
 SECTION = re.compile(r"^(\w+)\n-{3,}\n", re.MULTILINE)
 ENTRY = re.compile(r"^(\S[^\n]*)\n((?:    [^\n]*\n?|\n(?=    ))+)", re.MULTILINE)
 MODULES = ("campaign", "commands", "files", "identify", "loops", "pages")
-RECORDS = ("cosim/base/signals.py", "cosim/base/protocols.py")
+RECORDS = ("cosim/base/signals.py", "cosim/base/protocols/records.py")
 
 
 def parts() -> dict[str, str]:
     """Return the page's parts: the exports, those of each public module, the protocols, the records."""
     exports = {name: getattr(cosim, name) for name in cosim.__all__}
     blocks = {name: each for name, each in vars(protocols).items() if getattr(each, "_is_protocol", False)}
-    del exports["Command"], blocks["Protocol"]  # a record; and typing's
+    del exports["Command"]  # a record
     text = {
         "calls": [_about(name, each) for name, each in exports.items()],
         "protocols": [_about(name, each) for name, each in (blocks | {"Belief": Belief}).items()],

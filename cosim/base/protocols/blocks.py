@@ -1,24 +1,11 @@
-"""What may be exchanged, each by anything of the right shape: the protocols between a flight and its blocks.
-
-Every block is told values and answers with values.  Vectors are tuples of three floats, body forward-right-down or NED
-as said; per jet is a tuple from jet 1 on; everything is SI, angles are rad; the records are those of
-:mod:`cosim.base.signals`.  Step ``k`` acts over ``[t_k, t_k+1)``, ``t_k = k dt``.  A block may keep whatever it
-likes from
-one call to the next, as long as ``reset`` brings it back to where a new one is; it reads no clock, no file and no
-shared random generator, so that a flight is the same to the last bit when it is flown again.
-
-A :class:`cosim.base.errors.FlightError` raised by a block ends the flight as ``failed``; nothing of that step is
-logged.
-"""
+"""The blocks of a flight: pilot, disturbances, controller, allocator, engines, sensors, and what looks at a step."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from enum import Enum
-from math import inf
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Protocol
 
-from cosim.base._records import quick
+from cosim.base.protocols.records import Column, Diagnostics, EngineState, Report
 from cosim.base.signals import (
     ZERO3,
     Actuation,
@@ -37,31 +24,8 @@ from cosim.base.signals import (
 )
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     import numpy as np
     from numpy.typing import NDArray
-
-Diagnostics = tuple[float, float, float]  # a model's rate without its delay, and with it [rad/s]; the delay [samples]
-
-
-class EngineState(Enum):
-    """What the step does with the engines."""
-
-    FLY = "fly"  # as the controller asks
-    IDLE = "idle"  # least throttle, no torque
-    OFF = "off"  # shut off
-    START = "start"  # as idle, and some have yet to start
-
-
-class Report(NamedTuple):
-    """What the vehicle reports to its pilot beside its sensors at one instant."""
-
-    legs: bool  # the contact switch: a leg touches the ground
-    collective: float  # mean throttle of the step before, as allocated
-    lost: tuple[int, ...] = ()  # engines that are taken for lost, counted from 1
-    remaining: float | None = None  # share of the fuel that is left, 0..1; None: not measured
-    starting: tuple[int, ...] = ()  # engines that have yet to start, counted from 1
 
 
 class Pilot(Protocol):
@@ -203,140 +167,6 @@ class Controller(Protocol):
         """Trust every engine again as soon as all stand idle: the vehicle is repaired."""
 
 
-class Predictor(Protocol):
-    """Between measured rate and rate controller on one axis: what the rate would be if the engines answered at once.
-
-    One that has a ``diagnostics: Diagnostics`` is shown with it.
-    """
-
-    def reset(self) -> None:
-        """Forget everything: at rest, nothing applied."""
-
-    def update(self, measured: float, applied: float) -> float:
-        """Return the rate to feed back at ``t_k``; called once a step.
-
-        Parameters
-        ----------
-        measured : float
-            The body rate there [rad/s].
-        applied : float
-            The command over the step before as allocation gave it: throttle on roll, rad of tilt on pitch and yaw.
-
-        Returns
-        -------
-        float
-            The rate [rad/s] that the rate controller sees.
-        """
-
-
-class Parameter(NamedTuple):
-    """One number of a controller of one's own that scenarios, ``--set``, studies and searches reach by its name.
-
-    It is ``controller_parameters.<name>`` there, and ``default`` where nobody states it.
-    """
-
-    name: str  # letters, digits and _
-    default: float
-    unit: str = ""
-    meaning: str = ""
-    least: float = -inf
-    most: float = inf
-
-
-@quick
-class Applied(NamedTuple):
-    """What became of the step before: what the actuators were given, and what the engines report of it."""
-
-    throttle: PerJet  # 0 to 1; before the first step those at which the engines stand
-    tilt: PerServo  # rad, left and right servo or hinges, kept within the servos' range
-    engines: EngineOutput  # reported at its end
-    burnt: float  # kg of fuel, counted from a full tank
-
-
-class RateLoop(Protocol):
-    """A rate loop of one's own, ``level = "rate"``: between our attitude loop and our allocation.
-
-    As every block from outside it may have ``prepare(belief)``, called once before the first reset, ``parameters`` and,
-    as :class:`Shows` says, ``columns`` and ``shown``; see docs/own-controller.md.
-    """
-
-    def reset(self) -> None:
-        """Return to rest, with nothing applied."""
-
-    def update(self, setpoint: Vector3, measured: Vector3, applied: Vector3) -> Vector3:
-        """Return the torque to apply over a step; called once a step.
-
-        Parameters
-        ----------
-        setpoint : Vector3
-            Body rates asked for [rad/s].
-        measured : Vector3
-            Body rates at ``t_k`` [rad/s].
-        applied : Vector3
-            Last step's answer, less what could not be given of it.
-
-        Returns
-        -------
-        Vector3
-            About roll in throttle, about pitch and yaw in rad of tilt.
-        """
-
-
-class AttitudeLoop(Protocol):
-    """An attitude loop of one's own, ``level = "attitude"``, above our rate loop.
-
-    That is fed by the predictor that its attribute ``predictor`` names.  What else it may have: see :class:`RateLoop`.
-    """
-
-    def reset(self) -> None:
-        """Return to rest."""
-
-    def update(self, command: Command, measured: Measured) -> Vector3:
-        """Return the body rates to ask for over a step; not called while the command is a rate itself.
-
-        Parameters
-        ----------
-        command : Command
-            Its ``attitude`` is asked for.
-        measured : Measured
-            What is seen at ``t_k``.
-
-        Returns
-        -------
-        Vector3
-            Body rates [rad/s].
-        """
-
-
-class WholeController(Protocol):
-    """A whole controller of one's own, ``level = "controller"``.  What else it may have: see :class:`RateLoop`.
-
-    It may have ``signals: ControlSignals`` too, for the log's columns of a cascade.
-    """
-
-    def reset(self) -> None:
-        """Return to rest; the engines hold the vehicle up, or idle where it stands on the ground."""
-
-    def update(self, command: Command, measured: Measured, applied: Applied) -> Any:
-        """Return what the actuators are to do over a step; called once a step.
-
-        Parameters
-        ----------
-        command : Command
-            What is asked for.
-        measured : Measured
-            What is seen at ``t_k``.
-        applied : Applied
-            What became of the step before.
-
-        Returns
-        -------
-        Actuation or tuple
-            An :class:`Actuation`, or throttles, 0 to 1 per jet, and tilts [rad] of the left and the right servo, or of
-            each hinge [rad] and then each surface [unit of its property]; left out where nothing moves.
-        """
-
-
 class Allocator(Protocol):
     """Turns what the loops ask for into what the actuators can do.  It keeps its plan around lost engines, no more."""
 
@@ -467,16 +297,6 @@ class Engines(Protocol):
         """Free them; may be called twice."""
 
 
-class Column(NamedTuple):
-    """One column of a flight's log: what it is called and what it means, and where its numbers come from."""
-
-    name: str  # letters, digits and _; ends with its unit where that is not plain: _rad_s, _N
-    unit: str
-    frame: str  # body, NED, ...; empty where there is none
-    meaning: str
-    source: str = ""  # as in cosim.results.log.columns; a block that shows leaves it out
-
-
 class Shows(Protocol):
     """What any block may be beside its own protocol: one that shows numbers of its own in the log.
 
@@ -571,113 +391,3 @@ class Metric(Protocol):
         Any
             One number, or a record of them; None for what this flight cannot tell.
         """
-
-
-class OwnSensors(Protocol):
-    """Sensors of one's own behind the built-in ones, as a scenario's ``sensors`` names them.
-
-    It may have ``prepare(told)``, called once: ``told.step_s``, ``told.vehicle`` and ``told.random()``, a generator
-    that nobody else draws from and that is the same at every call; and, as :class:`Shows` says, ``columns`` and
-    ``shown``.
-    """
-
-    def reset(self, state: State, measured: Measured) -> Measured:
-        """Start a new flight.
-
-        Parameters
-        ----------
-        state : State
-            The truth.
-        measured : Measured
-            What the built-in sensors say of it.
-
-        Returns
-        -------
-        Measured
-            What is measured before step 0.
-        """
-
-    def sample(self, state: State, measured: Measured) -> Measured:
-        """Return one measurement; called once a step; the parameters are those of :meth:`reset`.
-
-        Parameters
-        ----------
-        state : State
-            The truth at ``t_k+1``.
-        measured : Measured
-            What the built-in sensors say of it.
-
-        Returns
-        -------
-        Measured
-            What is measured there.
-        """
-
-
-class Wind(Protocol):
-    """A wind of one's own over time and place, as a scenario's ``wind`` names it, beside that of the environment.
-
-    It may have ``prepare(told)`` as :class:`OwnSensors`, and ``reset()``, called before every flight.
-    """
-
-    def velocity(self, time: float, north: float, east: float, height: float) -> Vector3:
-        """Return the velocity of the air; asked once a step for the centre of gravity and for every engine's station.
-
-        Parameters
-        ----------
-        time : float
-            ``t_k`` [s].
-        north : float
-            From the starting point [m].
-        east : float
-            From the starting point [m].
-        height : float
-            Above the ground [m].
-
-        Returns
-        -------
-        Vector3
-            Where the air moves to [m/s, NED].
-        """
-
-
-Study = TypeVar("Study", contravariant=True)
-Flight = TypeVar("Flight", contravariant=True)
-Row = TypeVar("Row", covariant=True)
-
-
-class Workers(Protocol[Study, Flight, Row]):
-    """Flies a study's flights in other processes; a context manager that leaves none of them behind."""
-
-    def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
-        """Fly them all.
-
-        A flight whose process was lost is flown again, and is a row ``failed`` after three of them; one that takes too
-        long is a row ``failed`` at once.
-
-        Parameters
-        ----------
-        study : Study
-            To which all of them belong.
-        flights : iterable of Flight
-            Taken only as they can be flown.
-
-        Returns
-        -------
-        iterator of Row
-            One a flight, in the order in which they are finished.
-
-        Raises
-        ------
-        FlightError
-            If nothing can be flown any more, a disk being full, say.
-        """
-
-    def close(self) -> None:
-        """End every process, those at work included; may be called twice."""
-
-    def __enter__(self) -> Workers[Study, Flight, Row]: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...

@@ -1,0 +1,186 @@
+"""The user's blocks: predictors, loops and whole controllers, sensors behind the built-in ones, and winds."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from cosim.base.protocols.records import Applied
+from cosim.base.signals import Command, Measured, State, Vector3
+
+
+class Predictor(Protocol):
+    """Between measured rate and rate controller on one axis: what the rate would be if the engines answered at once.
+
+    One that has a ``diagnostics: Diagnostics`` is shown with it.
+    """
+
+    def reset(self) -> None:
+        """Forget everything: at rest, nothing applied."""
+
+    def update(self, measured: float, applied: float) -> float:
+        """Return the rate to feed back at ``t_k``; called once a step.
+
+        Parameters
+        ----------
+        measured : float
+            The body rate there [rad/s].
+        applied : float
+            The command over the step before as allocation gave it: throttle on roll, rad of tilt on pitch and yaw.
+
+        Returns
+        -------
+        float
+            The rate [rad/s] that the rate controller sees.
+        """
+
+
+class RateLoop(Protocol):
+    """A rate loop of one's own, ``level = "rate"``: between our attitude loop and our allocation.
+
+    As every block from outside it may have ``prepare(belief)``, called once before the first reset, ``parameters`` and,
+    as :class:`Shows` says, ``columns`` and ``shown``; see docs/own-controller.md.
+    """
+
+    def reset(self) -> None:
+        """Return to rest, with nothing applied."""
+
+    def update(self, setpoint: Vector3, measured: Vector3, applied: Vector3) -> Vector3:
+        """Return the torque to apply over a step; called once a step.
+
+        Parameters
+        ----------
+        setpoint : Vector3
+            Body rates asked for [rad/s].
+        measured : Vector3
+            Body rates at ``t_k`` [rad/s].
+        applied : Vector3
+            Last step's answer, less what could not be given of it.
+
+        Returns
+        -------
+        Vector3
+            About roll in throttle, about pitch and yaw in rad of tilt.
+        """
+
+
+class AttitudeLoop(Protocol):
+    """An attitude loop of one's own, ``level = "attitude"``, above our rate loop.
+
+    That is fed by the predictor that its attribute ``predictor`` names.  What else it may have: see :class:`RateLoop`.
+    """
+
+    def reset(self) -> None:
+        """Return to rest."""
+
+    def update(self, command: Command, measured: Measured) -> Vector3:
+        """Return the body rates to ask for over a step; not called while the command is a rate itself.
+
+        Parameters
+        ----------
+        command : Command
+            Its ``attitude`` is asked for.
+        measured : Measured
+            What is seen at ``t_k``.
+
+        Returns
+        -------
+        Vector3
+            Body rates [rad/s].
+        """
+
+
+class WholeController(Protocol):
+    """A whole controller of one's own, ``level = "controller"``.  What else it may have: see :class:`RateLoop`.
+
+    It may have ``signals: ControlSignals`` too, for the log's columns of a cascade.
+    """
+
+    def reset(self) -> None:
+        """Return to rest; the engines hold the vehicle up, or idle where it stands on the ground."""
+
+    def update(self, command: Command, measured: Measured, applied: Applied) -> Any:
+        """Return what the actuators are to do over a step; called once a step.
+
+        Parameters
+        ----------
+        command : Command
+            What is asked for.
+        measured : Measured
+            What is seen at ``t_k``.
+        applied : Applied
+            What became of the step before.
+
+        Returns
+        -------
+        Actuation or tuple
+            An :class:`Actuation`, or throttles, 0 to 1 per jet, and tilts [rad] of the left and the right servo, or of
+            each hinge [rad] and then each surface [unit of its property]; left out where nothing moves.
+        """
+
+
+class OwnSensors(Protocol):
+    """Sensors of one's own behind the built-in ones, as a scenario's ``sensors`` names them.
+
+    It may have ``prepare(told)``, called once: ``told.step_s``, ``told.vehicle`` and ``told.random()``, a generator
+    that nobody else draws from and that is the same at every call; and, as :class:`Shows` says, ``columns`` and
+    ``shown``.
+    """
+
+    def reset(self, state: State, measured: Measured) -> Measured:
+        """Start a new flight.
+
+        Parameters
+        ----------
+        state : State
+            The truth.
+        measured : Measured
+            What the built-in sensors say of it.
+
+        Returns
+        -------
+        Measured
+            What is measured before step 0.
+        """
+
+    def sample(self, state: State, measured: Measured) -> Measured:
+        """Return one measurement; called once a step; the parameters are those of :meth:`reset`.
+
+        Parameters
+        ----------
+        state : State
+            The truth at ``t_k+1``.
+        measured : Measured
+            What the built-in sensors say of it.
+
+        Returns
+        -------
+        Measured
+            What is measured there.
+        """
+
+
+class Wind(Protocol):
+    """A wind of one's own over time and place, as a scenario's ``wind`` names it, beside that of the environment.
+
+    It may have ``prepare(told)`` as :class:`OwnSensors`, and ``reset()``, called before every flight.
+    """
+
+    def velocity(self, time: float, north: float, east: float, height: float) -> Vector3:
+        """Return the velocity of the air; asked once a step for the centre of gravity and for every engine's station.
+
+        Parameters
+        ----------
+        time : float
+            ``t_k`` [s].
+        north : float
+            From the starting point [m].
+        east : float
+            From the starting point [m].
+        height : float
+            Above the ground [m].
+
+        Returns
+        -------
+        Vector3
+            Where the air moves to [m/s, NED].
+        """
