@@ -108,35 +108,35 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         with terminated_as_interrupted(), at_a_command(asks(), given):
             status = cli.main(args=given, prog_name="hexjet", standalone_mode=False)
-    except InputError as error:
-        _complain(str(error))
-        status = FLIGHT_FAILED if isinstance(error, NotIdentifiedError) else WRONG_INPUT
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.ctx.get_help() if error.ctx else "", err=True)
         status = WRONG_INPUT
-    except click.ClickException as error:
-        where = f" ({error.ctx.command_path} --help)" if isinstance(error, click.UsageError) and error.ctx else ""
-        _complain(" ".join(error.format_message().split()) + where)
-        status = WRONG_INPUT
-    except FlightError as error:
-        _complain(str(error))
-        status = FLIGHT_FAILED
+    except (InputError, FlightError, click.ClickException, OSError) as error:
+        if isinstance(error, OSError) and error.errno not in MACHINE_TROUBLE:
+            raise
+        message, status = _explain(error)
+        _complain(message)
     except SystemExit:
         if sys.stdout is output:
             raise
         # whoever read the output has gone: click has put in its place what does not complain while Python shuts down
         status = DONE
-    except OSError as error:
-        if error.errno not in MACHINE_TROUBLE:
-            raise
-        _complain(_machine_trouble(error))
-        status = FLIGHT_FAILED
     except (click.Abort, KeyboardInterrupt) as error:
         stop = error.__cause__ or error
         if REPORTED not in getattr(stop, "__notes__", ()):
             _complain("stopped; what was written before is kept")
         status = TERMINATED if isinstance(stop, Terminated) else INTERRUPTED
     sys.exit(status if isinstance(status, int) else DONE)
+
+
+def _explain(error: InputError | FlightError | click.ClickException | OSError) -> tuple[str, int]:
+    """Return the line for an error that ends a command, and the exit status."""
+    if isinstance(error, InputError):
+        return str(error), FLIGHT_FAILED if isinstance(error, NotIdentifiedError) else WRONG_INPUT
+    if isinstance(error, click.ClickException):
+        where = f" ({error.ctx.command_path} --help)" if isinstance(error, click.UsageError) and error.ctx else ""
+        return " ".join(error.format_message().split()) + where, WRONG_INPUT
+    return (_machine_trouble(error) if isinstance(error, OSError) else str(error)), FLIGHT_FAILED
 
 
 def _machine_trouble(error: OSError) -> str:

@@ -24,7 +24,7 @@ from cosim.results.report.log_reader import Reader
 from cosim.results.report.marks import parts_of
 from cosim.results.report.page import ASSETS, Flights, render
 from cosim.results.report.panels import Panel, Trace
-from cosim.results.report.signals_data import BITS, MOST_BANDS, NOISE_BITS, run_data
+from cosim.results.report.signals_data import BITS, MOST_BANDS, NOISE_BITS, FlightData, run_data
 from cosim.results.run import Run, begin_run
 
 HOUR = 900_000  # steps
@@ -270,7 +270,9 @@ def test_the_last_samples_of_an_hour(browser: Any, tmp_path: Path) -> None:
     table[0] = 0.1 * np.sin(0.001 * k) + 1e-3 * rng.normal(size=HOUR)
     table[0, 123_456] = 7.0  # a peak that no thinning may lose
     log = MemoryLog([table], names)
-    said = run_data(log, "hour", "#2f7de1", step_s=STEP, jets_m=[(0.1, 0.1, 0.0), (-0.1, 0.1, 0.0), (0.0, -0.1, 0.0)])
+    said = run_data(
+        FlightData(log, "hour", "#2f7de1", step_s=STEP, jets_m=[(0.1, 0.1, 0.0), (-0.1, 0.1, 0.0), (0.0, -0.1, 0.0)])
+    )
     figure = strips(Reader(log, STEP), [Panel("Roll", "rad", [Trace("roll_rad", "true")])])
     path = tmp_path / "hour.html"
     template = tmp_path / "hour.page"

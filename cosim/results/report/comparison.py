@@ -17,7 +17,7 @@ from cosim.results.report.flight import axis_cell, verdict, verdict_badge
 from cosim.results.report.flight_figures import comparison_figures, less_the_first
 from cosim.results.report.page import TEMPLATES, Flights, render
 from cosim.results.report.plot import run_colour
-from cosim.results.report.signals_data import run_data, vehicle_of
+from cosim.results.report.signals_data import FlightData, run_data, vehicle_of
 from cosim.results.run import REPORT, Run
 from cosim.results.summary import Summary
 from cosim.results.wording import AXIS_ROWS, NONE, WHOLE_ROWS, metric, shown, unit_shown
@@ -45,7 +45,7 @@ def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[Pair]
         label, times = f"{flights[number].label} less {flights[0].label}", log[TIME]
         step = step_of(times)
         even = bool(np.allclose(times, step * np.arange(times.size), rtol=0.0, atol=1e-6 * step))
-        data.append(run_data(log, label, run_colour(number), step_s=step, times=None if even else times))
+        data.append(run_data(FlightData(log, label, run_colour(number), step_s=step, times=None if even else times)))
     render(
         TEMPLATES / "compare.html",
         path,
@@ -98,17 +98,19 @@ def flight_data(flight: ComparedFlight, number: int) -> tuple[dict[str, Any], di
     colour = run_colour(number)
     if flight.run is None:
         times = flight.log[TIME]
-        return run_data(flight.log, flight.label, colour, step_s=step_of(times), times=times)
+        return run_data(FlightData(flight.log, flight.label, colour, step_s=step_of(times), times=times))
     summary = flight.run.summary
     return run_data(
-        flight.log,
-        flight.label,
-        colour,
-        step_s=summary.step_s,
-        events=events_of(flight.run),
-        vehicle=vehicle_of(flight.run),
-        jets_m=summary.jets_m,
-        reach=summary.reach,
+        FlightData(
+            flight.log,
+            flight.label,
+            colour,
+            step_s=summary.step_s,
+            events=events_of(flight.run),
+            vehicle=vehicle_of(flight.run),
+            jets_m=summary.jets_m,
+            reach=summary.reach,
+        )
     )
 
 

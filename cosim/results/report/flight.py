@@ -17,7 +17,7 @@ from cosim.results.report.log_reader import Reader
 from cosim.results.report.page import TEMPLATES, Flights, render
 from cosim.results.report.panels import at_rest
 from cosim.results.report.plot import BLUE
-from cosim.results.report.signals_data import run_data, vehicle_of
+from cosim.results.report.signals_data import FlightData, run_data, vehicle_of
 from cosim.results.run import LOG, SCENARIO, Run
 from cosim.results.summary import DelayRow, Summary
 from cosim.results.verdict import BADGES
@@ -50,16 +50,18 @@ def write_report(run: Run, path: Path, shared_assets: bool = False) -> None:
     if summary.steps:
         vehicle = vehicle_of(run)
         said = run_data(
-            run.log,
-            summary.controller_shown,
-            BLUE,
-            step_s=summary.step_s,
-            events=events,
-            vehicle=vehicle,
-            jets_m=summary.jets_m,
-            derived=at_rest(run.log, summary),
-            upsets=Reader(run.log, summary.step_s).upsets(),
-            reach=summary.reach,
+            FlightData(
+                run.log,
+                summary.controller_shown,
+                BLUE,
+                step_s=summary.step_s,
+                events=events,
+                vehicle=vehicle,
+                jets_m=summary.jets_m,
+                derived=at_rest(run.log, summary),
+                upsets=Reader(run.log, summary.step_s).upsets(),
+                reach=summary.reach,
+            )
         )
         flights = Flights(summary.scenario, [said], run_figures(run.log, summary))
     strips = {} if flights is None else flights.figures

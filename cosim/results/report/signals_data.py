@@ -13,6 +13,7 @@ import base64
 import zlib
 from collections.abc import Mapping, Sequence
 from math import floor, log2
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -121,71 +122,76 @@ def _cost(numbers: NDArray[np.int64]) -> float:
 # ---- a run
 
 
-def run_data(
-    log: Log,
-    label: str,
-    colour: str,
-    *,
-    step_s: float,
-    events: Sequence[Event] = (),
-    vehicle: Vehicle | None = None,
-    jets_m: Sequence[Sequence[float]] = (),
-    times: Array | None = None,
-    derived: Mapping[str, Array] | None = None,
-    upsets: Sequence[tuple[float, float]] = (),
-    reach: Reach | None = None,
-) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return what a page says of a run, as JSON has it, and its columns' data by name.
+class FlightData(NamedTuple):
+    """A flight as a page draws it."""
 
-    ``times`` are those of the rows where they are not 0, ``step_s``, ...; ``derived`` are columns that the log has not;
-    ``upsets`` the times when something disturbs the flight as the log has it; ``reach`` that by which the flight's
-    metrics were made.
-    """
-    told: list[dict[str, Any]] = []
+    log: Log
+    label: str
+    colour: str
+    step_s: float
+    events: Sequence[Event] = ()
+    vehicle: Vehicle | None = None
+    jets_m: Sequence[Sequence[float]] = ()  # body, where no vehicle is known
+    times: Array | None = None  # of the rows, where they are not 0, step_s, ...
+    derived: Mapping[str, Array] = MappingProxyType({})  # columns that the log has not
+    upsets: Sequence[tuple[float, float]] = ()  # when something disturbs the flight as the log has it
+    reach: Reach | None = None  # by which the flight's metrics were made
+
+
+def run_data(flight: FlightData) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return what a page says of a run, as JSON has it, and its columns' data by name."""
+    log = flight.log
+    columns, data, empty = _packed_columns(flight)
+    described = {
+        "label": flight.label,
+        "colour": flight.colour,
+        "rows": len(log),
+        "step": flight.step_s,
+        "uniform": flight.times is None,
+        "columns": columns,
+        "empty": empty,
+        "events": [
+            {"t": event.time_s, "end": event.end_s, "kind": event.kind, "text": event.text, "banded": _banded(event),
+             "lasts": event.lasts, "severity": event.severity}
+            for event in flight.events
+        ],
+        "upsets": flight.upsets,
+        "saturated": _saturated(log, flight.reach, flight.step_s) if len(log) and flight.times is None else [],
+        "vehicle": shape(flight.vehicle) if flight.vehicle is not None else _jets_only(flight.jets_m),
+    }  # fmt: skip
+    return described, data
+
+
+def _packed_columns(flight: FlightData) -> tuple[list[dict[str, Any]], dict[str, str], list[str]]:
+    """Return the columns' descriptions, the packed data of those that differ, and the names of empty columns."""
+    columns: list[dict[str, Any]] = []
     data: dict[str, str] = {}
     empty: list[str] = []
-    held: dict[str, str] = {}  # data and the first column that has it: jets of one bank are often told the same
+    first_of: dict[str, str] = {}  # data and the first column that has it: jets of one bank often get the same command
+    log, derived = flight.log, flight.derived
     described = {column.name: column for column in log.described}
-    more = derived or {}
-    for name in (*log.columns, *more):
-        if name == TIME and times is None:
+    for name in (*log.columns, *derived):
+        if name == TIME and flight.times is None:
             continue
-        column = packed(np.asarray(more[name] if name in more else log[name], dtype=np.float64))
+        column = packed(np.asarray(derived[name] if name in derived else log[name], dtype=np.float64))
         if column is None:
             empty.append(name)
             continue
         about = described.get(name)
-        first = held.setdefault(column.data, name) if column.data else name
-        told.append(
+        first = first_of.setdefault(column.data, name) if column.data else name
+        columns.append(
             {
                 "name": name,
                 "unit": about.unit if about else "",
                 "frame": about.frame if about else "",
-                "meaning": about.meaning if about else DERIVED if name in more else "",
+                "meaning": about.meaning if about else DERIVED if name in derived else "",
                 **{key: value for key, value in column._asdict().items() if key != "data"},
                 "data": first,
             }
         )
         if column.data and first == name:
             data[name] = column.data
-    said = {
-        "label": label,
-        "colour": colour,
-        "rows": len(log),
-        "step": step_s,
-        "uniform": times is None,
-        "columns": told,
-        "empty": empty,
-        "events": [
-            {"t": event.time_s, "end": event.end_s, "kind": event.kind, "text": event.text, "banded": _banded(event),
-             "lasts": event.lasts, "severity": event.severity}
-            for event in events
-        ],
-        "upsets": upsets,
-        "saturated": _saturated(log, reach, step_s) if len(log) and times is None else [],
-        "vehicle": shape(vehicle) if vehicle is not None else _places(jets_m),
-    }  # fmt: skip
-    return said, data
+    return columns, data, empty
 
 
 def _banded(event: Event) -> bool:
@@ -246,7 +252,7 @@ def shape(vehicle: Vehicle) -> dict[str, Any]:
     }
 
 
-def _places(jets_m: Sequence[Sequence[float]]) -> dict[str, Any]:
+def _jets_only(jets_m: Sequence[Sequence[float]]) -> dict[str, Any]:
     """Return a vehicle of which no more is known than the positions of its jets."""
     jets = [{"position": list(place), "axis": UP, "turns": []} for place in jets_m]
     return {"name": "", "title": "", "mass": None, "jets": jets, "contacts": [], "panels": []}

@@ -23,7 +23,7 @@ from cosim.results.log.recorder import MemoryLog
 from cosim.results.report.flight import write_report
 from cosim.results.report.log_reader import Reader
 from cosim.results.report.plot import BLUE
-from cosim.results.report.signals_data import run_data
+from cosim.results.report.signals_data import FlightData, run_data
 from cosim.results.run import Run, open_run
 from cosim.spec.scenario import Scenario
 
@@ -136,7 +136,7 @@ def test_every_fault_and_disturbance_has_words() -> None:
 
 
 def test_the_strips_have_their_bands(run: Run) -> None:
-    said, _ = run_data(run.log, "one", BLUE, step_s=run.summary.step_s, events=events_of(run))
+    said, _ = run_data(FlightData(run.log, "one", BLUE, step_s=run.summary.step_s, events=events_of(run)))
     bands = {(each["t"], each["end"]) for each in said["events"] if each["banded"]}
     bands |= set(Reader(run.log, run.summary.step_s).upsets())
     assert {(start, 4.0 if end is None else end) for start, end in bands} == {(1.0, 2.0), (2.5, 3.0), (3.0, 4.0)}

@@ -37,7 +37,7 @@ from cosim.results.report.log_reader import Reader, thinned
 from cosim.results.report.page import ASSETS, SCRIPTS, STYLES, THREE, deflated, figure_json
 from cosim.results.report.panels import ATTITUDE, at_rest, jet_rows
 from cosim.results.report.plot import BLUE
-from cosim.results.report.signals_data import Packed, packed, run_data, shape, step_of, unpacked
+from cosim.results.report.signals_data import FlightData, Packed, packed, run_data, shape, step_of, unpacked
 from cosim.results.report.three_views import three_views
 from cosim.results.report.time_plot import stacked
 from cosim.results.run import Run, begin_run
@@ -136,7 +136,7 @@ def test_the_bands_of_saturation_are_the_steps_that_the_metric_counts(
     end = len(run.log) * STEP
 
     def bands() -> list[tuple[float, float]]:
-        said, _ = run_data(run.log, "one", BLUE, step_s=STEP, reach=reach)
+        said, _ = run_data(FlightData(run.log, "one", BLUE, step_s=STEP, reach=reach))
         return [(start, end if stop is None else stop) for start, stop in said["saturated"]]
 
     share = flight_metrics(run.log, STEP, reach).effort.saturated_percent
@@ -150,7 +150,7 @@ def test_the_bands_of_saturation_are_the_steps_that_the_metric_counts(
     monkeypatch.setattr(signals_data, "MOST_BANDS", 2)
     widest = int(np.argmax(gaps))
     assert bands() == [(all_of_them[0][0], all_of_them[widest][1]), (all_of_them[widest + 1][0], all_of_them[-1][1])]
-    said, _ = run_data(run.log, "one", BLUE, step_s=STEP)
+    said, _ = run_data(FlightData(run.log, "one", BLUE, step_s=STEP))
     assert said["saturated"] == []
 
 
