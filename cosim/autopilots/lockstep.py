@@ -159,7 +159,7 @@ class Program:
         self.process.end()
 
 
-def stated_program(stated: Path | None, variable: str) -> Path | None:
+def find_configured_program(stated: Path | None, variable: str) -> Path | None:
     """Return the program of ``--binary``, or that this environment variable names; None if neither does.
 
     Raises InputError for what is no program.
@@ -180,7 +180,7 @@ def check_program(path: Path, where: str) -> Path:
 
 
 def listen(kind: socket.SocketKind, port: int, what: str) -> socket.socket:
-    """Return a loopback socket at a port, of datagrams as :func:`waits`.  Raises InputError where it is taken."""
+    """Return a loopback socket at a port, with a time-out for datagrams.  Raises InputError where it is taken."""
     opened = socket.socket(socket.AF_INET, kind)
     try:
         if kind == socket.SOCK_STREAM:
@@ -193,7 +193,7 @@ def listen(kind: socket.SocketKind, port: int, what: str) -> socket.socket:
         if error.errno == errno.EADDRINUSE:
             raise InputError(f"{what}: port {port} is in use; another flight or autopilot has it (--port)") from None
         raise InputError(f"{what}: port {port}: {error.strerror or error}") from error
-    return waits(opened) if kind == socket.SOCK_DGRAM else opened
+    return set_receive_timeout(opened) if kind == socket.SOCK_DGRAM else opened
 
 
 class Waiting:
@@ -228,7 +228,7 @@ class Waiting:
         return monotonic() - self.begun
 
 
-def waits(opened: socket.socket) -> socket.socket:
+def set_receive_timeout(opened: socket.socket) -> socket.socket:
     """Make a socket wait for :data:`SLICE_S` and then raise BlockingIOError, and return it.
 
     It is one system call, where a time-out of Python's takes three.

@@ -11,7 +11,7 @@ from typing import Any
 
 from cosim.autopilots import ardupilot, betaflight, px4
 from cosim.autopilots.block import AutopilotBlock, OutsideRates
-from cosim.autopilots.lockstep import LOCAL, Autopilot, stated_program
+from cosim.autopilots.lockstep import LOCAL, Autopilot, find_configured_program
 from cosim.autopilots.parameters import (
     ARDUPILOT_STICKS,
     ardupilot_parameters,
@@ -105,7 +105,7 @@ def find_program(name: str, binary: Path | None) -> Path | None:
     None: there is none, and the autopilot is started by hand; Betaflight never is.  Raises InputError for what is no
     program.
     """
-    return betaflight.program(binary) if name == "betaflight" else stated_program(binary, VARIABLES[name])
+    return betaflight.program(binary) if name == "betaflight" else find_configured_program(binary, VARIABLES[name])
 
 
 def program_of(name: str, binary: Path | None) -> Path:

@@ -30,7 +30,7 @@ from cosim.autopilots.lockstep import (
     listen,
     pulse,
     say_unknown,
-    waits,
+    set_receive_timeout,
 )
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
@@ -133,7 +133,7 @@ class Px4:
         if self._program is not None:
             refuse_unknown(log, self._parameters)  # its parameters are set before it connects
         self._server.setblocking(False)
-        waits(self._link).setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        set_receive_timeout(self._link).setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def exchange(self, frame: Frame) -> Answer:
         """See :class:`cosim.autopilots.lockstep.Autopilot`."""

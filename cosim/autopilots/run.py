@@ -84,7 +84,7 @@ def outside_rates(scenario: Scenario, gain: Vector3, hears: bool = False) -> Out
         return OutsideRates(simulation.cascade, gain, hears)
 
 
-def _with_names_checked(ending: Ending, autopilot: Autopilot) -> Ending:
+def _close_and_check_names(ending: Ending, autopilot: Autopilot) -> Ending:
     """Close the autopilot, and return how the flight ended: failed if a parameter's name is none that it has."""
     autopilot.close()
     try:
@@ -159,7 +159,7 @@ def fly_autopilot(
                 ending = Ending("failed", f"interrupted at {simulation.k * simulation.dt:.3f} s")
             wall = time.perf_counter() - begin
             writer.close()
-            ending = _with_names_checked(ending, autopilot)
+            ending = _close_and_check_names(ending, autopilot)
             hashed = sha256((folder / ACTUATORS).read_bytes()).hexdigest()
             recording.restate(resolve(simulation)[0].model_copy(update=again | {"controller_sha256": hashed}))
             counted = {"autopilot": label, "steps": simulation.k, **asdict(autopilot.counts), **(details or {})}

@@ -11,7 +11,7 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
-from cosim.codegen.files import NO_LICENCE, Labels, common, controller_texts, stamp, written
+from cosim.codegen.files import NO_LICENCE, Labels, common, controller_texts, render_files, stamp
 from cosim.codegen.form import Form
 
 # What stands in the sources of each, or includes them, is a part of that program: its licence is not ours to choose.
@@ -56,7 +56,7 @@ def adapter_texts(form: Form, labels: Labels, autopilot: str, worth: Vector3) ->
     }
     n = labels.name
     rates = {f"{n}_rates.h": "adapters/rates.h", f"{n}_rates.c": "adapters/rates.c"}
-    shared = controller_texts(form, labels, single=True) | written(rates, values)
+    shared = controller_texts(form, labels, single=True) | render_files(rates, values)
     return _MADE[autopilot](n, shared, values)
 
 
@@ -73,14 +73,14 @@ def _curve(thrust: Mapping[str, Any]) -> int:
 def _betaflight(n: str, shared: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
     """Return Betaflight's adapter: one patch with every file in it, and a README on how to apply it."""
     own = {f"{n}_betaflight.h": "adapters/betaflight.h", f"{n}_betaflight.c": "adapters/betaflight.c"}
-    files = dict(shared) | written(own, _as_program(values))
+    files = dict(shared) | render_files(own, _as_program(values))
     sources = sorted(name for name in files if name.endswith(".c"))
-    patch = written({"": "adapters/betaflight.patch"}, dict(values) | {"sources": sources})[""]
+    patch = render_files({"": "adapters/betaflight.patch"}, dict(values) | {"sources": sources})[""]
     for name, text in sorted(files.items()):
         lines = text.splitlines()
         patch += f"--- /dev/null\n+++ b/src/main/flight/{name}\n@@ -0,0 +1,{len(lines)} @@\n"
         patch += "".join(f"+{line}\n" for line in lines)
-    readme = written({"README.md": "adapters/betaflight.md"}, values)
+    readme = render_files({"README.md": "adapters/betaflight.md"}, values)
     return {f"{n}-betaflight.patch": patch} | readme
 
 
@@ -88,8 +88,8 @@ def _ardupilot(n: str, shared: Mapping[str, str], values: Mapping[str, Any]) -> 
     """Return ArduPilot's adapter: a backend of ``AC_CustomControl``, as files for its folder."""
     name = f"AC_CustomControl_{values['Class']}"
     own = {f"{name}.h": "adapters/ardupilot.h", f"{name}.cpp": "adapters/ardupilot.cpp"}
-    files = dict(shared) | written(own, _as_program(values))
-    return {f"AC_CustomControl/{file}": text for file, text in files.items()} | written(
+    files = dict(shared) | render_files(own, _as_program(values))
+    return {f"AC_CustomControl/{file}": text for file, text in files.items()} | render_files(
         {"README.md": "adapters/ardupilot.md"}, values
     )
 
@@ -102,9 +102,9 @@ def _px4(n: str, shared: Mapping[str, str], values: Mapping[str, Any]) -> dict[s
         "CMakeLists.txt": "adapters/px4_module.txt",
         "Kconfig": "adapters/px4_kconfig.txt",
     }
-    module = dict(shared) | written(own, dict(values) | {"sources": sources})
+    module = dict(shared) | render_files(own, dict(values) | {"sources": sources})
     around = {"src/CMakeLists.txt": "adapters/px4_list.txt", "README.md": "adapters/px4.md"}
-    return {f"src/modules/{n}/{file}": text for file, text in module.items()} | written(around, values)
+    return {f"src/modules/{n}/{file}": text for file, text in module.items()} | render_files(around, values)
 
 
 _MADE: dict[str, Callable[[str, Mapping[str, str], Mapping[str, Any]], dict[str, str]]] = {

@@ -66,14 +66,14 @@ def texts(form: Form, vectors: Vectors, labels: Labels) -> dict[str, str]:
         "on_ground": vectors.on_ground,
     }
     test = {f"{n}_vectors.h": "vectors.h", f"{n}_vectors.c": "vectors.c", f"test_{n}.c": "test.c"}
-    return controller_texts(form, labels) | written(test, common(form, labels) | values)
+    return controller_texts(form, labels) | render_files(test, common(form, labels) | values)
 
 
 def controller_texts(form: Form, labels: Labels, single: bool = False) -> dict[str, str]:
     """Return the C files of the controller alone; ``single``: single precision is the default."""
     n = labels.name
     files = {f"{n}.h": "controller.h", f"{n}.c": "controller.c", f"{n}_parameters.c": "parameters.c"}
-    return written(files, common(form, labels) | {"single": single})
+    return render_files(files, common(form, labels) | {"single": single})
 
 
 def stamp(licence: str | None) -> str:
@@ -83,7 +83,7 @@ def stamp(licence: str | None) -> str:
 
 def common(form: Form, labels: Labels) -> dict[str, Any]:
     """Return the variables that every C template gets."""
-    f = _prepared(form)
+    f = _prepare_form(form)
     return {
         "n": labels.name,
         "N": labels.name.upper(),
@@ -100,7 +100,7 @@ def common(form: Form, labels: Labels) -> dict[str, Any]:
     }
 
 
-def written(files: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
+def render_files(files: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
     """Return the rendered files by their names; ``files`` maps these to the names of their templates."""
     environment = _environment()
     return {name: environment.get_template(template).render(**values) for name, template in files.items()}
@@ -140,7 +140,7 @@ def _c(value: Any, indent: str = "        ") -> str:
     return f"R({float(value)!r})"
 
 
-def _prepared(form: Form) -> Form:
+def _prepare_form(form: Form) -> Form:
     """Return the form with what templates need beside: which C helpers are used, and every predictor's fields."""
     axes = [axis | {"predictor": _fields(axis["predictor"])} for axis in form["axes"]]
     predictors = [axis["predictor"] for axis in axes]

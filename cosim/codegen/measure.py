@@ -50,9 +50,9 @@ def measure(folder: Path, name: str) -> Measured | None:
         return None
     first = _run([cc, "--version"]).stdout.splitlines()
     with temporary("export-") as made:
-        double = _measured_run(cc, folder, name, Path(made, "double"))
-        single = _measured_run(cc, folder, name, Path(made, "single"), f"-D{name.upper()}_FLOAT")
-        stack, code = _static(cc, folder, name, Path(made))
+        double = _run_test(cc, folder, name, Path(made, "double"))
+        single = _run_test(cc, folder, name, Path(made, "single"), f"-D{name.upper()}_FLOAT")
+        stack, code = _measure_static(cc, folder, name, Path(made))
     other, _, _ = _figures(double.stdout)
     _, throttle, tilt = _figures(single.stdout)
     cycles = _CYCLES.search(double.stdout)
@@ -75,13 +75,13 @@ def sources(name: str) -> list[str]:
     return [f"test_{name}.c", f"{name}.c", f"{name}_parameters.c", f"{name}_vectors.c"]
 
 
-def _measured_run(cc: str, folder: Path, name: str, program: Path, *more: str) -> subprocess.CompletedProcess[str]:
+def _run_test(cc: str, folder: Path, name: str, program: Path, *more: str) -> subprocess.CompletedProcess[str]:
     files = [str(folder / source) for source in sources(name)]
-    _compiled([cc, *FLAGS, "-O2", *more, "-o", str(program), *files, "-lm"], folder)
+    _compile([cc, *FLAGS, "-O2", *more, "-o", str(program), *files, "-lm"], folder)
     return _run([str(program), "time"])
 
 
-def _compiled(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+def _compile(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
     done = _run(command)
     if done.returncode != 0:
         lines = [line for line in done.stderr.splitlines() if "error" in line] or [*done.stderr.splitlines(), "no word"]
@@ -100,20 +100,20 @@ def _figures(text: str) -> tuple[int, float, float]:
     return int(match[1]), float(match[2]), float(match[3])
 
 
-def _static(cc: str, folder: Path, name: str, made: Path) -> tuple[int | None, int | None]:
+def _measure_static(cc: str, folder: Path, name: str, made: Path) -> tuple[int | None, int | None]:
     """Return bytes of stack by gcc's call graph, and of code and constants by ``size``; None where one is missing."""
     target = made / f"{name}.o"
     done = _run([cc, *FLAGS, "-O2", "-fcallgraph-info=su", "-c", "-o", str(target), str(folder / f"{name}.c")])
     if done.returncode != 0:
         return None, None
     graph = target.with_suffix(".ci")
-    stack = _deepest(graph.read_text(encoding="utf-8")) if graph.is_file() else None
+    stack = _greatest_stack(graph.read_text(encoding="utf-8")) if graph.is_file() else None
     size = shutil.which("size")
     sized = _run([size, str(target)]).stdout.splitlines() if size else []
     return stack, int(sized[1].split()[0]) if len(sized) > 1 else None
 
 
-def _deepest(graph: str) -> int | None:
+def _greatest_stack(graph: str) -> int | None:
     """Return the greatest stack [bytes] of any path through gcc's call graph, which lacks the mathematics library."""
     own = {node: int(size) for node, size in _NODE.findall(graph)}
     calls: dict[str, set[str]] = {}

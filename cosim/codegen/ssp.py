@@ -41,7 +41,7 @@ def write_ssp(flight: Flight, vehicle: Path, target: Path, fmi: int, seconds: fl
     for jet, spec in enumerate(stations, 1):
         archive = _archive(spec, fmi)
         contents[f"resources/{archive.name}"] = archive.read_bytes()
-        joined = _joined(spec)
+        joined = _list_connected(spec)
         kinds = {port.variable.name: port.variable.causality for port in joined.values()}
         values = {v.name: value for v, value in (*spec.settings, *spec.archive.starting.constants)}
         if spec.start is not None:
@@ -96,7 +96,7 @@ def _archive(spec: EngineSpec, fmi: int) -> Path:
     return archive_path(spec.path.parent, spec.name.removesuffix(FMI2_SUFFIX), fmi)
 
 
-def _joined(spec: EngineSpec) -> Mapping[str, Port]:
+def _list_connected(spec: EngineSpec) -> Mapping[str, Port]:
     """Return the ports that are connected, by the names that they have here."""
     connected = ("throttle", "run", *AMBIENT, *REPORTS)
     return {

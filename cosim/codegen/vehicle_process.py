@@ -89,7 +89,7 @@ class _Server:
         self._parts = Parts(made["engines_inside"], made["controller_inside"])
         trust(folder)  # its code is the FMU's, which the importer runs
         self._scenario = Scenario.read(folder / FLIGHT / "scenario.toml")
-        self._flight = self._built(self._scenario.seed)
+        self._flight = self._build_flight(self._scenario.seed)
         inputs = [number.name for number in self._flight.inputs]
         outputs = [number.name for number in self._flight.outputs]
         if (inputs, outputs) != (made["inputs"], made["outputs"]):
@@ -98,9 +98,9 @@ class _Server:
         self._in = struct.Struct(f"={3 + len(inputs)}d")
         self._out = struct.Struct(f"={1 + len(outputs)}d")
         self._left = 0  # control steps to go until the next meeting
-        self._owing = False  # an answer
+        self._answer_due = False
 
-    def _built(self, seed: int) -> Any:
+    def _build_flight(self, seed: int) -> Any:
         from cosim.codegen.vehicle_ports import Flight
 
         self._seed = seed
@@ -110,14 +110,14 @@ class _Server:
         if self._left > 1:
             self._left -= 1
             return
-        if self._owing:
+        if self._answer_due:
             self._socket.send(self._out.pack(0.0, *self._flight.values()))
         self._listen()
 
     def _listen(self) -> None:
         """Wait for the importer's next request.  Raises _RestartError for a start, _DisconnectedError."""
         request, count, seed, *given = self._socket.receive(self._in)
-        self._owing = True
+        self._answer_due = True
         self._flight.given.update(zip(self._inputs, given, strict=True))
         self._left = round(count)
         if request == START:
@@ -129,7 +129,7 @@ class _Server:
         if self._requested_seed != self._seed:
             given = self._flight.given
             self._flight.close()
-            self._flight = self._built(self._requested_seed)
+            self._flight = self._build_flight(self._requested_seed)
             self._flight.given.update(given)
         self._flight.simulation.reset()
 

@@ -158,7 +158,7 @@ class Links:
         self.close()
 
     def _start(self, facts: SessionInfo) -> None:
-        about = about_of(facts, self._personality, self.system)
+        about = vehicle_info(facts, self._personality, self.system)
         vehicle = self._vehicle = Vehicle(about, self._port, self.link, endings=(Restart(), Shutdown()))
         page = self._page
         if page is not None:
@@ -210,7 +210,7 @@ class Files(Mapping[str, File]):
         return len(self._ready) + len(self._shelf.files())
 
 
-def about_of(facts: SessionInfo, personality: Personality, system: int = 1) -> VehicleInfo:
+def vehicle_info(facts: SessionInfo, personality: Personality, system: int = 1) -> VehicleInfo:
     """Return what the telemetry needs to know of a vehicle."""
     vehicle, sensors = facts.vehicle, facts.vehicle.sensors
     return VehicleInfo(

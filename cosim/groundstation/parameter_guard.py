@@ -58,8 +58,8 @@ class ParameterGuard:
         if self.judge is not None:
             self._submit(self.judge.prepare)
 
-    def holds(self, waiting: Waiting) -> bool:
-        """Keep a change of a loop until :meth:`judged` gives it back; False: it is nothing of the kind."""
+    def hold_back(self, waiting: Waiting) -> bool:
+        """Keep a change of a loop until :meth:`take_verdicts` gives it back; False: it is nothing of the kind."""
         request = waiting.request
         if self.judge is None or not isinstance(request, SetParameter) or not self.judge.concerns(request.name):
             return False
@@ -69,7 +69,7 @@ class ParameterGuard:
             self._held.append(waiting)
         return True
 
-    def judged(self, parameters: Parameters, now: float) -> list[tuple[Waiting, list[Caution] | None]]:
+    def take_verdicts(self, parameters: Parameters, now: float) -> list[tuple[Waiting, list[Caution] | None]]:
         """Return the next changes, each with its verdict: None where it is too late for one, and it is to be refused.
 
         ``now`` [s] is of the clock of :attr:`Waiting.until`.
@@ -92,7 +92,7 @@ class ParameterGuard:
             self._held.popleft()
         return [(waiting, cautions) for waiting, cautions in judged]
 
-    def left(self) -> list[Waiting]:
+    def take_remaining(self) -> list[Waiting]:
         """Remove and return the changes that still wait for a verdict."""
         left = list(self._held)
         self._held.clear()
@@ -101,7 +101,7 @@ class ParameterGuard:
 
     def close(self) -> None:
         """Refuse what is still held, and end the thread."""
-        for waiting in self.left():
+        for waiting in self.take_remaining():
             waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "the session is over"))
         if self._thread is not None:
             self._thread.shutdown(cancel_futures=True)
@@ -148,11 +148,12 @@ def allowed(parameters: Parameters, values: Mapping[str, float]) -> tuple[dict[s
 def refusal(request: SetParameter, cautions: list[Caution] | None, in_air: bool, values: Mapping[str, float]) -> str:
     """Return why a change is not taken; empty where it is.  ``cautions`` None: its verdict is too late."""
     if cautions is None:
-        return f"{_said(request.name, request.value)} not taken: no verdict in time, ask again"
+        return f"{_format_value(request.name, request.value)} not taken: no verdict in time, ask again"
     lost = [caution for caution in cautions if caution.loses]
     if not lost or not in_air or values.get(FORCE):
         return ""
-    return f"{_said(request.name, request.value)} refused in the air: {lost[0].text}; {FORCE} 1 takes it all the same"
+    change = _format_value(request.name, request.value)
+    return f"{change} refused in the air: {lost[0].text}; {FORCE} 1 takes it all the same"
 
 
 def warn_of(
@@ -160,7 +161,7 @@ def warn_of(
 ) -> None:
     """Say a line at step ``k`` for each loop that a change makes worse."""
     for caution in cautions or ():
-        say(Severity.WARNING, f"{_said(request.name, request.value)}: {caution.text}", k)
+        say(Severity.WARNING, f"{_format_value(request.name, request.value)}: {caution.text}", k)
 
 
 def differing(parameters: Parameters, values: Mapping[str, float]) -> list[str]:
@@ -170,14 +171,14 @@ def differing(parameters: Parameters, values: Mapping[str, float]) -> list[str]:
     """
     taken, refused = allowed(parameters, values)
     said = [
-        f"{_said(name, value)} (default {parameters.table[name].default:g})"
+        f"{_format_value(name, value)} (default {parameters.table[name].default:g})"
         for name, value in taken.items()
         if value != parameters.table[name].default
     ]
-    return [*_counted(said), *_counted(refused)]
+    return [*_shorten(said), *_shorten(refused)]
 
 
-def _counted(lines: list[str]) -> list[str]:
+def _shorten(lines: list[str]) -> list[str]:
     return lines if len(lines) <= TOLD else [*lines[:TOLD], f"and {len(lines) - TOLD} more"]
 
 
@@ -206,7 +207,7 @@ def tell(
         say(Severity.CRITICAL if caution.unstable else Severity.WARNING, f"parameters: {caution.text}")
 
 
-def _said(name: str, value: float) -> str:
+def _format_value(name: str, value: float) -> str:
     return f"{name} {value:g}"
 
 

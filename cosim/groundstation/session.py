@@ -119,7 +119,7 @@ class Session:
         """File in which parameters are saved; None: they last for the session alone."""
         return self._parameters.path
 
-    def judged_by(self, judge: Judge) -> None:
+    def set_judge(self, judge: Judge) -> None:
         """Set the judge of parameter changes that tune a loop; without one every change is taken."""
         self._guard.judge = judge
 
@@ -187,7 +187,7 @@ class Session:
         recording = flight.begin(self._records.log_mb)
         assert flight.pilot_record is not None
         # meant for the flight before
-        while flight.facts.number > 1 and (late := [*self._guard.left(), *exchange.take(1)]):
+        while flight.facts.number > 1 and (late := [*self._guard.take_remaining(), *exchange.take(1)]):
             for waiting in late:
                 waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "a new flight begins"))
         self._parameters.restore(flight.set_parameter)
@@ -229,11 +229,11 @@ class Session:
                 break
             until = until or time.perf_counter() + _REQUEST_TIME
             for waiting in taken:
-                if not self._guard.holds(waiting):
+                if not self._guard.hold_back(waiting):
                     waiting.answer(self._serve(flight, waiting, k))
             if time.perf_counter() > until:
                 break
-        for waiting, cautions in self._guard.judged(flight.pilot.parameters, self.exchange.clock()):
+        for waiting, cautions in self._guard.take_verdicts(flight.pilot.parameters, self.exchange.clock()):
             waiting.answer(self._serve_judged(flight, waiting, cautions, k))
         if self._restart:
             return Ending("completed", "a restart was asked for")
@@ -291,7 +291,7 @@ class Session:
             left = max(0.0, self.duration - flight.simulation.k * flight.simulation.dt)
             patience = time.monotonic() + (left / self.factor if self.factor else 0.0)
         while not (self._restart or self._stopping) and (patience is None or time.monotonic() < patience):
-            for waiting in [w for w in exchange.take(_MOST_A_STEP) if not self._guard.holds(w)]:
+            for waiting in [w for w in exchange.take(_MOST_A_STEP) if not self._guard.hold_back(w)]:
                 answer = Answer(False, Result.FAILED, f"the flight is over: {ending.reason}")
                 if isinstance(waiting.request, (Restart, Shutdown)):
                     self._leave(waiting.request, waiting.sender)
@@ -299,7 +299,7 @@ class Session:
                 elif isinstance(waiting.request, SetParameter):
                     answer = self._keep_for_next(flight, waiting.request, [])
                 waiting.answer(answer)
-            for waiting, cautions in self._guard.judged(flight.pilot.parameters, exchange.clock()):
+            for waiting, cautions in self._guard.take_verdicts(flight.pilot.parameters, exchange.clock()):
                 assert isinstance(waiting.request, SetParameter)
                 waiting.answer(self._keep_for_next(flight, waiting.request, cautions))
             flight.publish(None, ending)
@@ -339,7 +339,7 @@ def waiting_scenario(scenario: Scenario, duration: float | None) -> Scenario:
     )
 
 
-def place_at(text: str) -> dict[str, float]:
+def parse_place(text: str) -> dict[str, float]:
     """Parse ``LAT,LON`` in degrees to fields of a scenario's environment.  Raises InputError for anything else."""
     try:
         latitude, longitude = (float(part) for part in text.split(","))
@@ -363,7 +363,7 @@ def steady() -> Iterator[None]:
 
 
 @contextmanager
-def stopped_by_signals(session: Session) -> Iterator[None]:
+def stop_on_signals(session: Session) -> Iterator[None]:
     """End the session properly on Ctrl-C and SIGTERM; a second one ends the process as usual."""
     kept: dict[int, Any] = {}
 

@@ -33,14 +33,14 @@ from cosim.groundstation.web import loopback
 from cosim.groundstation.web.loopback import (
     TEXT,
     WRONG_TOKEN,
+    has_token_query,
     is_token,
     listen,
-    no_socket,
     quiet_logger,
+    refuse_non_websocket,
+    refuse_unknown_host,
+    refuse_without_token,
     response,
-    shows_token,
-    stranger,
-    without_token,
 )
 from cosim.shelf.index import Shelf
 
@@ -111,14 +111,14 @@ class ShelfServer:
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return a file or a refusal, or None where a WebSocket may be opened (its origin is checked next)."""
-        if refusal := stranger(request, self._hosts):
+        if refusal := refuse_unknown_host(request, self._hosts):
             return refusal
         path, _, query = request.path.partition("?")
         if path == "/live":
-            return no_socket(request)
+            return refuse_non_websocket(request)
         if path == "/favicon.ico":  # asked for by a page in a sandbox, as if from elsewhere
             return response(HTTPStatus.NO_CONTENT, b"", share="cross-origin")
-        if shows_token(request, self._token):
+        if has_token_query(request, self._token):
             nonce = f"'nonce-{self._nonce}'"
             policy = (
                 f"default-src 'none'; script-src {nonce}; style-src {nonce}; img-src data:; "
@@ -129,7 +129,7 @@ class ShelfServer:
         runs, _, place = path.removeprefix("/").partition("/")
         key, _, name = place.partition("/")
         if runs != "run" or not is_token(key, self._key):
-            return without_token()
+            return refuse_without_token()
         asked = request.headers.get("Sec-Fetch-Dest", "iframe" if query == FRAMED else "document")
         return self._file(unquote(name), asked == "document")
 
@@ -186,14 +186,14 @@ class ShelfServer:
     def _serve(self, connection: ServerConnection) -> None:
         """Serve one WebSocket from its first message to its end."""
         try:
-            token = _parsed(connection.recv(HELLO_S)).get("token")
+            token = _parse_message(connection.recv(HELLO_S)).get("token")
             if not is_token(token, self._token):
                 connection.close(WRONG_TOKEN, "wrong token")
                 return
             connection.send(self._rows())
             for text in connection:
                 with self._busy:
-                    connection.send(self._do(_parsed(text)))
+                    connection.send(self._do(_parse_message(text)))
                     connection.send(self._rows())
         except (ConnectionClosed, TimeoutError):
             pass
@@ -233,7 +233,7 @@ def _texts(value: Any) -> list[str]:
     return [item for item in value if isinstance(item, str)] if isinstance(value, list) else []
 
 
-def _parsed(text: str | bytes) -> dict[str, Any]:
+def _parse_message(text: str | bytes) -> dict[str, Any]:
     """Return a JSON message as a dict, which is empty for anything else."""
     try:
         message = json.loads(text)

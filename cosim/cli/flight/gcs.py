@@ -93,12 +93,12 @@ def gcs(options: Gcs) -> int:
     from cosim.design.measured.judge import LoopJudge
     from cosim.groundstation.links import Links
     from cosim.groundstation.parameter_store import default_file, vehicle_key
-    from cosim.groundstation.session import RecordOptions, Session, place_at, stopped_by_signals
+    from cosim.groundstation.session import RecordOptions, Session, parse_place, stop_on_signals
 
     loaded = options.load()
     changes: dict[str, Any] = {"name": "gcs" if options.scenario == "hover" else loaded.name}
     if options.place is not None:
-        changes["environment"] = place_at(options.place)
+        changes["environment"] = parse_place(options.place)
     loaded = loaded.replace(**changes)
     own = vehicle_key(loaded) + (f"-system-{options.system}" if options.system != 1 else "")
     kept = None if str(options.parameters) == "none" else options.parameters or default_file(own)
@@ -120,9 +120,9 @@ def gcs(options: Gcs) -> int:
             begun=opened.begin,
             over=opened.end,
         )
-        session.judged_by(LoopJudge(session.scenario))
+        session.set_judge(LoopJudge(session.scenario))
         print_gcs(session, opened, options.log_limit, to_stderr=as_json)
-        with stopped_by_signals(session), live_line(opened, quiet=as_json):
+        with stop_on_signals(session), live_line(opened, quiet=as_json):
             runs = session.run()
         counts = opened.counts
     print_session(runs, counts, to_stderr=as_json)

@@ -28,8 +28,8 @@ def servo_output_raw(v: View) -> list[Message]:
         pulses[i] = to_field(1000.0 + 1000.0 * throttle, 0, U16)
     first = max(6, v.about.jets)
     if v.about.ranges:
-        for i, share in enumerate(_shares(actuation.tilt, v.about.ranges)[: len(pulses) - first]):
-            pulses[first + i] = to_field(1500.0 + 500.0 * share, 0, U16)
+        for i, position in enumerate(_normalise_tilts(actuation.tilt, v.about.ranges)[: len(pulses) - first]):
+            pulses[first + i] = to_field(1500.0 + 500.0 * position, 0, U16)
     else:
         for i, tilt in enumerate(actuation.tilt[: len(pulses) - first]):
             pulses[first + i] = 0 if isnan(reach) else to_field(1500.0 + 500.0 * tilt / reach, 0, U16)
@@ -44,7 +44,7 @@ def actuator_output_status(v: View) -> list[Message]:
     values[:jets] = actuation.throttle[:jets]
     first = max(6, jets)
     if v.about.ranges:
-        moved = _shares(actuation.tilt, v.about.ranges)[: len(values) - first]
+        moved = _normalise_tilts(actuation.tilt, v.about.ranges)[: len(values) - first]
     else:
         moved = [tilt if isnan(reach) else tilt / reach for tilt in actuation.tilt]
     values[first : first + len(moved)] = moved
@@ -52,7 +52,7 @@ def actuator_output_status(v: View) -> list[Message]:
     return [mav.MAVLink_actuator_output_status_message(v.us, active, values)]
 
 
-def _shares(tilt: PerServo, ranges: tuple[tuple[float, float], ...]) -> list[float]:
+def _normalise_tilts(tilt: PerServo, ranges: tuple[tuple[float, float], ...]) -> list[float]:
     """Return servo positions normalised to their ranges, -1 to 1."""
     return [(2.0 * at - least - most) / (most - least) for at, (least, most) in zip(tilt, ranges, strict=True)]
 
@@ -98,7 +98,7 @@ def esc_status(v: View) -> list[Message]:
 
 def esc_info(v: View) -> list[Message]:
     """Return which engines work; the exhaust's temperature, the only one known, does not fit its field."""
-    health = [1.0 if share > 0.0 else 0.0 for share in v.sample.health[: v.about.jets]]
+    health = [1.0 if fraction > 0.0 else 0.0 for fraction in v.sample.health[: v.about.jets]]
     counter = v.sample.k & U16
     return [
         mav.MAVLink_esc_info_message(

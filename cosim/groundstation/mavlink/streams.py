@@ -100,7 +100,7 @@ class Streams:
         self._at = start
         self._sizes: dict[int, tuple[int, int]] = {}  # of all that belong to one message, as it was last: bytes, frames
 
-    def sized(self, stream: Stream, packets: Sequence[Message]) -> None:
+    def note_size(self, stream: Stream, packets: Sequence[Message]) -> None:
         """Note the size of a message as it was last sent, in bytes and frames."""
         number = BY_NAME[stream.name].id
         self._sizes[number] = sum(map(frame_size, packets)), len(packets)

@@ -344,10 +344,10 @@ def mode_line(about: VehicleInfo, index: int) -> Message:
 
 def mission_progress(status: Status) -> Message:
     """Return MISSION_CURRENT, the progress of the mission."""
-    return mav.MAVLink_mission_current_message(*mission_standing(status))
+    return mav.MAVLink_mission_current_message(*mission_state(status))
 
 
-def mission_standing(status: Status) -> tuple[int, int, int, int]:
+def mission_state(status: Status) -> tuple[int, int, int, int]:
     """Return the present item, the number of items (65535: none), the state, and whether it is being flown."""
     count = status.mission_count
     return (max(0, min(status.mission_current, count - 1)), count or 65535, *_state(status))

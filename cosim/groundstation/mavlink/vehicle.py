@@ -189,7 +189,7 @@ class Vehicle:
                     continue
                 packets.append(packed)
                 self.link.logged(packed)
-            self._streams.sized(stream, packets)
+            self._streams.note_size(stream, packets)
             for peer in peers:
                 for place, packed in enumerate(packets):
                     if stream.name == "HEARTBEAT":  # whatever the line carries, it tells that the vehicle is there

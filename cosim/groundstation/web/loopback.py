@@ -52,7 +52,7 @@ def quiet_logger(name: str) -> logging.Logger:
     return quiet
 
 
-def stranger(request: Request, hosts: Container[str]) -> Response | None:
+def refuse_unknown_host(request: Request, hosts: Container[str]) -> Response | None:
     """Return the refusal of a request that does not name one of ``hosts`` in ``Host``; None for one that does."""
     host = request.headers.get_all("Host")
     if len(host) == 1 and host[0].lower() in hosts:
@@ -60,20 +60,20 @@ def stranger(request: Request, hosts: Container[str]) -> Response | None:
     return response(HTTPStatus.MISDIRECTED_REQUEST, b"This is not the server you are looking for.\n")
 
 
-def no_socket(request: Request) -> Response | None:
+def refuse_non_websocket(request: Request) -> Response | None:
     """Return the refusal of a request for anything but a WebSocket, whose origin is checked next; else None."""
     if request.headers.get("Upgrade", "").lower() == "websocket":
         return None
     return response(HTTPStatus.UPGRADE_REQUIRED, b"A WebSocket.\n")
 
 
-def shows_token(request: Request, token: str) -> bool:
+def has_token_query(request: Request, token: str) -> bool:
     """Return whether a request is of the printed address, ``/?token=...``."""
     path, _, query = request.path.partition("?")
     return path == "/" and any(is_token(shown, token) for shown in parse_qs(query).get("token", []))
 
 
-def without_token() -> Response:
+def refuse_without_token() -> Response:
     """Return the refusal of a request that shows no token, which says where to find it."""
     text = "Open the address that hexjet has printed, with its token: this page is for those who were told it.\n"
     return response(HTTPStatus.FORBIDDEN, text.encode())

@@ -37,14 +37,14 @@ from cosim.groundstation.web.loopback import (
     TEXT,
     TYPES,
     WRONG_TOKEN,
+    has_token_query,
     is_token,
     listen,
-    no_socket,
     quiet_logger,
+    refuse_non_websocket,
+    refuse_unknown_host,
+    refuse_without_token,
     response,
-    shows_token,
-    stranger,
-    without_token,
 )
 from cosim.results.report.page import ASSETS, SCENE, THREE, licence_file
 
@@ -175,7 +175,7 @@ class WebServer:
 
     def _answer(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
         """Return a file or a refusal, or None where a WebSocket may be opened (its origin is checked next)."""
-        if refusal := stranger(request, self._hosts):
+        if refusal := refuse_unknown_host(request, self._hosts):
             self.refused += 1
             return refusal
         if request.method != "GET":
@@ -185,11 +185,11 @@ class WebServer:
             return refusal
         path = request.path.partition("?")[0]
         if path == "/live":
-            return no_socket(request)
+            return refuse_non_websocket(request)
         key, _, name = path.removeprefix("/").partition("/")
-        if not (shows_token(request, self._token) or is_token(key, self._key)):
+        if not (has_token_query(request, self._token) or is_token(key, self._key)):
             self.refused += 1
-            return without_token()
+            return refuse_without_token()
         file = self._files.get(f"/{name}")
         if file is None:
             return response(HTTPStatus.NOT_FOUND, b"Not found.\n")
@@ -221,7 +221,7 @@ class WebServer:
         """Return whether the page has shown the token and there is room for it; else close the connection."""
         try:
             async with asyncio.timeout(HELLO_S):
-                hello = _parsed(await connection.recv())
+                hello = _parse_message(await connection.recv())
             token = hello.get("token")
         except (TimeoutError, InputError):
             token = None
@@ -239,7 +239,7 @@ class WebServer:
         """Handle one message of a page, ``{"id": n, "request": ..., ...}``."""
         number: Any = None
         try:
-            message = _parsed(text)
+            message = _parse_message(text)
             number = message.pop("id", None)
             if number is not None and (isinstance(number, bool) or not isinstance(number, int)):
                 number = None
@@ -373,7 +373,7 @@ def _request_in(message: dict[str, Any]) -> GroundRequest:
     return request
 
 
-def _parsed(text: str | bytes) -> dict[str, Any]:
+def _parse_message(text: str | bytes) -> dict[str, Any]:
     """Return a JSON message as a dict.  Raises InputError for anything else."""
     if isinstance(text, bytes):
         raise InputError("message: must be text")

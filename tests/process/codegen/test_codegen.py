@@ -521,5 +521,5 @@ def test_the_stack_is_that_of_the_deepest_way() -> None:
 
     graph = node("a", 16) + node("b", 32) + node("c", 64) + node("d", 8)
     graph += edge("a", "b") + edge("a", "c") + edge("b", "d") + edge("c", "sin")
-    assert measure._deepest(graph) == 80
-    assert measure._deepest("") is None
+    assert measure._greatest_stack(graph) == 80
+    assert measure._greatest_stack("") is None

@@ -22,7 +22,7 @@ from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import Mode
 from cosim.control.autopilot.parameters import Parameters
 from cosim.groundstation.exchange import Exchange, Port
-from cosim.groundstation.links import about_of
+from cosim.groundstation.links import vehicle_info
 from cosim.groundstation.mavlink.vehicle import LINK_LOST, Vehicle
 from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.mavlink.wire.link import Link
@@ -82,7 +82,7 @@ class Airborne:
         self.link = Link([parse(url) for url in urls], clock=lambda: self.now)
         self.exchange = Exchange(lambda: self.now)
         self.facts = session_info(simulation, 1, Parameters([]), None, 1.0)
-        self.vehicle = Vehicle(about_of(self.facts, "px4"), Port(self.exchange, "mavlink"), self.link)
+        self.vehicle = Vehicle(vehicle_info(self.facts, "px4"), Port(self.exchange, "mavlink"), self.link)
         self.link.station = self.vehicle
         self.askers: list[Asker] = []
         self.told = 0
@@ -108,7 +108,7 @@ class Airborne:
                 asker.turn(self.now)
             # as the link's own thread does
             for key, mask in self.link._selector.select(0):
-                self.link._guarded(key.data, mask)
+                self.link._run_isolated(key.data, mask)
             self.link.poll(self.now)
             if until():
                 return True

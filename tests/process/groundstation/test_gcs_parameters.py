@@ -128,7 +128,7 @@ def test_parameters_of_a_file_that_lose_the_vehicle_are_told_before_anybody_conn
     head = 'format = 1\nvehicle = "hexjet-edf-as-flown-smith"\n[parameters]\n'
     kept.write_text(f"{head}HJ_PRED_DELAY = 100.0\nMPC_XY_VEL_MAX = 3.0\nHJ_PITCH_P = 99999.0\nHJ_FORCE = 1.0\n")
     session = Session(SCENARIO, Exchange(), parameters=kept, records=RecordOptions(tmp_path / "run", report=False))
-    session.judged_by(judge)
+    session.set_judge(judge)
     assert session.kept_lines() == [
         "HJ_PRED_DELAY 100 (default 25)",
         "MPC_XY_VEL_MAX 3 (default 4)",

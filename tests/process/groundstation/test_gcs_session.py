@@ -34,7 +34,7 @@ from cosim.groundstation.exchange import (
     Shutdown,
 )
 from cosim.groundstation.read_only import ReadOnlyObserver
-from cosim.groundstation.session import RecordOptions, Session, place_at
+from cosim.groundstation.session import RecordOptions, Session, parse_place
 from cosim.results.autopilot.request_log import REQUESTS, RequestLog, read_requests
 from cosim.results.log.recorder import Log
 from cosim.results.run import Run, open_run
@@ -564,7 +564,7 @@ def test_requests_and_commands_exclude_each_other() -> None:
 @pytest.mark.parametrize("text", ["", "1", "1,2,3", "a,b"])
 def test_a_place_is_two_numbers(text: str) -> None:
     with pytest.raises(InputError, match="must be LAT,LON"):
-        place_at(text)
+        parse_place(text)
 
 
 # --- the command -------------------------------------------------------------------------------------------------

@@ -58,10 +58,10 @@ class Desk:
 
     def hold(self) -> None:
         for waiting in self.exchange.take(20):
-            assert self.guard.holds(waiting)
+            assert self.guard.hold_back(waiting)
 
     def judged(self) -> list[tuple[Waiting, list[Caution] | None]]:
-        return self.guard.judged(self.parameters, self.now)
+        return self.guard.take_verdicts(self.parameters, self.now)
 
     def verdicts(self) -> list[tuple[float, bool]]:
         """Return the next verdicts when they are there: the value, and whether it loses something."""

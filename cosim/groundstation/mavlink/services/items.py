@@ -100,7 +100,7 @@ def to_mission_item(item: Item, geodesy: Geodesy, home_altitude: float) -> Missi
             altitude = altitude_of(item, geodesy, home_altitude)
             return MissionItem(ItemKind.TAKEOFF, altitude=altitude, yaw=_yaw(item.params[3]))
         if item.command == LAND:
-            north, east = _place_or_here(item, geodesy, 0.0)
+            north, east = _position_or_here(item, geodesy, 0.0)
             return MissionItem(ItemKind.LAND, north, east, yaw=_yaw(item.params[3]))
         return _instruction(item.command, *item.params[:2])
     except InputError as error:  # a number beyond what the autopilot flies
@@ -152,7 +152,7 @@ def to_item(item: MissionItem, geodesy: Geodesy) -> Item:
     }[item.kind]
 
 
-def received(message: Message) -> Item:
+def parse_item(message: Message) -> Item:
     """Return the item of MISSION_ITEM_INT or of the old MISSION_ITEM, whose position is in degrees."""
     x, y = message.x, message.y
     if message.get_type() == "MISSION_ITEM":
@@ -169,7 +169,7 @@ def _degrees(value: float) -> int:
 def _waypoint(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
     hold, radius, _, yaw = item.params
     altitude = altitude_of(item, geodesy, home_altitude)
-    north, east = place_of(item, geodesy, altitude)
+    north, east = local_position(item, geodesy, altitude)
     if item.command == LOITER_TIME:  # its other parameters are of circles
         radius = 0.0
     return MissionItem(
@@ -191,9 +191,9 @@ def _loiter(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
     turns, _, radius, yaw = item.params
     altitude = altitude_of(item, geodesy, home_altitude)
     if item.command == LOITER_ALTITUDE:
-        north, east = _place_or_here(item, geodesy, altitude)
+        north, east = _position_or_here(item, geodesy, altitude)
         return MissionItem(ItemKind.ALTITUDE, north, east, altitude)
-    north, east = place_of(item, geodesy, altitude)
+    north, east = local_position(item, geodesy, altitude)
     if item.command == LOITER:
         return MissionItem(ItemKind.STAY, north, east, altitude, _yaw(yaw))
     return MissionItem(
@@ -207,13 +207,13 @@ def _loiter(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
     )
 
 
-def _place_or_here(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, float] | tuple[None, None]:
+def _position_or_here(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, float] | tuple[None, None]:
     """Return the position of an item; None, None for none or 0, 0, which is where the vehicle is then."""
     somewhere = item.x not in (0, NOWHERE) or item.y not in (0, NOWHERE)
-    return place_of(item, geodesy, altitude) if somewhere else (None, None)
+    return local_position(item, geodesy, altitude) if somewhere else (None, None)
 
 
-def place_of(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, float]:
+def local_position(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, float]:
     if not -900_000_000 <= item.x <= 900_000_000:
         raise ItemError(PARAM5, "the latitude is none")
     if not -1_800_000_000 <= item.y <= 1_800_000_000:

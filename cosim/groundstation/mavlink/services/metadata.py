@@ -29,13 +29,13 @@ class Metadata:
     """
 
     def __init__(self, parameters: Iterable[Parameter], name: str, version: str) -> None:
-        inner = _packed({"version": _VERSION, "parameters": [describe(line) for line in parameters]})
-        general = _packed(
+        inner = _compress({"version": _VERSION, "parameters": [describe(line) for line in parameters]})
+        general = _compress(
             {
                 "version": _VERSION,
                 "vendorName": "hexjet-cosim",
                 "modelName": name,
-                "firmwareVersion": _dotted(version),
+                "firmwareVersion": _format_version(version),
                 "metadataTypes": [{"type": _TYPE_PARAMETER, "uri": _uri(PARAMETERS), "fileCrc": crc32(inner)}],
             }
         )
@@ -78,7 +78,7 @@ def describe(line: Parameter) -> dict[str, Any]:
     return described
 
 
-def _packed(content: Mapping[str, Any]) -> bytes:
+def _compress(content: Mapping[str, Any]) -> bytes:
     """Return JSON in xz, with the checksum that every reader of xz knows (not all know the usual CRC64)."""
     text = json.dumps(content, allow_nan=False, separators=(",", ":"))
     return lzma.compress(text.encode(), format=lzma.FORMAT_XZ, check=lzma.CHECK_CRC32)
@@ -88,7 +88,7 @@ def _uri(path: str) -> str:
     return f"mftp:///{path}"
 
 
-def _dotted(version: str) -> str:
+def _format_version(version: str) -> str:
     """Return the three numbers of a version such as 0.1.0.dev3, with dots."""
     numbers = [part for part in version.split(".") if part.isdigit()]
     return ".".join([*numbers, "0", "0", "0"][:3])

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from math import nan
 
 from cosim.base.errors import InputError
@@ -41,13 +42,13 @@ from cosim.groundstation.mavlink.services.items import (
     UNSUPPORTED,
     Item,
     ItemError,
-    received,
+    parse_item,
     to_item,
     to_mission_item,
 )
 from cosim.groundstation.mavlink.services.plans import CHECKS, from_fence, from_rally, to_fence, to_rally
 from cosim.groundstation.mavlink.services.service import Answers, Ask, Client, Outgoing, Peer, Service, status_text
-from cosim.groundstation.mavlink.telemetry import mission_progress, mission_standing
+from cosim.groundstation.mavlink.telemetry import mission_progress, mission_state
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 
@@ -127,7 +128,7 @@ class MissionService(Service):
         if kind in ("MISSION_WRITE_PARTIAL_LIST", "MISSION_REQUEST_PARTIAL_LIST"):
             return [_ack(client, UNSUPPORTED, message.mission_type)]
         if kind == "MISSION_ACK":
-            self._acknowledged(message, client)
+            self._end_upload(message, client)
             return []
         which = message.mission_type
         if kind == "MISSION_CLEAR_ALL" and which == ALL:
@@ -138,7 +139,7 @@ class MissionService(Service):
             count = len(self._list(which))
             return [wire.MAVLink_mission_count_message(client.system, client.component, count, which)]
         if kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
-            return [self._give(message.seq, client, kind == "MISSION_REQUEST", which)]
+            return [self._make_item(message.seq, client, kind == "MISSION_REQUEST", which)]
         if kind == "MISSION_COUNT":
             return self._begin(message.count, client, which)
         if kind == "MISSION_CLEAR_ALL":
@@ -181,7 +182,7 @@ class MissionService(Service):
             return from_fence(status.zones, self._geodesy)
         return from_rally(status.rally, self._geodesy)
 
-    def _give(self, index: int, client: Client, old: bool, which: int) -> Message:
+    def _make_item(self, index: int, client: Client, old: bool, which: int) -> Message:
         """Return an item; ``old``: in degrees as 32-bit floats (half a metre), as such a request expects it."""
         items = self._list(which)
         if not 0 <= index < len(items):
@@ -246,7 +247,7 @@ class MissionService(Service):
             return [_ack(client, ERROR, which)]
         if upload.waiting or message.seq != len(upload.items):
             return []
-        item = received(message)
+        item = parse_item(message)
         try:
             if which == MISSION:
                 upload.mission.append(to_mission_item(item, self._geodesy, self._home_altitude()))
@@ -265,7 +266,8 @@ class MissionService(Service):
         except ItemError as error:
             return self._refuse(upload, error.code, f"{_NAMES[which]} refused: {error}")
         upload.waiting = True
-        if not self._answers.request(request, upload.client, lambda answer: self._uploaded(upload, request, answer)):
+        finish = partial(self._finish_upload, upload, request)
+        if not self._answers.request(request, upload.client, finish):
             return self._refuse(upload, ERROR, f"{_NAMES[which]} refused: too many requests")
         return []
 
@@ -277,7 +279,7 @@ class MissionService(Service):
             return to_rally(upload.items, self._geodesy, self._home_altitude())
         return MissionUpload(tuple(upload.mission))
 
-    def _uploaded(self, upload: _Upload, request: Request, answer: Answer) -> Outgoing:
+    def _finish_upload(self, upload: _Upload, request: Request, answer: Answer) -> Outgoing:
         peer = upload.client.peer
         if not answer.accepted:
             code = ERROR if answer.result is Result.FAILED else DENIED
@@ -286,7 +288,7 @@ class MissionService(Service):
         out: Outgoing = [(peer, self._end(upload, ACCEPTED))]
         if isinstance(request, MissionUpload):
             self._mission, self._sent = request.items, upload.items
-            out += [(peer, message) for message in _say(_left_out(upload.items))]
+            out += [(peer, message) for message in _say(_describe_left_out(upload.items))]
         return out
 
     def _refuse(self, upload: _Upload, code: int, text: str) -> list[Message]:
@@ -301,7 +303,7 @@ class MissionService(Service):
         client, at = upload.client, len(upload.items)
         return wire.MAVLink_mission_request_int_message(client.system, client.component, at, upload.which)
 
-    def _acknowledged(self, message: Message, client: Client) -> None:
+    def _end_upload(self, message: Message, client: Client) -> None:
         """End an upload that its sender gave up; of a download, which ends so too, no state is kept."""
         upload = self._upload
         if upload is not None and upload.client == client and not upload.waiting and message.type != ACCEPTED:
@@ -355,7 +357,7 @@ class MissionService(Service):
         if status.mission_reached != self._reached:
             self._reached = status.mission_reached
             self._repeats = REPEATS if self._reached >= 0 else 0
-        new = mission_standing(status)
+        new = mission_state(status)
         due = now - self._progress_at >= TELL_AGAIN
         if new != self._progress_sent or due:
             self._progress_sent, self._progress_at = new, now
@@ -379,7 +381,7 @@ def _say(text: str) -> list[Message]:
     return status_text(text, wire.MAV_SEVERITY_WARNING) if text else []
 
 
-def _left_out(items: list[Item]) -> str:
+def _describe_left_out(items: list[Item]) -> str:
     """Return in words which items need a payload that no vehicle here has; empty where none does."""
     names = list(dict.fromkeys(LEFT_OUT[item.command] for item in items if item.command in LEFT_OUT))
     count = sum(item.command in LEFT_OUT for item in items)

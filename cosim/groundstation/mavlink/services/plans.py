@@ -12,7 +12,7 @@ from math import isfinite
 from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
 from cosim.control.autopilot.requests import FenceUpload, FenceZone, RallyPoint, RallyUpload, ZoneKind
-from cosim.groundstation.mavlink.services.items import PARAM1, UNSUPPORTED, Item, ItemError, altitude_of, place_of
+from cosim.groundstation.mavlink.services.items import PARAM1, UNSUPPORTED, Item, ItemError, altitude_of, local_position
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 
 _POLYGONS = {
@@ -47,7 +47,7 @@ def to_fence(items: Sequence[Item], geodesy: Geodesy) -> FenceUpload:
     for index, item in enumerate(items):
         if item.command == _RETURN_POINT:
             continue
-        place = place_of(item, geodesy, 0.0)
+        place = local_position(item, geodesy, 0.0)
         try:
             if item.command in _CIRCLES:
                 zones.append(FenceZone(_CIRCLES[item.command], (place,), float(item.params[0])))
@@ -93,7 +93,7 @@ def to_rally(items: Sequence[Item], geodesy: Geodesy, home_altitude: float) -> R
     points = []
     for item in items:
         altitude = altitude_of(item, geodesy, home_altitude)
-        north, east = place_of(item, geodesy, altitude)
+        north, east = local_position(item, geodesy, altitude)
         try:
             points.append(RallyPoint(north, east, altitude))
         except InputError as error:

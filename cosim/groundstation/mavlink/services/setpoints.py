@@ -52,7 +52,7 @@ def local(message: Message, view: View) -> OffboardSetpoint:
     if _has(message.type_mask, _POSITION, place):
         x, y, z = place
         if frame in (_BODY_OFFSET, _BODY_FRD):
-            x, y = _turned(x, y, nose)
+            x, y = _rotate(x, y, nose)
         if frame in (_OFFSET_NED, _BODY_OFFSET, _BODY_FRD):
             here = view.status.fix.position
             x, y, z = x + here[0], y + here[1], z - view.altitude
@@ -81,7 +81,7 @@ def _velocity(message: Message, nose: float, yaw: float | None) -> OffboardVeloc
     speeds = (message.vx, message.vy, message.vz)
     if not _has(message.type_mask, _VELOCITY, speeds):
         raise InputError("set-point: neither a whole position nor a whole velocity")
-    vx, vy = _turned(speeds[0], speeds[1], nose)
+    vx, vy = _rotate(speeds[0], speeds[1], nose)
     turn = None if message.type_mask & _TURN or not isfinite(message.yaw_rate) or yaw is not None else message.yaw_rate
     return OffboardVelocity(vx, vy, speeds[2], yaw, turn)
 
@@ -97,7 +97,7 @@ def _yaw(message: Message, nose: float) -> float | None:
     return remainder(message.yaw + nose, tau)
 
 
-def _turned(x: float, y: float, angle: float) -> tuple[float, float]:
+def _rotate(x: float, y: float, angle: float) -> tuple[float, float]:
     """Rotate components along and across a heading [rad] to north and east."""
     c, s = cos(angle), sin(angle)
     return x * c - y * s, x * s + y * c

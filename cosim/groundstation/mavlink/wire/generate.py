@@ -35,7 +35,7 @@ def generate(folder: Path) -> Path:
     with tempfile.TemporaryDirectory(prefix="hexjet-messages-") as name:
         work = Path(name)
         for source in (*(bundled / f"{name}.xml" for name in BUNDLED), SOURCE):
-            _without_prose(source, work / source.name)
+            _strip_descriptions(source, work / source.name)
         made = work / TARGET
         options = mavgen.Opts(str(made), wire_protocol="2.0", language="Python3", validate=False)
         try:
@@ -51,7 +51,7 @@ def generate(folder: Path) -> Path:
     return target
 
 
-def _without_prose(source: Path, target: Path) -> None:
+def _strip_descriptions(source: Path, target: Path) -> None:
     """Copy a definition without its descriptions, which would be three quarters of the module and its loading time."""
     tree = ET.parse(source)
     for element in tree.iter():

@@ -81,7 +81,7 @@ class Link:
         self._bell, self._hear = socket.socketpair()
         for end in (self._bell, self._hear):
             end.setblocking(False)
-        self._selector.register(self._hear, selectors.EVENT_READ, self._rung)
+        self._selector.register(self._hear, selectors.EVENT_READ, self._drain_bell)
         try:
             for endpoint in endpoints:
                 self._channels.append(_OPEN[endpoint.kind](self, endpoint))
@@ -153,7 +153,7 @@ class Link:
         while not self._stop.is_set():
             now = self._clock()
             for key, mask in self._selector.select(min(_IDLE, max(0.0, until - now))):
-                self._guarded(key.data, mask)
+                self._run_isolated(key.data, mask)
             now = self._clock()
             until = min(now + _IDLE, self.poll(now))
             if self.log is not None and now - flushed > _FLUSH:
@@ -163,14 +163,14 @@ class Link:
     def poll(self, now: float) -> float:
         """Do everything that is due, and return when something is due again [s of the clock]."""
         for channel in self._channels:
-            self._guarded(channel.poll, now)
+            self._run_isolated(channel.poll, now)
         self._complain(now)
         until = now + _IDLE
         if self.station is not None:
-            until = self._guarded(self.station.poll, now) or until
+            until = self._run_isolated(self.station.poll, now) or until
         return min([until, *(peer.due for peer in self.peers)])
 
-    def _guarded(self, do: Callable[[Any], Any], argument: Any) -> Any:
+    def _run_isolated(self, do: Callable[[Any], Any], argument: Any) -> Any:
         """Run a link's callback; count an exception instead of letting it stop the other links."""
         try:
             return do(argument)
@@ -186,7 +186,7 @@ class Link:
                 self._complaints[reason] = count, now
                 self.say(f"{_LOUD.get(reason, reason)}: {count - reported}")
 
-    def _rung(self, mask: int) -> None:
+    def _drain_bell(self, mask: int) -> None:
         with contextlib.suppress(OSError):
             self._hear.recv(4096)
 

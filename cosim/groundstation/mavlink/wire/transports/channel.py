@@ -95,7 +95,7 @@ class Tap:
             self._link.watch(self._item, self._ready)
 
 
-def bound(endpoint: Endpoint, kind: int, bind: bool) -> socket.socket:
+def open_socket(endpoint: Endpoint, kind: int, bind: bool) -> socket.socket:
     """Return a non-blocking socket.  Raises InputError where its port cannot be had."""
     made = socket.socket(endpoint.family, kind)
     try:
@@ -110,11 +110,11 @@ def bound(endpoint: Endpoint, kind: int, bind: bool) -> socket.socket:
     return made
 
 
-def named(kind: str, address: Address) -> str:
+def name_station(kind: str, address: Address) -> str:
     """Return the name of a station, ``kind:host:port``."""
     return f"{kind}:{address[0]}:{address[1]}"
 
 
-def makes_room(peer: Peer, now: float) -> bool:
+def is_replaceable(peer: Peer, now: float) -> bool:
     """Return whether a new station may replace this one, which has been silent for too long."""
     return peer.silent(now) > (EVICT if peer.heard >= 0.0 else UNHEARD)

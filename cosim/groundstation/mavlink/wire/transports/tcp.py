@@ -12,9 +12,9 @@ from cosim.groundstation.mavlink.wire.transports.channel import (
     MOST_PEERS,
     RETRY,
     Hub,
-    bound,
-    makes_room,
-    named,
+    is_replaceable,
+    name_station,
+    open_socket,
 )
 from cosim.groundstation.mavlink.wire.transports.connection import Stream
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
@@ -41,7 +41,7 @@ class TcpIn:
 
     def __init__(self, link: Hub, endpoint: Endpoint) -> None:
         self._link = link
-        self._socket = bound(endpoint, socket.SOCK_STREAM, bind=True)
+        self._socket = open_socket(endpoint, socket.SOCK_STREAM, bind=True)
         self._socket.listen(MOST_PEERS)
         self.port = int(self._socket.getsockname()[1])
         self._streams: list[Stream] = []
@@ -60,7 +60,7 @@ class TcpIn:
             self._link.refused["too many stations"] += 1
             connection.close()
             return
-        self._streams.append(_connection(self._link, named("tcpin", address), connection))
+        self._streams.append(_connection(self._link, name_station("tcpin", address), connection))
 
     def _room(self) -> bool:
         """Return whether there is room for one more station, which may replace a silent one."""
@@ -68,7 +68,7 @@ class TcpIn:
         if len(streams) < MOST_PEERS:
             return True
         now = self._link.now()
-        idle = [stream for stream in streams if makes_room(stream.peer, now)]
+        idle = [stream for stream in streams if is_replaceable(stream.peer, now)]
         if not idle:
             return False
         # one that has never said a word goes before one that has

@@ -13,9 +13,9 @@ from cosim.groundstation.mavlink.wire.transports.channel import (
     Address,
     Hub,
     Tap,
-    bound,
-    makes_room,
-    named,
+    is_replaceable,
+    name_station,
+    open_socket,
 )
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 
@@ -52,7 +52,7 @@ class UdpOut:
 
     def __init__(self, link: Hub, endpoint: Endpoint) -> None:
         self._link = link
-        self._socket = bound(endpoint, socket.SOCK_DGRAM, bind=False)
+        self._socket = open_socket(endpoint, socket.SOCK_DGRAM, bind=False)
         self._target = (endpoint.host, endpoint.port)
         transmit = _sendto(self._socket, self._target)
         self._peer = link.peer(endpoint.url, transmit, link.parser(whole=True), whole=True)
@@ -104,7 +104,7 @@ class Datagrams:
             raise
         finally:
             server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
-        self.peer = link.peer(named("udpin", address), self._transmit, link.parser(whole=True), whole=True)
+        self.peer = link.peer(name_station("udpin", address), self._transmit, link.parser(whole=True), whole=True)
         self._tap = Tap(link, self._socket, self._ready)
 
     def _transmit(self, data: bytes) -> int:
@@ -147,7 +147,7 @@ class Shared:
 
     def __init__(self, link: Hub, server: socket.socket, address: Address) -> None:
         parser = link.parser(whole=True)
-        self.peer = link.peer(named("udpin", address), _sendto(server, address), parser, whole=True)
+        self.peer = link.peer(name_station("udpin", address), _sendto(server, address), parser, whole=True)
 
     def poll(self, now: float) -> None:
         self.peer.flush()
@@ -161,7 +161,7 @@ class UdpIn:
 
     def __init__(self, link: Hub, endpoint: Endpoint) -> None:
         self._link = link
-        self._socket = bound(endpoint, socket.SOCK_DGRAM, bind=True)
+        self._socket = open_socket(endpoint, socket.SOCK_DGRAM, bind=True)
         self.port = int(self._socket.getsockname()[1])
         self._known: dict[Address, Datagrams | Shared] = {}
         self._stranger = link.parser(whole=True)
@@ -197,7 +197,7 @@ class UdpIn:
         if len(self._known) < MOST_PEERS:
             return True
         oldest = max(self._known, key=lambda address: self._known[address].peer.silent(now))
-        if not makes_room(self._known[oldest].peer, now):
+        if not is_replaceable(self._known[oldest].peer, now):
             self._link.refused["too many stations"] += 1
             return False
         self._known.pop(oldest).close()
