@@ -166,7 +166,7 @@ def as_designed(name: str) -> Design:
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
     found = make.identify_there(scenario, vehicle, spec, None)
     plants = channels(scenario, vehicle, spec, Actuator.of(spec.name, make.dynamics_of(found)))
-    begin = make._begin(path, plants, scenario.aircraft, vehicle, spec)
+    begin = make._read_start(path, plants, scenario.aircraft, vehicle, spec)
     axes = {}
     for axis, plant in plants.items():
         need = make.needed(axis, made.requirements)
@@ -239,7 +239,7 @@ def heavier(name: str) -> str:
     scenario, vehicle = make._scenario(made.engine, made.aircraft, ())
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
     actuator = Actuator.of(spec.name, make.dynamics_of(make.identify_there(scenario, vehicle, spec, None)))
-    begin = make._begin(path, channels(scenario, vehicle, spec, actuator), scenario.aircraft, vehicle, spec)
+    begin = make._read_start(path, channels(scenario, vehicle, spec, actuator), scenario.aircraft, vehicle, spec)
     plan = load_vehicle(made.aircraft, read_controller(path).vehicle)[0].control.schedule
     assert plan
     full = {axis: begin[axis][1.0] for axis in THRUST_AXES}

@@ -80,8 +80,8 @@ CYCLE_S = 10.0  # of a hover, its last part, in which a limit cycle stands
 def searched(case: Case, out: Path) -> dict[str, Any]:
     """What each of TRIED reaches on roll, as ``hexjet design`` searches for it, and what limits the best."""
     from cosim.design.design import (
-        _Asked,
         _axis,
+        _AxisInputs,
         _scenario,
         dynamics_of,
         identify_there,
@@ -95,7 +95,7 @@ def searched(case: Case, out: Path) -> dict[str, Any]:
     spec = load_engine(case.name, {}, flight.step_s)
     dynamics = Actuator.of(case.name, dynamics_of(identify_there(flight, vehicle, spec, None)))
     channel = channels(flight, vehicle, spec, dynamics)["roll"]
-    asked = _Asked(vehicle, spec, TRIED, need, case.name, True, None, lambda text: None)
+    asked = _AxisInputs(vehicle, spec, TRIED, need, case.name, True, None, lambda text: None)
     roll = _axis(channel, asked, None)
     return {
         "limits_hz": dict(roll.limits),

@@ -79,7 +79,7 @@ def shipped(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
     return Tuning(SMITH.name, angle, gains, control.predictor, model, lead)
 
 
-def believed(channel: Channel, source: str) -> RateModel:
+def predictor_model(channel: Channel, source: str) -> RateModel:
     """Return a channel's model as its predictor has it in flight, with the delay that the controller adds itself."""
     own = channel.model(source)
     return own.model_copy(update={"delay_samples": own.delay_samples + channel.added_delay})

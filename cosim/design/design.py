@@ -18,7 +18,7 @@ from cosim.base.storage.toml import (
     set_path,
 )
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
-from cosim.design.assessment import Assessment, AxisDesign, assess, believed, shipped
+from cosim.design.assessment import Assessment, AxisDesign, assess, predictor_model, shipped
 from cosim.design.levels import (
     DESIGNED,
     THRUST_AXES,
@@ -167,8 +167,8 @@ def design(
     if controller == "auto" and plants["roll"].by_servo and firmware is None:
         names = (BASELINE.name,)  # a predictor is for engines that answer late
     source = f"{identified.source}; with the airframe of {vehicle.name}"
-    begin = None if start is None else _begin(start, plants, scenario.aircraft, vehicle, spec)
-    asked = _Asked(vehicle, spec, names, need, source, lead, firmware, say)
+    begin = None if start is None else _read_start(start, plants, scenario.aircraft, vehicle, spec)
+    asked = _AxisInputs(vehicle, spec, names, need, source, lead, firmware, say)
     axes: dict[str, AxisDesign] = {}
     for axis in CHANNELS:
         roll = axes["roll"].after if axes else None
@@ -176,7 +176,7 @@ def design(
         if begin is None:
             axes[axis] = _axis(plants[axis], asked, chosen)
         else:
-            axes[axis] = _again(plants[axis], asked, chosen, begin[axis][1.0])
+            axes[axis] = _resume_axis(plants[axis], asked, chosen, begin[axis][1.0])
     reason = why_not(axes, need)
     allowing = (
         find_allowances(axes["roll"], names, need, say, lead) if reason and start is None and not firmware else {}
@@ -185,7 +185,7 @@ def design(
     plan: Schedule | None = None
     if vehicle.fuel is not None and not reason and not model:
         there = _levels(scenario, vehicle, spec, dynamics, amplitude, unsure, say)
-        plan, burning, reason = _burn(axes, there, need, begin, scheduled, say)
+        plan, burning, reason = _design_levels(axes, there, need, begin, scheduled, say)
     return Design(
         spec, vehicle, scenario, need, identified, source, axes, burning, plan, reason, allowing, firmware=firmware
     )
@@ -214,7 +214,7 @@ def _levels(
     return levels(scenario, vehicle, spec, dynamics)
 
 
-def _burn(
+def _design_levels(
     axes: Mapping[str, AxisDesign],
     levels: Sequence[Level],
     need: Requirements,
@@ -260,7 +260,7 @@ def _burn(
         designed |= missed  # a straight line does not do there
 
 
-def _begin(
+def _read_start(
     start: Path, plants: Mapping[str, Channel], aircraft: str, vehicle: Vehicle, spec: EngineSpec
 ) -> dict[str, dict[float, Tuning]]:
     """Return the tunings of a controller file from which a search goes on: by axis, then by fraction of fuel."""
@@ -283,11 +283,11 @@ def _begin(
     return tunings
 
 
-def _again(channel: Channel, asked: _Asked, roll: Tuning | None, start: Tuning) -> AxisDesign:
+def _resume_axis(channel: Channel, asked: _AxisInputs, roll: Tuning | None, start: Tuning) -> AxisDesign:
     """Design an axis by a search that begins at ``start``, with the candidate that ``start`` has."""
     axis, vehicle, need = channel.name, asked.vehicle, needed(channel.name, asked.need)
     asked.say(f"{axis}: {start.controller}")
-    model, predictor = believed(channel, asked.source), roll.predictor if roll else start.predictor
+    model, predictor = predictor_model(channel, asked.source), roll.predictor if roll else start.predictor
     start = replace(start, model=model, lead=lead_there(start.lead, channel), predictor=predictor)
     tuned = near(channel, start, need, not _follows_roll(axis, vehicle))
     before = assess(channel, shipped(channel, vehicle, asked.spec), need)
@@ -345,7 +345,7 @@ def throttle_for(spec: EngineSpec, vehicle: Vehicle) -> float:
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _AxisInputs:
     """The inputs that all axes of a design have in common."""
 
     vehicle: Vehicle
@@ -363,7 +363,7 @@ def _follows_roll(axis: str, vehicle: Vehicle) -> bool:
     return axis in ("pitch", "yaw") and vehicle.allocation == "rotors"
 
 
-def _there(firmware: Firmware | None, axis: str, roll: Tuning | None) -> Firmware | None:
+def _firmware_on_axis(firmware: Firmware | None, axis: str, roll: Tuning | None) -> Firmware | None:
     """Return the autopilot's loop on another axis, with what roll has chosen for all; None for the height."""
     if firmware is None or axis == "altitude":
         return None
@@ -372,18 +372,18 @@ def _there(firmware: Firmware | None, axis: str, roll: Tuning | None) -> Firmwar
     return replace(firmware, axis=axis, d_filter_s=smooth, angle_gain=angle)
 
 
-def _axis(channel: Channel, asked: _Asked, roll: Tuning | None) -> AxisDesign:
+def _axis(channel: Channel, asked: _AxisInputs, roll: Tuning | None) -> AxisDesign:
     """Tune all candidates on an axis and take the best; ``roll`` is the tuning of roll, None for roll itself."""
     axis, vehicle, say, need = channel.name, asked.vehicle, asked.say, needed(channel.name, asked.need)
     predicted = roll is not None and _follows_roll(axis, vehicle)
     names = asked.names if axis == "roll" else (roll.controller if predicted and roll else BASELINE.name,)
-    firmware = asked.firmware if axis == "roll" else _there(asked.firmware, axis, roll)
+    firmware = asked.firmware if axis == "roll" else _firmware_on_axis(asked.firmware, axis, roll)
     lead = engine_lead(channel) if asked.lead else None
     fixed = shipped(channel, vehicle, asked.spec)
     if firmware is not None:
         fixed = replace(fixed, controller=BASELINE.name, lead=None, firmware=firmware)
     before = assess(channel, fixed, need)
-    model = believed(channel, asked.source)
+    model = predictor_model(channel, asked.source)
     start = replace(fixed, predictor=roll.predictor if roll else vehicle.control.predictor)
     tried: dict[str, TuningResult] = {}
     for with_lead in (None,) if lead is None else (None, lead):

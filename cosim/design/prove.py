@@ -48,7 +48,7 @@ ABOVE = 0.5  # loop gain where nothing was measured, at most: the engine may ans
 Again = Callable[[tuple[tuple[float, float], ...]], Design]
 
 
-def proved(design: Design, say: Callable[[str], None] = lambda text: None, again: Again | None = None) -> Design:
+def add_proof(design: Design, say: Callable[[str], None] = lambda text: None, again: Again | None = None) -> Design:
     """Check a design against the engine's own response and fly it; it is not acceptable where one of these fails.
 
     ``again`` makes another one for an engine that differs from its model by shares at frequencies

@@ -84,10 +84,10 @@ def _one(path: Path, controller: str, limit: float, folder: Path) -> tuple[str, 
         return "fit", said, "", REFUSED
     if made is None:
         return "fit", said, "", FAULT
-    return "fit", *judged(made)
+    return "fit", *describe_design(made)
 
 
-def judged(made: dict[str, Any]) -> tuple[str, str, str]:
+def describe_design(made: dict[str, Any]) -> tuple[str, str, str]:
     """Describe a design that ``--json`` printed: the design, the flights that kept it, and the verdict."""
     proof, roll = made["proof"], made["axes"]["roll"]["after"]
     flights = proof["flights"] if proof else []

@@ -230,7 +230,7 @@ def settle(
         moved = False
         for name in values:
             for way in (1, -1):
-                trial = {**values, name: _beside(values[name], way)}
+                trial = {**values, name: _next_digits(values[name], way)}
                 if (value := cost(trial)) < best - LEAST_GAIN:
                     values, best, moved = trial, value, True
     tuning = _written(start, values, channel.step, level)
@@ -319,7 +319,7 @@ def _to_float(number: Digits) -> float:
     return float(f"{number[0]}e{number[1]}")
 
 
-def _beside(number: Digits, way: int) -> Digits:
+def _next_digits(number: Digits, way: int) -> Digits:
     """Return the next number of three digits, up or down."""
     figures, power = number[0] + way, number[1]
     if figures == 1000:

@@ -51,8 +51,8 @@ def page_parts(reproduction: Reproduction) -> dict[str, str]:
     return {
         COUNTS: counts_in_words(reproduction.claims) + "\n",
         DOUBLET: _doublet(reproduction),
-        HELD: _held(reproduction),
-        DIFFERS: _differs(reproduction),
+        HELD: _claims_that_hold(reproduction),
+        DIFFERS: _claims_that_differ(reproduction),
         CONSTRUCTED: constructed_table(reproduction.claims),
         TURBOJET: _turbojet(reproduction),
         READINGS: readings_table(reproduction.readings).markdown(),
@@ -121,7 +121,7 @@ def _settling(metrics: Metrics) -> str:
     return "never" if not metrics.stable or metrics.settling_s is None else f"{metrics.settling_s:.1f} s"
 
 
-def _held(reproduction: Reproduction) -> str:
+def _claims_that_hold(reproduction: Reproduction) -> str:
     """Return the list of the paper's main claims, with the numbers of both fidelities."""
     claims = {row.key: row for row in reproduction.claims}
     ours = {row.key: row for row in reproduction.rows}
@@ -163,7 +163,7 @@ def _agrees(judged: Judgement | None) -> bool:
     return judged is not None and judged.verdict in ("holds", "by construction")
 
 
-def _differs(reproduction: Reproduction) -> str:
+def _claims_that_differ(reproduction: Reproduction) -> str:
     """Return the table of what does not follow from the printed model, and what we found."""
     linear, flight = reproduction.linear.evidence, reproduction.flight_evidence
     margins = linear.margins

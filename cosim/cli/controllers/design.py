@@ -88,7 +88,7 @@ def design(options: DesignOptions) -> int:
 
     one_thread()
     from cosim.design.design import design as make
-    from cosim.design.prove import proved
+    from cosim.design.prove import add_proof
     from cosim.design.result import to_dict, write
     from cosim.simulation.controllers.controller_file import Requirements
 
@@ -132,7 +132,7 @@ def design(options: DesignOptions) -> int:
         )
         made = search()
         if options.proof:
-            made = proved(made, lambda text: tell(text, 0, 1), lambda unsure: search(unsure=unsure))
+            made = add_proof(made, lambda text: tell(text, 0, 1), lambda unsure: search(unsure=unsure))
     paths = write(made, options.out)
     if autopilot is not None and made.ok:
         from cosim.cli.firmware import write_parameters

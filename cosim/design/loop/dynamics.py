@@ -15,7 +15,7 @@ from math import exp, inf, log
 import numpy as np
 
 from cosim.base.arrays import Array, Complex
-from cosim.identify.sweep.fit import apart, counts
+from cosim.identify.sweep.fit import counts, separate_equal
 from cosim.identify.sweep.response import FrequencyResponse
 from cosim.spec.vehicle import RateModel
 
@@ -134,7 +134,7 @@ def _in_z(poles: Sequence[complex], step: float) -> tuple[list[float], list[tupl
             pairs.append((z.real, abs(z.imag)))
         elif pole.imag > 0.0:
             real += [-min(abs(pole), OVER / step)] * 2
-    return [exp(-decay * step) for decay in apart([-p for p in real])], pairs
+    return [exp(-decay * step) for decay in separate_equal([-p for p in real])], pairs
 
 
 def lags(constants: Sequence[float], delay: float, step: float) -> Dynamics:

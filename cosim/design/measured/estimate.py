@@ -102,7 +102,7 @@ def _jackknife(value: float, without: list[float | None]) -> Bounded:
     return Bounded(value, value - half, value + half)
 
 
-def apart(one: Mapping[str, Bounded], other: Mapping[str, Bounded]) -> dict[str, float]:
+def relative_differences(one: Mapping[str, Bounded], other: Mapping[str, Bounded]) -> dict[str, float]:
     """Return by how much each margin of ``one`` is off that of ``other``, relative; of gains in dB by their factors."""
     margins = {}
     for name in one.keys() & other.keys():

@@ -134,14 +134,14 @@ class LoopJudge:
             return _Loop(False, 0.0, "a gain of 0: nothing brings it back")
         found = margins(closed)
         sizes = [
-            (_share(found.gain_db, LEAST_DB), f"gain margin {_size(found.gain_db)} dB"),
-            (_share(found.gain_down_db, LEAST_DB), f"gain margin {_size(found.gain_down_db)} dB downwards"),
-            (_share(found.phase_deg, LEAST_DEG), f"phase margin {_size(found.phase_deg)} deg"),
+            (_fraction_of_bound(found.gain_db, LEAST_DB), f"gain margin {_size(found.gain_db)} dB"),
+            (_fraction_of_bound(found.gain_down_db, LEAST_DB), f"gain margin {_size(found.gain_down_db)} dB downwards"),
+            (_fraction_of_bound(found.phase_deg, LEAST_DEG), f"phase margin {_size(found.phase_deg)} deg"),
         ]
         return _Loop(True, min(sizes)[0], ", ".join(text for share, text in sizes if share < 1.0))
 
 
-def _share(margin: float | None, least: float) -> float:
+def _fraction_of_bound(margin: float | None, least: float) -> float:
     return inf if margin is None else abs(margin) / least
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.signals import AXES
 from cosim.design.measured.computed import Computed, computed
-from cosim.design.measured.estimate import QUANTITIES, Response, apart, measured
+from cosim.design.measured.estimate import QUANTITIES, Response, measured, relative_differences
 from cosim.design.measured.excitation import Multisine, Record, Tap, fly_with, multisine, still
 from cosim.simulation.build import build
 from cosim.simulation.controllers.plugged import find_controller
@@ -311,7 +311,7 @@ def _notes(response: Response, half: Response) -> tuple[str, ...]:
     if hidden:
         lines = f"{hidden} of {len(response.used)} lines"
         notes.append(f"{lines} are hidden in noise and left out; --set sensor_noise=false flies without it")
-    for name, share in apart(half.margins, response.margins).items():
+    for name, share in relative_differences(half.margins, response.margins).items():
         if name not in JUDGED:
             continue
         one, two = response.margins[name], half.margins[name]

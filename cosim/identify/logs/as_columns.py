@@ -48,14 +48,14 @@ def as_columns(log: FlightLog) -> tuple[MemoryLog, tuple[str, ...]]:
     Slower ones hold their values, NaN before the first.  Times count from its first row.  Raises InputError where it
     has none.
     """
-    columns = _matching(log)
+    columns = _match_columns(log)
     if not columns:
         raise InputError(f"{log.path}: the {log.kind} log has no rates, attitude, position or throttles that are known")
     clock = max(columns.values(), key=lambda channel: len(channel.times)).times
     clock = clock[np.concatenate([[True], np.diff(clock) > 0.0])] if len(clock) else clock
     if len(clock) < 2 or not np.all(np.isfinite(clock)) or not np.all(np.diff(clock) > 0.0):
         raise InputError(f"{log.path}: its time does not grow from row to row")
-    rows = [clock - clock[0], *(_held(channel, clock) for channel in columns.values())]
+    rows = [clock - clock[0], *(_resample(channel, clock) for channel in columns.values())]
     remarks = [f"{log.kind}: {len(columns)} columns of a flight of ours are in it", *log.remarks]
     if columns.keys() & _SUMS.keys() and not any(_TRUTH in name for name in log.channels):
         remarks.append(ESTIMATED)
@@ -93,7 +93,7 @@ def read_log(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
     return MemoryLog([np.stack([times, *columns.values()])], names, described), tuple(remarks)
 
 
-def _matching(log: FlightLog) -> dict[str, Channel]:
+def _match_columns(log: FlightLog) -> dict[str, Channel]:
     columns = _rates(log)
     true, estimated = (log.has(_ATTITUDE.format(suffix, 3)) for suffix in (_TRUTH, ""))
     for there, suffix, name in ((true, _TRUTH, "{}_rad"), (estimated, "", "{}_measured_rad" if true else "{}_rad")):
@@ -104,7 +104,7 @@ def _matching(log: FlightLog) -> dict[str, Channel]:
     for name, choices in _SUMS.items():
         text = next((choice for choice in choices if log.has(choice)), None)
         if text is not None and name not in columns:
-            columns[name] = _wrapped(log.signal(text)) if name in ANGLES else log.signal(text)
+            columns[name] = _wrap(log.signal(text)) if name in ANGLES else log.signal(text)
     return columns | _engines(log)
 
 
@@ -148,7 +148,7 @@ def _a_step_earlier(thrust: Channel, throttle: Array) -> Channel:
     return thrust._replace(times=throttle if same else times)
 
 
-def _held(channel: Channel, clock: Array) -> Array:
+def _resample(channel: Channel, clock: Array) -> Array:
     """Return the values held from each row to the next, at these times, with half the clock's step of slack."""
     slack = 0.5 * float(np.median(np.diff(clock)))
     row = np.searchsorted(channel.times, clock + slack, side="right") - 1
@@ -165,6 +165,6 @@ def _euler(w: Array, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]
     )
 
 
-def _wrapped(channel: Channel) -> Channel:
+def _wrap(channel: Channel) -> Channel:
     """Return an angle, which a log may give from 0 to 2 pi, between -pi and pi as our columns have it."""
     return channel._replace(values=np.angle(np.exp(1j * channel.values)))

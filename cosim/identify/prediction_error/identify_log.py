@@ -172,7 +172,7 @@ def identify_log(
     command, output = log.signal(signals.command, of_sums), log.signal(signals.output, of_sums)
     prepared = prepare(command, output, longest_delay, step, begin, end)
     engine = what.startswith("engine")
-    problem, estimates, clock = _estimated(prepared, engine, dict(hold or {}), lags)
+    problem, estimates, clock = _estimate(prepared, engine, dict(hold or {}), lags)
     chosen = estimates[0]
     where = f"{log.path}: {signals.command} to {signals.output}"
     _refuse(problem, estimates, prepared, where)
@@ -181,7 +181,7 @@ def identify_log(
     reason = _why_refused(problem, chosen, checks)
     if reason:
         raise NotIdentifiedError(f"{where}: {reason}")
-    notes += _failed(checks) if _noisy(problem, chosen) else [NO_NOISE]
+    notes += _describe_failed(checks) if _noisy(problem, chosen) else [NO_NOISE]
     band = _band(chosen, problem.working_step)
     notes += _advice(chosen, bounds(estimates), prepared, band)
     return LogIdentification(
@@ -203,7 +203,7 @@ def identify_log(
 # ---- estimating
 
 
-def _estimated(
+def _estimate(
     prepared: Prepared, engine: bool, hold: dict[str, float], lags: int | None
 ) -> tuple[Problem, list[Estimate], str]:
     """Estimate by the stamps, and by an even clock where there is one, and take what leaves less."""
@@ -315,9 +315,11 @@ def _checks(problem: Problem, estimate: Estimate, setpoint: Channel | None) -> l
     checks = [Check("residuals: white", float(chi2.sf(total, lags)), total / count)]
     spread = max(1, round(TEST_S / TEST_LAGS / problem.working_step))
     command = _on_blocks(problem, None)
-    checks.append(_against("residuals: free of the command", white, use, command, spread))
+    checks.append(_test_against("residuals: free of the command", white, use, command, spread))
     if setpoint is not None:
-        checks.append(_against("residuals: free of the set-point", white, use, _on_blocks(problem, setpoint), spread))
+        checks.append(
+            _test_against("residuals: free of the set-point", white, use, _on_blocks(problem, setpoint), spread)
+        )
     return checks
 
 
@@ -347,7 +349,7 @@ def _explained(problem: Problem, chosen: Estimate) -> float:
     return float(np.exp(problem.without_command(chosen) / chosen.count) * chosen.count - chosen.loss)
 
 
-def _follows(problem: Problem, chosen: Estimate, command: Check) -> bool:
+def _residuals_follow(problem: Problem, chosen: Estimate, command: Check) -> bool:
     """Return whether the residuals follow the command by more than a small misfit of the form makes them."""
     if not command.failed or command.share <= MISFIT or not _noisy(problem, chosen):
         return False
@@ -364,11 +366,11 @@ def _why_refused(problem: Problem, chosen: Estimate, checks: Sequence[Check]) ->
     """
     white, use = problem.residuals(chosen)
     spread = max(1, round(TEST_S / TEST_LAGS / problem.working_step))
-    together = _against("fed back", white, use, _on_blocks(problem, None), spread, first=0)
+    together = _test_against("fed back", white, use, _on_blocks(problem, None), spread, first=0)
     explained = max(_explained(problem, chosen), 0.0)
     by_setpoint = any(check.failed for check in checks[2:])
     weak = explained <= ENOUGH * chosen.loss and together.share * chosen.loss > FED_BACK * explained
-    if weak and not by_setpoint and _follows(problem, chosen, together):
+    if weak and not by_setpoint and _residuals_follow(problem, chosen, together):
         share = max(explained / chosen.loss, 1e-4)
         larger = max(2.0, (ENOUGH / share) ** 0.5)
         return (
@@ -377,7 +379,7 @@ def _why_refused(problem: Problem, chosen: Estimate, checks: Sequence[Check]) ->
             f"over is in the command of that time); a stronger manoeuvre is needed: doublets or a sweep about "
             f"{larger:.0f} times as large, or calmer air"
         )
-    if not _follows(problem, chosen, checks[1]):
+    if not _residuals_follow(problem, chosen, checks[1]):
         return ""
     return (
         f"no model of this form fits: {100.0 * checks[1].share:.0f} % of what is left over still follows the command; "
@@ -385,7 +387,7 @@ def _why_refused(problem: Problem, chosen: Estimate, checks: Sequence[Check]) ->
     )
 
 
-def _against(name: str, white: Array, use: NDArray[np.bool_], signal: Array, spread: int, first: int = 1) -> Check:
+def _test_against(name: str, white: Array, use: NDArray[np.bool_], signal: Array, spread: int, first: int = 1) -> Check:
     """Regress the residuals on a signal's past, and test by F that this explains nothing.
 
     ``first``: working samples before; 1 at least for a test of the form, because what the command is at the time of a
@@ -413,7 +415,7 @@ def _against(name: str, white: Array, use: NDArray[np.bool_], signal: Array, spr
     return Check(name, float(fdtrc(int(rank), freedom, ratio)), explained / power)
 
 
-def _failed(checks: Sequence[Check]) -> list[str]:
+def _describe_failed(checks: Sequence[Check]) -> list[str]:
     words = {
         "residuals: white": "what the model leaves over is not white: the bounds are too narrow",
         "residuals: free of the command": (

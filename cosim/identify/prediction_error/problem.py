@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.identify.prediction_error.estimate import ORDERS, Estimate, Form, spread
 from cosim.identify.prediction_error.stretch import Stretch, hold_response
-from cosim.identify.sweep.fit import apart
+from cosim.identify.sweep.fit import separate_equal
 
 LEAST_VALID = 0.4  # share of the equations that lost samples may leave, which bounds the order
 SHORTEST_LAG = 0.002  # of a sample
@@ -45,7 +45,7 @@ class Problem:
     def columns(self, form: Form, x: Array) -> Array:
         """Return what the linear parameters multiply: the answer, and of each stretch an offset and a free decay."""
         rate, lags, delay = float(x[0]), x[1:-1], float(x[-1])
-        poles = apart([rate, *(1.0 / lag for lag in lags)])
+        poles = separate_equal([rate, *(1.0 / lag for lag in lags)])
         scale = (rate if form.engine else 1.0) / prod(lags)
         shares = [scale / prod(other - pole for other in poles if other != pole) for pole in poles]
         made = np.zeros((len(self.output), 1 + 2 * len(self.stretches)))

@@ -48,7 +48,7 @@ def write(result: LogIdentification, folder: Path, step: float, family: str) -> 
     render(
         TEMPLATE,
         paths["report"],
-        {"signals": _signals(result), "tells": _tells(result)},
+        {"signals": _draw_signals(result), "tells": _draw_information(result)},
         result=result,
         columns=[estimate.form.label for estimate in result.estimates],
         rows=rows(result),
@@ -116,11 +116,11 @@ def rows(result: LogIdentification) -> list[list[str]]:
             i = estimate.form.names.index(name)
             value, deviation = float(estimate.x[i]), estimate.deviation(i)
             if name == "rate_1_s" and result.engine:
-                cells.append(_held(estimate, name, 1e3 / value, _about(1e3 / value, 1e3 * deviation / value**2)))
+                cells.append(_mark_fixed(estimate, name, 1e3 / value, _about(1e3 / value, 1e3 * deviation / value**2)))
             elif name == "rate_1_s":
-                cells.append(_held(estimate, name, value, _slow_pole(value, deviation)))
+                cells.append(_mark_fixed(estimate, name, value, _slow_pole(value, deviation)))
             else:
-                cells.append(_held(estimate, name, 1e3 * value, _about(1e3 * value, 1e3 * deviation)))
+                cells.append(_mark_fixed(estimate, name, 1e3 * value, _about(1e3 * value, 1e3 * deviation)))
         titles = {"rate_1_s": "time constant, ms" if result.engine else "slow pole, 1/s", "lag_s": "lag, ms"}
         if result.engine:
             titles["lag_s"] = "second lag, ms"
@@ -148,7 +148,7 @@ def _place(name: str) -> int:
     return ["rate_1_s", "lag_s", "lag_2_s", "lag_3_s"].index(name)
 
 
-def _held(estimate: Estimate, name: str, value: float, text: str) -> str:
+def _mark_fixed(estimate: Estimate, name: str, value: float, text: str) -> str:
     return f"{value:.4g} held" if name in estimate.held else text
 
 
@@ -180,7 +180,7 @@ def _delay(estimate: Estimate) -> str:
 # ---- figures
 
 
-def _signals(result: LogIdentification) -> dict[str, Any]:
+def _draw_signals(result: LogIdentification) -> dict[str, Any]:
     """Draw command, measured output, the model's output from the command alone, and the residuals over time."""
     problem, estimate = result.problem, result.chosen
     whole = problem.simulated(estimate)
@@ -208,7 +208,7 @@ def _signals(result: LogIdentification) -> dict[str, Any]:
     return {"data": data, "layout": layout | HOVER}
 
 
-def _tells(result: LogIdentification) -> dict[str, Any]:
+def _draw_information(result: LogIdentification) -> dict[str, Any]:
     """Draw the coherence, and the information on the delay that a command of each frequency would give."""
     hertz, value = result.coherence
     grid = np.geomspace(0.05, 0.45 / result.problem.working_step, 300)

@@ -68,8 +68,8 @@ def prepare(
     ``step`` is that of the working samples.  Raises InputError where nothing is usable, which says why.
     """
     notes: list[str] = []
-    command = _sound(command, "the command", notes)
-    output = _sound(output, "the output", notes)
+    command = _clean(command, "the command", notes)
+    output = _clean(output, "the output", notes)
     low = max(command.times[0], output.times[0], -np.inf if begin is None else begin)
     high = min(command.times[-1], output.times[-1], np.inf if end is None else end)
     if not high - low > 0.0:
@@ -93,7 +93,7 @@ def prepare(
     lead = longest_delay + SETTLE_S
     spans = [
         span
-        for span in _moving(command, _unbroken(output.times, command.times, clocks))
+        for span in _find_movement(command, _find_unbroken(output.times, command.times, clocks))
         if span[1] - span[0] > lead + SHORTEST_S
     ]
     usable = sum(last - first - lead for first, last in spans)
@@ -106,13 +106,13 @@ def prepare(
         notes.append(f"{len(spans)} stretches, {usable:.1f} s of {high - low:.1f} s")
     even = [_even(channel.times) for channel in (command, output)]
     uneven = max(np.nan_to_num(clock.jitter) for clock in clocks) > LEAST_JITTER
-    filled = _filled(command)
+    filled = _interpolate_lost(command)
     shared = 1 if clocks[0].step >= 0.99 * sample and not uneven else 2
     cells = sample / shared
     by_stamps = tuple(_stretch(filled, output, span, lead, cells, sample, factor) for span in spans)
     by_clock: tuple[Stretch, ...] = ()
     if uneven and even[0] is not None and even[1] is not None:
-        steady = _filled(Channel(even[0], command.values))
+        steady = _interpolate_lost(Channel(even[0], command.values))
         by_clock = tuple(_stretch(steady, output, span, lead, cells, sample, factor, even[1]) for span in spans)
     return Prepared(by_stamps, by_clock, working, longest_delay, *clocks, tuple(notes))
 
@@ -132,7 +132,7 @@ def clock_of(times: Array) -> Clock:
 # ---- pieces
 
 
-def _sound(channel: Channel, what: str, notes: list[str]) -> Channel:
+def _clean(channel: Channel, what: str, notes: list[str]) -> Channel:
     """Return a channel without what is no number, in the order of time; of a clock that went back, the longest part."""
     times, values = channel.times, channel.values
     good = np.isfinite(times) & np.isfinite(values)
@@ -189,7 +189,7 @@ def _within(channel: Channel, low: float, high: float) -> Channel:
     return Channel(channel.times[use], channel.values[use], channel.unit)
 
 
-def _unbroken(output: Array, command: Array, clocks: tuple[Clock, Clock]) -> list[tuple[float, float]]:
+def _find_unbroken(output: Array, command: Array, clocks: tuple[Clock, Clock]) -> list[tuple[float, float]]:
     """Return the spans, s, from where to where neither output nor command has a gap."""
     edges = []
     for times, clock in ((output, clocks[1]), (command, clocks[0])):
@@ -208,7 +208,7 @@ def _unbroken(output: Array, command: Array, clocks: tuple[Clock, Clock]) -> lis
     return spans
 
 
-def _moving(command: Channel, spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+def _find_movement(command: Channel, spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     """Return the parts of the spans in which the command moves, less the edges towards rest."""
     size = float(np.std(command.values))
     stretches = []
@@ -221,7 +221,7 @@ def _moving(command: Channel, spans: Sequence[tuple[float, float]]) -> list[tupl
             part = command.values[(command.times >= at) & (command.times < at + IDLE_S)]
             moving.append(bool(part.size) and float(np.ptp(part)) > IDLE_SHARE * size)
         first = None
-        moving = _bridged(moving, round(PAUSE_S / IDLE_S))
+        moving = _bridge_pauses(moving, round(PAUSE_S / IDLE_S))
         for n, yes in enumerate([*moving, False]):
             if yes and first is None:
                 first = n
@@ -233,7 +233,7 @@ def _moving(command: Channel, spans: Sequence[tuple[float, float]]) -> list[tupl
     return stretches
 
 
-def _bridged(moving: list[bool], most: int) -> list[bool]:
+def _bridge_pauses(moving: list[bool], most: int) -> list[bool]:
     """Count pauses of at most so many windows between movement as movement."""
     made, last = list(moving), -1
     for n, yes in enumerate(moving):
@@ -244,7 +244,7 @@ def _bridged(moving: list[bool], most: int) -> list[bool]:
     return made
 
 
-def _filled(command: Channel) -> Channel:
+def _interpolate_lost(command: Channel) -> Channel:
     """Interpolate the values that an even clock has lost: to hold the last one would be late."""
     index, even = _index(command.times)
     if even is None:

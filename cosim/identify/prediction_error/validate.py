@@ -144,7 +144,7 @@ def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end
     signals = []
     for stretch, problem in zip(prepared.by_stamps, problems, strict=True):
         use = problem.present
-        times, answer = stretch.averaged(stretch.times)[use], _simulated(problem, model, model.x)
+        times, answer = stretch.averaged(stretch.times)[use], _simulate(problem, model, model.x)
         signals.append((stretch.start + times, stretch.commanded(times), problem.output[use], answer[use]))
     fits = [(output, answer) for _, _, output, answer in signals]
     measured = np.concatenate([output - output.mean() for output, _ in fits])
@@ -174,7 +174,7 @@ def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end
     )
 
 
-def _simulated(problem: Problem, model: StatedModel, x: Array) -> Array:
+def _simulate(problem: Problem, model: StatedModel, x: Array) -> Array:
     """Simulate with the model's own gain; offset and initial states are those that suit the output best."""
     columns = problem.columns(model.form, x)
     answer, others = model.gain * columns[:, 0], columns[:, 1:]
@@ -192,7 +192,7 @@ def _better_delay(problems: Sequence[Problem], model: StatedModel, longest: floa
         x[-1] = delay
         loss = 0.0
         for problem in problems:
-            error = (problem.output - _simulated(problem, model, x))[problem.present]
+            error = (problem.output - _simulate(problem, model, x))[problem.present]
             loss += float(np.sum(np.diff(error) ** 2))
         best = min(best, (loss, float(delay) - float(model.x[-1])))
     return best[1]

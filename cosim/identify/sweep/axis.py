@@ -94,7 +94,7 @@ def identify_axis(
     check_band(low, high, duration, base.step_s)
     seconds = suitable_duration(low) if duration is None else duration
     asked, what = Sweep(low, high, size, seconds), f"{base.aircraft_name} {axis}"
-    flight, response, notes = _answered(base, axis, asked, amplitude is None, what, lags)
+    flight, response, notes = _fly_until_clear(base, axis, asked, amplitude is None, what, lags)
     sweep, family = flight.sweep, flight.engine.family
     # pitch and yaw turn the jets, they do not throttle them; what hinges and engines share has no one engine's delay
     own = flight.engine.delay if axis == "roll" and not accelerates else None
@@ -147,7 +147,7 @@ def _turned_by_engines(base: Scenario, vehicle: Vehicle, engine: EngineSpec, ind
     return abs(parts[0].share) > PARTAKES
 
 
-def _answered(
+def _fly_until_clear(
     base: Scenario, axis: str, sweep: Sweep, automatic: bool, what: str, lags: int
 ) -> tuple[_Flight, FrequencyResponse, list[str]]:
     """Fly the sweep and estimate the response; an automatic amplitude grows while points or the fit are lost in noise.
@@ -310,11 +310,11 @@ def _fly(base: Scenario, axis: str, sweep: Sweep) -> _Flight:
     command = asked + injected
     if ledger is not None:
         ledger -= late
-    share = _granted(command, refused, cut)
+    share = _granted_fraction(command, refused, cut)
     return _Flight(sweep, ending, vehicle, engine, step, injected, command - refused, rate, ledger, no_ledger, share)
 
 
-def _granted(command: Array, refused: Array, cut: Array) -> float:
+def _granted_fraction(command: Array, refused: Array, cut: Array) -> float:
     """Return the least granted fraction of the command; a collective that gave way to roll counts as refused roll."""
     short = np.maximum(np.abs(refused), np.abs(cut))
     hit = short > 0.0

@@ -47,7 +47,7 @@ class Model:
 
     def modes(self) -> list[tuple[float, float]]:
         """Return ``(c, pole in 1/s)`` of ``sum c / (z - p)``: the model behind a hold, sampled, without its delay."""
-        poles = apart(self.poles_1_s)
+        poles = separate_equal(self.poles_1_s)
         modes = []
         for i, pole in enumerate(poles):
             between = prod(other - pole for j, other in enumerate(poles) if j != i)
@@ -63,7 +63,7 @@ class Model:
         fraction = self.delay_samples - whole
         total = np.zeros(len(hertz), complex)
         for c, pole in self.modes():
-            share = _share(pole * self.step, fraction)
+            share = _input_fraction(pole * self.step, fraction)
             total += c * (share + (1.0 - share) / z) / (z - exp(-pole * self.step))
         return np.asarray(total * z**-whole)
 
@@ -84,7 +84,7 @@ class Model:
         )
 
 
-def apart(poles: Iterable[float]) -> list[float]:
+def separate_equal(poles: Iterable[float]) -> list[float]:
     """Move equal poles apart a little: partial fractions need different ones."""
     made = list(poles)
     for i in range(1, len(made)):
@@ -93,7 +93,7 @@ def apart(poles: Iterable[float]) -> list[float]:
     return made
 
 
-def _share(decay: float, fraction: float) -> float:
+def _input_fraction(decay: float, fraction: float) -> float:
     """Return the fraction of this step's held input in the next sample's state, for a fractional delay, samples."""
     if decay < 1e-9:
         return 1.0 - fraction

@@ -17,7 +17,7 @@ from cosim.base.arrays import Array
 from cosim.base.constants import GRAVITY
 from cosim.base.signals import AXES
 from cosim.design.assessment import assess, shipped
-from cosim.design.design import _Asked, _axis, _scenario, dynamics_of, identify_there, needed
+from cosim.design.design import _axis, _AxisInputs, _scenario, dynamics_of, identify_there, needed
 from cosim.design.loop.actuator import SERVO, Actuator
 from cosim.design.loop.channel import Channel, channels, engine_lead
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid, steps_by_response
@@ -210,7 +210,7 @@ def test_an_axis_by_hinges_is_designed(aircraft: str, axis: str) -> None:
     """Also where thrusts give a part of it: every requirement is kept with what they add."""
     vehicle, spec, of = plants(aircraft)
     need = Requirements()
-    found = _axis(of[axis], _Asked(vehicle, spec, ("baseline",), need, "", True, None, lambda text: None), None)
+    found = _axis(of[axis], _AxisInputs(vehicle, spec, ("baseline",), need, "", True, None, lambda text: None), None)
     assert list(found.candidates) == ["baseline"]  # no lead: no engine answers
     assert found.after is not None
     assert found.after.stable

@@ -28,7 +28,7 @@ from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import bounds, fit_dynamics, with_misfit
 from cosim.design.proof import Proof
 from cosim.design.proof_flights import CORNER, fault_of
-from cosim.design.prove import prove, proved
+from cosim.design.prove import add_proof, prove
 from cosim.design.result import summary_lines, to_dict
 from cosim.engine import load_engine
 from cosim.identify.sweep.response import FrequencyResponse
@@ -73,7 +73,7 @@ def lively(sound: Design) -> Design:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search, "GENERATIONS", GENERATIONS)
         patch.setattr(search, "ROUNDS", ROUNDS)
-        model, lead = making.believed(roll.channel, "test"), making.engine_lead(roll.channel)
+        model, lead = making.predictor_model(roll.channel, "test"), making.engine_lead(roll.channel)
         found = search.tune(roll.channel, "baseline", model, roll.before.tuning, sound.need, lead=lead)
     after = making.assess(roll.channel, found.tuning, sound.need)
     return replace(sound, axes={**sound.axes, "roll": replace(roll, after=after)})
@@ -121,7 +121,7 @@ def test_a_misfit_is_no_design(monkeypatch: pytest.MonkeyPatch, sound: Design) -
     wrong = replace(actuator, dynamics=replace(actuator.dynamics, misfit=0.62))
     axes = {**made.axes, "altitude": replace(height, channel=replace(height.channel, actuator=wrong))}
     monkeypatch.setattr(proving, "fly_all", lambda *a: pytest.fail("flown all the same"))
-    found = proved(replace(made, axes=axes))
+    found = add_proof(replace(made, axes=axes))
     assert not found.ok
     assert "the best one is 62 % off its response" in found.reason
 
@@ -206,13 +206,13 @@ def test_a_response_too_far_from_its_model_is_searched_for_again(
         asked.append(unsure)
         return sound if len(asked) == 1 else replace(sound, reason="roll: no gains")
 
-    assert proved(sound, again=again).ok
+    assert add_proof(sound, again=again).ok
     assert asked == [((1.0, 0.5),)]
-    assert proved(sound, again=again).reason == "the loop may be unstable; with that in the search, roll: no gains"
+    assert add_proof(sound, again=again).reason == "the loop may be unstable; with that in the search, roll: no gains"
 
 
 def test_a_sound_engine_is_proved_and_the_proof_is_told(lively: Design) -> None:
-    found = proved(lively)
+    found = add_proof(lively)
     assert found.ok, found.reason
     assert found.proof is not None
     assert len(found.proof.flights) == 22
@@ -254,7 +254,7 @@ def test_a_light_mode_past_the_band_is_found_by_measuring_there(place: Path, mon
 def test_what_only_a_flight_shows_is_no_design(place: Path, sound: Design) -> None:
     """The same engine to a slow sweep, but for a controller of its own that reads the throttle four times a second."""
     other = foreign(place, "samples", "lag=0.15,delay=0.04,sampled=0.25")
-    found = proved(replace(sound, scenario=sound.scenario.replace(engine=str(other))))
+    found = add_proof(replace(sound, scenario=sound.scenario.replace(engine=str(other))))
     # in hover or in the doublet, by how much gain the search found
     begins = r"flown with the engine itself it does not keep what it promises: (hover|doublet), as designed: "
     assert re.match(begins, found.reason)
@@ -274,7 +274,7 @@ def test_an_engine_that_surges_on_a_fast_throttle_is_no_design(place: Path, live
     for gain, later in [(1.0, 0), (0.7, 0), (1.3, 0), (0.7, 3), (1.3, 3)]:
         assert flying.fly_corner(made, low, tables[low], gain, later).fault == ""
     assert flying.fly_corner(made, high, tables[high], 1.0, 0).fault
-    found = proved(made)
+    found = add_proof(made)
     assert not found.ok
     assert "does not keep what it promises: doublet to 20 deg, as designed: " in found.reason
 

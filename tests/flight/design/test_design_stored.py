@@ -17,12 +17,12 @@ from stored_designs import LINEAR, small_step, stored
 
 from cosim.base.storage.toml import read_toml
 from cosim.control.predictors.registry import BASELINE
-from cosim.design.assessment import assess, believed, shipped
+from cosim.design.assessment import assess, predictor_model, shipped
 from cosim.design.design import (
     AXES,
     WITH_LEAD,
-    _begin,
     _levels,
+    _read_start,
     _scenario,
     _simplest,
     design,
@@ -66,7 +66,7 @@ def today(name: str) -> tuple[Any, ...]:
         spec,
         actuator,
         wanted,
-        _begin(path, wanted, scenario.aircraft, vehicle, spec),
+        _read_start(path, wanted, scenario.aircraft, vehicle, spec),
         found.source,
     )
 
@@ -103,7 +103,7 @@ def test_a_stored_design_is_what_todays_command_makes(name: str) -> None:
             # the engine's own poles, identified again
             assert start.lead.natural_rad_s == pytest.approx(lead.natural_rad_s, rel=1e-5)
         free = axis == "roll" or vehicle.servo is not None or axis == "altitude"
-        model = believed(channel, source)
+        model = predictor_model(channel, source)
         again = (
             from_nothing(name, channel, shipped(channel, vehicle, spec), model, asked)
             if axis == "roll" and len(PAGE.COMMANDS[name]) == 1

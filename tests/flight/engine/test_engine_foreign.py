@@ -44,7 +44,7 @@ from cosim.codegen.vectors import record
 from cosim.codegen.vehicle_ports import Flight as FlightOutside
 from cosim.codegen.vehicle_ports import Parts
 from cosim.control.autopilot import requests as rq
-from cosim.design.survey import FLIES, MARK, NONE, REFUSED, UNFIT, judged
+from cosim.design.survey import FLIES, MARK, NONE, REFUSED, UNFIT, describe_design
 from cosim.engine import EngineBank, EngineSpec, load_engine
 from cosim.engine.fmu.air import Air
 from cosim.engine.fmu.archive import read_archive, validate
@@ -525,7 +525,7 @@ def test_a_survey_tells_what_came_of_each(place: Path, capfd: pytest.CaptureFixt
 def test_nothing_is_said_to_fly_that_did_not(faults: list[str], ok: bool, verdict: str) -> None:
     roll = {"after": {"bandwidth_hz": 1.0, "peak_sensitivity": 1.7}}
     made = {"ok": ok, "reason": "" if ok else "swings", "controller": "smith", "axes": {"roll": roll}}
-    assert judged(made | {"proof": {"flights": [{"fault": each} for each in faults]}})[2] == verdict
+    assert describe_design(made | {"proof": {"flights": [{"fault": each} for each in faults]}})[2] == verdict
 
 
 def test_the_delay_ledger_has_what_was_measured(place: Path, tmp_path: Path) -> None:

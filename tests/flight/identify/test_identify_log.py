@@ -17,7 +17,7 @@ from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.identify.logs import Channel, FlightLog, LogSignals, read_flight_log, signals_of
 from cosim.identify.prediction_error.confidence import CHI2_95, MIXED_95
 from cosim.identify.prediction_error.estimate import spread
-from cosim.identify.prediction_error.identify_log import LogIdentification, _against, identify_log
+from cosim.identify.prediction_error.identify_log import LogIdentification, _test_against, identify_log
 from cosim.identify.prediction_error.stretches import WORKING_STEP_S
 from cosim.identify.prediction_error.validate import StatedModel, read_model, validate
 
@@ -149,7 +149,7 @@ def test_noise_that_the_controller_feeds_back_at_once_is_no_misfit() -> None:
     # and a command that holds nothing but fed-back noise has it at its own time, not before
     noise = rng.standard_normal(4000)
     command = 0.1 * rng.standard_normal(4000) - noise
-    together, before = (_against("", noise, np.ones(4000, bool), command, 5, first) for first in (0, 1))
+    together, before = (_test_against("", noise, np.ones(4000, bool), command, 5, first) for first in (0, 1))
     assert together.failed
     assert together.share > 0.9
     assert not before.failed
