@@ -48,7 +48,7 @@ class AltitudeController:
         self._i = integral * (gains.integral_1_s2 * self._step)
 
     def follow(self, position: float, velocity: float, integral: float, lead: EngineLead | None) -> None:
-        """The gains stated, times these, from the next update on, and the lead; see :mod:`cosim.control.schedule`."""
+        """Multiply the nominal gains by these from the next step on, with this lead: :mod:`cosim.control.schedule`."""
         self._factors = (position, velocity, integral)
         self._set(self._gains)
         if lead is not None and self._lead is not None:
@@ -69,7 +69,7 @@ class AltitudeController:
         self._fade = self._fade or Fade(self._step)
 
     def update(self, command: Command, measured: Measured, unallocated: Unallocated, burnt: float = 0.0) -> float:
-        """Collective: the mean throttle.  ``burnt``: fuel [kg] that the engines' own reports add up to."""
+        """Return the collective, the mean throttle.  ``burnt``: fuel [kg] that the engines' own reports add up to."""
         if command.collective is not None:
             self._started = False
             return command.collective
@@ -90,7 +90,7 @@ class AltitudeController:
         return throttle if self._lead is None else self._led(self._lead, throttle, unallocated.collective)
 
     def climb(self, off: float) -> float:
-        """The climb rate that is asked for [m/s] so many metres below where it is to be."""
+        """Return the commanded climb rate [m/s] at ``off`` metres below the set-point."""
         return clip(self._position * off, self._down, self._up)
 
     def _led(self, lead: Lead, throttle: float, unallocated: float) -> float:
@@ -102,7 +102,7 @@ class AltitudeController:
         return lead.update(throttle, unallocated)
 
     def _faded(self, fade: Fade, off: float, sink: float, new: float) -> float:
-        """What is left of the old law's answer minus the ``new`` one's; the integral is common to both."""
+        """Return the fading rest of the old law's answer minus the ``new`` one's; the integral is common to both."""
         left = fade.update()
         if self._left is None:
             return left

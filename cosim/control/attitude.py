@@ -45,7 +45,7 @@ class AttitudeController:
         self._fades = self._fades or (Fade(step), Fade(step), Fade(step))
 
     def follow(self, roll: float) -> None:
-        """The gain of roll times this from the next update on; see :mod:`cosim.control.schedule`."""
+        """Multiply the gain of roll by this from the next update on; see :mod:`cosim.control.schedule`."""
         self._roll_factor = roll
         x, y, z = self._stated
         self._gain = (roll * x, y, z)
@@ -83,7 +83,7 @@ class AttitudeController:
         return self._towards((ex + lean[0], ey + lean[1], 0.0))
 
     def _towards(self, error: Vector3) -> Vector3:
-        """The rates of an error, rad/s."""
+        """Return the body rates [rad/s] that an attitude error [rad] asks for."""
         ex, ey, ez = error
         kx, ky, kz = self._gain
         lx, ly, lz = self._limit
@@ -96,7 +96,7 @@ class AttitudeController:
         return self._faded(error, answer) if self._fades else answer
 
     def direction(self, command: Command, measured: Measured) -> Vector3:
-        """The direction that the body's z axis is asked to have, in body axes; the heading has no part in it."""
+        """Return the commanded direction of the body's z axis, in body axes; the heading has no part in it."""
         x, y, z = self.error(command, measured)
         half = 0.25 * (x * x + y * y + z * z)
         # the error is 2 (x, y, z) of a quaternion with w >= 0; this is the third column of its matrix
@@ -117,7 +117,7 @@ class AttitudeController:
         return (ex, ey, ez)
 
     def _faded(self, error: Vector3, new: Vector3) -> Vector3:
-        """The new law's answer and what is left of its difference to the old one's."""
+        """Return the new law's answer plus the fading rest of its difference to the old one's."""
         x, y, z = (fade.update() for fade in self._fades)
         if self._left is None:
             return (new[0] + x, new[1] + y, new[2] + z)

@@ -62,9 +62,9 @@ class Belief:
         return self.models.get(self.axis)
 
     def predictors(self, name: str) -> list[Predictor]:
-        """The built-in predictors of that name for roll, pitch and yaw.  Raises InputError as a flight with them."""
+        """Return the built-in predictors of a name for roll, pitch, yaw.  Raises InputError as a flight with them."""
         return self.built_in(name)
 
     def of(self, axis: str) -> Belief:
-        """The same for the predictor of an axis."""
+        """Return this belief for the predictor of an axis."""
         return replace(self, axis=axis)

@@ -20,7 +20,7 @@ class Fade:
         self._value = difference
 
     def update(self) -> float:
-        """What is left of the difference, one step later."""
+        """Return the rest of the difference, one step later."""
         value = self._value * self._keep
         self._value = value if value > _NEGLIGIBLE or value < -_NEGLIGIBLE else 0.0
         return self._value

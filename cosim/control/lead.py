@@ -34,7 +34,7 @@ def lead_polynomials(lead: EngineLead, step: float) -> tuple[list[float], list[f
 
 
 def _at_one(polynomial: list[complex]) -> float:
-    """The real part at ``z = 1``, added up in order: ``sum`` adds in another way from Python to Python."""
+    """Return the real part at ``z = 1``, added up in order: ``sum`` adds in another way from Python to Python."""
     total = complex(0.0)
     for x in polynomial:
         total += x
@@ -82,7 +82,7 @@ class Lead:
         self._once = self._twice = value  # what was wanted, through one low-pass and through two
 
     def update(self, wanted: float, unallocated: float) -> float:
-        """What to ask for; ``unallocated`` is what allocation could not give of the answer before."""
+        """Return the led command; ``unallocated`` is what allocation could not give of the answer before."""
         p, q, once = self._p, self._q, self._once
         if unallocated:
             once -= q * unallocated / self._most

@@ -70,7 +70,7 @@ class RateAxis:
             self._past.clear()
 
     def update(self, setpoint: float, measured: float, unallocated: float) -> float:
-        """The command of this step; ``unallocated`` is what allocation could not give of the one before."""
+        """Return the command of this step; ``unallocated`` is what allocation could not give of the one before."""
         if self._past is not None:
             self._past.append((measured, self._command - unallocated))
         if self._left is not None:
@@ -93,7 +93,7 @@ class RateAxis:
         return self._command
 
     def follow(self, p: float, i: float, d: float, lead: EngineLead | None) -> None:
-        """The gains stated, times these, from the next update on, and the lead; see :mod:`cosim.control.schedule`.
+        """Multiply the nominal gains by these from the next update on, with this lead: :mod:`cosim.control.schedule`.
 
         The integral is kept in the command's unit and the lead keeps its past, so small changes make no bump.
         """
@@ -136,7 +136,7 @@ class RateAxis:
         self._predicts = not isinstance(predictor, NoPredictor)  # else the measurement is fed back without a call
 
     def _change(self, old: _Law, setpoint: float, measured: float, unallocated: float) -> float:
-        """The step of a change: both laws answer, the old one is heard."""
+        """Return the command at a change of law: both laws answer, the old one's answer is used."""
         self._left = None
         applied = self._command - unallocated
         # catching up has already told the new predictor of the steps before this one
@@ -162,7 +162,7 @@ class RateAxis:
         return self._command
 
     def tell(self, added: float) -> None:
-        """The predictor reads the command behind a place where ``added`` came to it."""
+        """Add to the command that the predictor reads: it reads it behind the point where ``added`` came in."""
         self._command += added
 
     @property
@@ -216,7 +216,7 @@ class RateController:
             axis.retune(gain, predictor)
 
     def tell(self, added: Vector3) -> None:
-        """The predictors read the commands behind a place where ``added`` came to them."""
+        """Add to the commands that the predictors read: they read them behind the point where ``added`` came in."""
         for axis, value in zip((self._roll, self._pitch, self._yaw), added, strict=True):
             axis.tell(value)
 

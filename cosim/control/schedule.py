@@ -60,7 +60,7 @@ class GainSchedule:
         return self.at(self._level)
 
     def update(self, collective: float) -> Scheduled | None:
-        """What acts from now on, where that has changed; ``collective`` is the mean share that was given."""
+        """Return the gains from now on, None if unchanged; ``collective``: the mean thrust fraction allocated."""
         level = self._level + self._follow * (self._bounded(collective) - self._level)
         self._level = level
         if abs(level - self._told) < self._fine:
@@ -72,7 +72,7 @@ class GainSchedule:
         return clip(share, self._shares[0], self._shares[-1])
 
     def at(self, share: float) -> Scheduled:
-        """What acts at a level."""
+        """Return the gains and leads at a thrust level."""
         share = self._bounded(share)
         shares = self._shares
         k = 1

@@ -211,7 +211,7 @@ class Airframe:
             self._set_burnt = node(f"inertia/pointmass-weight-lbs[{self._last_point_mass()}]").set_double_value
 
     def _contacts(self, kind: str) -> list[Get]:
-        """What says whether each contact of this kind touches."""
+        """Return the getters of whether each contact of this kind touches."""
         kinds = enumerate(contact.kind for contact in self._vehicle.contacts)
         return [self._node(f"contact/unit[{unit}]/WOW").get_double_value for unit, other in kinds if other == kind]
 
@@ -219,7 +219,7 @@ class Airframe:
         return self._jsbsim.node(name)
 
     def _last_point_mass(self) -> int:
-        """The index of the point mass that :func:`render` adds for the burnt fuel."""
+        """Return the index of the point mass that :func:`render` adds for the burnt fuel."""
         weights = self._fdm.query_property_catalog("inertia/pointmass-weight-lbs").splitlines()
         return len(weights) - 1
 
@@ -371,7 +371,7 @@ class Airframe:
         self._forces = forces
 
     def _act_with(self, forces: list[Vector3], push: Vector3, twist: Vector3, share: float) -> None:
-        """The same, with ``share`` of the change since the last on top; of the jets the last stay those that were."""
+        """Let these act with ``share`` of the change since the last on top; the jets' last forces stay as they were."""
         self._put(forces, self._forces, share)
         if push != self._pushed:
             push = _beyond(push, self._pushed, share)
@@ -461,7 +461,7 @@ class Airframe:
         self._set_burnt(-mass / SLUG * JSBSIM_POUNDS_PER_SLUG)
 
     def air(self) -> tuple[float, float]:
-        """Static pressure [Pa] and temperature [K] of the air where the vehicle is."""
+        """Return static pressure [Pa] and temperature [K] of the air where the vehicle is."""
         return self._pressure() * _POUND_SQUARE_FOOT, self._temperature() * _RANKINE
 
     def _start_gust(self, velocity: Vector3, rise: float, hold: float, fall: float) -> None:
@@ -507,7 +507,7 @@ class Airframe:
         )
 
     def external_wrench(self) -> tuple[Vector3, Vector3]:
-        """What JSBSim makes of the external forces: N, and N m about the present centre of gravity, body."""
+        """Return what JSBSim makes of the external forces: N, and N m about the present centre of gravity, body."""
         get = self._fdm.get_property_value
         force = [get(f"forces/fb{axis}-external-lbs") * POUND_FORCE for axis in "xyz"]
         moment = [get(f"moments/{axis}-external-lbsft") * POUND_FOOT for axis in "lmn"]
@@ -530,18 +530,17 @@ class Airframe:
         return (xy, xz, yz)
 
     def aerodynamic_wrench(self) -> tuple[Vector3, Vector3]:
-        """What the model's aerodynamics does: N, and N m about the present centre of gravity, body."""
+        """Return the model's aerodynamic wrench: N, and N m about the present centre of gravity, body."""
         get = self._fdm.get_property_value
         force = [get(f"forces/fb{axis}-aero-lbs") * POUND_FORCE for axis in "xyz"]
         moment = [get(f"moments/{axis}-aero-lbsft") * POUND_FOOT for axis in "lmn"]
         return (force[0], force[1], force[2]), (moment[0], moment[1], moment[2])
 
     def surface_effects(self) -> list[tuple[float, ...]]:
-        """Of each surface force [N] and moment [N m] about the centre of gravity as built, body, per unit of its
-        property and Pa of dynamic pressure.
+        """Return each surface's force [N] and moment [N m] per unit of its property and Pa of dynamic pressure.
 
-        By what the model says a little to either side of zero, each surface at its ``at_m_s`` straight ahead and
-        level, with the state held until its own actuators have settled.
+        In body axes, about the centre of gravity as built, by what the model says a little to either side of zero, each
+        surface at its ``at_m_s`` straight ahead and level, with the state held until its own actuators have settled.
         """
         effects = []
         for surface in self._vehicle.surfaces:
@@ -563,8 +562,9 @@ class Airframe:
         return effects
 
     def wing_effects(self, alphas: Sequence[float], at_m_s: float) -> tuple[list[float], list[float], list[float]]:
-        """Lift and drag [N] and pitching moment [N m] about the centre of gravity as built, per Pa of dynamic pressure,
-        at each angle of attack [rad] and ``at_m_s`` in level flight; surfaces at zero, nothing turns.
+        """Return lift and drag [N] and pitching moment [N m] per Pa of dynamic pressure, by angle of attack [rad].
+
+        The moment is about the centre of gravity as built, in level flight at ``at_m_s``; surfaces at zero, no rates.
         """
         self.reset(
             Initial(altitude_m=100.0, velocity_ned_m_s=(at_m_s, 0.0, 0.0)), [ZERO3] * len(self._vehicle.jets), ZERO3
@@ -607,7 +607,7 @@ def _sum(a: Vector3, b: Vector3) -> Vector3:
 
 
 def _beyond(new: Vector3, old: Vector3, share: float) -> Vector3:
-    """``new``, and ``share`` of the way from ``old`` to it further on."""
+    """Return ``new`` extrapolated by ``share`` of the way from ``old`` to it."""
     x, y, z = new
     return (x + share * (x - old[0]), y + share * (y - old[1]), z + share * (z - old[2]))
 

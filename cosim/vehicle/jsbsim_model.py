@@ -43,13 +43,13 @@ _PARTS = (
 
 
 def structural(body: Vector3) -> tuple[float, float, float]:
-    """A body-frame place (m, FRD) in JSBSim's structural frame: inches, x aft, y right, z up."""
+    """Return a body-frame position (m, FRD) in JSBSim's structural frame: inches, x aft, y right, z up."""
     x, y, z = body
     return (-x / INCH, y / INCH, -z / INCH)
 
 
 def render(vehicle: Vehicle, model: Path | None, rotors: bool = False) -> bytes:
-    """The JSBSim model with the vehicle's numbers written over the ones in the file, in JSBSim's own units.
+    """Return the JSBSim model with the vehicle's numbers written over the file's, in JSBSim's own units.
 
     A vehicle with a tank gets a point mass for the fuel that is burnt, and with ``rotors`` a gyroscopic moment.
 
@@ -168,13 +168,13 @@ def _child(root: ET.Element, tag: str) -> ET.Element:
 
 
 def _named(parent: ET.Element, tag: str, name: str) -> ET.Element:
-    """The part of this name, added where there is none."""
+    """Return the child element of this tag and name, added where there is none."""
     element = parent.find(f"{tag}[@name='{name}']")
     return element if element is not None else ET.SubElement(parent, tag, name=name)
 
 
 def _placed(element: ET.Element) -> ET.Element:
-    """The same with a place, the origin where it has none."""
+    """Return the element with a location, the origin where it has none."""
     location = element if element.tag == "location" else element.find("location")
     if location is None:
         location = ET.SubElement(element, "location", unit="IN")

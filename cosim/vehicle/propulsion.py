@@ -142,7 +142,7 @@ class Propulsion:
         return load.forces, load.moment
 
     def standing(self, thrust: PerJet, tilt: PerServo) -> tuple[list[Vector3], Vector3]:
-        """What thrusts do with the servos standing: a force at each jet's station, and the moment beside them."""
+        """Return a force at each jet's station and the further moment of thrusts with the servos at rest."""
         load = Load()
         load.begin(EngineOutput(thrust, (), (), ()), tilt, self.forces(thrust, tilt))
         for effect in self.effects:
@@ -178,7 +178,7 @@ class Propulsion:
         return answer
 
     def ambient(self, state: State, wind: Vector3) -> Ambient:
-        """The air at the engines: the vehicle's, and what blows into each intake along its jet as it stands.
+        """Return the air at the engines: the vehicle's, and what blows into each intake along its jet as it stands.
 
         The intake moves with the vehicle's velocity and its rates; ``wind`` (m/s NED, gusts and turbulence included)
         is that at the vehicle, :attr:`gusts` what each engine has beyond it.

@@ -85,7 +85,7 @@ class LeanError:
         self._error: Quaternion = IDENTITY
 
     def update(self, attitude: Quaternion, gyro: Vector3, force: Vector3) -> Quaternion:
-        """The estimate of ``attitude``; ``gyro``: its error, rad/s, body; ``force``: as the accelerometer has it."""
+        """Return the estimated ``attitude``; ``gyro``: its error, rad/s, body; ``force``: the accelerometer's."""
         dt, (p, q, r) = self._dt, gyro
         n, e, d = rotate(attitude, (0.5 * dt * p, 0.5 * dt * q, 0.5 * dt * r))
         error = normalize(multiply(self._error, (1.0, n, e, d)))
@@ -162,7 +162,7 @@ class SensorSuite:
         return Measured(state.rate, state.attitude, state.position, state.velocity, state.altitude, force)
 
     def sample(self, state: State) -> Measured:
-        """The measurements at the end of a step, from the true ``state`` there."""
+        """Return the measurements at the end of a step, from the true ``state`` there."""
         p, q, r = state.rate
         attitude = state.attitude
         altitude = state.altitude

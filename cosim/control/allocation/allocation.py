@@ -95,10 +95,10 @@ class TiltAllocator:
         return True
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
-        """``collective`` in throttle; ``torque`` roll in throttle, pitch and yaw in rad of tilt at hover thrust.
+        """Return throttles and tilts for a collective and a torque command, and what the limits do not allow of it.
 
-        ``added`` is a disturbance of the torque command that the controller does not know: it moves the actuators,
-        and what is refused is stated against the sum.
+        ``collective`` in throttle; ``torque`` roll in throttle, pitch and yaw in rad of tilt at hover thrust; ``added``
+        is a disturbance of the torque that the controller does not know: the residual is counted against the sum.
         """
         roll, pitch, yaw = torque
         if added != ZERO3:

@@ -86,7 +86,7 @@ class Hull:
         return cls(np.vstack(columns).T, rows, np.vstack(thrusts), np.vstack(angles))
 
     def most(self, asked: Asked, scale: float) -> Bound:
-        """The bound; ``scale``: a force [N], or a moment on a lever of 1 m, that forces and moments are counted in."""
+        """Return the upper bound; ``scale``: the force [N], or moment [N m], that forces and moments are divided by."""
         import numpy as np
         from scipy.optimize import Bounds, LinearConstraint, milp
 
@@ -128,8 +128,9 @@ def _effect(layout: Layout, hinge: int, jets: list[int]) -> float | None:
 
 
 def _moved_in_place(layout: Layout, jet: int) -> bool:
-    """Whether a hinge deflects the jet further out on the body than one that carries it: force and lever then turn by
-    the same angle, and their product is not linear in it."""
+    """Return whether a hinge deflects the jet further out on the body than one that carries it.
+
+    Force and lever then turn by the same angle, and their product is not linear in it."""
     deflected = False
     for number, _ in layout.chains[jet]:
         if jet not in layout.turns[number].carries:
@@ -149,7 +150,7 @@ def _cells(spans: list[float], ends: int) -> int:
 
 
 def _arc(low: float, high: float, cells: int, effect: float) -> tuple[Array, Array]:
-    """The corners of a range's triangles: hinge angles, and cosine and sine of the thrust's turn."""
+    """Return the corners of a range's triangles: hinge angles [rad], and cosine and sine of the thrust's turn."""
     import numpy as np
 
     ends = np.linspace(low, high, cells + 1)

@@ -105,7 +105,7 @@ class Reach:
         return self._hull is not None
 
     def without(self, lost: Sequence[int]) -> Reach:
-        """The same without some jets, numbered from 1."""
+        """Return the reach of the same layout without some jets, numbered from 1."""
         least, most = self._least.copy(), self._most.copy()
         for jet in lost:
             least[jet - 1] = most[jet - 1] = 0.0
@@ -140,8 +140,9 @@ class Reach:
         )
 
     def moment(self, direction: Any) -> Range:
-        """The largest moment [N m] along a unit direction about the body's axes, with none across it and the weight
-        held; minus infinity where the weight cannot be held so."""
+        """Return the largest moment [N m] along a unit direction in body axes, with none across it at hover's lift.
+
+        Minus infinity where the weight cannot be carried so."""
         return self._largest(self._about(direction), CUTS)
 
     def _about(self, direction: Any) -> Asked:
@@ -184,7 +185,7 @@ class Reach:
         return Range(least, max(least, most))
 
     def _searched(self, asked: Asked) -> float:
-        """The best of climbs from rest and from places all over the ranges: a sequence that fills them evenly."""
+        """Return the best of climbs from rest and from points of a Halton sequence, which fills the ranges evenly."""
         from scipy.stats import qmc
 
         even = 0.5 * (self._least + self._most)
@@ -195,7 +196,7 @@ class Reach:
         return max(self._climbed(asked, even, start) for start in starts)
 
     def _climbed(self, asked: Asked, thrust: Array, at: Array) -> float:
-        """What a climb from these thrusts and angles attains; where it ends nowhere, from beside them."""
+        """Return what a climb from these thrusts and angles attains; where it fails, from a point close to them."""
         import numpy as np
 
         scale = self._weight / len(thrust)
@@ -276,7 +277,7 @@ class Reach:
 
 
 def reach_of(vehicle: Vehicle, least: Sequence[float], most: Sequence[float]) -> Reach:
-    """What the vehicle's layout can do with engines of these thrusts [N] at the allocation's limits."""
+    """Return what the vehicle's layout attains with engines of these thrusts [N] at the allocation's limits."""
     turns = vehicle.turns
     return Reach(vehicle.layout(), least, most, turns, vehicle.rest[: len(turns)], vehicle.mass_kg * GRAVITY)
 

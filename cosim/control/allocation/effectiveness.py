@@ -1,5 +1,4 @@
-"""Allocation by effectiveness: what each throttle, hinge and surface does to force and moment is computed from the
-layout, at the point at which the vehicle works.
+"""Allocation by effectiveness of each throttle, hinge and surface, computed from the layout where the vehicle works.
 
 Asked for are a lift, along body -z, and three angular accelerations [rad/s^2], which the tensor of inertia makes into
 moments.  Thrusts and angles ``u`` give the wrench ``f(u)`` of :class:`cosim.base.layout.Layout`, exactly: each step
@@ -175,7 +174,7 @@ class EffectivenessAllocator:
         return self._balanced
 
     def trim(self, collective: float) -> PerJet:
-        """The shares of the thrusts that give ``collective`` in balance, hinges near rest."""
+        """Return the thrust fractions that give ``collective`` in balance, hinges near rest."""
         wanted = [0.0, 0.0, self._jets * (self._low + self._span * collective), 0.0, 0.0, 0.0]
         before = self._last
         found, _ = self._solve(wanted, wanted[LIFT], FIRST_PASSES, False)
@@ -185,22 +184,24 @@ class EffectivenessAllocator:
     # ---- what a design asks
 
     def hovering(self, torque: Vector3) -> tuple[list[float], list[float]]:
-        """Thrusts [N] and servos that give angular accelerations [rad/s^2] in hover, however fast servos are, and what
-        is missing of force and moment, in the order of the rows."""
+        """Return thrusts [N] and servos [rad] for angular accelerations [rad/s^2] in hover, however fast servos are.
+
+        Returned second is what is missing of force [N] and moment [N m], in the order of the rows."""
         before = self._last
         found, missing = self._solve(self._wanted(self._weight, torque, ZERO3), self._weight, FIRST_PASSES, False)
         self._last = before
         return found, [0.0 if -GIVEN <= m * norm <= GIVEN else m for m, norm in zip(missing, self._norms, strict=True)]
 
     def by_thrust(self, axis: int) -> float:
-        """The share of a small angular acceleration about an axis in hover that thrusts give; hinges give the rest."""
+        """Return the part of a small angular acceleration about an axis that thrusts give in hover; hinges the rest."""
         moves, effects = self.split(axis)
         given = [move * effect for move, effect in zip(moves, effects, strict=True)]
         return sum(given[: self._jets]) if any(given) else 1.0
 
     def split(self, axis: int) -> tuple[list[float], list[float]]:
-        """Of each thrust [N], hinge and surface in hover: its change per rad/s^2 asked for about an axis, and the
-        angular acceleration about it per change."""
+        """Return each effector's change per rad/s^2 about an axis in hover, and the acceleration about it per change.
+
+        Effectors are the thrusts [N], hinges and surfaces [rad], in this order."""
         small = 1e-3
         still, _ = self.hovering(ZERO3)
         moved, _ = self.hovering((small * (axis == 0), small * (axis == 1), small * (axis == 2)))
@@ -217,7 +218,7 @@ class EffectivenessAllocator:
         return [(m - s) / given if given else 0.0 for m, s in zip(moved, still, strict=True)], effects
 
     def room(self, axis: int) -> float:
-        """The largest angular acceleration [rad/s^2] about an axis, either way, that hover leaves to allocation."""
+        """Return the largest angular acceleration [rad/s^2] about an axis that hover leaves, either way."""
         most = inf
         for sign in (1.0, -1.0):
             low, high = 0.0, 1.0
@@ -236,8 +237,9 @@ class EffectivenessAllocator:
     # ---- a step
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
-        """``collective``: lift, as the share at which each of the reference's engines would give its part of it.
+        """Return throttles and tilts for a lift and angular accelerations, and what the limits do not allow of them.
 
+        ``collective``: the thrust fraction at which each of the reference's engines gives its part of the lift;
         ``torque``: angular accelerations [rad/s^2]; ``added``: of a disturbance that the controller does not know.
         """
         lift = self.force(collective)
@@ -245,7 +247,7 @@ class EffectivenessAllocator:
         return self._actuation(found, missing)
 
     def _wanted(self, lift: float, torque: Vector3, added: Vector3) -> list[float]:
-        """The rows of a lift [N] and the moments of angular accelerations."""
+        """Return a lift [N] and the moments [N m] of angular accelerations [rad/s^2], in the order of the rows."""
         x, y, z = torque
         if added != ZERO3:
             x, y, z = x + added[0], y + added[1], z + added[2]
@@ -253,7 +255,7 @@ class EffectivenessAllocator:
         return [a * x + b * y + c * z, d * x + e * y + f * z, lift, g * x + h * y + i * z, 0.0, 0.0]
 
     def force(self, collective: float) -> float:
-        """The thrust [N] of all engines at this share each."""
+        """Return the thrust [N] of all engines at this thrust fraction each."""
         return self._jets * (self._low + self._span * collective)
 
     def ahead(
@@ -292,8 +294,9 @@ class EffectivenessAllocator:
         return self._actuation(found, missing), missing[FORWARD]
 
     def _shared(self, balanced: float) -> list[float]:
-        """The weight [N], shared by the jets as hinges stand: evenly, less ``balanced`` of the pitching moment of that,
-        the least change first."""
+        """Return each jet's part of the weight [N] as hinges stand: an equal part with the least change that balances.
+
+        ``balanced``: the fraction of the equal parts' pitching moment that is taken out."""
         jets = self._jets
         axes, places = self._layout.axes(self._stand), self._layout.standing(self._stand)
         arms = []
@@ -399,7 +402,7 @@ class EffectivenessAllocator:
         return here, [wanted[row] - given[row] for row in range(6)]
 
     def _linear(self, at: Sequence[float]) -> tuple[list[float], list[list[float]]]:
-        """The wrench in the order of the rows, and its change by each effector, scaled."""
+        """Return the wrench in the order of the rows, and its scaled change by each effector."""
         jets, layout, scales, norms = self._jets, self._layout, self._scales, self._norms
         angles = at[jets:]
         axes, standing = layout.axes(angles), layout.standing(angles)
@@ -444,7 +447,7 @@ class EffectivenessAllocator:
 
 
 def _said(missing: Sequence[float], norms: Sequence[float]) -> str:
-    """The largest of what is missing, in words."""
+    """Describe the largest of the missing moments and lift, with its unit."""
     names = {ROLL: ("roll", "N m"), PITCH: ("pitch", "N m"), LIFT: ("lift", "N")}
     row = max(names, key=lambda each: abs(missing[each]))
     name, unit = names[row]
@@ -452,7 +455,7 @@ def _said(missing: Sequence[float], norms: Sequence[float]) -> str:
 
 
 def _inverted(tensor: tuple[Vector3, Vector3, Vector3]) -> tuple[Vector3, Vector3, Vector3]:
-    """The inverse of a symmetric positive matrix."""
+    """Return the inverse of a symmetric positive definite matrix."""
     (a, b, c), (_, d, e), (_, _, f) = tensor
     xx, xy, xz = d * f - e * e, c * e - b * f, b * e - c * d
     determinant = a * xx + b * xy + c * xz

@@ -38,7 +38,7 @@ class EngineReference(NamedTuple):
         return _interpolate(self.throttle, self.thrust, throttle)
 
     def thrust_of(self, thrust: float, speed: float) -> float:
-        """The thrust [N] that a report stands for: of the spool's speed where there is one."""
+        """Return the thrust [N] that a report stands for, by the spool's speed where it is measured."""
         if self.speed is None or speed != speed:
             return thrust
         return _interpolate(self.speed, self.thrust, speed)

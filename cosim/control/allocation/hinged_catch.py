@@ -100,7 +100,7 @@ class HingedCatch(EffectivenessAllocator):
         return bool(self._reported) and bool(self._carriers)
 
     def look(self, thrust: PerJet) -> None:
-        """The ``thrust`` that the engines' reports at the end of a step stand for [N]."""
+        """Take the ``thrust`` [N] that the engines' reports at the end of a step stand for."""
         if all(jet.gain > 0.0 for jet in self._health):
             return
         # the speed of a rotor without fire stands for thrust that is not there
@@ -183,7 +183,7 @@ class HingedCatch(EffectivenessAllocator):
         return missing[LIFT] * norms[LIFT] > SHORT
 
     def _near(self, angles: Sequence[float]) -> list[tuple[float, float]]:
-        """The servos' ranges, of hinges that carry engines no further than ``ASTRAY`` from these angles."""
+        """Return the servos' ranges [rad], for hinges that carry engines within ``ASTRAY`` of these angles."""
         near = list(self._reach)
         for number in self._carriers:
             low, high = near[number]

@@ -34,7 +34,7 @@ def prioritise(
     high: Sequence[float],
     along_first: bool = False,
 ) -> list[float]:
-    """The effectors; see the module's text.
+    """Return the effectors' values that meet the wanted rows by priority within the limits; see the module's text.
 
     Parameters
     ----------

@@ -73,7 +73,7 @@ class Attainable(NamedTuple):
 def plan(
     jets: Sequence[Jet], limits: AllocationLimits, hover: float, idle: float, health: Sequence[JetHealth]
 ) -> Plan | None:
-    """The commands that keep collective and roll, and no parasitic pitch; None if the engines left have no balance.
+    """Return commands for collective and roll without parasitic pitch; None if the engines left cannot be balanced.
 
     ``hover`` is the share asked of every jet in hover.
     """
@@ -149,7 +149,7 @@ def plan(
 def attainable(
     jets: Sequence[Jet], limits: AllocationLimits, hover: float, idle: float, lost: Sequence[int], yaw: bool = True
 ) -> Attainable:
-    """What is left without the jets ``lost`` (1 to 6), by linear programs over all commands within their limits."""
+    """Return what is attainable without the jets ``lost`` (1 to 6), by linear programs over the commands' limits."""
     import numpy as np
 
     left = [i for i in range(len(jets)) if i + 1 not in lost]
@@ -184,7 +184,7 @@ def attainable_sets(
 
 
 def _roll_authority(rows: Array, left: list[int], weight: float, bounds: tuple[float, float]) -> float:
-    """The smaller of the largest roll moments either way, with the weight held and everything else balanced."""
+    """Return the smaller of the largest roll moments either way, with the weight carried and the rest balanced."""
     import numpy as np
 
     held = np.delete(rows[:, left], 1, axis=0)
@@ -208,7 +208,7 @@ def _side(jets: Sequence[Jet]) -> Array:
 
 
 def torques(jets: int, allocator: Any) -> list[list[float]]:
-    """What an allocation of banks or of rotors was asked for, of what came out: its pseudo-inverse.
+    """Return the pseudo-inverse of a bank or rotor allocation, which gives the demand back from the commands.
 
     Rows of roll, pitch and yaw, by every throttle and then the left and the right tilt; at hover's thrust, where a tilt
     is what was asked for.  Raises InputError for an allocator of another kind.
@@ -247,7 +247,7 @@ def _linprog(cost: Any, ub: Any = None, eq: Any = None, bounds: Any = None) -> A
 def _most_collective(
     given: Array, at_zero: Array, per_collective: Array, low: float, high: float
 ) -> tuple[float, Array] | None:
-    """The largest collective that the free jets give in balance, and their commands; None if there is none above 0."""
+    """Return the largest balanced collective of the free jets and their commands; None if there is none above 0."""
     import numpy as np
 
     count = given.shape[1]
@@ -335,7 +335,7 @@ def _exact(given: Array, value: Array, wanted: Array) -> Array:
 
 
 def _roll_range(trim: Array, up: Array, roll: Array, low: float, high: float) -> tuple[float, float]:
-    """The rolls for which there is a collective at all; the unknowns are that collective, from the centre, and roll."""
+    """Return the range of rolls that have a collective; unknowns are that collective, from the centre, and roll."""
     import numpy as np
 
     both = np.column_stack([up, roll])

@@ -57,11 +57,11 @@ class ThrustMap:
         self.idle = self.low / self.span if abs(self.low) > STRAIGHT * self.span else 0.0
 
     def share(self, thrust: float) -> float:
-        """The share that asks a station for ``thrust`` [N]."""
+        """Return the thrust fraction that asks a station for ``thrust`` [N]."""
         return (thrust - self.low) / self.span if self.inverse is None else self.inverse.at(thrust)
 
     def collective(self, total: float) -> float:
-        """The share that asks every station for its part of ``total`` [N]."""
+        """Return the thrust fraction that asks every station for its part of ``total`` [N]."""
         return self.share(total / len(self.stations))
 
     def throttle(self, shares: PerJet) -> PerJet:
@@ -117,7 +117,7 @@ class Inverse:
         return self.at(thrust)
 
     def at(self, thrust: float) -> float:
-        """The throttle that gives ``thrust`` [N]."""
+        """Return the throttle that gives ``thrust`` [N]."""
         if not self._above < thrust <= self._to:
             thrusts = self.thrusts
             # bisect_left of the points between the ends

@@ -25,12 +25,12 @@ _BEGUN_BY: dict[Mode, Request] = {
 
 
 def yes(text: str = "") -> Answer:
-    """It is done, or begun."""
+    """Return the answer to a request that is done, or begun."""
     return Answer(True, Result.ACCEPTED, text)
 
 
 def no(result: Result, text: str) -> Answer:
-    """It is not, and why."""
+    """Return the answer to a request that is refused, and why."""
     return Answer(False, result, text)
 
 

@@ -38,7 +38,7 @@ class Arming:
         self.since = k
 
     def leave_ground(self, k: int) -> None:
-        """The engines fly."""
+        """Switch the engines from idle to flight."""
         self.engines = EngineState.FLY
         self.since = k
 
@@ -53,7 +53,7 @@ class Arming:
         self.flew = False
 
     def shut_off(self) -> None:
-        """The engines are off, wherever it is."""
+        """Disarm and switch all engines off at once, in the air too."""
         self.armed = False
         self.engines = EngineState.OFF
 
@@ -62,7 +62,7 @@ class Arming:
         self.since = k
 
     def idle_too_long(self, k: int) -> bool:
-        """It has stood armed for as long as a parameter allows: not for ever."""
+        """Return whether the vehicle has stood armed for longer than the parameter allows."""
         wait = self._parameters["HJ_DISARM_LAND" if self.flew else "HJ_DISARM_IDLE"]
         return (k - self.since) * self._step >= wait and (wait > 0.0 or self.flew)
 

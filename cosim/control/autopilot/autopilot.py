@@ -233,7 +233,7 @@ class Autopilot:
     # --- one step --------------------------------------------------------------------------------------------------
 
     def update(self, k: int, measured: Measured, report: Report) -> Command:
-        """The command of step ``k``; :attr:`engines` says what the engines do with it."""
+        """Return the command of step ``k``; :attr:`engines` says what the engines do with it."""
         self._notice(k, measured, report)
         self._guard(k)
         command = self._fly(k)
@@ -243,7 +243,7 @@ class Autopilot:
         return self._envelope.shaped(command)._replace(collective=self._caught(k, command.collective))
 
     def _notice(self, k: int, measured: Measured, report: Report) -> None:
-        """What the sensors and the engines say."""
+        """Update the estimates from the sensors and the engines' report."""
         self._notice_starts(k, report)
         self._state.k, self._state.report = k, report
         standing = not self._state.flying()
@@ -303,7 +303,7 @@ class Autopilot:
             self._state.enter(Mode.HOLD, k)
 
     def _fly(self, k: int) -> Command:
-        """What is asked for at step ``k``, steps and all."""
+        """Return the command of step ``k`` before it is shaped for the loops."""
         self._course.descending = self._course.landing = False
         if self.engines is EngineState.OFF or not self.armed:
             if self._landing.touchdown.standing:
@@ -316,7 +316,7 @@ class Autopilot:
         return self._in_air(k)
 
     def _caught(self, k: int, collective: float | None) -> float | None:
-        """The collective that was asked for, or what it takes not to hit the ground."""
+        """Return the requested collective, or the greater one that it takes not to hit the ground."""
         floor = self._envelope.floor
         if collective is None or self._landing.collective is not None or not self._gives_collective():
             # nothing was allocated before the first step
@@ -342,7 +342,7 @@ class Autopilot:
         return self._idle()
 
     def _wants_up(self, k: int) -> bool:
-        """Does what is asked for need the vehicle to leave the ground?"""
+        """Return whether the mode or the request needs the vehicle to leave the ground."""
         if self.mode is Mode.TAKEOFF:
             return not self._arming.flew
         if self.mode is Mode.MISSION:
@@ -416,7 +416,7 @@ class Autopilot:
     # --- what flies in each mode -----------------------------------------------------------------------------------
 
     def _by_mode(self, k: int) -> Command:
-        """The command of whom the mode names; some end by themselves, and it holds."""
+        """Return the command of the manoeuvre that the mode names; where one is complete, enter Hold."""
         mode = self.mode
         if mode in BY_STICK or mode is Mode.OFFBOARD:
             return self._remote.fly(mode)
@@ -465,9 +465,9 @@ class Autopilot:
 
 
 def _settings(vehicle: Vehicle) -> tuple[PositionGains, PilotSettings, float]:
-    """What a vehicle states for its autopilot, and the attitude gain of roll or pitch that is less, 1/s.
+    """Return a vehicle's position gains and pilot settings, and the smaller attitude gain of roll and pitch, 1/s.
 
-    Raises InputError where it states nothing, or a position law that is too fast for its attitude loop.
+    Raises InputError where it has none, or a position law that is too fast for its attitude loop.
     """
     gains, settings = vehicle.control.position, vehicle.control.pilot
     if gains is None or settings is None:

@@ -147,12 +147,12 @@ class Energy:
         )
 
     def short_of_climb(self, altitude: float) -> str:
-        """The same of a take-off from here straight up to an altitude."""
+        """Return why the energy is short of a take-off from here straight up to an altitude [m]; empty: it is not."""
         seconds = self.climbing(altitude - self._estimates.altitude)
         return self.short_of(seconds, self._estimates.fix.position, altitude)
 
     def short_of_place(self, place: Pair, altitude: float) -> str:
-        """The same of a way from here to a place."""
+        """Return why the energy is short of a way from here to a position [m]; empty: it is not."""
         n, e = self._estimates.fix.position
         seconds = self.along(hypot(place[0] - n, place[1] - e), altitude - self._estimates.altitude)
         return self.short_of(seconds, place, altitude)

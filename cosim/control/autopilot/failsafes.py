@@ -75,7 +75,7 @@ class Watch:
                 self._act(int(self._parameters["HJ_LINK_ACT"]), "no ground station")
 
     def tipped(self, measured: Measured) -> bool:
-        """The vehicle has leaned further than it should for half a second."""
+        """Return whether the vehicle has leaned further than its limit for half a second."""
         _, x, y, _ = measured.attitude
         upright = 1.0 - 2.0 * (x * x + y * y)
         leaning = upright < cos(radians(self._parameters["HJ_TIP_LEAN"]))
@@ -93,7 +93,7 @@ class Watch:
         return around if around[0] >= drawn[0] else drawn
 
     def _beyond_radius(self, north: float, east: float, altitude: float, home: Home | None) -> tuple[float, str]:
-        """The same of the cylinder around home."""
+        """Return how far outside the cylinder around home a position is (m), and why; 0 and nothing where inside."""
         radius, ceiling = self._parameters["HJ_FENCE_RAD"], self._parameters["HJ_FENCE_ALT"]
         if home is None:
             return 0.0, ""
@@ -113,7 +113,7 @@ class Watch:
             self._act(int(self._parameters["HJ_ENG_ACT"]), f"engine {', '.join(new)} failed{dry}")
 
     def sensors(self, failed: tuple[str, ...]) -> None:
-        """What is wrong with the sensors; without its own attitude or rates it is not to fly on."""
+        """Act on sensors that have newly failed; without its own attitude or rates the vehicle must not fly on."""
         new = [text for text in failed if text not in self._failed]
         self._failed = failed
         for text in new:

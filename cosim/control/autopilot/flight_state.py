@@ -87,7 +87,7 @@ class FlightState:
         self._course.aim(place, height, None)
 
     def stand(self, k: int) -> None:
-        """It has come to stand, armed."""
+        """Note that the vehicle has come to stand, armed."""
         self.landed = LandedState.ON_GROUND
         self._arming.stand(k)
         self._landing.collective = None
@@ -98,7 +98,7 @@ class FlightState:
             self.say(Severity.INFO, "landed", k)
 
     def stand_down(self, k: int, text: str) -> None:
-        """It stands, disarmed."""
+        """Disarm the standing vehicle and announce why."""
         self._arming.disarm()
         self.landed = LandedState.ON_GROUND
         self._landing.abort()
@@ -108,7 +108,7 @@ class FlightState:
         self.say(Severity.INFO, text, k)
 
     def shut_off(self, k: int) -> None:
-        """The engines are off, wherever it is."""
+        """Switch all engines off at once, in the air too."""
         self._arming.shut_off()
         self._landing.collective = None
         self.say(Severity.CRITICAL, "engines shut off", k)
@@ -142,5 +142,5 @@ class FlightState:
         return not self.flying() or (self._landing.unlifted if taking_off else self._landing.weighs)
 
     def say(self, severity: Severity, text: str, k: int) -> None:
-        """A line for the people on the ground."""
+        """Send a line to the people on the ground."""
         self.messages.say(k, severity, text)

@@ -13,7 +13,7 @@ _LEAST_UPRIGHT = 0.5  # beyond a lean of 60 degrees the acceleration is no longe
 
 
 def limited(north: float, east: float, most: float) -> Pair:
-    """A vector shortened to the length ``most``."""
+    """Return a vector shortened to the length ``most``."""
     size = hypot(north, east)
     return (north, east) if size <= most else (north * most / size, east * most / size)
 
@@ -38,5 +38,5 @@ def lean_for(acceleration: Pair, yaw: float) -> Pair:
 
 
 def wrap(angle: float) -> float:
-    """An angle in [-pi, pi)."""
+    """Return an angle [rad] wrapped into [-pi, pi)."""
     return angle - 2.0 * pi * ((angle + pi) // (2.0 * pi))

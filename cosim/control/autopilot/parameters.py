@@ -78,11 +78,11 @@ class Parameters:
         return self._values
 
     def changed(self) -> dict[str, float]:
-        """What is not at its default: enough to bring the vehicle back to where it is."""
+        """Return the values that are not at their default, which is enough to restore them all."""
         return {name: value for name, value in self._values.items() if value != self.table[name].default}
 
     def check(self, name: str, value: float) -> float:
-        """The value that would be stored.  Raises InputError for a wrong name, kind or range."""
+        """Return the value that would be stored.  Raises InputError for a wrong name, kind or range."""
         line = self.table.get(name)
         if line is None:
             raise InputError(f"unknown parameter {name!r}")
@@ -258,7 +258,7 @@ def _failsafes(pilot: PilotSettings) -> Iterator[Parameter]:
 
 
 def _of_px4() -> Iterator[Parameter]:
-    """What ground stations read to learn that a PX4 vehicle needs no set-up."""
+    """Yield the parameters from which ground stations learn that a PX4 vehicle needs no set-up."""
     for name, value, text in (
         ("SYS_AUTOSTART", 22000, "an airframe is chosen (PX4 keeps 22000 to 22999 for others' own)"),
         ("COM_RC_IN_MODE", 1, "sticks come over MAVLink only"),

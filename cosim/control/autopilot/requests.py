@@ -440,12 +440,12 @@ _HINTS: dict[type[Any], dict[str, Any]] = {}
 
 
 def to_dict(request: Request) -> dict[str, Any]:
-    """A request as plain JSON values, with its class under ``request``; fields at their default are left out."""
+    """Return a request as plain JSON values, its class under ``request``; fields at their default are left out."""
     return {"request": type(request).__name__, **_plain(request)}
 
 
 def from_dict(data: Mapping[str, Any]) -> Request:
-    """The request that :func:`to_dict` wrote.  Raises InputError for anything else."""
+    """Return the request that :func:`to_dict` wrote.  Raises InputError for anything else."""
     values = dict(data)
     name = values.pop("request", None)
     if not isinstance(name, str) or name not in _KINDS:
@@ -455,7 +455,7 @@ def from_dict(data: Mapping[str, Any]) -> Request:
 
 
 def quaternion_of(request: OffboardAttitude) -> Quaternion | None:
-    """The unit quaternion of an attitude set-point."""
+    """Return the unit quaternion of an attitude set-point, or None if it has none."""
     if request.quaternion is None:
         return None
     w, x, y, z = request.quaternion

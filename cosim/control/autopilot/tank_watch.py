@@ -62,7 +62,7 @@ class TankWatch:
             self._watch_landing(k, mode, left, down)
 
     def _why(self, way: str, need: float, reckoned: bool, word: str) -> str:
-        """The reason of a level: what the way takes, or where that is little the floor."""
+        """Describe why a level is reached: what the way takes, or where that is little the floor."""
         left = 100.0 * (self._energy.remaining or 0.0)
         if not reckoned:
             return f"energy {word} ({left:.0f} %)"

@@ -87,7 +87,7 @@ _RATE_NAMES = frozenset(f"HJ_{axis.upper()}_{term}" for axis in AXES for term in
 
 
 def rate_gains(control: Control, values: Mapping[str, float]) -> list[RateGains]:
-    """The three rate laws with the gains of ``values``."""
+    """Return the gains of the three rate laws with P, I and D of ``values``."""
     return [
         law.model_copy(update={term: values[f"HJ_{axis.upper()}_{term.upper()}"] for term in "pid"})
         for axis, law in zip(AXES, (control.rate.roll, control.rate.pitch, control.rate.yaw), strict=True)

@@ -55,6 +55,6 @@ class Adrc(RateLaw):
     )
 
     def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
-        """The law of one axis."""
+        """Return the law of one axis."""
         theta = axis.delay
         return AdrcAxis(axis.gain, Actuators.of(axis), own["speed"] / theta, own["observer"] / theta, axis.step)

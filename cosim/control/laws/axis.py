@@ -29,7 +29,7 @@ class AxisLaw(Protocol):
         """At rest, nothing applied."""
 
     def update(self, setpoint: float, measured: float, applied: float) -> float:
-        """The command of a step, from rates [rad/s] and what was applied of the command of the step before."""
+        """Return the command of a step, from rates [rad/s] and what was applied of the command before."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Actuators:
 
     @classmethod
     def of(cls, axis: Axis) -> Actuators:
-        """The transport delay of a model in whole steps, and one lag for all that is faster than its integrator."""
+        """Make them from a model: its delay in whole steps, and one lag for all that is faster than its integrator."""
         samples = max(1, round(axis.model.delay_samples))
         lag = max(axis.delay / axis.step - 0.5 - samples, 0.0)  # in steps
         return cls(samples, lag / (1.0 + lag))
@@ -103,7 +103,7 @@ class Actuators:
         self.now = 0.0
 
     def update(self, applied: float) -> float:
-        """What acted over the step that ends now, after the command of it."""
+        """Return what acted over the step that ends now, after the command of it."""
         sent = self._sent
         del sent[0]
         sent.append(applied)
@@ -120,12 +120,12 @@ class Actuators:
 
 
 def tuned(name: str, value: float, meaning: str, least: float = 1e-3, most: float = 1e3) -> Parameter:
-    """A parameter without a unit, above 0."""
+    """Return a parameter without a unit, above 0."""
     return Parameter(name, value, "", meaning, least, most)
 
 
 def angle(value: float) -> Parameter:
-    """The gain of the attitude loop above: of all that a law asks for, the one number that it does not apply itself."""
+    """Return the parameter for the gain of the attitude loop above, the only one that a law does not apply itself."""
     return tuned("angle", value, "gain of the attitude loop [1/s] times theta: set-points are scaled to have it")
 
 
@@ -136,11 +136,11 @@ class RateLaw:
     parameters: ClassVar[tuple[Parameter, ...]]
 
     def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
-        """The law of one axis.  Raises InputError where its model does not do."""
+        """Return the law of one axis.  Raises InputError where its model does not do."""
         raise NotImplementedError
 
     def prepare(self, belief: Belief) -> None:
-        """A law for every axis with a model.  Raises InputError if there is none."""
+        """Make a law for every axis with a model.  Raises InputError if there is none."""
         if not belief.models:
             raise InputError(
                 f"{type(self).__name__}: needs a model of how this engine turns {belief.vehicle.name}, and none is "

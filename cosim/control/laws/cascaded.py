@@ -32,7 +32,7 @@ class Cascaded(RateLaw):
     parameters = _gains(0.2414, 0.7053, 0.1938, 0.4911)
 
     def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
-        """The PID, its derivative filtered at a tenth of what it leads by and no faster than a step."""
+        """Return the PID, its derivative filtered at a tenth of what it leads by and no faster than a step."""
         vehicle, theta = axis.belief.vehicle, axis.delay
         p = own["p"] / (axis.gain * theta)
         d = own["d"] * theta

@@ -79,6 +79,6 @@ class Indi(RateLaw):
     )
 
     def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
-        """The law of one axis."""
+        """Return the law of one axis."""
         theta = axis.delay
         return IndiAxis(axis.gain, Actuators.of(axis), own["speed"] / theta, own["filter"] / theta, axis.step)

@@ -25,7 +25,7 @@ from cosim.spec.vehicle import RateModel
 
 
 def delayed(A: Array, B: Array, samples: int) -> tuple[Array, Array]:
-    """A model with so many commands on their way as states, the oldest first."""
+    """Return a model with ``samples`` commands in transport as further states, the oldest first."""
     n = len(A)
     late = np.zeros((n + samples, n + samples))
     late[:n, :n] = A
@@ -74,13 +74,13 @@ class Filter:
 
 
 def believed(axis: Axis) -> tuple[Array, Array, Array, int]:
-    """The model of an axis and its delay in whole steps; a fraction goes to the nearest."""
+    """Return the model of an axis and its delay in whole steps, rounded to the nearest."""
     model: RateModel = axis.model
     return *cascade(model), round(model.delay_samples)
 
 
 def filtered(axis: Axis, observer: float) -> Filter:
-    """The filter of an axis with this bandwidth, rad/s."""
+    """Return the filter of an axis with this bandwidth, rad/s."""
     A, B, C, _ = believed(axis)
     return Filter(A, B, C, (observer**4 * axis.step**2) / axis.gain**2)
 
@@ -121,6 +121,6 @@ class Lqg(RateLaw):
     )
 
     def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
-        """The law of one axis."""
+        """Return the law of one axis."""
         theta = axis.delay
         return LqgAxis(axis, own["speed"] / theta, own["observer"] / theta)

@@ -31,7 +31,7 @@ SURE = 1e-9  # of the command, within which OSQP has to keep its answer
 
 
 def osqp() -> Any:
-    """The solver.  Raises InputError where it is not installed."""
+    """Return the solver's module.  Raises InputError where it is not installed."""
     try:
         import osqp
     except ImportError:
@@ -89,7 +89,7 @@ class MpcAxis:
         return float(plan[0]) - disturbance
 
     def bounded(self, gradient: Array, disturbance: float) -> Array:
-        """The plan within the limits.  Raises FlightError where the solver finds none."""
+        """Return the plan within the limits.  Raises FlightError where the solver finds none."""
         from scipy.sparse import csc_matrix
 
         moves = len(gradient)
@@ -122,7 +122,7 @@ class Mpc(RateLaw):
     )
 
     def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
-        """The law of one axis; its room is what hover leaves of the throttles, either way."""
+        """Return the law of one axis; its room is what hover leaves of the throttles, either way."""
         theta, limits, hover = axis.delay, axis.belief.vehicle.control.allocation, axis.belief.hover
         room = min(hover - limits.throttle_min, limits.throttle_max - hover)
         return MpcAxis(axis, own["speed"] / theta, own["observer"] / theta, room)

@@ -90,7 +90,7 @@ class Px4(RateLaw):
     )
 
     def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
-        """The law of one axis."""
+        """Return the law of one axis."""
         unit, theta = 1.0 / (axis.gain * axis.delay), axis.delay
         p = own["p"] * unit
         limit = getattr(axis.belief.vehicle.control.rate, axis.name).integral_limit

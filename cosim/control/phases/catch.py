@@ -58,12 +58,12 @@ class _Answer:
         self.ahead, self.rising = given, 0.0
 
     def look(self, given: float) -> None:
-        """What the engines report at the end of a step."""
+        """Take what the engines report at the end of a step."""
         self._slope += self._share * ((given - self._given) / self._step - self._slope)
         self._given = given
 
     def foresee(self) -> list[float]:
-        """What will be given over the delay; leaves what is given at its end, and how fast it rises."""
+        """Return what will be given over the delay; keep what is given at its end, and how fast it rises."""
         step, x, slope = self._step, self._given, self._slope
         course = []
         for asked in self._asked:
@@ -73,11 +73,11 @@ class _Answer:
         return course
 
     def ask(self, bend: float) -> float:
-        """What to ask for so that, when it arrives, what is given has the second derivative ``bend``."""
+        """Return the command with which, when it arrives, what is given has the second derivative ``bend``."""
         return self.ahead + (self._twice * self.rising + bend) / self._square
 
     def asked(self, value: float) -> None:
-        """What was asked for in the end."""
+        """Remember what was commanded in the end."""
         if self._delay:
             self._asked.append(value)
             del self._asked[0]
@@ -114,7 +114,7 @@ class Catch:
         self.caught = False
 
     def look(self, thrust: PerJet, used: Sequence[float]) -> None:
-        """The ``thrust`` that the engines' reports at the end of a step stand for [N]."""
+        """Take the ``thrust`` [N] that the engines' reports at the end of a step stand for."""
         self._roll.look(self._moment_of(thrust))
         self._lift.look(self._lift_of(thrust, used))
 
@@ -169,6 +169,6 @@ class Catch:
         return (_LEAST_LIFT * self._lift.ahead - self._low) / self._span
 
     def asked(self, roll: float, collective: float) -> None:
-        """What the engines were told in the end."""
+        """Remember what the engines were commanded in the end."""
         self._roll.asked(self._moment * roll)
         self._lift.asked(self._low + self._span * collective)

@@ -141,7 +141,7 @@ class Loops:
         return (self._added_delay.update(roll), pitch, yaw)
 
     def follow(self, at: Scheduled) -> None:
-        """The gains and leads of a thrust level from the next step on."""
+        """Use the gains and leads of a thrust level from the next step on."""
         roll, altitude = at.roll, at.altitude
         self.attitude.follow(roll.angle)
         self.rate.follow_roll(roll.p, roll.i, roll.d, roll.lead)
@@ -155,13 +155,13 @@ class FlightLaw:
         self.loops = loops
 
     def reset(self) -> None:
-        """A flight begins."""
+        """Begin a flight."""
 
     def idle(self) -> None:
-        """The engines idle or are off: nothing of what was under way is gone on with."""
+        """Give up what was under way: the engines idle or are off."""
 
     def leave(self) -> None:
-        """Another law flies from this step on."""
+        """Hand over: another law flies from this step on."""
 
     def wants(self, step: Demand) -> bool:
         """Return whether it is to fly this step; asked for in the order of the laws, up to the first that does."""
@@ -185,11 +185,11 @@ class FlightLaw:
         return given
 
     def lose(self, monitor: EngineMonitor, burnt: float) -> frozenset[int]:
-        """The monitor takes another engine for ill: return the jets, from 0, that are to be shut off with it."""
+        """Return the jets, from 0, that are to be shut off with an engine that the monitor newly takes for ill."""
         return NO_JETS
 
     def look(self, monitor: EngineMonitor) -> None:
-        """The engines reported at the end of a step."""
+        """Take what the engines reported at the end of a step."""
 
 
 class Selector:
@@ -200,7 +200,7 @@ class Selector:
         self._flying = self.laws[-1]
 
     def reset(self) -> None:
-        """A flight begins."""
+        """Begin a flight."""
         self._flying = self.laws[-1]
         for law in self.laws:
             law.idle()
@@ -219,6 +219,6 @@ class Selector:
         return chosen
 
     def idle(self) -> None:
-        """The engines idle or are off."""
+        """Give up what was under way in every law: the engines idle or are off."""
         for law in self.laws:
             law.idle()

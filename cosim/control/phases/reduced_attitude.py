@@ -94,7 +94,7 @@ class ReducedAttitude:
         self.flies = False
 
     def _equilibrium(self, weight: float, limit: float) -> tuple[float, float]:
-        """The last spin [rad/s], and the thrust of the rotor across that keeps it there [N]."""
+        """Return the final spin [rad/s], and the thrust of the rotor across that keeps it there [N]."""
         lever, damping = abs(self._reactions[0]), self._damping[2]
         across = max(self._least, 0.5 * (weight - damping * _MOST_SPIN * limit / lever))
         return lever * (weight - 2.0 * across) / damping, across
@@ -117,11 +117,11 @@ class ReducedAttitude:
         self.flies = True
 
     def end(self) -> None:
-        """The rotors idle or are off."""
+        """End the flight with a spin: the rotors idle or are off."""
         self.flies = False
 
     def look(self, thrust: PerJet) -> None:
-        """What the rotors report at the end of a step [N]."""
+        """Take what the rotors report at the end of a step [N]."""
         self._thrust = thrust
 
     def update(self, wanted: Vector3, rate: Vector3, total: float, disturbed: Vector3 = ZERO3) -> tuple[PerJet, float]:
@@ -227,7 +227,7 @@ def designed(axis: tuple[float, float], last: float, inertia: Vector3, damping: 
 
 
 def _held(a: NDArray[Any], b: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The same over a step with the input held: the exponential series to the fifth power."""
+    """Return a system over a step with the input held: the exponential series to the fifth power."""
     import numpy as np
 
     whole = np.zeros((6, 6))

@@ -75,7 +75,7 @@ class WingTable(NamedTuple):
         )
 
     def carrying(self, area: float) -> float:
-        """The angle at which the lift is this, or the nearest to it; lift rises with the angle."""
+        """Return the angle of attack [rad] with this lift area [m^2], or the nearest; lift rises with the angle."""
         for i in range(len(self.alpha) - 1):
             low, high = self.lift[i], self.lift[i + 1]
             if area <= high:
@@ -93,8 +93,10 @@ class WingDemand(NamedTuple):
 
 
 class WingFlight(FlightLaw):
-    """See the module's text.  ``table`` is the model's; ``tilts``: the servos that turn thrust ahead, from 0;
-    ``late``: by how much the attitude follows its set-point late [s].
+    """Flight on the wing; see the module's text.
+
+    ``table`` is the model's; ``tilts``: the servos that turn thrust ahead, from 0; ``late``: by how much the attitude
+    follows its set-point late [s].
     """
 
     def __init__(
@@ -155,7 +157,7 @@ class WingFlight(FlightLaw):
         return given
 
     def attitude(self, command: Command, asked: float, measured: Measured) -> Command:
-        """The command with the attitude that a speed ahead of ``asked`` m/s needs; once a step, before the loops."""
+        """Return the command with the attitude for a speed ahead of ``asked`` m/s; once a step, before the loops."""
         settings, step = self._settings, self._step
         _, _, yaw = to_euler(measured.attitude)
         north, east, down = measured.velocity
@@ -189,7 +191,7 @@ class WingFlight(FlightLaw):
         return command._replace(attitude=(roll - bank, pitch + path + self._alpha, heading))
 
     def demand(self, vertical: float, measured: Measured, burnt: float) -> WingDemand:
-        """What is left for jets, hinges and surfaces where ``vertical`` N are needed up."""
+        """Return what is left for jets, hinges and surfaces where ``vertical`` N are needed up."""
         roll, pitch, _ = to_euler(measured.attitude)
         lift, drag, moment = (self._pressure * coefficient for coefficient in self._table.at(self._alpha))
         self._lift = lift
@@ -202,7 +204,7 @@ class WingFlight(FlightLaw):
         return WingDemand(along, (up * c - ahead * s) / max(LEAST_UPRIGHT, cos(roll)), -moment)
 
     def refused(self, ahead: float, others: Unallocated) -> Unallocated:
-        """What allocation could not give, of the force ahead [N] and otherwise, as the loops are to know it.
+        """Return the allocation residual as the loops are to know it, and keep that of the force ahead [N].
 
         Jets that cannot push down are no limit of the height loop while the wing can still lift less.
         """

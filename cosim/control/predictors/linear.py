@@ -120,7 +120,7 @@ class Part:
 
 
 def part(model: RateModel) -> Part:
-    """A sampled response with its delay; mode by mode where the delay is not whole."""
+    """Return a sampled response with its delay; mode by mode where the delay is not whole."""
     whole = int(model.delay_samples)
     if model.delay_samples == whole:
         A, B, C = cascade(model)
@@ -155,7 +155,7 @@ def cascade(model: RateModel) -> tuple[Array, Array, Array]:
 
 
 def _section(pole: complex, over: Array) -> tuple[Array, Array, Array, float]:
-    """A real pole, or a pair of which ``pole`` is one, below a polynomial of at most its order."""
+    """Return the section of a real pole, or of a conjugate pair, below a polynomial of at most its order."""
     re, im = pole.real, pole.imag
     size = abs(1.0 - pole) or 1.0  # the state is then as large as what comes in
     if not im:
@@ -171,7 +171,7 @@ def _section(pole: complex, over: Array) -> tuple[Array, Array, Array, float]:
 
 
 def companion(over: Array, under: Array) -> tuple[Array, Array, Array]:
-    """A strictly proper fraction of low order."""
+    """Return the companion form (A, B, C) of a strictly proper fraction of low order."""
     n = len(under) - 1
     A = np.eye(n, k=-1)
     A[0] = -under[1:]
@@ -213,13 +213,13 @@ class PredictorSpace(Protocol):
         """What it remembers, by name, and how many numbers that is."""
 
     def predicted(self, measured: Array, x: Rows, keep: Keep) -> Array:
-        """The predicted rate; ``x["sent"]`` are the past commands, the last first; ``keep`` says what a state becomes.
+        """Return the predicted rate, once a step, before the command of the step is known.
 
-        Once a step, before the command of the step is known.
+        ``x["sent"]`` are the past commands, the last first; ``keep`` says what a state becomes.
         """
 
     def believe(self, command: Array, x: Rows, keep: Keep) -> None:
-        """The command of the step, after :meth:`predicted`."""
+        """Take the command of the step, after :meth:`predicted`."""
 
 
 class NoSpace:

@@ -57,7 +57,7 @@ class TuningParameter:
     decimals: int = 3
 
     def scale(self, delay_s: float) -> float:
-        """What ``search`` is stated in, for a channel with this delay at low frequency."""
+        """Return the unit that ``search`` is counted in, for a channel with this delay [s] at low frequency."""
         return {"s": delay_s, "1/s": 1.0 / delay_s, "rad/s": 1.0 / delay_s}.get(self.unit, 1.0)
 
 
@@ -90,7 +90,7 @@ class PredictorSpec:
         return number_of(self.name) if self.number is None else self.number
 
     def own(self, tuning: PredictorTuning) -> dict[str, float]:
-        """The values of its parameters."""
+        """Return the values of the predictor's own parameters, by name."""
         stated = tuning.own.get(self.name, {})
         return {
             name: getattr(tuning, name) if name in _FIELDS else stated.get(name, default or 0.0)
@@ -110,7 +110,7 @@ class PredictorSpec:
 
 
 def number_of(name: str) -> int:
-    """The number over MAVLink of what states none."""
+    """Return the number over MAVLink of a predictor that specifies none."""
     return OTHERS + crc32(name.encode()) % PLACES
 
 
@@ -164,7 +164,7 @@ class Registry(Mapping[str, PredictorSpec]):
         del self._specs[name]
 
     def find(self, name: str, complaint: str) -> PredictorSpec:
-        """The predictor of that name.  Raises InputError: ``complaint``, and which there are."""
+        """Return the predictor of that name.  Raises InputError: ``complaint``, and which there are."""
         if name not in self:
             raise InputError(f"{complaint}; {nearest(name, self)}")
         return self[name]
@@ -233,7 +233,7 @@ def _state(model: RateModel, own: Own) -> Predictor:
 def _with_observer(
     name: str, title: str, number: int, parameter: str, mavlink: str, disturbance: bool, compared: bool
 ) -> PredictorSpec:
-    """A state predictor with an observer of the identified model."""
+    """Return the specification of a state predictor with an observer of the identified model."""
 
     def make(model: RateModel, own: Own) -> Predictor:
         from cosim.control.predictors.state import ModalPredictor, ModelObserver, StateModel, StatePredictor

@@ -75,7 +75,7 @@ class DiscreteModel:
 
 
 def rate_model(model: RateModel) -> DiscreteModel:
-    """The identified response without its delay."""
+    """Return the identified response without its delay."""
     over, under = polynomial(model.zeros, model.zero_pairs), polynomial(model.poles, model.pole_pairs)
     return DiscreteModel([model.gain * c for c in over], under)
 

@@ -203,11 +203,11 @@ class Modes:
         self.shares: list[complex] = [1.0 - f if p == 1.0 else (p ** (1.0 - f) - 1.0) / (p - 1.0) for p in self.poles]
 
     def ahead(self) -> list[complex]:
-        """What each mode's state now is worth in the rate when the delay has gone by."""
+        """Return what each mode's present state adds to the rate when the delay has gone by."""
         return [c * p**self.delay for c, p in zip(self.residues, self.poles, strict=True)]
 
     def gathered(self) -> float:
-        """What a command of 1 that lasts adds to the rate over the delay."""
+        """Return what a lasting command of 1 adds to the rate over the delay."""
         total: complex = 0.0
         for c, p in zip(self.residues, self.poles, strict=True):
             total += c * (self.delay if p == 1.0 else (p**self.delay - 1.0) / (p - 1.0))
@@ -291,7 +291,7 @@ def _dot(a: list[float], b: list[float]) -> float:
 
 
 def _product_sum(a: list[complex], b: list[complex]) -> complex:
-    """The same of modes, without conjugation."""
+    """Return the product sum of two modal vectors in order, without conjugation."""
     total: complex = 0.0
     for i, x in enumerate(a):
         total += x * b[i]
@@ -306,7 +306,7 @@ def _product(factors: list[complex]) -> complex:
 
 
 def _apart(poles: Sequence[complex]) -> list[complex]:
-    """The poles with equal ones moved apart by a little: modes need them different."""
+    """Return the poles with equal ones moved apart by a little: modes need them different."""
     separate: list[complex] = []
     for pole in poles:
         while any(abs(pole - other) <= 1e-7 * abs(pole) for other in separate):

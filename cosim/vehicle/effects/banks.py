@@ -1,5 +1,4 @@
-"""What a tilting bank does to the body that tilts it: the reaction to being turned, and to being moved if it is not
-balanced about its axis.
+"""Reaction of tilting banks on the body: to being turned, and to being moved if not balanced about their axis.
 
 A bank stands at an angle ``a`` about the body's y axis, its thrust along ``e = (sin a, 0, -cos a)``.  Against the body
 it turns at ``-a'`` about y and has the angular momentum ``h = -J a'`` there, with its moment of inertia ``J`` about the

@@ -57,7 +57,7 @@ class Effect:
     steady = False  # it acts alike however long servos and engines have stood where they are
 
     def start(self, load: Load) -> None:
-        """A flight begins: at rest, the engines as ``load.output`` says."""
+        """Begin a flight: at rest, the engines as ``load.output`` says."""
 
     def act(self, load: Load) -> None:
         """Add what it does over a step."""

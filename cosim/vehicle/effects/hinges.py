@@ -1,5 +1,6 @@
-"""What turning hinges do to the body that turns them: the reaction of what hangs on each, as of the banks
-(:mod:`cosim.vehicle.effects.banks`), about any axis in any place.
+"""Reaction on the body of what hangs on turning hinges, about any axis in any place.
+
+It is that of the banks (:mod:`cosim.vehicle.effects.banks`) in general.
 
 A hinge stands at an angle ``a`` about its axis ``n``, as it stands on what it is on.  What turns with it has the moment
 of inertia ``J`` about that axis, the mass ``m`` and its centre at ``d`` from it, square to it.  By Newton's and Euler's

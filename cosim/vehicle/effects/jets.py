@@ -1,5 +1,7 @@
-"""What jets do beside their thrust: the reaction of what turns in them, what an engine pushes across, and what thrust
-does that a hinge has carried away from its station."""
+"""Effects of jets beside their thrust.
+
+They are the reaction of what turns in the jets, an engine's side force, and the moment of thrust that a hinge has
+carried away from its station."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ class RotorDynamics(Effect):
         load.turn(change)
 
     def reset(self, speeds: PerJet) -> None:
-        """The rotors turn at ``speeds`` [rad/s], hinges at rest."""
+        """Start with the rotors turning at ``speeds`` [rad/s], hinges at rest."""
         self.momentum = self._sum(speeds, self._rest)
 
     def update(self, speeds: PerJet, tilt: PerServo) -> Vector3:
@@ -69,7 +69,7 @@ class RotorDynamics(Effect):
         return ((x - a) / step, (y - b) / step, (z - c) / step)
 
     def moment(self, reaction: Vector3, rate: Vector3) -> Vector3:
-        """The whole moment [N m]: ``reaction`` of :meth:`update` less ``omega x H`` at body rates ``rate`` [rad/s]."""
+        """Return the moment [N m]: ``reaction`` of :meth:`update` less ``omega x H`` at body rates ``rate`` [rad/s]."""
         x, y, z = cross(rate, self.momentum)
         return (reaction[0] - x, reaction[1] - y, reaction[2] - z)
 

@@ -67,7 +67,7 @@ class Estimates:
         self.fix = self._position.fix
 
     def update(self, k: int, measured: Measured, still: bool, grounded: bool, pushed: bool) -> None:
-        """What is known at step ``k``; ``still``: the vehicle stands, ``grounded``: or has not left the ground yet.
+        """Update all estimates at step ``k``; ``still``: the vehicle stands, ``grounded``: or has not lifted off yet.
 
         ``pushed``: see :meth:`cosim.control.autopilot.estimation.position.Estimator.update`.
         """

@@ -147,7 +147,7 @@ class InertialEstimator:
         self._bb += walk * walk * dt
 
     def _compare(self, attitude: Quaternion) -> None:
-        """The sensor's attitude with the gyro's of the same instant."""
+        """Correct attitude and bias by the sensor's attitude less the gyro's of the same instant."""
         w, x, y, z = multiply(conjugate(self._past[0]), attitude)
         sign = 2.0 if w >= 0.0 else -2.0
         e = (sign * x, sign * y, sign * z)
@@ -180,7 +180,7 @@ class InertialEstimator:
         self._aa, self._ab, self._bb = aa - ka * aa, ab - ka * ab, self._bb - kb * ab
 
     def _surprise(self, e: Vector3, total: float) -> None:
-        """Does the mean disagreement say that the bias is not what it was?"""
+        """Open the bias covariance where the mean innovation says that the bias is not what it was."""
         share, m = self._mean_share, self._mean
         self._mean = m = (m[0] + share * (e[0] - m[0]), m[1] + share * (e[1] - m[1]), m[2] + share * (e[2] - m[2]))
         self._quiet = max(0.0, self._quiet - self._dt)

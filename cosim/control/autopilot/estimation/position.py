@@ -91,7 +91,7 @@ class Estimator:
         return Fix((p[0], p[1]), (v[0], v[1]), (b[0], b[1]))
 
     def update(self, k: int, measured: Measured, still: bool, lean_deviation: float = 0.0, pushed: bool = False) -> Fix:
-        """The estimate at ``t_k``; ``still``: the vehicle stands, so it has no velocity and nothing pushes it.
+        """Return the estimate at ``t_k``; ``still``: the vehicle stands, so it has no velocity and nothing pushes it.
 
         ``lean_deviation``: of the attitude beyond its sensor's noise, rad; ``pushed``: by its own thrust, for a moment,
         so that the disturbance stays what it was.
@@ -150,7 +150,7 @@ class Estimator:
         self._shift_past(shifts)
 
     def _shift_past(self, shifts: Sequence[Vector3]) -> None:
-        """What is compared with the next epochs moves with the correction."""
+        """Shift the past estimates, which the next epochs are compared with, by the correction."""
         (pn, vn, bn), (pe, ve, be) = shifts
         step = self._step
         for i, (n, e, un, ue) in enumerate(self._past):
@@ -176,7 +176,7 @@ def kalman_gains(gains: PositionGains, sensor: PositionSensor, step: float) -> l
 def _settling(
     gains: PositionGains, sensor: PositionSensor, step: float
 ) -> tuple[list[list[list[float]]], list[tuple[float, float]]]:
-    """The gains of :func:`kalman_gains`, and after each number of epochs the deviations of position and velocity."""
+    """Return the gains of :func:`kalman_gains`, and by number of epochs the deviations of position and velocity."""
     T = sensor.period_samples * step
     F = np.array([[1.0, T, 0.5 * T * T], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
     qa, qb = gains.acceleration_noise_m_s15**2, gains.disturbance_walk_m_s25**2

@@ -87,7 +87,7 @@ class Reckoning:
         self._past.popleft()
 
     def epoch(self, fix: Measured | None, still: bool, lean: float) -> None:
-        """The time between two fixes is over; ``fix``: what the receiver says, None where it says nothing new.
+        """Correct at the end of the time between two fixes; ``fix``: None where the receiver says nothing new.
 
         ``lean``: deviation of the attitude beyond its sensor's noise, rad; ``still``: the vehicle stands.
         """
@@ -103,7 +103,7 @@ class Reckoning:
         self._correct(0, complex(*fix.position[:2]) - p, self._position_noise, late)
 
     def _spread(self, lean_variance: float) -> None:
-        """The covariance over the time between two fixes: ``P = F P F* + Q`` with ``F = [[1, T, r T^2/2], ...]``."""
+        """Propagate the covariance from fix to fix: ``P = F P F* + Q`` with ``F = [[1, T, r T^2/2], ...]``."""
         T = self._period
         r, noise = (self._r, self._force_noise) if self._felt else (0j, _UNFELT**2)
         s, half = T * r, 0.5 * T * T * r
@@ -150,7 +150,7 @@ class Reckoning:
 
 
 def _upright(attitude: Quaternion, force: Vector3) -> tuple[complex, complex]:
-    """The horizontal part of a specific force, m/s^2 NED, and the heading as a unit vector."""
+    """Return the horizontal part of a specific force, m/s^2 NED, and the heading as a unit vector."""
     w, x, y, z = attitude
     fx, fy, fz = force
     ahead, across = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)

@@ -34,7 +34,7 @@ class Senses:
             self.vertical.reset(measured.altitude, -measured.velocity[2])
 
     def update(self, k: int, measured: Measured, still: bool) -> Measured:
-        """What to fly step ``k`` with; ``still``: the vehicle stands."""
+        """Return the measurements that step ``k`` is flown with; ``still``: the vehicle stands."""
         if not self._placed:
             self.reset(measured)
         attitude, rate = self.inertial.update(measured, still)

@@ -119,7 +119,7 @@ class VerticalEstimator:
     # --- one step ----------------------------------------------------------------------------------------------------
 
     def update(self, k: int, measured: Measured, attitude: Quaternion, still: bool) -> None:
-        """The estimate at ``t_k``; ``attitude`` body to NED, ``still``: the vehicle stands."""
+        """Update the estimate at ``t_k``; ``attitude`` body to NED, ``still``: the vehicle stands."""
         moved = self._look(measured, still)
         self._predict(attitude, measured.specific_force)
         self._past.append((self._h, self._v))
@@ -209,7 +209,7 @@ class VerticalEstimator:
             self._correct(0, off, self._height_noise)
 
     def _receiver(self, measured: Measured, still: bool) -> None:
-        """A GNSS epoch: velocity always, height where there is no barometer."""
+        """Correct by a GNSS epoch: velocity always, height where there is no barometer."""
         height, rate = -measured.position[2], -measured.velocity[2]
         fresh = still or (height, rate) != self._last_fix
         self._last_fix = (height, rate)
@@ -245,7 +245,7 @@ class VerticalEstimator:
         self._shift(dh, dv)
 
     def _shift(self, dh: float, dv: float) -> None:
-        """What is compared with the next epochs moves with the correction."""
+        """Shift the past estimates, which the next epochs are compared with, by the correction."""
         dt = self._dt
         for i, (h, v) in enumerate(self._past):
             self._past[i] = (h + dh + i * dt * dv, v + dv)

@@ -67,7 +67,7 @@ class Course:
         self.reset()
 
     def reset(self) -> None:
-        """Stops where it is."""
+        """Stop where the vehicle is."""
         self.cruise: float | None = None  # horizontal speed that was asked for, m/s; None: the parameter's
         self.descending = self.landing = self._carried = False
         self.aim(None, None, None)
@@ -78,7 +78,7 @@ class Course:
         self.place, self.height, self.heading = place, height, heading
 
     def begin(self, k: int, spins: bool = False, carried: bool = False) -> None:
-        """The instant for the commands that follow.
+        """Set the instant for the commands that follow.
 
         ``spins``: no heading is held; ``carried``: hinges may carry it aside, so that its own speed counts.
         """
@@ -129,7 +129,7 @@ class Course:
         return guide.command(lean, held, guide.to_yaw(yaw))
 
     def to_height(self, altitude: float) -> float:
-        """The height asked for on the way to ``altitude``."""
+        """Return the height set-point [m] on the way to ``altitude`` [m]."""
         parameters = self.parameters
         held = self.guide.to_height(altitude, parameters["HJ_CLIMB_AUTO"], parameters["HJ_DESC_AUTO"])
         self.descending = altitude < held
@@ -144,7 +144,7 @@ class Course:
         return guide.command(lean, guide.at_climb(-rate), guide.to_yaw(self.heading))
 
     def _sink_while_braking(self) -> float:
-        """The most rate of descent [m/s] with which it does not touch before it has come to rest sideways.
+        """Return the highest rate of descent [m/s] that does not touch down before the vehicle is at rest sideways.
 
         The set-point brakes for ``v / a + a / j``, and the vehicle follows it with ``1 / K_v``, twice that to be slow.
         A vehicle that was carried aside may be far from following: its own speed counts where it is the greater.
@@ -159,7 +159,7 @@ class Course:
         return max(0.0, self.estimates.altitude - self.places.high_ground) / left
 
     def _sink_allowed(self) -> float:
-        """The most rate of descent [m/s] at this height, as far as it is known, where the height is controlled."""
+        """Return the highest rate of descent [m/s] at the estimated height, where the height is controlled."""
         p, limits, estimates = self.parameters, self.guide.limits, self.estimates
         above = estimates.altitude - 2.0 * estimates.altitude_deviation - self.places.high_ground
         return descent_for(above - p["HJ_LAND_SLOW_H"], limits.braking, limits.late, p["MPC_LAND_SPEED"])

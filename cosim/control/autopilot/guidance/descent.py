@@ -50,7 +50,7 @@ def thrust_margins(hover: float, idle: float, least: float, most: float) -> tupl
 
 
 def descent_for(height: float, braking: float, late: float, end: float = 0.0) -> float:
-    """The rate of descent [m/s] from which the vehicle slows down to ``end`` [m/s] within ``height`` [m].
+    """Return the rate of descent [m/s] from which the vehicle slows down to ``end`` [m/s] within ``height`` [m].
 
     It sinks on for ``late`` [s] before the thrust answers and then brakes with ``braking`` [m/s^2]:
     ``h = (v - v_e) t + (v^2 - v_e^2) / (2 a)``, so ``v = sqrt((a t + v_e)^2 + 2 a h) - a t``.
@@ -96,16 +96,16 @@ class Floor:
         self.acting = False
 
     def level(self, collective: float) -> None:
-        """The height is controlled, at this collective; from here it goes on."""
+        """Start again from this collective, which the height control has set."""
         self.reset()
         self._last = collective
 
     def allowed(self, height: float, end: float) -> float:
-        """The rate of descent [m/s] that is let be at a height [m] above the ground; ``end``: at the ground."""
+        """Return the rate of descent [m/s] allowed at a height [m] above the ground; ``end``: at the ground."""
         return descent_for(height, self._braking, self._late, end)
 
     def under(self, asked: float, height: float, sink: float, end: float, upright: float, weight: float) -> float:
-        """The collective: ``asked`` or what the floor needs where that is more, without steps.
+        """Return the collective: ``asked`` or what the floor needs where that is more, without steps.
 
         ``upright``: cosine of the lean; ``weight``: as a share of that at the start.
         """
@@ -123,7 +123,7 @@ class Floor:
         return self.slowed(max(asked, least))
 
     def slowed(self, asked: float) -> float:
-        """The collective on its way to ``asked``."""
+        """Return the rate-limited collective on its way to ``asked``."""
         if self._last is not None:
             asked = min(max(asked, self._last - self._most_change), self._last + self._most_change)
         self._last = asked

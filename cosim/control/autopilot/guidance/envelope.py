@@ -48,7 +48,7 @@ class Envelope:
         self.floor.level(self._hover if airborne else self._least)
 
     def attitude_limits(self) -> AttitudeLimits:
-        """What the loops may be asked for with the gains of now."""
+        """Return the attitude and rate limits that the loops can follow with the present gains."""
         p = self._parameters
         gain = [p[f"HJ_ATT_{axis.upper()}"] for axis in AXES]
         most = [radians(p[f"HJ_RLIM_{axis.upper()}"]) for axis in AXES]
@@ -56,30 +56,30 @@ class Envelope:
         return attitude_limits(gain, authority, radians(p["HJ_STICK_LEAN"]), radians(p["HJ_YAW_RATE"]), most)
 
     def height_limits(self) -> HeightLimits:
-        """What the height that is asked for may do with the gains of now."""
+        """Return the limits of the height set-point's motion with the present gains."""
         p = self._parameters
         speed = max(p["HJ_CLIMB_AUTO"], p["HJ_DESC_AUTO"])
         margins = thrust_margins(self._hover, self._idle, self._least, self._most)
         return height_limits(p["HJ_ALT_P"], p["HJ_CLIMB_P"], speed, *margins)
 
     def follow(self, name: str, guide: Guide) -> None:
-        """A parameter has changed: the limits that follow from it are others from now on."""
+        """Compute anew the limits that depend on a parameter that has changed."""
         if name.startswith(_SHAPING):
             self.shaper.limit(self.attitude_limits())
         if name in _CLIMBING:
             guide.limit(self.height_limits())
 
     def shaped(self, command: Command) -> Command:
-        """The command with an attitude, or body rates, that the loops can follow."""
+        """Return the command with an attitude, or body rates, that the loops can follow."""
         euler = self._estimates.euler
         if command.rate is not None:
             return command._replace(rate=self.shaper.rate(command.rate, euler))
         return command._replace(attitude=self.shaper.attitude(command.attitude, euler))
 
     def caught(self, collective: float, ground: float, remaining: float | None) -> float:
-        """The collective that was asked for, or what it takes not to hit the ground at the height ``ground`` [m].
+        """Return the requested collective, or the greater one that avoids the ground at the height ``ground`` [m].
 
-        ``remaining``: share of the fuel; None: the vehicle has none, or it is not known.
+        ``remaining``: fraction of the fuel; None: the vehicle has none, or it is not known.
         """
         measured, fuel = self._estimates.now, self._vehicle.fuel
         _, x, y, _ = measured.attitude

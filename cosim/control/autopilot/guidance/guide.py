@@ -54,7 +54,7 @@ class Guide:
         self._height.start(track.position, track.velocity)
 
     def begin(self, k: int, measured: Measured, yaw: float, fix: Fix, sink: float = inf, spins: bool = False) -> None:
-        """The instant for the calls that follow; ``sink``: the most rate of descent [m/s] that may be asked for.
+        """Set the instant for the calls that follow; ``sink``: the highest rate of descent [m/s] of a set-point.
 
         A vehicle that ``spins`` holds no heading: it leans as seen from the heading that is asked for, at which the
         lean can change steadily.
@@ -81,7 +81,7 @@ class Guide:
         return self._lean(self.tracker.at_velocity(velocity))
 
     def to_height(self, altitude: float, up: float, down: float) -> float:
-        """The height asked for, on its way to ``altitude`` at these rates at most."""
+        """Return the height set-point [m] on its way to ``altitude`` [m] at these rates [m/s] at most."""
         self._take_up_height()
         off = altitude - self.altitude
         if self._waits(off):
@@ -90,7 +90,7 @@ class Guide:
         return self._raised(self._height.towards((altitude, 0.0), speed))
 
     def at_climb(self, rate: float) -> float:
-        """The height asked for, moving at ``rate``."""
+        """Return the height set-point [m], moving at ``rate`` [m/s]."""
         self._take_up_height()
         rate = max(rate, -self._sink)
         if self._waits(rate):
@@ -98,7 +98,7 @@ class Guide:
         return self._raised(self._height.at_velocity((rate, 0.0)))
 
     def to_yaw(self, yaw: float | None) -> float:
-        """The heading asked for, on its way to ``yaw`` the short way round; None stays."""
+        """Return the heading set-point [rad] on its way to ``yaw`` the short way round; None stays."""
         self._take_up_yaw()
         if yaw is not None:
             most = self._parameters["HJ_YAW_RATE"] * pi / 180.0 * self._step
@@ -106,7 +106,7 @@ class Guide:
         return self.yaw
 
     def at_turn(self, rate: float) -> float:
-        """The heading asked for, turning at ``rate``, never more than a radian ahead of the vehicle."""
+        """Return the heading set-point [rad], turning at ``rate`` [rad/s], at most a radian ahead of the vehicle."""
         self._take_up_yaw()
         ahead = wrap(self.yaw + rate * self._step - self._yaw)
         self.yaw = wrap(self._yaw + clamp(ahead, 1.0))
@@ -155,7 +155,7 @@ class Guide:
         self._aimed = self._k
 
     def _waits(self, change: float) -> bool:
-        """Does the vehicle not follow, so that the height asked for has to wait for it?"""
+        """Return whether the vehicle lags so far that the height set-point stops to wait for it."""
         ahead = self.altitude - self._measured.altitude
         if abs(ahead) < _LEAD + abs(self._climb) / self._gain() or ahead * change <= 0.0:
             return False

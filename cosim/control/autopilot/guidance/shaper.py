@@ -96,8 +96,9 @@ def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequenc
 
 
 def _by_layout(vehicle: Vehicle, hover: float, idle: float, gain: Sequence[float]) -> Vector3:
-    """The same where every throttle and hinge may have a part: a quarter of what the layout attains about each axis,
-    the slowest hinge taken for all."""
+    """Return the angular authority [rad/s^2] where every throttle and hinge may have a part.
+
+    It is a quarter of what the layout attains about each axis, with the slowest hinge taken for all."""
     per_jet = vehicle.mass_kg * GRAVITY / len(vehicle.jets) / (hover + idle)
     limits, jets = vehicle.control.allocation, len(vehicle.jets)
     least, most = ([per_jet * (share + idle)] * jets for share in (limits.throttle_min, limits.throttle_max))

@@ -35,13 +35,13 @@ class Tracker:
         self.start((0.0, 0.0), (0.0, 0.0))
 
     def limit(self, acceleration: float, jerk: float) -> None:
-        """New limits, m/s^2 and m/s^3; the mean's length changes at the next start."""
+        """Set new limits, m/s^2 and m/s^3; the mean's length changes at the next start."""
         self._a = acceleration * self._step  # m/s a step
         self._b = BRAKE_SHARE * self._a
         self._count = max(1, ceil(min(acceleration / jerk, _LONGEST_MEAN) / self._step))
 
     def start(self, position: Pair, velocity: Pair) -> None:
-        """The set-point goes on from here, at this velocity and without acceleration."""
+        """Start the set-point from this position, at this velocity and without acceleration."""
         dt = self._step
         ahead = 0.5 * dt * (self._count - 1)
         # as if the point had always flown like this: then the mean of its past is where the set-point is

@@ -36,7 +36,7 @@ class TakeOff:
         self.height: float | None = None  # above home
 
     def asked(self, height: float | None, watch: Watch) -> float:
-        """The height above home to climb to; None: the parameter's.  Raises InputError where it may not."""
+        """Return the height [m] above home to climb to; None: the parameter's.  Raises InputError if it may not."""
         estimates, places = self._estimates, self._places
         height = height if height is not None else self._parameters["MIS_TAKEOFF_ALT"]
         if height < LOWEST_M:
@@ -52,14 +52,14 @@ class TakeOff:
         return height
 
     def leave(self, k: int) -> None:
-        """It begins: here is the ground."""
+        """Begin the take-off from the present position, which is the ground's."""
         self._places.ground = self._estimates.altitude
         self._places.left = self._estimates.fix.position
         self._course.guide.reset()
         self._course.begin(k)
 
     def rise(self, steps: int) -> Command | None:
-        """The command so many steps after the beginning; None: it does not leave the ground."""
+        """Return the command so many steps after the beginning; None: the vehicle does not leave the ground."""
         guide, since = self._course.guide, steps * self._step
         spool = self._parameters["HJ_SPOOL_TIME"]
         if since > spool + _LIFT_S:
@@ -100,7 +100,7 @@ class Landing:
         self.reset()
 
     def reset(self) -> None:
-        """A new flight."""
+        """Forget the last flight."""
         self.touchdown.reset()
         self._doubted = 0.0  # s for which the legs have reported a ground that cannot be there
         self.abort()
@@ -139,7 +139,7 @@ class Landing:
         return self.touchdown.touching and self.touchdown.carried
 
     def touched(self) -> bool:
-        """The legs report the ground where there can be some: where the height says so, or where they carry weight.
+        """Return whether the legs report the ground where it can be: by the height, or where they carry weight.
 
         A vehicle that drifts, or comes down fast, hops from leg to leg on nearly its own weight in thrust until it
         trips: the thrust has to go before a contact lasts, so a touch of a moment ago counts as low as this.
@@ -152,7 +152,7 @@ class Landing:
         return False
 
     def disbelieves(self) -> bool:
-        """True once: a switch that has gone on reporting the ground where it cannot be is asked no more."""
+        """Return True once, when the switch has reported too long a ground that cannot be there and is ignored."""
         if self._doubted <= _DOUBTED_S or self.touchdown.switch_failed:
             return False
         self.touchdown.switch_failed = True

@@ -25,7 +25,7 @@ class Homeward:
         self._to: Pair | None = None  # where it lands
 
     def fly(self) -> Command:
-        """The next step of it; where it ends is chosen at the first."""
+        """Return the command of the next step home; the first step chooses the destination."""
         course, estimates = self._course, self._estimates
         if self._to is None or course.height is None:
             self._to, course.height, near = course.way_back(estimates.fix.position, course.stop_height)

@@ -18,7 +18,7 @@ class Mission:
         self.reached = -1
 
     def load(self, items: Sequence[MissionItem]) -> None:
-        """A new mission, from its first item."""
+        """Load a new mission and go to its first item."""
         self.items = tuple(items)
         self.restart(0)
         self.reached = -1
@@ -39,7 +39,7 @@ class Mission:
         return self.current >= len(self.items)
 
     def advance(self) -> MissionItem | None:
-        """The next item to be flown; None at the end or in a circle of jumps."""
+        """Go on to the next item to be flown and return it; None at the end or in a circle of jumps."""
         self.reached = self.current
         self.since = -1
         self.current += 1

@@ -30,7 +30,7 @@ class MissionFlight:
         self.reset()
 
     def reset(self) -> None:
-        """A new flight; the mission stays."""
+        """Forget the last flight and keep the mission."""
         self._climb_to: float | None = None  # height to reach before it leaves the place of its take-off
         self.abort()
 
@@ -78,7 +78,7 @@ class MissionFlight:
         return 0, ""
 
     def leave_ground(self, flown: bool) -> None:
-        """It takes off; ``flown``: for the mission, which climbs first where its item does not say so."""
+        """Prepare for take-off; ``flown``: for the mission, which climbs first where its item does not say so."""
         item = self.mission.item
         self._climb_to = None
         if flown and item is not None and item.kind is not ItemKind.TAKEOFF:
@@ -86,7 +86,7 @@ class MissionFlight:
             self._climb_to = height if item.altitude is None else min(height, item.altitude)
 
     def advance(self, flying: bool) -> None:
-        """The present item is done."""
+        """Go on from the present item, which is done."""
         self.mission.advance()
         self.begin(flying)
 
@@ -124,7 +124,7 @@ class MissionFlight:
             self._homeward.reset()
 
     def fly(self, k: int) -> Command | None:
-        """The next step of the present item; None where the mission is done."""
+        """Return the command of the next step of the present item; None where the mission is done."""
         item, course = self.mission.item, self._course
         if item is None:
             return None

@@ -45,7 +45,7 @@ class Remote:
         self._sticks_at = self._setpoint_at = _NEVER
 
     def take(self, request: Sticks | Setpoint, k: int) -> None:
-        """The newest counts."""
+        """Replace the last sticks or set-point, with the step of their arrival."""
         if isinstance(request, Sticks):
             self.sticks, self._sticks_at = request, k
         else:
@@ -58,7 +58,7 @@ class Remote:
         return (k - self._setpoint_at) * self._step <= self._parameters["HJ_OFFB_TIME"]
 
     def gives_collective(self, mode: Mode) -> bool:
-        """Is the collective asked for as such, and not by height?"""
+        """Return whether the collective itself is commanded, and not a height."""
         offboard = mode is Mode.OFFBOARD and isinstance(self.setpoint, OffboardAttitude)
         return offboard or mode in DIRECT
 
@@ -73,7 +73,7 @@ class Remote:
         return []
 
     def wants_up(self, mode: Mode, k: int) -> bool:
-        """Does what has come need the vehicle to leave the ground?"""
+        """Return whether the sticks or the set-point need the vehicle to leave the ground."""
         sticks, setpoint = self.sticks, self.setpoint
         if mode in BY_STICK and sticks is not None and self.sticks_fresh(k):
             return sticks.throttle > (_LOW if mode in DIRECT else _UP)
@@ -87,7 +87,7 @@ class Remote:
         return False
 
     def fly(self, mode: Mode) -> Command:
-        """What the sticks or the set-point mean."""
+        """Return the command of the sticks or of the set-point."""
         if mode in BY_STICK:
             return self._by_stick(self.sticks or _CENTRED, mode)
         return self._course.fly() if self.setpoint is None else self._by_setpoint(self.setpoint)
@@ -135,6 +135,6 @@ class Remote:
 
 
 def _dead(stick: float) -> float:
-    """A stick without its dead middle, still 1 at the end."""
+    """Return a stick's deflection without its dead zone, still 1 at the end."""
     size = max(0.0, abs(stick) - _DEAD) / (1.0 - _DEAD)
     return size if stick > 0.0 else -size

@@ -1,4 +1,4 @@
-"""Has the vehicle touched the ground, and has it come to stand there?
+"""Detection of ground contact, and of a vehicle that has come to stand there.
 
 Two witnesses: the switch at the legs, and the accelerometer beside the thrust that is asked for.  In the air at rest
 they balance; where the legs carry weight the accelerometer feels more than the engines give.  The thrust is the
@@ -42,7 +42,7 @@ class Touchdown:
         self.reset()
 
     def reset(self) -> None:
-        """A new flight: the switch is believed."""
+        """Forget the last flight and trust the switch again."""
         self._contact = self._apart = self._felt = self._light = 0.0
         self._bearing = self._hanging = self._resting = 0.0
         self._since = _BOUNCING_S  # the legs last reported contact
