@@ -68,65 +68,74 @@ def _render(vehicle: Vehicle, model: Path, text: bytes, rotors: bool) -> bytes:
         raise InputError(f"{model}: is no JSBSim model: its root is {root.tag}, not fdm_config")
     own_aerodynamics = complete(root, vehicle, model)
 
-    def find(path: str) -> ET.Element:
-        element = root.find(path)
-        assert element is not None, path
-        return element
-
-    def write(path: str, value: float, unit: str) -> None:
-        element = find(path)
-        element.text = repr(float(value))
-        element.set("unit", unit)
-
-    def place(path: str, body: Vector3) -> None:
-        find(path).set("unit", "IN")
-        for axis, value in zip("xyz", structural(body), strict=True):
-            find(f"{path}/{axis}").text = repr(value + 0.0)
-
-    write("mass_balance/emptywt", vehicle.mass_kg / SLUG * JSBSIM_POUNDS_PER_SLUG, "LBS")
-    for axis, inertia in zip(("ixx", "iyy", "izz"), vehicle.inertia_kg_m2, strict=True):
-        write(f"mass_balance/{axis}", inertia / SLUG_FT2, "SLUG*FT2")
-    if any(vehicle.products_kg_m2):  # else those of the file, if it has any
-        find("mass_balance").set("negated_crossproduct_inertia", "true")
-        for axis, product in zip(PRODUCTS, vehicle.products_kg_m2, strict=True):
-            if root.find(f"mass_balance/{axis}") is None:
-                ET.SubElement(find("mass_balance"), axis)
-            write(f"mass_balance/{axis}", PRODUCT_SIGN[axis] * product / SLUG_FT2, "SLUG*FT2")
+    _write_mass(root, vehicle)
     for number, jet in enumerate(vehicle.jets, 1):
-        place(f"external_reactions/force[@name='jet{number}']/location", jet.position_m)
+        _write_position(root, f"external_reactions/force[@name='jet{number}']/location", jet.position_m)
     for contact in vehicle.contacts:
         path = f"ground_reactions/contact[@name='{contact.name}']"
-        place(f"{path}/location", contact.position_m)
-        write(f"{path}/spring_coeff", contact.spring_n_m, "N/M")
-        write(f"{path}/damping_coeff", contact.damping_n_s_m, "N/M/SEC")
-        find(f"{path}/static_friction").text = repr(contact.friction_static)
-        find(f"{path}/dynamic_friction").text = repr(contact.friction_dynamic)
+        _write_position(root, f"{path}/location", contact.position_m)
+        _write(root, f"{path}/spring_coeff", contact.spring_n_m, "N/M")
+        _write(root, f"{path}/damping_coeff", contact.damping_n_s_m, "N/M/SEC")
+        _child(root, f"{path}/static_friction").text = repr(contact.friction_static)
+        _child(root, f"{path}/dynamic_friction").text = repr(contact.friction_dynamic)
     if not own_aerodynamics:
-        write("metrics/wingspan", vehicle.aero.span_m, "M")
-        place("metrics/location[@name='AERORP']", vehicle.aero.centre_m)
-        constants = {element.text: element for element in root.findall("flight_control/property")}
-        values = {
-            f"aero/drag-area-{axis}-ft2": area / FOOT**2
-            for axis, area in zip("xyz", vehicle.aero.drag_area_m2, strict=True)
-        }
-        for axis, damping in zip(AXES, vehicle.aero.damping_n_m_s, strict=True):
-            values[f"aero/damping-{axis}-lbf_ft_s"] = damping / POUND_FOOT
-        for name, value in values.items():
-            if name not in constants:
-                raise InputError(f"{model}: the model has no constant {name}")
-            constants[name].set("value", repr(value))
+        _write_aerodynamics(root, vehicle, model)
+    if rotors:
+        for axis in "xyz":
+            ET.SubElement(_child(root, "flight_control"), "property", value="0").text = MOMENTUM.format(axis)
+        for axis, turn in zip(("ROLL", "PITCH", "YAW"), ("xyz", "yzx", "zxy"), strict=True):
+            _child(root, f"aerodynamics/axis[@name='{axis}']").append(_gyroscopic(*turn))
+    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _write(root: ET.Element, path: str, value: float, unit: str) -> None:
+    element = _child(root, path)
+    element.text = repr(float(value))
+    element.set("unit", unit)
+
+
+def _write_position(root: ET.Element, path: str, body: Vector3) -> None:
+    """Write a body-frame position (m, FRD) in inches of the structural frame."""
+    _child(root, path).set("unit", "IN")
+    for axis, value in zip("xyz", structural(body), strict=True):
+        _child(root, f"{path}/{axis}").text = repr(value + 0.0)
+
+
+def _write_mass(root: ET.Element, vehicle: Vehicle) -> None:
+    """Write mass and moments of inertia, and add a point mass for the burnt fuel where there is a tank."""
+    balance = _child(root, "mass_balance")
+    _write(balance, "emptywt", vehicle.mass_kg / SLUG * JSBSIM_POUNDS_PER_SLUG, "LBS")
+    for axis, inertia in zip(("ixx", "iyy", "izz"), vehicle.inertia_kg_m2, strict=True):
+        _write(balance, axis, inertia / SLUG_FT2, "SLUG*FT2")
+    if any(vehicle.products_kg_m2):  # else those of the file, if it has any
+        balance.set("negated_crossproduct_inertia", "true")
+        for axis, product in zip(PRODUCTS, vehicle.products_kg_m2, strict=True):
+            if balance.find(axis) is None:
+                ET.SubElement(balance, axis)
+            _write(balance, axis, PRODUCT_SIGN[axis] * product / SLUG_FT2, "SLUG*FT2")
     if vehicle.fuel:
-        burnt = ET.SubElement(find("mass_balance"), "pointmass", name="burnt fuel")
+        burnt = ET.SubElement(balance, "pointmass", name="burnt fuel")
         ET.SubElement(burnt, "weight", unit="LBS").text = "0"
         at = ET.SubElement(burnt, "location", unit="IN")
         for axis, inches in zip("xyz", structural(vehicle.fuel.position_m), strict=True):
             ET.SubElement(at, axis).text = repr(inches + 0.0)
-    if rotors:
-        for axis in "xyz":
-            ET.SubElement(find("flight_control"), "property", value="0").text = MOMENTUM.format(axis)
-        for axis, turn in zip(("ROLL", "PITCH", "YAW"), ("xyz", "yzx", "zxy"), strict=True):
-            find(f"aerodynamics/axis[@name='{axis}']").append(_gyroscopic(*turn))
-    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _write_aerodynamics(root: ET.Element, vehicle: Vehicle, model: Path) -> None:
+    """Write drag and damping into the model's constants.  Raises InputError for one that it does not have."""
+    _write(root, "metrics/wingspan", vehicle.aero.span_m, "M")
+    _write_position(root, "metrics/location[@name='AERORP']", vehicle.aero.centre_m)
+    constants = {element.text: element for element in root.findall("flight_control/property")}
+    values = {
+        f"aero/drag-area-{axis}-ft2": area / FOOT**2
+        for axis, area in zip("xyz", vehicle.aero.drag_area_m2, strict=True)
+    }
+    for axis, damping in zip(AXES, vehicle.aero.damping_n_m_s, strict=True):
+        values[f"aero/damping-{axis}-lbf_ft_s"] = damping / POUND_FOOT
+    for name, value in values.items():
+        if name not in constants:
+            raise InputError(f"{model}: the model has no constant {name}")
+        constants[name].set("value", repr(value))
 
 
 def complete(root: ET.Element, vehicle: Vehicle, model: Path) -> bool:

@@ -347,25 +347,7 @@ class EffectivenessAllocator:
         and roll and pitch together as far as they can.
         """
         jets, scales, norms = self._jets, self._scales, self._norms
-        low: list[float] = []
-        high: list[float] = []
-        start: list[float] = []
-        up = lift / self._weight
-        for jet, (least, most) in enumerate(self._ends):
-            low.append(least / scales[jet])
-            high.append(most / scales[jet])
-            start.append(up * self._preferred[jet] / scales[jet])
-        for number, mover in enumerate(self._movers):
-            (least, most), scale = self._reach[number], scales[jets + number]
-            if rated:  # from outside it comes as fast as it can
-                last = self._last[jets + number]
-                step = mover.step + mover.lead if hurried else mover.step
-                slowest, fastest = last - step, last + step
-                least = slowest if slowest > least else (fastest if fastest < least else least)
-                most = fastest if fastest < most else (slowest if slowest > most else most)
-            low.append(least / scale)
-            high.append(most / scale)
-            start.append(self._stand[number] / scale)
+        low, high, start = self._scaled_limits(lift, rated, hurried)
         here = self._last
         given, rows = self._linear(here)
         for _ in range(passes):
@@ -400,6 +382,30 @@ class EffectivenessAllocator:
             if off <= 0.1 * GIVEN and (rated or far <= SETTLED):
                 break
         return here, [wanted[row] - given[row] for row in range(6)]
+
+    def _scaled_limits(self, lift: float, rated: bool, hurried: bool) -> tuple[list[float], list[float], list[float]]:
+        """Return each effector's scaled lower and upper limit and its preferred value, as for :meth:`_solve`."""
+        jets, scales = self._jets, self._scales
+        low: list[float] = []
+        high: list[float] = []
+        start: list[float] = []
+        up = lift / self._weight
+        for jet, (least, most) in enumerate(self._ends):
+            low.append(least / scales[jet])
+            high.append(most / scales[jet])
+            start.append(up * self._preferred[jet] / scales[jet])
+        for number, mover in enumerate(self._movers):
+            (least, most), scale = self._reach[number], scales[jets + number]
+            if rated:  # from outside it comes as fast as it can
+                last = self._last[jets + number]
+                step = mover.step + mover.lead if hurried else mover.step
+                slowest, fastest = last - step, last + step
+                least = slowest if slowest > least else (fastest if fastest < least else least)
+                most = fastest if fastest < most else (slowest if slowest > most else most)
+            low.append(least / scale)
+            high.append(most / scale)
+            start.append(self._stand[number] / scale)
+        return low, high, start
 
     def _linear(self, at: Sequence[float]) -> tuple[list[float], list[list[float]]]:
         """Return the wrench in the order of the rows, and its scaled change by each effector."""

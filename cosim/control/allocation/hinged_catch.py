@@ -71,6 +71,16 @@ class Late(NamedTuple):
     step: float  # s
 
 
+class Search(NamedTuple):
+    """Where a solution is searched for, in place of the allocator's own last commands, limits and priorities."""
+
+    last: list[float]  # thrusts [N] and servos to begin from
+    ends: list[tuple[float, float]]  # of each thrust, N
+    levels: list[tuple[int, ...]]
+    reach: list[tuple[float, float]]  # of each servo
+    stand: list[float]  # where servos are left if there is a choice
+
+
 class HingedCatch(EffectivenessAllocator):
     """As :class:`EffectivenessAllocator` while all engines run; without one see the module's text.
 
@@ -163,8 +173,8 @@ class HingedCatch(EffectivenessAllocator):
             for mover, (low, high) in zip(self._movers, self._reach, strict=True)
         ]
         wanted, stand = [0.0, 0.0, pushed, 0.0, 0.0, 0.0], self._hovers[self._jets :]
-        levels = [*LEVELS, *HORIZONTAL]
-        return self._within(self._carrying, self._ends, levels, reach, stand, wanted, lift, PASSES, False)
+        search = Search(self._carrying, self._ends, [*LEVELS, *HORIZONTAL], reach, stand)
+        return self._solve_within(search, wanted, lift, PASSES, False)
 
     def _lifts(self, servos: list[float]) -> bool:
         """Whether the reported thrusts cannot hold the weight in balance; hinges follow the most lift meanwhile."""
@@ -201,27 +211,16 @@ class HingedCatch(EffectivenessAllocator):
     ) -> tuple[list[float], list[float]]:
         """Servos beside the reported thrusts, from where servos are, and what is missing of the wanted."""
         last, ends = [*self._reported, *servos], [(thrust, thrust) for thrust in self._reported]
-        found, missing = self._within(last, ends, self._turns, reach, stand, wanted, wanted[LIFT], passes, rated)
+        search = Search(last, ends, self._turns, reach, stand)
+        found, missing = self._solve_within(search, wanted, wanted[LIFT], passes, rated)
         return found[self._jets :], missing
 
-    def _within(
-        self,
-        last: list[float],
-        ends: list[tuple[float, float]],
-        levels: list[tuple[int, ...]],
-        reach: list[tuple[float, float]],
-        stand: list[float],
-        wanted: list[float],
-        lift: float,
-        passes: int,
-        rated: bool,
+    def _solve_within(
+        self, search: Search, wanted: list[float], lift: float, passes: int, rated: bool
     ) -> tuple[list[float], list[float]]:
-        """As :meth:`_solve`, from ``last``, within thrusts' ``ends`` and servos' ``reach``, by ``levels``.
-
-        ``stand``: where servos are left if there is a choice; ``rated``: as far as they go in a step, and in a hurry.
-        """
+        """As :meth:`_solve`, by ``search``; ``rated``: as far as servos go in a step, and in a hurry."""
         before = self._last, self._ends, self._levels, self._reach, self._stand
-        self._last, self._ends, self._levels, self._reach, self._stand = last, ends, levels, reach, stand
+        self._last, self._ends, self._levels, self._reach, self._stand = search
         answer = self._solve(wanted, lift, passes, rated, rated)
         self._last, self._ends, self._levels, self._reach, self._stand = before
         return answer

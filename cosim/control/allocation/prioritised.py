@@ -114,42 +114,16 @@ def _move(
         return given
     for _ in range(4 * count + 4):
         along = _square_to(row, held, free)
-        size = 0.0
-        for i in range(count):
-            if free[i]:
-                size += along[i] * along[i]
+        size = _square(along, free)
         if size <= RANK * whole:
             # nothing that is free moves it: what stands at a limit, and would, comes free again
-            best, freed = 1e-9 * sqrt(whole), -1
-            for i in range(count):
-                if not free[i] and low[i] < high[i]:
-                    inward = along[i] if x[i] <= low[i] else (-along[i] if x[i] >= high[i] else 0.0)
-                    if inward > best:
-                        best, freed = inward, i
-            if freed < 0:
+            if not _release(along, 1e-9 * sqrt(whole), free, x, low, high):
                 return given
-            free[freed] = True
             continue
-        reach = (amount - given) / size
-        stopped, met = reach, -1
-        shut = False
-        for i in range(count):
-            if not free[i]:
-                continue
-            speed = along[i]
-            if speed > 0.0:
-                room = (high[i] - x[i]) / speed
-            elif speed < 0.0:
-                room = (low[i] - x[i]) / speed
-            else:
-                continue
-            if room <= 0.0:
-                free[i] = False
-                shut = True
-            elif room < stopped:
-                stopped, met = room, i
-        if shut:
+        first = _first_limit(along, (amount - given) / size, free, x, low, high)
+        if first is None:
             continue
+        stopped, met = first
         for i in range(count):
             if free[i]:
                 value = x[i] + stopped * along[i]
@@ -162,24 +136,74 @@ def _move(
     return given
 
 
+def _first_limit(
+    along: Sequence[float],
+    reach: float,
+    free: list[bool],
+    x: Sequence[float],
+    low: Sequence[float],
+    high: Sequence[float],
+) -> tuple[float, int] | None:
+    """Return how far ``x`` goes along a direction, ``reach`` at most, and the effector whose limit ends it, else -1.
+
+    Where free effectors are at their limits already, they are fixed there and None is returned.
+    """
+    stopped, met = reach, -1
+    shut = False
+    for i, speed in enumerate(along):
+        if not free[i] or speed == 0.0:
+            continue
+        room = ((high[i] if speed > 0.0 else low[i]) - x[i]) / speed
+        if room <= 0.0:
+            free[i] = False
+            shut = True
+        elif room < stopped:
+            stopped, met = room, i
+    return None if shut else (stopped, met)
+
+
+def _release(
+    along: Sequence[float],
+    least: float,
+    free: list[bool],
+    x: Sequence[float],
+    low: Sequence[float],
+    high: Sequence[float],
+) -> bool:
+    """Free the effector at a limit that ``along`` moves most from it, more than ``least``; return if there is one."""
+    best, freed = least, -1
+    for i, move in enumerate(along):
+        if not free[i] and low[i] < high[i]:
+            inward = move if x[i] <= low[i] else (-move if x[i] >= high[i] else 0.0)
+            if inward > best:
+                best, freed = inward, i
+    if freed >= 0:
+        free[freed] = True
+    return freed >= 0
+
+
 def _square_to(row: list[float], held: Sequence[list[float]], free: Sequence[bool]) -> list[float]:
     """``row`` less its part in the rows ``held``, as the free effectors see them.
 
     Of effectors that are not free it is what the row would gain by them with the held rows held: their multipliers.
     """
-    count = len(row)
     basis: list[list[float]] = []
     for other in held:
         part = _less(other, basis, free)
-        square = whole = 0.0
-        for i in range(count):
-            if free[i]:
-                square += part[i] * part[i]
-                whole += other[i] * other[i]
-        if square > RANK * whole:
+        square = _square(part, free)
+        if square > RANK * _square(other, free):
             scale = 1.0 / sqrt(square)
             basis.append([value * scale for value in part])
     return _less(row, basis, free)
+
+
+def _square(row: Sequence[float], free: Sequence[bool]) -> float:
+    """Return the sum of the squares of a row over the free effectors."""
+    total = 0.0
+    for i, value in enumerate(row):
+        if free[i]:
+            total += value * value
+    return total
 
 
 def _less(row: list[float], basis: Sequence[list[float]], free: Sequence[bool]) -> list[float]:

@@ -8,22 +8,14 @@ exists; the constructors raise InputError with one line otherwise.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import Enum
-from math import isfinite, pi, sqrt
-from types import NoneType, UnionType
-from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin, get_type_hints
+from math import pi, sqrt
+from typing import Annotated, Any, NamedTuple, get_args
 
 from cosim.base.errors import InputError
 from cosim.base.signals import Quaternion
-
-
-class Bounds(NamedTuple):
-    """The closed range of a number."""
-
-    least: float
-    most: float
-
+from cosim.control.checked_record import Bounds, CheckedRecord, make, plain
 
 # Chosen by us: far beyond any flight of these vehicles, near enough that no arithmetic overflows.
 Metres = Annotated[float, Bounds(-1e5, 1e5)]
@@ -59,54 +51,44 @@ class Answer(NamedTuple):
     text: str
 
 
-class _Checked:
-    """Checks every field of a record against its annotation when it is made."""
-
-    def __post_init__(self) -> None:
-        hints = _hints(type(self))
-        for name, hint in hints.items():
-            where = f"{type(self).__name__}.{name}"
-            object.__setattr__(self, name, _check(getattr(self, name), hint, where))
-
-
 @dataclass(frozen=True)
-class Arm(_Checked):
+class Arm(CheckedRecord):
     """Start flying; ``force`` skips the checks that are not about the vehicle's safety on the ground."""
 
     force: bool = False
 
 
 @dataclass(frozen=True)
-class Disarm(_Checked):
+class Disarm(CheckedRecord):
     """Engines to idle; in the air only with ``force``, and then they are shut off."""
 
     force: bool = False
 
 
 @dataclass(frozen=True)
-class SetMode(_Checked):
+class SetMode(CheckedRecord):
     mode: str
 
 
 @dataclass(frozen=True)
-class Takeoff(_Checked):
+class Takeoff(CheckedRecord):
     """Climb to a height above home; without one to the parameter's."""
 
     altitude_m: Metres | None = None
 
 
 @dataclass(frozen=True)
-class Land(_Checked):
+class Land(CheckedRecord):
     """Land below the present place."""
 
 
 @dataclass(frozen=True)
-class ReturnHome(_Checked):
+class ReturnHome(CheckedRecord):
     """Climb, fly home, land."""
 
 
 @dataclass(frozen=True)
-class Goto(_Checked):
+class Goto(CheckedRecord):
     """Fly to a place and hold there; what is not given stays as it is."""
 
     north: Metres | None = None
@@ -125,7 +107,7 @@ class OrbitYaw(Enum):
 
 
 @dataclass(frozen=True)
-class Orbit(_Checked):
+class Orbit(CheckedRecord):
     """Fly round a centre until something else is asked, or ``turns`` times; what is not given is as where it is.
 
     ``speed``, m/s, may come out less: the vehicle has to lean into the circle.
@@ -147,19 +129,19 @@ class Orbit(_Checked):
 
 
 @dataclass(frozen=True)
-class Hold(_Checked):
+class Hold(CheckedRecord):
     """Stop and stay."""
 
 
 @dataclass(frozen=True)
-class SetSpeed(_Checked):
+class SetSpeed(CheckedRecord):
     """Horizontal speed of automatic flight until the next arming, m/s."""
 
     m_s: Speed
 
 
 @dataclass(frozen=True)
-class SetHome(_Checked):
+class SetHome(CheckedRecord):
     """Where to return to; what is not given is taken from where the vehicle is."""
 
     north: Metres | None = None
@@ -168,14 +150,14 @@ class SetHome(_Checked):
 
 
 @dataclass(frozen=True)
-class Kill(_Checked):
+class Kill(CheckedRecord):
     """Shut the engines off at once; in the air only with ``force``."""
 
     force: bool = False
 
 
 @dataclass(frozen=True)
-class Sticks(_Checked):
+class Sticks(CheckedRecord):
     """Manual sticks: roll right, pitch forward (nose down), yaw right in -1..1; throttle 0..1, centre 0.5."""
 
     roll: Stick
@@ -185,7 +167,7 @@ class Sticks(_Checked):
 
 
 @dataclass(frozen=True)
-class OffboardAttitude(_Checked):
+class OffboardAttitude(CheckedRecord):
     """Either an attitude (body to NED, normalised here) or body rates, rad/s; ``thrust`` is the collective."""
 
     quaternion: tuple[Stick, Stick, Stick, Stick] | None = None
@@ -201,7 +183,7 @@ class OffboardAttitude(_Checked):
 
 
 @dataclass(frozen=True)
-class OffboardVelocity(_Checked):
+class OffboardVelocity(CheckedRecord):
     """NED velocity, m/s, with a heading or a turn rate or neither."""
 
     north: Velocity
@@ -217,7 +199,7 @@ class OffboardVelocity(_Checked):
 
 
 @dataclass(frozen=True)
-class OffboardPosition(_Checked):
+class OffboardPosition(CheckedRecord):
     north: Metres
     east: Metres
     down: Metres
@@ -250,7 +232,7 @@ _NEEDS = {
 
 
 @dataclass(frozen=True)
-class MissionItem(_Checked):
+class MissionItem(CheckedRecord):
     """One item of a mission; which fields count follows from its kind."""
 
     kind: ItemKind
@@ -277,7 +259,7 @@ class MissionItem(_Checked):
 
 
 @dataclass(frozen=True)
-class MissionUpload(_Checked):
+class MissionUpload(CheckedRecord):
     """A new mission in place of the old one."""
 
     items: tuple[MissionItem, ...]
@@ -294,17 +276,17 @@ class MissionUpload(_Checked):
 
 
 @dataclass(frozen=True)
-class MissionStart(_Checked):
+class MissionStart(CheckedRecord):
     """Fly the mission from its present item."""
 
 
 @dataclass(frozen=True)
-class MissionSetCurrent(_Checked):
+class MissionSetCurrent(CheckedRecord):
     index: Index
 
 
 @dataclass(frozen=True)
-class MissionClear(_Checked):
+class MissionClear(CheckedRecord):
     """No mission."""
 
 
@@ -319,7 +301,7 @@ _POLYGONS = (ZoneKind.STAY_IN_POLYGON, ZoneKind.STAY_OUT_OF_POLYGON)
 
 
 @dataclass(frozen=True)
-class FenceZone(_Checked):
+class FenceZone(CheckedRecord):
     """A polygon by its corners (north, east), or a circle by its centre and ``radius``, m."""
 
     kind: ZoneKind
@@ -336,7 +318,7 @@ class FenceZone(_Checked):
 
 
 @dataclass(frozen=True)
-class FenceUpload(_Checked):
+class FenceUpload(CheckedRecord):
     """A new fence in place of the old one; without zones there is none."""
 
     zones: tuple[FenceZone, ...]
@@ -348,7 +330,7 @@ class FenceUpload(_Checked):
 
 
 @dataclass(frozen=True)
-class RallyPoint(_Checked):
+class RallyPoint(CheckedRecord):
     """A place to return to where it is nearer than home; ``altitude``: of the flight there, at least."""
 
     north: Metres
@@ -357,7 +339,7 @@ class RallyPoint(_Checked):
 
 
 @dataclass(frozen=True)
-class RallyUpload(_Checked):
+class RallyUpload(CheckedRecord):
     """New rally points in place of the old ones."""
 
     points: tuple[RallyPoint, ...]
@@ -369,13 +351,13 @@ class RallyUpload(_Checked):
 
 
 @dataclass(frozen=True)
-class SetParameter(_Checked):
+class SetParameter(CheckedRecord):
     name: str
     value: Number
 
 
 @dataclass(frozen=True)
-class InjectFault(_Checked):
+class InjectFault(CheckedRecord):
     """A fault from the next step on, by the kinds of a scenario's faults.
 
     ``amount`` is the one number of its kind (throttle, share, lag, delay, angle, the barometer's bias), ``vector`` the
@@ -392,17 +374,17 @@ class InjectFault(_Checked):
 
 
 @dataclass(frozen=True)
-class ClearFaults(_Checked):
+class ClearFaults(CheckedRecord):
     """Every injected fault ends."""
 
 
 @dataclass(frozen=True)
-class LinkLost(_Checked):
+class LinkLost(CheckedRecord):
     """The last ground station has gone quiet."""
 
 
 @dataclass(frozen=True)
-class LinkBack(_Checked):
+class LinkBack(CheckedRecord):
     """A ground station is there again."""
 
 
@@ -436,12 +418,11 @@ Request = (
     | LinkBack
 )
 _KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in get_args(Request)}
-_HINTS: dict[type[Any], dict[str, Any]] = {}
 
 
 def to_dict(request: Request) -> dict[str, Any]:
     """Return a request as plain JSON values, its class under ``request``; fields at their default are left out."""
-    return {"request": type(request).__name__, **_plain(request)}
+    return {"request": type(request).__name__, **plain(request)}
 
 
 def from_dict(data: Mapping[str, Any]) -> Request:
@@ -450,7 +431,7 @@ def from_dict(data: Mapping[str, Any]) -> Request:
     name = values.pop("request", None)
     if not isinstance(name, str) or name not in _KINDS:
         raise InputError(f"request = {name!r}: must be one of {', '.join(_KINDS)}")
-    made: Request = _make(_KINDS[name], values, name)
+    made: Request = make(_KINDS[name], values, name)
     return made
 
 
@@ -461,100 +442,3 @@ def quaternion_of(request: OffboardAttitude) -> Quaternion | None:
     w, x, y, z = request.quaternion
     scale = 1.0 / sqrt(w * w + x * x + y * y + z * z)
     return (w * scale, x * scale, y * scale, z * scale)
-
-
-def _make(kind: type[Any], values: Mapping[str, Any], where: str) -> Any:
-    known = [field.name for field in fields(kind)]
-    for key in values:
-        if key not in known:
-            raise InputError(f"{where}: unknown key {key!r}; it has {', '.join(known) or 'none'}")
-    try:
-        return kind(**values)
-    except TypeError as error:  # a field without a default is not there
-        absent = [name for name in known if name not in values]
-        raise InputError(f"{where}: not complete; absent: {', '.join(absent)}") from error
-
-
-def _plain(record: Any) -> dict[str, Any]:
-    values: dict[str, Any] = {}
-    for field in fields(record):
-        value = getattr(record, field.name)
-        if value != field.default or type(value) is not type(field.default):
-            values[field.name] = _plain_value(value)
-    return values
-
-
-def _plain_value(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return [_plain_value(item) for item in value]
-    if isinstance(value, Enum):
-        return value.value
-    return _plain(value) if isinstance(value, _Checked) else value
-
-
-def _hints(kind: type[Any]) -> dict[str, Any]:
-    if kind not in _HINTS:
-        _HINTS[kind] = get_type_hints(kind, include_extras=True)
-    return _HINTS[kind]
-
-
-def _check(value: Any, hint: Any, where: str) -> Any:
-    """``value`` in the type that ``hint`` asks for."""
-    origin, args = get_origin(hint), get_args(hint)
-    if origin in (UnionType, Union):
-        if value is None:
-            return None
-        (inner,) = (arg for arg in args if arg is not NoneType)
-        return _check(value, inner, where)
-    if origin is Annotated:
-        return _bounded(_number(value, args[0], where), args[1], where)
-    if origin is tuple:
-        if not isinstance(value, (list, tuple)):
-            raise InputError(f"{where} = {value!r}: must be a list")
-        kinds = [args[0]] * len(value) if args[-1] is Ellipsis else list(args)
-        if len(kinds) != len(value):
-            raise InputError(f"{where}: {len(value)} values, {len(kinds)} are needed")
-        pairs = enumerate(zip(value, kinds, strict=True))
-        return tuple(_check(item, kind, f"{where}[{i}]") for i, (item, kind) in pairs)
-    if isinstance(hint, type) and issubclass(hint, Enum):
-        return _member(value, hint, where)
-    if isinstance(hint, type) and issubclass(hint, _Checked):
-        if isinstance(value, hint):
-            return value
-        if not isinstance(value, Mapping):
-            raise InputError(f"{where} = {value!r}: must be a table")
-        return _make(hint, value, where)
-    if not isinstance(value, hint):
-        raise InputError(f"{where} = {value!r}: must be {'true or false' if hint is bool else 'a text'}")
-    return value
-
-
-def _member(value: Any, kind: type[Enum], where: str) -> Enum:
-    if isinstance(value, kind):
-        return value
-    allowed = {str(member.value): member for member in kind}
-    if not isinstance(value, str) or value not in allowed:
-        raise InputError(f"{where} = {value!r}: must be one of {', '.join(allowed)}")
-    return allowed[value]
-
-
-def _number(value: Any, kind: type[float] | type[int], where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(f"{where} = {value!r}: must be a number")
-    if kind is int:
-        if value != value or abs(value) > 2**53 or int(value) != value:
-            raise InputError(f"{where} = {value!r}: must be a whole number")
-        return int(value)
-    try:
-        number = float(value)
-    except OverflowError:
-        number = float("inf")
-    if not isfinite(number):
-        raise InputError(f"{where} = {value!r}: must be a finite number")
-    return number
-
-
-def _bounded(value: float, bounds: Bounds, where: str) -> float:
-    if not bounds.least <= value <= bounds.most:
-        raise InputError(f"{where} = {value!r}: must be from {bounds.least:g} to {bounds.most:g}")
-    return value

@@ -92,14 +92,7 @@ class MissionFlight:
 
     def begin(self, flying: bool) -> None:
         """Aim at the present item; items that ask for no flight are over at once."""
-        for _ in range(len(self.mission.items) + 1):
-            item = self.mission.skip_jumps()
-            if item is None or item.kind is not ItemKind.SPEED:
-                break
-            self._course.cruise = item.speed
-            self.mission.advance()
-        else:
-            item = None
+        item = self._set_speeds()
         if item is None:
             return
         self.abort()
@@ -123,15 +116,24 @@ class MissionFlight:
             course.aim(None, None, None)
             self._homeward.reset()
 
+    def _set_speeds(self) -> MissionItem | None:
+        """Take the speeds of the items before the next that is flown, and return that; None: there is none."""
+        for _ in range(len(self.mission.items) + 1):
+            item = self.mission.skip_jumps()
+            if item is None or item.kind is not ItemKind.SPEED:
+                return item
+            self._course.cruise = item.speed
+            self.mission.advance()
+        return None
+
     def fly(self, k: int) -> Command | None:
         """Return the command of the next step of the present item; None where the mission is done."""
         item, course = self.mission.item, self._course
         if item is None:
             return None
-        if self._climb_to is not None:
-            if self._estimates.altitude < self._climb_to - REACHED_M:
-                return course.to(None, self._climb_to, None)
-            self._climb_to = None
+        if self._climb_to is not None and self._estimates.altitude < self._climb_to - REACHED_M:
+            return course.to(None, self._climb_to, None)
+        self._climb_to = None
         if item.kind is ItemKind.LAND:
             self._there = self._there or course.place is None or course.away(course.place) <= ABOVE_M
             if self._there:
@@ -139,20 +141,29 @@ class MissionFlight:
         elif item.kind is ItemKind.RETURN:
             return self._homeward.fly()
         elif item.kind is ItemKind.CIRCLE:
-            command = self._circle.fly()
-            if self._circle.complete:
-                course.aim(None, course.height, None)  # what names no place is flown from here, not at the centre
-                self.advance(flying=True)
-            return command
+            return self._fly_circle()
         elif item.kind is ItemKind.ALTITUDE and not self._there:
-            radius = self._parameters["HJ_ACC_RADIUS"]
-            if course.place is None or course.away(course.place) <= radius:
-                self._there, course.height = True, item.altitude
+            self._change_height(item)
         elif self._reached(item, k):
             self.advance(flying=True)
         if course.height is None:
             course.height = course.stop_height
         return course.fly()
+
+    def _change_height(self, item: MissionItem) -> None:
+        """Aim at the item's altitude, once its position is reached."""
+        course = self._course
+        if course.place is None or course.away(course.place) <= self._parameters["HJ_ACC_RADIUS"]:
+            self._there, course.height = True, item.altitude
+
+    def _fly_circle(self) -> Command:
+        """Return the command of the next step of the circle, and go on to the next item where it is complete."""
+        command = self._circle.fly()
+        if self._circle.complete:
+            # an item without a position is flown from here, not from the circle's centre
+            self._course.aim(None, self._course.height, None)
+            self.advance(flying=True)
+        return command
 
     def _reached(self, item: MissionItem, k: int) -> bool:
         """Is the item done?  Waiting begins when its place is reached."""

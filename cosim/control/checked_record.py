@@ -1,0 +1,136 @@
+"""Frozen records whose fields are checked against their annotations, made from plain JSON values and written as such.
+
+Every number is finite and in range when a record exists; the constructors raise InputError with one line otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from enum import Enum
+from math import isfinite
+from types import NoneType, UnionType
+from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin, get_type_hints
+
+from cosim.base.errors import InputError
+
+_HINTS: dict[type[Any], dict[str, Any]] = {}
+
+
+class Bounds(NamedTuple):
+    """The closed range of a number."""
+
+    least: float
+    most: float
+
+
+class CheckedRecord:
+    """Checks every field of a record against its annotation when it is made."""
+
+    def __post_init__(self) -> None:
+        hints = _hints(type(self))
+        for name, hint in hints.items():
+            where = f"{type(self).__name__}.{name}"
+            object.__setattr__(self, name, _check(getattr(self, name), hint, where))
+
+
+def make(kind: type[Any], values: Any, where: str) -> Any:
+    """Return a record of this kind from a table.  Raises InputError for a key that is unknown or absent."""
+    if not isinstance(values, Mapping):
+        raise InputError(f"{where} = {values!r}: must be a table")
+    names = [field.name for field in fields(kind)]
+    for key in values:
+        if key not in names:
+            raise InputError(f"{where}: unknown key {key!r}; it has {', '.join(names) or 'none'}")
+    try:
+        return kind(**values)
+    except TypeError as error:  # a field without a default is not there
+        absent = [name for name in names if name not in values]
+        raise InputError(f"{where}: not complete; absent: {', '.join(absent)}") from error
+
+
+def plain(record: Any) -> dict[str, Any]:
+    """Return a record as plain JSON values, without the fields that are at their default."""
+    values: dict[str, Any] = {}
+    for field in fields(record):
+        value = getattr(record, field.name)
+        if value != field.default or type(value) is not type(field.default):
+            values[field.name] = _plain_value(value)
+    return values
+
+
+def _plain_value(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain_value(item) for item in value]
+    if isinstance(value, Enum):
+        return value.value
+    return plain(value) if isinstance(value, CheckedRecord) else value
+
+
+def _hints(kind: type[Any]) -> dict[str, Any]:
+    if kind not in _HINTS:
+        _HINTS[kind] = get_type_hints(kind, include_extras=True)
+    return _HINTS[kind]
+
+
+def _check(value: Any, hint: Any, where: str) -> Any:
+    """Return ``value`` in the type that ``hint`` asks for.  Raises InputError for any other."""
+    origin, args = get_origin(hint), get_args(hint)
+    if origin in (UnionType, Union):
+        if value is None:
+            return None
+        (inner,) = (arg for arg in args if arg is not NoneType)
+        return _check(value, inner, where)
+    if origin is Annotated:
+        return _bounded(_number(value, args[0], where), args[1], where)
+    if origin is tuple:
+        return _items(value, args, where)
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return _member(value, hint, where)
+    if isinstance(hint, type) and issubclass(hint, CheckedRecord):
+        return value if isinstance(value, hint) else make(hint, value, where)
+    if not isinstance(value, hint):
+        raise InputError(f"{where} = {value!r}: must be {'true or false' if hint is bool else 'a text'}")
+    return value
+
+
+def _items(value: Any, kinds: tuple[Any, ...], where: str) -> tuple[Any, ...]:
+    if not isinstance(value, (list, tuple)):
+        raise InputError(f"{where} = {value!r}: must be a list")
+    if kinds[-1] is Ellipsis:
+        kinds = kinds[:1] * len(value)
+    if len(kinds) != len(value):
+        raise InputError(f"{where}: {len(value)} values, {len(kinds)} are needed")
+    pairs = enumerate(zip(value, kinds, strict=True))
+    return tuple(_check(item, kind, f"{where}[{i}]") for i, (item, kind) in pairs)
+
+
+def _member(value: Any, kind: type[Enum], where: str) -> Enum:
+    if isinstance(value, kind):
+        return value
+    allowed = {str(member.value): member for member in kind}
+    if not isinstance(value, str) or value not in allowed:
+        raise InputError(f"{where} = {value!r}: must be one of {', '.join(allowed)}")
+    return allowed[value]
+
+
+def _number(value: Any, kind: type[float] | type[int], where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise InputError(f"{where} = {value!r}: must be a number")
+    if kind is int:
+        if value != value or abs(value) > 2**53 or int(value) != value:
+            raise InputError(f"{where} = {value!r}: must be a whole number")
+        return int(value)
+    try:
+        number = float(value)
+    except OverflowError:
+        number = float("inf")
+    if not isfinite(number):
+        raise InputError(f"{where} = {value!r}: must be a finite number")
+    return number
+
+
+def _bounded(value: float, bounds: Bounds, where: str) -> float:
+    if not bounds.least <= value <= bounds.most:
+        raise InputError(f"{where} = {value!r}: must be from {bounds.least:g} to {bounds.most:g}")
+    return value
