@@ -7,8 +7,10 @@ from typing import Any, get_args
 from cosim.base.errors import InputError
 from cosim.base.protocols import EngineState, Predictor
 from cosim.base.storage.toml import validate
-from cosim.control.autopilot.autopilot import Autopilot
+from cosim.control.autopilot.answers import FaultCommands
+from cosim.control.autopilot.autopilot import Autopilot, Thrust
 from cosim.control.autopilot.requests import InjectFault
+from cosim.control.autopilot.tuning import ControlLoops
 from cosim.simulation.controllers.models import predictors
 from cosim.simulation.engine_reference import engine_reference, fuel_flow
 from cosim.simulation.step import Simulation
@@ -55,23 +57,26 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
     pilot = Autopilot(
         vehicle,
         scenario.step_s,
-        cascade.allocator.hover,
-        scenario.controller if own is None else own.predictor if own.level == "attitude" else own.label,
-        delay,
-        cascade.attitude,
-        cascade.altitude,
-        cascade.rate,
-        make,
-        lambda request: simulation.inject(fault_from(request)),
-        simulation.clear_faults,
-        EngineState.FLY if airborne else EngineState(scenario.initial.engines),
-        cascade.thrust_map.idle,
-        (
-            max(reference.delay + reference.lag for reference in references),
-            max(reference.delay + reference.longest for reference in references),
+        Thrust(
+            cascade.allocator.hover,
+            cascade.thrust_map.idle,
+            (
+                max(reference.delay + reference.lag for reference in references),
+                max(reference.delay + reference.longest for reference in references),
+            ),
         ),
+        ControlLoops(
+            cascade.attitude,
+            cascade.altitude,
+            cascade.rate,
+            make,
+            scenario.controller if own is None else own.predictor if own.level == "attitude" else own.label,
+            delay,
+            "" if own is None else own.level,
+        ),
+        FaultCommands(lambda request: simulation.inject(fault_from(request)), simulation.clear_faults),
+        EngineState.FLY if airborne else EngineState(scenario.initial.engines),
         scenario.sensor_noise,
-        "" if own is None else own.level,
     )
     pilot.energy.hovering = _burn_in_hover(simulation)
     pilot.reset(simulation.measured)

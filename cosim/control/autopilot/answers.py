@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot import requests as rq
@@ -34,12 +34,17 @@ def no(result: Result, text: str) -> Answer:
     return Answer(False, result, text)
 
 
-class Answers:
-    """``inject`` and ``clear`` are called for faults by command, and may raise InputError."""
+class FaultCommands(NamedTuple):
+    """What is called for faults by command, and may raise InputError; None: such commands are not supported."""
 
-    def __init__(
-        self, parts: Parts, state: FlightState, inject: Fault | None, clear: Callable[[], None] | None
-    ) -> None:
+    inject: Fault | None = None
+    clear: Callable[[], None] | None = None
+
+
+class Answers:
+    """The answers to the requests of ground stations, each of which is carried out or refused."""
+
+    def __init__(self, parts: Parts, state: FlightState, faults: FaultCommands) -> None:
         self._parameters, self._live, self._estimates, self._envelope = (
             parts.parameters,
             parts.live,
@@ -49,7 +54,7 @@ class Answers:
         self._places, self._course, self._watch, self._remote = parts.places, parts.course, parts.watch, parts.remote
         self._arming, self._take_off, self._landing = parts.arming, parts.take_off, parts.landing
         self._circle, self._mission = parts.circle, parts.mission
-        self._state, self._inject, self._clear = state, inject, clear
+        self._state, (self._inject, self._clear) = state, faults
 
     def _arm(self, request: rq.Arm, k: int) -> Answer:
         if self._arming.armed:

@@ -7,14 +7,12 @@ step.  Time is counted in steps, so that the same requests at the same steps giv
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from typing import NamedTuple
 
 from cosim.base.errors import InputError
 from cosim.base.protocols import EngineState, Report
 from cosim.base.signals import Command, Measured
-from cosim.control.altitude import AltitudeController
-from cosim.control.attitude import AttitudeController
-from cosim.control.autopilot.answers import ANSWERS, Answers, Fault, no
+from cosim.control.autopilot.answers import ANSWERS, Answers, FaultCommands, no
 from cosim.control.autopilot.arming import Arming
 from cosim.control.autopilot.energy import Energy
 from cosim.control.autopilot.estimation.estimates import Estimates
@@ -37,8 +35,7 @@ from cosim.control.autopilot.modes import BY_STICK, DIRECT, Home, LandedState, M
 from cosim.control.autopilot.parameters import LAND, Parameters, table
 from cosim.control.autopilot.requests import Answer, ItemKind, Request, Result
 from cosim.control.autopilot.status import Status
-from cosim.control.autopilot.tuning import Blocks, Live, PredictorMaker
-from cosim.control.rate import RateController
+from cosim.control.autopilot.tuning import Blocks, ControlLoops, Live
 from cosim.spec.vehicle import PilotSettings, PositionGains, Vehicle
 
 # Chosen by us, with the reason.
@@ -50,46 +47,41 @@ _PUSHED_S = 3.0
 _SETTLE_SINK = 1.0  # m/s: sinking faster than this is no contact
 
 
-class Autopilot:
-    """Modes of one vehicle: it asks those who know in turn, and says which of them flies.
+class Thrust(NamedTuple):
+    """The vehicle's thrust as the autopilot knows it."""
 
-    ``hover``: the collective at which it hovers.  ``controller`` and ``delay`` (samples; None without a model) are
-    what the rate loops fly with at the start; ``predictors`` makes others.  ``inject`` and ``clear`` are called for
-    faults by command, and may raise InputError.  ``engines``: at the start; where they fly, it begins in the air,
-    armed, holding.
-    ``idle``: thrust of an engine without throttle, as a share of what full throttle adds to it.  ``answer``: delay
-    and lag [s] with which the thrust answers, about hover and the longest.  ``noisy``: the sensors have their noise, by
-    which a receiver that has stopped is told from one that stands.
+    hover: float  # collective at which it hovers
+    idle: float = 0.0  # thrust of an engine without throttle, as a fraction of what full throttle adds to it
+    answer: tuple[float, float] = (0.2, 0.2)  # delay and lag [s] of the thrust, about hover and the longest
+
+
+class Autopilot:
+    """Flight modes of one vehicle: the requests of ground stations become the command of every control step.
+
+    ``engines``: at the start; where they fly, it begins in the air, armed, holding.  ``noisy``: the sensors have their
+    noise, by which a receiver that has stopped is told from one that stands.
     """
 
     def __init__(
         self,
         vehicle: Vehicle,
         step: float,
-        hover: float,
-        controller: str,
-        delay: float | None,
-        attitude: AttitudeController,
-        altitude: AltitudeController,
-        rate: RateController,
-        predictors: PredictorMaker,
-        inject: Fault | None = None,
-        clear: Callable[[], None] | None = None,
+        thrust: Thrust,
+        loops: ControlLoops,
+        faults: FaultCommands,
         engines: EngineState = EngineState.IDLE,
-        idle: float = 0.0,
-        answer: tuple[float, float] = (0.2, 0.2),
         noisy: bool = True,
-        level: str = "",
     ) -> None:
+        hover, idle, answer = thrust
         gains, settings, slowest = _settings(vehicle)
         limits = vehicle.control.allocation
         least = limits.throttle_min
         self.parameters = parameters = Parameters(
-            table(vehicle.control, settings, controller, delay, level, vehicle.jets)
+            table(vehicle.control, settings, loops.controller, loops.delay, loops.level, vehicle.jets)
         )
         position = PositionController(gains, step)
         tracker = Tracker(settings.acceleration_m_s2, settings.jerk_m_s3, step)
-        blocks = Blocks(attitude, altitude, rate, position, tracker, predictors)
+        blocks = Blocks(loops.attitude, loops.altitude, loops.rate, position, tracker, loops.predictors)
         live = Live(parameters, vehicle.control, blocks, step)
         self._estimates = estimates = Estimates(vehicle.sensors, gains, step, slowest, noisy)
         self._envelope = Envelope(vehicle, hover, idle, answer, parameters, estimates, step)
@@ -112,7 +104,7 @@ class Autopilot:
         )  # fmt: skip
         airborne = engines is EngineState.FLY
         self._state = FlightState(parts, airborne)
-        self._answers = Answers(parts, self._state, inject, clear)
+        self._answers = Answers(parts, self._state, faults)
         self._airborne, self._engines = airborne, engines
         # whether without an engine it is carried aside, by hinges that turn engines, before it is caught
         catch = vehicle.control.monitor is not None and vehicle.control.monitor.catch

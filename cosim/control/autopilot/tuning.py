@@ -37,6 +37,22 @@ class Blocks(NamedTuple):
     predictors: PredictorMaker
 
 
+class ControlLoops(NamedTuple):
+    """The loops that the autopilot commands, and what their predictors are made with.
+
+    ``controller`` and ``delay`` (samples of the roll model; None without one) are what the rate loops fly with at the
+    start; ``predictors`` makes others.  ``level``: of a controller from outside in the place of some of the loops.
+    """
+
+    attitude: AttitudeController
+    altitude: AltitudeController
+    rate: RateController
+    predictors: PredictorMaker
+    controller: str
+    delay: float | None
+    level: str = ""
+
+
 class Live:
     """Hands changed parameters to the control blocks."""
 

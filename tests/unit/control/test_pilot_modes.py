@@ -18,11 +18,13 @@ from cosim.base.signals import Command, Measured
 from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.autopilot import requests as rq
-from cosim.control.autopilot.autopilot import Autopilot
+from cosim.control.autopilot.answers import FaultCommands
+from cosim.control.autopilot.autopilot import Autopilot, Thrust
 from cosim.control.autopilot.manoeuvres.mission import Mission
 from cosim.control.autopilot.manoeuvres.touchdown import Touchdown
 from cosim.control.autopilot.modes import LandedState, Mode, Severity
 from cosim.control.autopilot.requests import MissionItem, Result
+from cosim.control.autopilot.tuning import ControlLoops
 from cosim.control.predictors.smith import NoPredictor
 from cosim.control.rate import RateController
 from cosim.spec.vehicle import load_vehicle
@@ -56,15 +58,16 @@ class World:
         self.pilot = Autopilot(
             VEHICLE,
             DT,
-            HOVER,
-            "smith",
-            25.0,
-            AttitudeController(CONTROL.attitude),
-            AltitudeController(CONTROL.altitude, VEHICLE.mass_kg, lambda thrust: thrust / 120.0, DT),
-            RateController(rates, [NoPredictor() for _ in rates], DT),
-            lambda name, delay, tuning: [NoPredictor() for _ in rates],
-            self._inject,
-            self.faults.clear,
+            Thrust(HOVER),
+            ControlLoops(
+                AttitudeController(CONTROL.attitude),
+                AltitudeController(CONTROL.altitude, VEHICLE.mass_kg, lambda thrust: thrust / 120.0, DT),
+                RateController(rates, [NoPredictor() for _ in rates], DT),
+                lambda name, delay, tuning: [NoPredictor() for _ in rates],
+                "smith",
+                25.0,
+            ),
+            FaultCommands(self._inject, self.faults.clear),
             EngineState.FLY if airborne else EngineState.IDLE,
         )
         self.k = 0
