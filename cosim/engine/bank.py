@@ -57,7 +57,7 @@ ASIDE_COLUMNS = {
 }
 
 
-def crews(specs: Sequence[EngineSpec]) -> list[list[int]]:
+def group_stations(specs: Sequence[EngineSpec]) -> list[list[int]]:
     """Group stations by FMU instance: for each instance the station of each of its engines, from 0, or -1.
 
     An FMU that holds several serves as many stations that follow each other, where these have the same engine with the
@@ -71,9 +71,9 @@ def crews(specs: Sequence[EngineSpec]) -> list[list[int]]:
     return list(found.values())
 
 
-def _numbers(crew: Sequence[int]) -> str:
+def _engine_numbers(group: Sequence[int]) -> str:
     """Return the numbers of an instance's engines for messages, counted from 1."""
-    served = [station + 1 for station in crew if station >= 0]
+    served = [station + 1 for station in group if station >= 0]
     if len(served) > 2 and served[-1] - served[0] == len(served) - 1:
         return f"engines {served[0]} to {served[-1]}"
     return f"engine{'s' if len(served) > 1 else ''} {', '.join(map(str, served))}"
@@ -100,8 +100,8 @@ class EngineBank:
             self._specs = tuple(spec)
         if len(self._specs) != count:
             raise ValueError(f"{count} engines need as many specs, not {len(self._specs)}")
-        self._crews = crews(self._specs)
-        self._server = {station: index for index, crew in enumerate(self._crews) for station in crew if station >= 0}
+        self._groups = group_stations(self._specs)
+        self._server = {station: index for index, group in enumerate(self._groups) for station in group if station >= 0}
         self._step = step
         self._in_flight = in_flight
         self._starts: dict[int, Ignition] = {}  # of the instances that have yet to start
@@ -119,20 +119,20 @@ class EngineBank:
             raise
 
     def _instantiate(self) -> None:
-        for index, crew in enumerate(self._crews):
+        for index, group in enumerate(self._groups):
             spec, label = self._spec(index), self._label(index)
             # an FMU that may be instantiated once per process is loaded from copies: another file, another library
             key = spec.sha256, index if spec.archive.once_per_process else -1
             if key not in self._folders:
                 self._folders[key] = unpack(spec.archive)
             try:
-                self._instances.append(make_instance(spec.archive, self._folders[key].path, _numbers(crew)))
+                self._instances.append(make_instance(spec.archive, self._folders[key].path, _engine_numbers(group)))
             except InstanceError as error:
                 raise EngineError(f"{label}: {error}") from error
         self._hand_over()
 
     def _hand_over(self) -> None:
-        rows = [instance.row(0, crew) for instance, crew in zip(self._instances, self._crews, strict=True)]
+        rows = [instance.row(0, group) for instance, group in zip(self._instances, self._groups, strict=True)]
         self._native = _bank.Bank(tuple(rows), self._step, EngineOutput)
 
     def _spec(self, index: int) -> EngineSpec:
@@ -140,7 +140,7 @@ class EngineBank:
         return self._specs[self._stations(index)[0]]
 
     def _label(self, index: int) -> str:
-        return f"{_numbers(self._crews[index])} ({self._spec(index).path.name})"
+        return f"{_engine_numbers(self._groups[index])} ({self._spec(index).path.name})"
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
         """Bring every engine to equilibrium at the throttle, one for all or one each, ready for flight step 0.
@@ -164,20 +164,20 @@ class EngineBank:
             raise ValueError(f"{count} engines need as many throttles and air speeds")
         self._starts = {
             index: Ignition(stages, self._step)
-            for index in range(len(self._crews))
+            for index in range(len(self._groups))
             if self._in_flight and (stages := self._spec(index).archive.starting.stages)
         }
         self._given_up = set()
-        for index, crew in enumerate(self._crews):
+        for index, group in enumerate(self._groups):
             idle = throttles[0] if count == 1 else 0.0
             at = self._stations(index)[0]
             self._initialize(
                 index,
-                [throttles[station] if station >= 0 else idle for station in crew],
-                [airs[station if station >= 0 else at] for station in crew],
+                [throttles[station] if station >= 0 else idle for station in group],
+                [airs[station if station >= 0 else at] for station in group],
             )
         self._hand_over()
-        for index in range(len(self._crews)):
+        for index in range(len(self._groups)):
             if self._spec(index).start is None and index not in self._starts:
                 for station in self._stations(index):
                     self._run_up(station, throttles[station])
@@ -213,7 +213,7 @@ class EngineBank:
         except _bank.FailureError as failure:
             raise self._failed(failure, "before the flight") from failure
         except ResponseError as error:
-            raise EngineError(f"{self._one(station)}: {error}") from error
+            raise EngineError(f"{self._engine_label(station)}: {error}") from error
 
     def run_down(self, seconds: float) -> EngineOutput:
         """Step every engine with its throttle closed before the flight, and return what they report then.
@@ -229,13 +229,13 @@ class EngineBank:
             raise self._failed(failure, "before the flight") from failure
         return self._given
 
-    def _one(self, station: int) -> str:
+    def _engine_label(self, station: int) -> str:
         return f"engine {station + 1} ({self._specs[station].path.name})"
 
     def _failed(self, failure: _bank.FailureError, moment: str) -> EngineError:
         station, what, *_ = failure.args
         index = self._server[station]
-        label = self._one(station) if what in ("nan", "input") else self._label(index)
+        label = self._engine_label(station) if what in ("nan", "input") else self._label(index)
         return EngineError(f"{label}: {self._instances[index].explain(failure, moment)}")
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
@@ -265,7 +265,7 @@ class EngineBank:
         return f"at step {k} ({k * self._step:g} s)"
 
     def _stations(self, index: int) -> list[int]:
-        return [station for station in self._crews[index] if station >= 0]
+        return [station for station in self._groups[index] if station >= 0]
 
     def _advance(self, moment: str) -> None:
         """Advance every start sequence by one step, and remove those that have ended."""
@@ -305,7 +305,7 @@ class EngineBank:
                 found += [instance.read(variable) for _, variable in spec.logged]
             except InstanceError as error:
                 self._native.stop()
-                raise EngineError(f"{self._one(station)}: {error}") from error
+                raise EngineError(f"{self._engine_label(station)}: {error}") from error
         return tuple(found)
 
     def set_run(self, index: int, on: bool) -> bool:
@@ -319,7 +319,7 @@ class EngineBank:
             return self._instances[self._server[index]].set_run(on, self._specs[index].lane)
         except InstanceError as error:
             self._native.stop()
-            raise EngineError(f"{self._one(index)}: {error}") from error
+            raise EngineError(f"{self._engine_label(index)}: {error}") from error
 
     def close(self) -> None:
         """Terminate and free the engines and let go of their files.  May be called again."""

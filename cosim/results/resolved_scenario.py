@@ -24,7 +24,7 @@ from cosim.spec.scenario import (
     TableCommand,
     TrackCommand,
     changes_of,
-    copied_parameters,
+    copy_parameters,
     flown_parameters,
 )
 from cosim.spec.vehicle import VEHICLE, as_read, is_file, is_own, load_vehicle
@@ -58,7 +58,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
     return scenario.resolved(
         **{
             **controller,
-            "parameter_files": copied_parameters(parameters, files, RUN_FILES),
+            "parameter_files": copy_parameters(parameters, files, RUN_FILES),
             "changed": changes_of(simulation.scenario, parameters),
             "command": commands,
             "engine": names[id(engine)],

@@ -32,7 +32,7 @@ from cosim.engine.fmu.description import describe, descriptions
 from cosim.engine.fmu.mapping import PortMap
 from cosim.engine.fmu.port_kinds import SPEEDS
 from cosim.engine.fmu.ports import PortError, find_engines
-from cosim.engine.fmu.starting import Setting, Starting, starting
+from cosim.engine.fmu.starting import Setting, Starting, resolve_start
 from cosim.engine.fmu.units import Unit
 from cosim.engine.fmu.variables import INTEGERS, REALS, Port, Variable
 
@@ -54,7 +54,7 @@ class Feed(NamedTuple):
     late: bool  # it is that of the step's beginning, because the source is stepped later
 
 
-class Place(NamedTuple):
+class ComponentVariable(NamedTuple):
     """A variable of a system: that of a component, and on the way there or from there ``factor * value + offset``."""
 
     part: int
@@ -82,7 +82,7 @@ class System:
 
     parts: tuple[Part, ...]
     feeds: tuple[Feed, ...]
-    places: tuple[tuple[Place, ...], ...]
+    places: tuple[tuple[ComponentVariable, ...], ...]
 
     @property
     def late(self) -> list[str]:
@@ -231,8 +231,8 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
     try:
         if stated is not None:
             engines, notes = find_engines([*inputs, *outputs, *parameters], stated)
-            begin = starting(stated, inputs, outputs, named_ports(engines))
-            notes += left_alone(inputs, named_ports(engines), begin)
+            begin = resolve_start(stated, inputs, outputs, label_ports(engines))
+            notes += note_unset_inputs(inputs, label_ports(engines), begin)
     except PortError as error:
         raise UnusableError(str(error)) from error
     without = (
@@ -240,7 +240,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
         else "the components of a system are stepped without event mode" if stated is None
         else None
     )  # fmt: skip
-    events, clocks, clock_notes = find_clocks(root, without, named_ports(engines))
+    events, clocks, clock_notes = find_clocks(root, without, label_ports(engines))
     notes += clock_notes
     return Archive(
         path=path,
@@ -298,7 +298,7 @@ def own_sources(data: bytes) -> list[tuple[str, bytes]]:
         raise UnusableError(f"is damaged or truncated: {one_line(error)}") from error
 
 
-def named_ports(engines: Sequence[Mapping[str, Port]]) -> dict[str, Port]:
+def label_ports(engines: Sequence[Mapping[str, Port]]) -> dict[str, Port]:
     """Return the ports of all engines by label; from the second engine on the label names the engine."""
     return {
         f"{name} of engine {k}" if k > 1 else name: port
@@ -307,7 +307,7 @@ def named_ports(engines: Sequence[Mapping[str, Port]]) -> dict[str, Port]:
     }
 
 
-def left_alone(inputs: Sequence[Variable], ports: Mapping[str, Port], begin: Starting) -> list[str]:
+def note_unset_inputs(inputs: Sequence[Variable], ports: Mapping[str, Port], begin: Starting) -> list[str]:
     """Return a note on inputs that nothing sets, or an empty list."""
     set_ = {port.variable.name for port in ports.values()} | {
         v.name for settings in (begin.constants, *(stage.settings for stage in begin.stages)) for v, _ in settings

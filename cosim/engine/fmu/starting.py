@@ -121,7 +121,7 @@ class Ignition:
             write(stage.settings)
 
 
-def starting(
+def resolve_start(
     stated: PortMap, inputs: Sequence[Variable], outputs: Sequence[Variable], ports: Mapping[str, Port]
 ) -> Starting:
     """Resolve the start of a mapping file to variables and numbers.

@@ -20,7 +20,7 @@ from cosim.base.errors import InputError
 from cosim.base.storage.user import cache_folder
 from cosim.base.trust import need_trust
 from cosim.engine.fmu.air import STANDARD_AIR, Air
-from cosim.engine.fmu.archive import Archive, named_ports
+from cosim.engine.fmu.archive import Archive, label_ports
 from cosim.engine.fmu.container import DAMAGE, Zip
 from cosim.engine.fmu.port_kinds import KINDS
 from cosim.engine.fmu.ports import plain
@@ -104,7 +104,7 @@ def _check(
         fmi_version=archive.version,
         sha256=archive.sha256,
         step=step,
-        ports=[_described_port(name, port, source) for name, port in named_ports(archive.engines).items()],
+        ports=[_described_port(name, port, source) for name, port in label_ports(archive.engines).items()],
         inputs=_described(archive.inputs),
         outputs=_described(archive.outputs),
         parameters=_described(archive.parameters),
@@ -129,7 +129,7 @@ class _Trying:
         self._task, self._limits, self._report = task, limits, report
         self._left = limits.seconds
         self._printed = 0
-        self._found: dict[str, Any] = {}
+        self._findings: dict[str, Any] = {}
 
     def all(self, parts: Sequence[str]) -> Measured | None:
         """Run the parts, fill in the report, and return the measurement for flights."""
@@ -142,9 +142,9 @@ class _Trying:
                 break
             parts = parts[parts.index(last) + 1 :]  # a crash in one part need not hide what the others have to say
         measured = self._fill()
-        if self._found.get("own"):
-            self._misbehaves(self._found["own"])
-        if "digest" in self._found and self._left > 0.0 and not self._report.problems:
+        if self._findings.get("own"):
+            self._misbehaves(self._findings["own"])
+        if "digest" in self._findings and self._left > 0.0 and not self._report.problems:
             self._again()
         if self._printed > MOST_PRINTED:
             self._add([f"prints too much: {self._printed / 2**20:.0f} MB while it was tried"])
@@ -168,7 +168,7 @@ class _Trying:
             findings = message.get("found", {})
             notes = self._report.notes
             notes += [note for note in findings.get("notes", []) if note not in notes]
-            self._found |= findings
+            self._findings |= findings
             self._add(message.get("problems", []))
         if apart.end is not None:
             self._add([apart.end])
@@ -182,9 +182,9 @@ class _Trying:
 
     def _again(self) -> None:
         """Repeat the run in another process, where addresses, process number and time of day differ."""
-        digest = self._found.pop("digest")
+        digest = self._findings.pop("digest")
         if self._run(["run"]).end is None:
-            self._report.processes_agree = self._found.get("digest") == digest
+            self._report.processes_agree = self._findings.get("digest") == digest
             if not self._report.processes_agree:
                 self._add(["two processes with the same throttle differ"])
 
@@ -194,7 +194,7 @@ class _Trying:
                 self._report.problems.append(problem)
 
     def _fill(self) -> Measured | None:
-        findings, report = self._found, self._report
+        findings, report = self._findings, self._report
         for part in fields(CheckReport):
             if part.name in findings and part.name != "notes":
                 setattr(report, part.name, findings[part.name])

@@ -16,19 +16,19 @@ from cosim.base.errors import nearest
 from cosim.base.storage.cache import Memory
 from cosim.engine.fmu.archive import (
     Archive,
+    ComponentVariable,
     Feed,
     Part,
-    Place,
     System,
-    left_alone,
-    named_ports,
+    label_ports,
+    note_unset_inputs,
     read_component,
     read_once,
 )
 from cosim.engine.fmu.container import UnusableError, Zip, need_harmless_xml, open_archive
 from cosim.engine.fmu.mapping import PortMap
 from cosim.engine.fmu.ports import PortError, find_engines, is_several
-from cosim.engine.fmu.starting import Setting, starting
+from cosim.engine.fmu.starting import Setting, resolve_start
 from cosim.engine.fmu.units import Unit
 from cosim.engine.fmu.variables import Variable
 from cosim.engine.ssp.structure import STRUCTURE, Node, Structure, Value, conversion, order, origin, read_structure
@@ -156,10 +156,10 @@ def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, com
     )
     try:
         engines, notes = find_engines(own or variables, stated)
-        begin = starting(stated, inputs, outputs, named_ports(engines))
+        begin = resolve_start(stated, inputs, outputs, label_ports(engines))
     except PortError as error:
         raise UnusableError(str(error)) from error
-    notes += left_alone(inputs, named_ports(engines), begin)
+    notes += note_unset_inputs(inputs, label_ports(engines), begin)
     notes += [f"component {part.name}: {text}" for part in parts for text in part.archive.port_notes]  # on clocks
     notes += [f"exchanged a step late, because it is in a loop: {text}" for text in system.late]
     return Archive(
@@ -247,14 +247,14 @@ def _variables(
     origins: Mapping[Node, tuple[Node, float, float]],
     number: Mapping[At, int],
     starts: Mapping[Node, float],
-) -> tuple[list[Variable], tuple[tuple[Place, ...], ...]]:
+) -> tuple[list[Variable], tuple[tuple[ComponentVariable, ...], ...]]:
     """Return the system's variables, all of them real numbers, and the component variables behind each."""
     variables: list[Variable] = []
-    places: list[tuple[Place, ...]] = []
+    places: list[tuple[ComponentVariable, ...]] = []
 
     names = {i: name for name, i in number.items()}
 
-    def add(name: str, causality: str, at: list[Place], unit: tuple[str | None, Unit | None]) -> None:
+    def add(name: str, causality: str, at: list[ComponentVariable], unit: tuple[str | None, Unit | None]) -> None:
         first = at[0]
         plain = (first.factor, first.offset) == (1.0, 0.0)
         v = first.variable
@@ -283,10 +283,10 @@ def _variables(
             source, factor, offset = components.origin(node)
             if source[0] not in components.archives:
                 raise UnusableError(f"its output {node[1]} is connected to no component")
-            at = [Place(number[source[0]], components.variable(source), factor, offset)]
+            at = [ComponentVariable(number[source[0]], components.variable(source), factor, offset)]
         else:
             at = [
-                Place(number[end[0]], components.variable(end), factor, offset)
+                ComponentVariable(number[end[0]], components.variable(end), factor, offset)
                 for end, (source, factor, offset) in origins.items()
                 if source == node
             ]
@@ -300,5 +300,5 @@ def _variables(
         for v in (*archive.inputs, *archive.outputs, *archive.parameters):
             free = v.causality == "output" or origins[(name, v.name)][0] == (name, v.name)
             if free and not v.is_array:
-                add(f"{'.'.join(name)}.{v.name}", v.causality, [Place(number[name], v)], (v.unit, v.base))
+                add(f"{'.'.join(name)}.{v.name}", v.causality, [ComponentVariable(number[name], v)], (v.unit, v.base))
     return variables, tuple(places)

@@ -21,7 +21,7 @@ from cosim.base.storage.toml import (
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import EngineSpec, load_engine
 from cosim.spec.scenario import FlownParameters, Scenario, find_scenario, parameter_files
-from cosim.spec.scenario.parameter_file import parsed
+from cosim.spec.scenario.parameter_file import parse_table
 from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_names, aircraft_seen_from, load_vehicle
 
 SAME_STEP_S = 1e-9  # control steps nearer to each other than this are one
@@ -260,7 +260,7 @@ def design_notes(parameters: Iterable[FlownParameters], engine: EngineSpec) -> l
         for each in parameters
         if each.kind == "design"
         for line in _proof_and_engine(
-            validate(ControllerFile, parsed(each.content, each.file), each.file).design, engine
+            validate(ControllerFile, parse_table(each.content, each.file), each.file).design, engine
         )
     ]
 

@@ -49,7 +49,7 @@ from cosim.spec.scenario.provenance import (
     FlownParameters,
     changes_of,
     controller_shown,
-    copied_parameters,
+    copy_parameters,
     flown_parameters,
 )
 from cosim.spec.scenario.scenario import Scenario
@@ -100,7 +100,7 @@ __all__ = [
     "WindDisturbance",
     "changes_of",
     "controller_shown",
-    "copied_parameters",
+    "copy_parameters",
     "find_scenario",
     "flown_parameters",
     "parameter_files",

@@ -12,7 +12,7 @@ from pydantic import Field
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import Model
 
-_GIVEN: dict[tuple[str, str], bytes] = {}  # contents by path and hash, of files that a command or a study named
+_CONTENTS: dict[tuple[str, str], bytes] = {}  # contents by path and hash, of files that a command or a study named
 
 
 class ParameterFile(Model):
@@ -37,20 +37,20 @@ def parameter_files(known: list[ParameterFile], kind: Literal["design", "models"
     """
     content = read_whole(path, str(path))
     entry = {"kind": kind, "file": str(path.absolute()), "sha256": sha256(content).hexdigest()}
-    _GIVEN[entry["file"], entry["sha256"]] = content
+    _CONTENTS[entry["file"], entry["sha256"]] = content
     return [*(file.model_dump() for file in known if file.kind != kind), entry]
 
 
-def stated_content(entry: ParameterFile, folder: Path, where: str) -> bytes:
+def read_verified(entry: ParameterFile, folder: Path, where: str) -> bytes:
     """Return the content of a parameter file, whose hash is the one stated.
 
-    What this process was given stays what it was, however its file was written over since, so that a session goes on
-    with it.  Raises InputError that begins with ``where`` for a file that is missing or another one.
+    Content that this process has read before is returned unchanged, even if the file was overwritten since, so that a
+    session goes on with it.  Raises InputError that begins with ``where`` for a file that is missing or another one.
     """
     path = folder / entry.file
-    given = _GIVEN.get((str(path.absolute()), entry.sha256))
-    if given is not None:
-        return given
+    content = _CONTENTS.get((str(path.absolute()), entry.sha256))
+    if content is not None:
+        return content
     content = read_whole(path, where)
     found = sha256(content).hexdigest()
     if found != entry.sha256:
@@ -68,7 +68,7 @@ def read_whole(path: Path, where: str) -> bytes:
         raise InputError(f"{where}: {path}: {getattr(error, 'strerror', None) or error}") from error
 
 
-def parsed(content: bytes, where: str) -> dict[str, Any]:
+def parse_table(content: bytes, where: str) -> dict[str, Any]:
     """Return a parameter file's table.  Raises InputError that begins with ``where`` if it is no TOML."""
     try:
         return tomllib.loads(content.decode())

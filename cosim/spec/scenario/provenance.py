@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import merge
 from cosim.spec.controller_name import SHORT, controller_words, label
-from cosim.spec.scenario.parameter_file import ParameterFile, parsed, stated_content
+from cosim.spec.scenario.parameter_file import ParameterFile, parse_table, read_verified
 from cosim.spec.scenario.scenario import Scenario
 from cosim.spec.vehicle import is_file, is_own
 from cosim.spec.vehicle.sensor_profile import load_with_profile
@@ -55,8 +55,8 @@ def flown_parameters(scenario: Scenario) -> list[FlownParameters]:
     flown = []
     for index, entry in enumerate(scenario.parameter_files):
         where = f"scenario {scenario.name}: parameter_files.{index}"
-        content = stated_content(entry, scenario.folder, where)
-        table = parsed(content, where)
+        content = read_verified(entry, scenario.folder, where)
+        table = parse_table(content, where)
         controller = str(table.get("controller", "")) if entry.kind == "design" else ""
         changed = [] if controller in ("", scenario.controller) else ["controller"]
         stated = table.get("vehicle") if entry.kind == "design" else {"identified": table.get("identified")}
@@ -74,7 +74,7 @@ def controller_shown(scenario: Scenario, law: str = "") -> str:
     return controller_words(law or label(scenario.controller), own, flown_parameters(scenario))
 
 
-def copied_parameters(
+def copy_parameters(
     parameters: Sequence[FlownParameters], files: dict[str, Path | bytes], reserved: Collection[str]
 ) -> list[ParameterFile]:
     """Return parameter files under their names beside a resolved scenario; their contents are added to ``files``.
@@ -110,7 +110,7 @@ def changes_of(scenario: Scenario, parameters: list[FlownParameters]) -> list[st
 def _differing(scenario: Scenario, origin: Scenario, parameters: list[FlownParameters]) -> Iterator[tuple[str, Any]]:
     """Yield keys and values that differ from the scenario's file and are not set by a parameter file."""
     now, before = (dict(_leaves(_comparable(one))) for one in (scenario, origin))
-    kinds = {file.kind: parsed(file.content, file.file) for file in parameters}
+    kinds = {file.kind: parse_table(file.content, file.file) for file in parameters}
     design = kinds.get("design", {}).get("vehicle")
     stated = dict(_leaves(design if isinstance(design, dict) else {}, "vehicle."))
     for key in dict.fromkeys([*now, *before]):
