@@ -1,4 +1,4 @@
-"""Writes docs/api.md from the docstrings: ``python docs/api.py``.
+"""Writes docs/api.md from the docstrings: ``python docs/api.py``; ``--json`` prints the parts and writes nothing.
 
 In it is what a program calls, the exports of ``cosim`` and of its public modules; what it may write for a flight, the
 protocols with what they are told; and the records that travel between them.  Docstrings of the first and second have
@@ -9,11 +9,17 @@ from __future__ import annotations
 
 import ast
 import inspect
+import json
+import os
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+
+if __name__ == "__main__":
+    os.environ["HEXJET_PURE"] = "1"  # Compiled classes and functions have no docstrings.
 
 import cosim
 from cosim.base import protocols
@@ -135,4 +141,7 @@ def _prose(text: str) -> str:
 
 
 if __name__ == "__main__":
-    write_marks(PAGE, parts())
+    if sys.argv[1:] == ["--json"]:
+        print(json.dumps(parts()))
+    else:
+        write_marks(PAGE, parts())

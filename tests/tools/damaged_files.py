@@ -134,7 +134,7 @@ def attempt(kind: Kind, path: Path) -> str:
 
 def try_files(name: str, count: int, seed: int = 1, keep: Path | None = None) -> Outcome:
     """Read ``count`` damaged files of a kind; those that are neither read nor refused go to ``keep``."""
-    kind, outcome = KINDS[name], Outcome()
+    kind, outcome, before = KINDS[name], Outcome(), psutil.Process().children(recursive=True)
     with tempfile.TemporaryDirectory(prefix="hexjet-damaged-") as folder:
         whole_folder = Path(folder) / "whole"
         whole_folder.mkdir()
@@ -151,7 +151,7 @@ def try_files(name: str, count: int, seed: int = 1, keep: Path | None = None) ->
             begin = time.process_time()
             done = attempt(kind, path)
             outcome.slowest = max(outcome.slowest, time.process_time() - begin)
-            left = psutil.Process().children(recursive=True)
+            left = [each for each in psutil.Process().children(recursive=True) if each not in before]
             if left:
                 done = f"left processes: {[process.cmdline()[-2:] for process in left]}"
             if not done:
