@@ -74,7 +74,7 @@ class Flight(opt.Record):
         scenario = load_scenario(
             self.scenario, self.controller, self.engines, self.seed, self.settings, self.model, self.aircraft
         )
-        changes = brought_changes(self.metrics, self.own_observers, self.sensors, self.wind)
+        changes = plugin_changes(self.metrics, self.own_observers, self.sensors, self.wind)
         if self.sensors or self.wind:  # what it expects was stated without them
             changes["expect"] = []
         if self.unchecked_engine:
@@ -203,7 +203,7 @@ def _controller_without_a_model(aircraft: str, scenario: Any) -> dict[str, str]:
     return {"controller": BASELINE.name}
 
 
-def brought_changes(
+def plugin_changes(
     metrics: tuple[str, ...], observers: tuple[str, ...] = (), sensors: str | None = None, wind: str | None = None
 ) -> dict[str, Any]:
     """Return the user's blocks as changes of a scenario; a file on the command line is meant from here."""
@@ -217,10 +217,10 @@ def brought_changes(
     return changes | {key: here(name) for key, name in (("sensors", sensors), ("wind", wind)) if name is not None}
 
 
-def brought_settings(metrics: tuple[str, ...], wind: str | None = None) -> list[str]:
+def plugin_settings(metrics: tuple[str, ...], wind: str | None = None) -> list[str]:
     """Return the same as settings of a study, ``KEY=VALUE``."""
 
-    return [f"{key}={json.dumps(value)}" for key, value in brought_changes(metrics, wind=wind).items()]
+    return [f"{key}={json.dumps(value)}" for key, value in plugin_changes(metrics, wind=wind).items()]
 
 
 def engine_for(aircraft: str, engine: str | None) -> str:

@@ -48,10 +48,10 @@ def _trust(context: click.Context, parameter: click.Parameter, given: bool) -> N
 
 def asks() -> Callable[[Sequence[Code]], bool] | None:
     """Return what asks the user whether files are run; None where nobody is at a terminal."""
-    return _asked if all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr)) else None
+    return _ask_for_trust if all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr)) else None
 
 
-def _asked(files: Sequence[Code]) -> bool:
+def _ask_for_trust(files: Sequence[Code]) -> bool:
     with without_bars():
         click.echo("Code that you have not flown before:", err=True)
         for file in files:

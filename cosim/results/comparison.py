@@ -109,7 +109,7 @@ def base_of(first: Log, second: Log) -> Base:
 
 def difference(first: Log, second: Log, name: str, base: Base) -> Array:
     """Return a column of the second less that of the first on a base, angles the short way round."""
-    return _less(first[name][base.first], second[name][base.second], name, first)
+    return _subtract(first[name][base.first], second[name][base.second], name, first)
 
 
 def step_of(times: Array) -> float:
@@ -163,7 +163,7 @@ def _signals(first: Log, second: Log, names: Sequence[str], base: Base) -> Itera
         left, right = first[name][base.first], second[name][base.second]
         unlike = np.flatnonzero(_canonical(left) != _canonical(right))
         known = np.isfinite(left) & np.isfinite(right)
-        size = np.abs(_less(left, right, name, first))
+        size = np.abs(_subtract(left, right, name, first))
         peak = int(np.argmax(np.where(known, size, -1.0)))
         yield Signal(
             name,
@@ -178,7 +178,7 @@ def _signals(first: Log, second: Log, names: Sequence[str], base: Base) -> Itera
         )
 
 
-def _less(left: Array, right: Array, name: str, log: Log) -> Array:
+def _subtract(left: Array, right: Array, name: str, log: Log) -> Array:
     apart: Array = right - left
     frame = next((column.frame for column in (*log.described, *COLUMNS) if column.name == name), "")
     return np.asarray(wrap(apart)) if frame == _EULER else apart

@@ -61,7 +61,7 @@ def events_of(run: Run) -> list[Event]:
         *verdicts(log, step),
         *contacts(log, step),
         *(disturbances(scenario, end) if scenario else ()),
-        *said(run.folder, step),
+        *pilot_messages(run.folder, step),
     ]
     return sorted(events, key=lambda event: event.time_s)
 
@@ -201,7 +201,7 @@ def _speed(velocity: Iterable[float]) -> str:
     return f"{_size(velocity)} m/s"
 
 
-def said(folder: Path | None, step: float) -> Iterator[Event]:
+def pilot_messages(folder: Path | None, step: float) -> Iterator[Event]:
     """Yield the messages of a run's autopilot, its modes among them."""
     for line in read_pilot_record(folder) if folder is not None else ():
         if line["kind"] == "message":

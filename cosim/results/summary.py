@@ -277,7 +277,7 @@ def summarize(
 ) -> Summary:
     """Return the summary of a flight from its log; ``own`` are the user's metrics, beside the built-in ones."""
     metrics = flight_metrics(log, setup.step_s, setup.reach)
-    said, failed = _own(own, log, setup.step_s)
+    said, failed = _own_values(own, log, setup.step_s)
     flat = flatten(metrics) | said
     steps = len(log)
     duration = steps * setup.step_s
@@ -320,7 +320,7 @@ def summarize(
     )
 
 
-def _own(metrics: Sequence[OwnMetric], log: Log, step_s: float) -> tuple[dict[str, float | None], list[str]]:
+def _own_values(metrics: Sequence[OwnMetric], log: Log, step_s: float) -> tuple[dict[str, float | None], list[str]]:
     """Return the values of the user's metrics, and a line for each that failed; without a step all are None."""
     values: dict[str, float | None] = {name: None for metric in metrics for name in metric.names}
     failed = []

@@ -50,7 +50,7 @@ def executed(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
     module.__file__ = str(path)
     sys.modules[module.__name__] = module
     try:
-        with _beside(folder, _Neighbours(path, where)) as imported:
+        with _importing_from(folder, _Neighbours(path, where)) as imported:
             exec(compile(text, str(path), "exec"), module.__dict__)
     except CodeRefusedError:
         raise
@@ -167,7 +167,7 @@ class _Neighbours(MetaPathFinder):
 
 
 @contextmanager
-def _beside(folder: Path, finder: MetaPathFinder) -> Iterator[list[Path]]:
+def _importing_from(folder: Path, finder: MetaPathFinder) -> Iterator[list[Path]]:
     """Let a file import its neighbours, and note which; nobody else's modules of the same names are mixed up with them.
 
     What is below the folder and found from anywhere, as an installed package is, is no neighbour.

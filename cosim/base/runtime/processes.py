@@ -137,13 +137,13 @@ def run_child(command: Sequence[str], limit: float, **how: Any) -> subprocess.Co
 
 def _kill_marked(mark: bytes) -> None:
     """Kill the processes that have ``mark`` in their environment, until there are none: one may start another."""
-    while found := list(_marked(mark)):
+    while found := list(_find_marked(mark)):
         for process in found:
             with suppress(OSError):
                 os.kill(process, signal.SIGKILL)
 
 
-def _marked(mark: bytes) -> Iterator[int]:
+def _find_marked(mark: bytes) -> Iterator[int]:
     """Yield the processes that a child has started; one that is killed has no environment any more."""
     for file in Path("/proc").glob("[0-9]*/environ"):
         with suppress(OSError):  # somebody else's, or gone

@@ -38,7 +38,7 @@ class Model(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _places_over_defaults(cls, data: Any) -> Any:
+    def _merge_indices_into_defaults(cls, data: Any) -> Any:
         """Write a table whose keys are indices of a list, where the list is not stated, over the list's default."""
         if not isinstance(data, dict):
             return data
@@ -230,7 +230,7 @@ def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
     rest = f"; wrong too: {', '.join(others[:_OTHERS])}{', ...' if len(others) > _OTHERS else ''}" if others else ""
     if kind == "extra_forbidden":
         name = str(first["loc"][-1])
-        return f"unknown key {key!r}; {nearest(name, _keys_beside(model, first['loc']))}{rest}"
+        return f"unknown key {key!r}; {nearest(name, _allowed_keys(model, first['loc']))}{rest}"
     if kind == "missing":
         return f"{key} is missing{rest}"
     if kind == "union_tag_not_found":
@@ -285,7 +285,7 @@ def _is_kind(location: tuple[int | str, ...], part: str) -> bool:
     return location[0] in ("command", "disturbance", "fault") and location.index(part) == 2
 
 
-def _keys_beside(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+def _allowed_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
     """Return the keys that the table holding ``location`` may have."""
     models: list[type[BaseModel]] = [model]
     for part in location[:-1]:

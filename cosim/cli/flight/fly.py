@@ -106,7 +106,7 @@ def fly(options: Fly) -> int:
     folder = options.run_folder(f"{loaded.name}-{folder_name(named)}")
     with (
         output_to_stderr(options.as_json),
-        _shown(loaded, options.flightgear) as viewers,
+        _open_flightgear(loaded, options.flightgear) as viewers,
         flight_progress(loaded, quiet=options.as_json) as watching,
         _watched(options.links) as watch,
     ):
@@ -162,7 +162,7 @@ def _watched(links: Sequence[str]) -> Iterator[Any]:
 
 
 @contextmanager
-def _shown(scenario: Scenario, flightgear: str | None) -> Iterator[Sequence[Observer]]:
+def _open_flightgear(scenario: Scenario, flightgear: str | None) -> Iterator[Sequence[Observer]]:
     """Yield FlightGear as an observer, where it is asked for."""
     if flightgear is None:
         yield ()

@@ -219,14 +219,14 @@ def _data(flights: Sequence[ComparedFlight], compared: Sequence[Pair], page: Pat
 def _print(
     flights: Sequence[ComparedFlight], compared: Sequence[Pair], chosen: Sequence[list[str]], page: Path | None
 ) -> None:
-    from cosim.results.report.comparison import inputs_between, pair_said, signal_cells
+    from cosim.results.report.comparison import describe_pair, inputs_between, signal_cells
 
     for flight in flights:
         terminal().print(f"[bold]{flight.label[0]}[/bold]", end=" ")
         say(": ".join([flight.source, *_about(flight)]), wrap=False)
     _print_metrics(flights)
     for pair, other, names in zip(compared, flights[1:], chosen, strict=True):
-        say(" ".join(pair_said(pair)))
+        say(" ".join(describe_pair(pair)))
         inputs = inputs_between(flights[0], other)
         for key, left, right in inputs[:_MOST_INPUTS]:
             say(f"  {key}: {left}; {other.label[0]} {right}", wrap=False)

@@ -116,7 +116,7 @@ def _numbers(kind: str, name: str) -> Iterator[Number]:
         return _engine(name)
     if kind == "controllers":
         return _controller(name)
-    return _scenario(name) if kind == "scenarios" else _stated(_table(kind, name))
+    return _scenario(name) if kind == "scenarios" else _file_rows(_table(kind, name))
 
 
 def _scenario(name: str) -> Iterator[Number]:
@@ -127,7 +127,7 @@ def _scenario(name: str) -> Iterator[Number]:
     first = ("duration_s", "step_s", "aircraft", "engine", "controller", "seed")
     for key in first:
         yield Number(key, getattr(scenario, key), _unit(key), _MEANINGS[key])
-    yield from _stated({key: value for key, value in table.items() if key not in first})
+    yield from _file_rows({key: value for key, value in table.items() if key not in first})
 
 
 def _aircraft(name: str) -> Iterator[Number]:
@@ -254,7 +254,7 @@ def _controller(name: str) -> Iterator[Number]:
         yield Number(parameter.name, value, parameter.unit, f"{parameter.text}{span}")
 
 
-def _stated(table: Mapping[str, Any]) -> Iterator[Number]:
+def _file_rows(table: Mapping[str, Any]) -> Iterator[Number]:
     """Yield a row for each key of a file; one for each entry of a list of tables."""
     for key, value in table.items():
         if key in _TEXTS:

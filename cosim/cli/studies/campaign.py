@@ -13,7 +13,7 @@ import click
 from cosim.base.errors import InputError
 from cosim.cli import opt
 from cosim.cli.console import on_terminal, output_to_stderr, part_progress, say, show_table
-from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, aircraft_settings, brought_settings, example
+from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, aircraft_settings, example, plugin_settings
 
 if TYPE_CHECKING:
     from cosim.campaign.search.result import SavedSearch
@@ -36,7 +36,7 @@ class Many(opt.Output):
 
     def study_settings(self) -> list[str]:
         """Return the settings of the study, with aircraft and blocks of the user's."""
-        return [*aircraft_settings(self.aircraft), *self.settings, *brought_settings(self.metrics, self.wind)]
+        return [*aircraft_settings(self.aircraft), *self.settings, *plugin_settings(self.metrics, self.wind)]
 
 
 _AIRCRAFT = opt.word("--aircraft", "NAME|DIR", "Overrides the scenario's, with the engine that it is made for.")

@@ -78,7 +78,7 @@ class Scene:
     def messages(self, block: Block, first: int, last: int) -> Iterator[Timed]:
         """Yield the messages of a block whose first row is step ``first``; that of the ``last`` step always."""
         q = quaternions(*(block[f"{axis}_rad"] for axis in AXES))
-        made = {"/tf": self._frames, "/pose": self._pose, "/location": self._place, "/scene/arrows": self._arrows}
+        made = {"/tf": self._frames, "/pose": self._pose, "/location": self._location, "/scene/arrows": self._arrows}
         for row, seconds in enumerate(block["time_s"].tolist()):
             k, time = first + row, round(1e9 * seconds)
             if k == 0 and self._vehicle is not None:
@@ -109,7 +109,7 @@ class Scene:
         pose.timestamp.FromNanoseconds(time)
         return pose
 
-    def _place(self, block: Block, row: int, q: Array, time: int) -> LocationFix:
+    def _location(self, block: Block, row: int, q: Array, time: int) -> LocationFix:
         north, east = float(block["north_m"][row]), float(block["east_m"][row])
         latitude, longitude, height = self._map.to_geodetic(north, east, float(block["altitude_m"][row]))
         fix = LocationFix(frame_id="body", latitude=latitude, longitude=longitude, altitude=height)

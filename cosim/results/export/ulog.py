@@ -75,7 +75,7 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
         estimates, last = ulog_autopilot.estimates(lines), len(run.log) - 1
         for block in run.log.blocks(run.log.columns, ROWS):
             if estimates is not None:
-                block = block | _held(estimates, first, len(block["time_s"]))
+                block = block | _hold_estimates(estimates, first, len(block["time_s"]))
             messages = [
                 message
                 for n, topic in enumerate(topics_held.values())
@@ -130,7 +130,7 @@ def _messages(topic: _Topic, number: int, block: Block, first: int, last: int) -
         yield k, content[n * size : (n + 1) * size]
 
 
-def _held(estimates: ulog_autopilot.Series, first: int, count: int) -> Block:
+def _hold_estimates(estimates: ulog_autopilot.Series, first: int, count: int) -> Block:
     """Return the autopilot's estimates as columns of a block: each holds until the next."""
     at = np.searchsorted(estimates.k, np.arange(first, first + count), side="right") - 1
     return {

@@ -14,7 +14,7 @@ from cosim.results.comparison import ComparedFlight, Pair, Signal, inputs_differ
 from cosim.results.events import events_of
 from cosim.results.log.tables import TIME
 from cosim.results.report.flight import axis_cell, verdict, verdict_badge
-from cosim.results.report.flight_figures import comparison_figures, less_the_first
+from cosim.results.report.flight_figures import comparison_figures, subtract_first
 from cosim.results.report.page import TEMPLATES, Flights, render
 from cosim.results.report.plot import run_colour
 from cosim.results.report.signals_data import FlightData, run_data, vehicle_of
@@ -38,7 +38,7 @@ def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[Pair]
     summaries = [None if flight.run is None else flight.run.summary for flight in flights]
     known = [summary for summary in summaries if summary is not None]
     title, description = _headline(known)
-    less = less_the_first(flights)
+    less = subtract_first(flights)
     strips = comparison_figures(flights, less)
     data = [flight_data(flight, number) for number, flight in enumerate(flights)]
     for number, log in less.items():
@@ -72,7 +72,7 @@ def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[Pair]
             {
                 "pair": pair,
                 "colour": run_colour(number),
-                "said": pair_said(pair),
+                "said": describe_pair(pair),
                 "inputs": inputs_between(flights[0], flights[number]),
                 "signals": [signal_cells(signal) for signal in by_time(pair.signals)],
                 "alike": [signal.name for signal in pair.signals if signal.same],
@@ -117,7 +117,7 @@ def flight_data(flight: ComparedFlight, number: int) -> tuple[dict[str, Any], di
 # ---- words and tables
 
 
-def pair_said(pair: Pair) -> list[str]:
+def describe_pair(pair: Pair) -> list[str]:
     """Describe on which steps two flights were compared, and what is the same."""
     if not pair.steps:
         return [f"{pair.first} and {pair.second} have no time in common."]

@@ -35,7 +35,7 @@ from cosim.results.report.panels import (
 from cosim.results.report.plot import BLUE, Figure, run_colour
 from cosim.results.summary import Summary
 
-# of a flight less another: less_the_first()
+# of a flight less another: subtract_first()
 _LESS = "_less"
 LESS_NAMES = (*(f"{axis}_rad{_LESS}" for axis in AXES), f"altitude_m{_LESS}", "apart_m")
 LESS_COLUMNS = (
@@ -124,15 +124,15 @@ def comparison_figures(flights: Sequence[ComparedFlight], less: Mapping[int, Log
 
     What each is less the first is among them.  Figures of columns that no log has are left out.
 
-    ``less``: by the number of a flight its :func:`less_the_first`, on the page as runs after the flights, in order.
+    ``less``: by the number of a flight its :func:`subtract_first`, on the page as runs after the flights, in order.
     """
     readers = [Reader.of(flight) for flight in flights]
     labels = [flight.label for flight in flights]
     chosen = {"attitude": (ATTITUDE, "true"), "rate": (RATE, "measured"), "effort": (EFFORT, "asked for")}
     figures: dict[str, list[tuple[Panel, list[tuple[int, Trace]]]]] = {
-        name: over(readers, labels, panels, which) for name, (panels, which) in chosen.items()
+        name: overlay_panels(readers, labels, panels, which) for name, (panels, which) in chosen.items()
     }
-    figures["height"] = over(readers, labels, HEIGHT, "true")
+    figures["height"] = overlay_panels(readers, labels, HEIGHT, "true")
     figures["difference"] = []
     for panel in LESS:
         name = panel.traces[0].column
@@ -156,7 +156,7 @@ def comparison_figures(flights: Sequence[ComparedFlight], less: Mapping[int, Log
     return told
 
 
-def less_the_first(flights: Sequence[ComparedFlight]) -> dict[int, MemoryLog]:
+def subtract_first(flights: Sequence[ComparedFlight]) -> dict[int, MemoryLog]:
     """Return the differences of each further flight from the first, by its number.
 
     They are of true attitude [rad], height [m] and level distance [m], at the times that both flights have; as far as
@@ -178,7 +178,7 @@ def less_the_first(flights: Sequence[ComparedFlight]) -> dict[int, MemoryLog]:
     return differences
 
 
-def over(
+def overlay_panels(
     readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str
 ) -> list[tuple[Panel, list[tuple[int, Trace]]]]:
     """Return panels above each other, each with the trace ``which`` of every run that has it, by the run's number.

@@ -47,7 +47,7 @@ def _setpoint(column: str) -> Trace:
     return Trace(column, "set-point", GREY, "dash", 1.5, held=True)
 
 
-def _followed(name: str, si: str, unit: str, scale: float, least_span: float) -> Panel:
+def _tracking_panel(name: str, si: str, unit: str, scale: float, least_span: float) -> Panel:
     """Return the panel of a quantity and its set-point: measured, true, and asked for; its columns end with ``si``."""
     traces = [
         Trace(f"{name}_measured_{si}", "measured", ORANGE, width=1.2),
@@ -57,7 +57,7 @@ def _followed(name: str, si: str, unit: str, scale: float, least_span: float) ->
     return Panel(name.capitalize(), unit, traces, scale, least_span)
 
 
-def _asked(column: str, label: str) -> Trace:
+def _demand(column: str, label: str) -> Trace:
     """Return the trace of a demand of a controller: noisy, so a thin line behind the others."""
     return Trace(column, label, GREY, width=1.1, held=True)
 
@@ -76,13 +76,13 @@ def _vector(pattern: str, names: tuple[str, str, str]) -> list[Trace]:
     ]
 
 
-ATTITUDE = [_followed(axis, "rad", "deg", DEG, 4.0) for axis in AXES]
+ATTITUDE = [_tracking_panel(axis, "rad", "deg", DEG, 4.0) for axis in AXES]
 RATE = [
     Panel(
         f"{axis.capitalize()} rate",
         "deg/s",
         [
-            _asked(f"rate_{rate}_setpoint_rad_s", "set-point"),
+            _demand(f"rate_{rate}_setpoint_rad_s", "set-point"),
             Trace(f"rate_{rate}_measured_rad_s", "measured", ORANGE, width=1.5),
             Trace(f"rate_{rate}_predicted_rad_s", "predicted", BLUE, width=1.5),
         ],
@@ -99,7 +99,7 @@ def tilt_panels(log: Log) -> list[Panel]:
         Panel(
             f"{name.capitalize().replace('_', ' ')} servo",
             "deg",
-            [_asked(f"tilt_{name}_command_rad", "commanded"), Trace(f"tilt_{name}_rad", "actual", width=1.4)],
+            [_demand(f"tilt_{name}_command_rad", "commanded"), Trace(f"tilt_{name}_rad", "actual", width=1.4)],
             DEG,
             least_span=4.0,
         )
@@ -109,7 +109,7 @@ def tilt_panels(log: Log) -> list[Panel]:
         Panel(
             name.capitalize().replace("_", " "),
             "deflection",
-            [_asked(f"deflection_{name}_command", "commanded"), Trace(f"deflection_{name}", "actual", width=1.4)],
+            [_demand(f"deflection_{name}_command", "commanded"), Trace(f"deflection_{name}", "actual", width=1.4)],
             least_span=0.1,
         )
         for name in surfaces_in(log.columns)
@@ -138,10 +138,10 @@ EFFORT = [
     Panel("Yaw", "deg of tilt", _effort("yaw"), DEG, least_span=2.0),
 ]
 HEIGHT = [
-    _followed("altitude", "m", "m", 1.0, 2.0),
+    _tracking_panel("altitude", "m", "m", 1.0, 2.0),
     Panel("Climb rate", "m/s", [Trace("velocity_down_m_s", "true", BLUE)], scale=-1.0, least_span=1.0),
 ]
-PLACE = [_followed(name, "m", "m", 1.0, 2.0) for name in ("north", "east")]
+PLACE = [_tracking_panel(name, "m", "m", 1.0, 2.0) for name in ("north", "east")]
 OUTSIDE = [  # a panel is left out where it is 0 throughout
     Panel("Force", "N", _vector("disturbance_force_{}_N", ("x", "y", "z"))),
     Panel("Moment", "N m", _vector("disturbance_moment_{}_N_m", ("x", "y", "z"))),
@@ -181,7 +181,7 @@ def thrust_panels(summary: Summary) -> list[Panel]:
             f"Jet {jet}",
             "N",
             [
-                *([_asked(AT_REST.format(jet), "commanded")] if curves[jet - 1] else []),
+                *([_demand(AT_REST.format(jet), "commanded")] if curves[jet - 1] else []),
                 Trace(f"thrust_{jet}_N", "delivered", width=1.5),
             ],
             least_span=4.0,

@@ -55,7 +55,7 @@ def packed(values: Array) -> Packed | None:
     if not known.any():
         return None
     gaps = not known.all()
-    whole = values if not gaps else _held(values, known)
+    whole = values if not gaps else _fill_gaps(values, known)
     low, high = float(whole.min()), float(whole.max())
     if low == high and not gaps:
         return Packed(low, 1.0, 0, 0, False, "")
@@ -101,7 +101,7 @@ def unpacked(column: Packed, rows: int) -> Array:
     return values
 
 
-def _held(values: Array, known: NDArray[np.bool_]) -> Array:
+def _fill_gaps(values: Array, known: NDArray[np.bool_]) -> Array:
     """Return the values with gaps filled by the last number before them, or the first of all."""
     rows = np.maximum.accumulate(np.where(known, np.arange(values.size), -1))
     rows[rows < 0] = int(np.argmax(known))

@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.results.log.columns import known
-from cosim.results.report.flight_figures import over
+from cosim.results.report.flight_figures import overlay_panels
 from cosim.results.report.log_reader import Reader
 from cosim.results.report.page import drawn
 from cosim.results.report.panels import ATTITUDE, Panel, Trace
@@ -76,8 +76,8 @@ def stacked(reader: Reader, panels: Sequence[Panel]) -> Figure:
 
 
 def overlaid(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str) -> Figure:
-    """Return the panels of :func:`over` as a figure of Plotly."""
-    figures = over(readers, labels, panels, which)
+    """Return the panels of :func:`~cosim.results.report.flight_figures.overlay_panels` as a figure of Plotly."""
+    figures = overlay_panels(readers, labels, panels, which)
     data = [_line(readers[run], panel, n, trace) for n, (panel, traces) in enumerate(figures) for run, trace in traces]
     return {"data": _named_once(data), "layout": _stacked_layout([panel for panel, _ in figures], data)}
 

@@ -9,7 +9,7 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.cli.results.runs import catalogue
-from cosim.cli.results.show import _stated, _table, show
+from cosim.cli.results.show import _file_rows, _table, show
 from cosim.spec.vehicle import load_vehicle
 
 
@@ -64,7 +64,7 @@ def test_an_engine_and_a_scenario(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize("kind", ["scenarios", "studies"])
 def test_every_key_that_a_shipped_file_states_has_a_meaning(kind: str) -> None:
-    said = [number for entry in catalogue(kind) for number in _stated(_table(kind, entry["name"]))]
+    said = [number for entry in catalogue(kind) for number in _file_rows(_table(kind, entry["name"]))]
     assert {number.name for number in said if not number.meaning} == set()
 
 

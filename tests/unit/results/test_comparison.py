@@ -20,8 +20,8 @@ from cosim.results.comparison import ComparedFlight, Signal, base_of, inputs_dif
 from cosim.results.log.arrow import write_table
 from cosim.results.log.columns import COLUMNS
 from cosim.results.log.recorder import MemoryLog
-from cosim.results.report.comparison import comparison_rows, pair_said, write_comparison
-from cosim.results.report.flight_figures import comparison_figures, less_the_first
+from cosim.results.report.comparison import comparison_rows, describe_pair, write_comparison
+from cosim.results.report.flight_figures import comparison_figures, subtract_first
 from cosim.results.run import Run, begin_run
 
 
@@ -59,7 +59,7 @@ def test_the_same_is_the_same_to_the_last_bit(left: float, right: float, same: b
         [ComparedFlight("A", log(0.1, 5, altitude_m=left)), ComparedFlight("B", log(0.1, 5, altitude_m=right))]
     )
     assert pair.same is same
-    assert ("to the last bit: 5 steps" in pair_said(pair)[0]) is same
+    assert ("to the last bit: 5 steps" in describe_pair(pair)[0]) is same
 
 
 @pytest.mark.parametrize("finer", [0, 1])
@@ -81,7 +81,7 @@ def test_a_shorter_flight_is_compared_as_far_as_it_goes() -> None:
     assert (pair.steps, pair.ends_s, pair.signals[0].same, pair.same) == (20, pytest.approx(1.9), True, False)
     late = MemoryLog([np.stack([100.0 + np.arange(3.0), np.zeros(3)])], ("time_s", "altitude_m"))
     (pair,) = pairs([ComparedFlight("A", one), ComparedFlight("B", late)])
-    assert pair_said(pair) == ["A and B have no time in common."]
+    assert describe_pair(pair) == ["A and B have no time in common."]
 
 
 def flown(steps: int = 500, folder: Path | None = None, **known: Any) -> Run:
@@ -127,7 +127,7 @@ def test_a_figure_of_logs_has_the_panels_that_there_are_and_the_times_of_each() 
     times = np.array([2.0, 2.5, 4.0])
     logs = [MemoryLog([np.stack([times, gain * times])], ("time_s", "roll_rad"), COLUMNS[:2]) for gain in (1.0, 0.5)]
     flights = [ComparedFlight("A", logs[0]), ComparedFlight("B", logs[1])]
-    less = less_the_first(flights)
+    less = subtract_first(flights)
     figures = comparison_figures(flights, less)
     assert set(figures) == {"attitude", "difference"}
     for name, drawn in (("attitude", [(0, "roll_rad"), (1, "roll_rad")]), ("difference", [(2, "roll_rad_less")])):
