@@ -48,8 +48,8 @@ class GainSchedule:
 
     def __init__(self, stated: Schedule, leads: Leads | None, step: float) -> None:
         self._shares = [level.share for level in stated.level]
-        self._roll = [_stated(level.roll, bool(leads and leads.roll)) for level in stated.level]
-        self._altitude = [_stated(level.altitude, bool(leads and leads.altitude)) for level in stated.level]
+        self._roll = [_nominal_factors(level.roll, bool(leads and leads.roll)) for level in stated.level]
+        self._altitude = [_nominal_factors(level.altitude, bool(leads and leads.altitude)) for level in stated.level]
         self._follow = 1.0 - exp(-step / stated.filter_s)
         self._fine = FINE * (self._shares[-1] - self._shares[0])
         self.reset(self._shares[-1])
@@ -79,14 +79,14 @@ class GainSchedule:
         while k < len(shares) - 1 and share > shares[k]:
             k += 1
         part = (share - shares[k - 1]) / (shares[k] - shares[k - 1])
-        return Scheduled(share, _between(self._roll, k, part), _between(self._altitude, k, part))
+        return Scheduled(share, _interpolate(self._roll, k, part), _interpolate(self._altitude, k, part))
 
 
-def _stated(level: ScheduledGains, led: bool) -> Factors:
+def _nominal_factors(level: ScheduledGains, led: bool) -> Factors:
     return Factors(level.angle, level.p, level.i, level.d, level.lead if led else None)
 
 
-def _between(levels: Sequence[Factors], k: int, part: float) -> Factors:
+def _interpolate(levels: Sequence[Factors], k: int, part: float) -> Factors:
     low, high = levels[k - 1], levels[k]
 
     def of(a: float, b: float) -> float:

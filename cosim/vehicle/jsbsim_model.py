@@ -164,9 +164,9 @@ def complete(root: ET.Element, vehicle: Vehicle, model: Path) -> bool:
     if not own and root.find("aerodynamics/axis") is None:
         _drag(_child(root, "flight_control"), aerodynamics)
     for name in ("ROLL", "PITCH", "YAW"):
-        _named(aerodynamics, "axis", name)
+        _ensure(aerodynamics, "axis", name)
     if {axis.get("name") for axis in aerodynamics.findall("axis")} <= {"ROLL", "PITCH", "YAW"}:
-        _named(aerodynamics, "axis", "X")  # else JSBSim says on standard output which axes it takes forces to have
+        _ensure(aerodynamics, "axis", "X")  # else JSBSim says on standard output which axes it takes forces to have
     return own
 
 
@@ -176,13 +176,13 @@ def _child(root: ET.Element, tag: str) -> ET.Element:
     return element
 
 
-def _named(parent: ET.Element, tag: str, name: str) -> ET.Element:
+def _ensure(parent: ET.Element, tag: str, name: str) -> ET.Element:
     """Return the child element of this tag and name, added where there is none."""
     element = parent.find(f"{tag}[@name='{name}']")
     return element if element is not None else ET.SubElement(parent, tag, name=name)
 
 
-def _placed(element: ET.Element) -> ET.Element:
+def _ensure_location(element: ET.Element) -> ET.Element:
     """Return the element with a location, the origin where it has none."""
     location = element if element.tag == "location" else element.find("location")
     if location is None:
@@ -198,14 +198,14 @@ def _metrics(metrics: ET.Element) -> None:
         if metrics.find(tag) is None:
             ET.SubElement(metrics, tag, unit=unit).text = "1"
     for name in ("AERORP", "EYEPOINT", "VRP"):
-        _placed(_named(metrics, "location", name))
+        _ensure_location(_ensure(metrics, "location", name))
 
 
 def _mass_balance(masses: ET.Element, model: Path) -> None:
     for tag, unit in (("ixx", "KG*M2"), ("iyy", "KG*M2"), ("izz", "KG*M2"), ("emptywt", "KG")):
         if masses.find(tag) is None:
             ET.SubElement(masses, tag, unit=unit).text = "0"
-    _placed(_named(masses, "location", "CG"))
+    _ensure_location(_ensure(masses, "location", "CG"))
     for mass in masses.findall("pointmass"):
         if mass.get("name") != PAYLOAD and _element_number(mass.find("weight"), model):
             raise InputError(
@@ -217,7 +217,7 @@ def _mass_balance(masses: ET.Element, model: Path) -> None:
         ET.SubElement(payload, "weight", unit="KG").text = "0"
         first = masses.find("pointmass")
         masses.insert(len(masses) if first is None else list(masses).index(first), payload)
-    _placed(payload)
+    _ensure_location(payload)
 
 
 def _shift(root: ET.Element, model: Path) -> None:
@@ -273,7 +273,7 @@ def _contacts(ground: ET.Element, vehicle: Vehicle, model: Path) -> None:
         there = {name: there.get(name, ET.Element("contact", type="STRUCTURE", name=name)) for name in stated}
         ground.extend(there.values())
     for contact in there.values():
-        _placed(contact)
+        _ensure_location(contact)
         for tag in ("static_friction", "dynamic_friction", "spring_coeff", "damping_coeff"):
             if contact.find(tag) is None:
                 ET.SubElement(contact, tag).text = "0"
@@ -281,16 +281,16 @@ def _contacts(ground: ET.Element, vehicle: Vehicle, model: Path) -> None:
 
 def _forces(reactions: ET.Element, jets: int) -> None:
     for name in (*(f"jet{number}" for number in range(1, jets + 1)), "push"):
-        force = _named(reactions, "force", name)
+        force = _ensure(reactions, "force", name)
         force.set("frame", "BODY")
-        _placed(force)
-        _directed(force, "z", "-1")
-    twist = _named(reactions, "moment", "twist")
+        _ensure_location(force)
+        _ensure_direction(force, "z", "-1")
+    twist = _ensure(reactions, "moment", "twist")
     twist.set("frame", "BODY")
-    _directed(twist, "x", "1")
+    _ensure_direction(twist, "x", "1")
 
 
-def _directed(element: ET.Element, along: str, value: str) -> None:
+def _ensure_direction(element: ET.Element, along: str, value: str) -> None:
     if element.find("direction") is None:
         direction = ET.SubElement(element, "direction")
         for axis in "xyz":
@@ -314,7 +314,7 @@ def _drag(constants: ET.Element, aerodynamics: ET.Element) -> None:
 
 def _function(aerodynamics: ET.Element, axis: str, name: str, product: str) -> None:
     text = f'<function name="{name}"><product>{product}</product></function>'
-    _named(aerodynamics, "axis", axis).append(ET.fromstring(text))
+    _ensure(aerodynamics, "axis", axis).append(ET.fromstring(text))
 
 
 def _gyroscopic(axis: str, second: str, third: str) -> ET.Element:

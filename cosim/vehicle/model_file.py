@@ -48,8 +48,8 @@ def read_model(model: Path | None) -> bytes:
         return _NONE
     text = _read(model)
     if re.search(rb"\sfile\s*=|\0|<!DOCTYPE", text):  # may name others, or has an encoding or definitions that hide it
-        return _flown(model, text)
-    return _whole.get((model, text), lambda: _flown(model, text))
+        return _strip_model(model, text)
+    return _whole.get((model, text), lambda: _strip_model(model, text))
 
 
 def parse(path: Path, text: bytes) -> ET.Element:
@@ -82,7 +82,7 @@ def _read(path: Path) -> bytes:
         raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
 
 
-def _flown(model: Path, text: bytes) -> bytes:
+def _strip_model(model: Path, text: bytes) -> bytes:
     """Return what of a model flies; the text as it stands where nothing is to be changed."""
     root = parse(model, text)
     if root.tag != "fdm_config":
@@ -94,7 +94,7 @@ def _flown(model: Path, text: bytes) -> bytes:
     for part in strange:
         root.remove(part)
     for part in named:
-        root[list(root).index(part)] = _joined(_place(model, part), part, model)
+        root[list(root).index(part)] = _merge_file(_place(model, part), part, model)
     _refuse_acting(root, model)
     if strange:
         parts = "; ".join(f"<{tag}> ({_at(text, tag)})" for tag in dict.fromkeys(part.tag for part in strange))
@@ -115,7 +115,7 @@ def _place(model: Path, part: ET.Element) -> Path:
     raise InputError(f"{model}: {part.tag} file={name!r}: {places[0]}: no such file")
 
 
-def _joined(place: Path, part: ET.Element, model: Path) -> ET.Element:
+def _merge_file(place: Path, part: ET.Element, model: Path) -> ET.Element:
     """Return a part with what its file has, behind what it states itself; a property that both state is its own."""
     other = parse(place, _read(place))
     if other.tag != part.tag:

@@ -119,10 +119,10 @@ class SensorSuite:
         on = 1.0 if noisy else 0.0
         self._gyro_noise = gyro.noise_rad_s * on
         drawn = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_BIAS_KEY,))).standard_normal(6).tolist()
-        self._gyro_bias = _drawn(gyro.bias_rad_s, gyro.bias_sigma_rad_s, drawn[:3], on)
+        self._gyro_bias = _draw_bias(gyro.bias_rad_s, gyro.bias_sigma_rad_s, drawn[:3], on)
         self._gyro_resolution = gyro.resolution_rad_s
         self._attitude_noise = attitude.noise_rad * on
-        self._attitude_bias = _scaled(attitude.bias_rad, on)
+        self._attitude_bias = _scale(attitude.bias_rad, on)
         tau = attitude.ahrs_time_constant_s
         self._lean = LeanError(tau, step) if tau > 0.0 else None
         self._position_noise = gnss.position_noise_m * on
@@ -137,7 +137,7 @@ class SensorSuite:
         self._late = gyro.latency_samples + attitude.latency_samples + barometer.latency_samples > 0
         accelerometer = sensors.accelerometer
         self._force_noise = accelerometer.noise_m_s2 * on
-        self._force_bias = _drawn(accelerometer.bias_m_s2, accelerometer.bias_sigma_m_s2, drawn[3:], on)
+        self._force_bias = _draw_bias(accelerometer.bias_m_s2, accelerometer.bias_sigma_m_s2, drawn[3:], on)
         self._force_resolution = accelerometer.resolution_m_s2
         self._force_line: Latency[Vector3] = Latency(accelerometer.latency_samples)
         self._draws: list[list[float]] = []
@@ -186,9 +186,9 @@ class SensorSuite:
             q += off[1]
             r += off[2]
         if self._force_resolution > 0.0:
-            force = _rounded(force, self._force_resolution)
+            force = _quantise(force, self._force_resolution)
         if self._gyro_resolution > 0.0:
-            p, q, r = _rounded((p, q, r), self._gyro_resolution)
+            p, q, r = _quantise((p, q, r), self._gyro_resolution)
             off = (p - state.rate[0], q - state.rate[1], r - state.rate[2])
         if self._lean:
             attitude = self._lean.update(attitude, off, force)
@@ -256,12 +256,12 @@ class FaultySensors:
         measured = self.inner.sample(state)
         for fault, last in self._faults:
             measured = (
-                _held(measured, fault.sensor, last) if isinstance(fault, SensorDropout) else _off(measured, fault)
+                _freeze(measured, fault.sensor, last) if isinstance(fault, SensorDropout) else _shift(measured, fault)
             )
         return measured
 
 
-def _held(measured: Measured, sensor: str, last: Measured) -> Measured:
+def _freeze(measured: Measured, sensor: str, last: Measured) -> Measured:
     if sensor == "gyro":
         return measured._replace(rate=last.rate)
     if sensor == "attitude":
@@ -271,7 +271,7 @@ def _held(measured: Measured, sensor: str, last: Measured) -> Measured:
     return measured._replace(altitude=last.altitude)
 
 
-def _off(measured: Measured, fault: SensorBias) -> Measured:
+def _shift(measured: Measured, fault: SensorBias) -> Measured:
     x, y, z = fault.vector
     if fault.sensor == "gyro":
         return measured._replace(rate=_sum(measured.rate, fault.vector))
@@ -289,16 +289,16 @@ def _sum(a: Vector3, b: Vector3) -> Vector3:
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
-def _scaled(vector: Vector3, factor: float) -> Vector3:
+def _scale(vector: Vector3, factor: float) -> Vector3:
     return (vector[0] * factor, vector[1] * factor, vector[2] * factor)
 
 
-def _drawn(bias: Vector3, sigma: float, draws: list[float], factor: float) -> Vector3:
+def _draw_bias(bias: Vector3, sigma: float, draws: list[float], factor: float) -> Vector3:
     """Return the stated bias with what was drawn for this flight added; exactly the stated one where sigma is 0."""
-    return _sum(_scaled(bias, factor), _scaled((draws[0], draws[1], draws[2]), sigma * factor))
+    return _sum(_scale(bias, factor), _scale((draws[0], draws[1], draws[2]), sigma * factor))
 
 
-def _rounded(vector: Vector3, resolution: float) -> Vector3:
+def _quantise(vector: Vector3, resolution: float) -> Vector3:
     """Return the nearest whole multiples of the resolution, as an analogue-digital converter gives them."""
     return (
         resolution * floor(vector[0] / resolution + 0.5),

@@ -61,7 +61,7 @@ class Hull:
         columns, sets, thrusts, angles = [], [], [], []
         for number, (jets, hinges) in enumerate(_sets(layout)):
             effects = [_effect(layout, hinge, jets) for hinge in hinges]
-            if None in effects or any(_moved_in_place(layout, jet) for jet in jets):
+            if None in effects or any(_deflects_outside_carrier(layout, jet) for jet in jets):
                 return None
             spans = [abs(effect or 0.0) * (high[h] - low[h]) for h, effect in zip(hinges, effects, strict=True)]
             cells = _cells(spans, 2 ** sum(bool(least[jet] < most[jet]) for jet in jets))
@@ -127,7 +127,7 @@ def _effect(layout: Layout, hinge: int, jets: list[int]) -> float | None:
     return effects.pop() if len(effects) == 1 else None
 
 
-def _moved_in_place(layout: Layout, jet: int) -> bool:
+def _deflects_outside_carrier(layout: Layout, jet: int) -> bool:
     """Return whether a hinge deflects the jet further out on the body than one that carries it.
 
     Force and lever then turn by the same angle, and their product is not linear in it."""
@@ -170,15 +170,15 @@ def _wrenches(layout: Layout, jet: int, turned: dict[int, Array], count: int) ->
     moment = np.cross(place, force) + station.twist * force
     for number, _ in reversed(layout.chains[jet]):
         turn = layout.turns[number]
-        force, about = _turned(turn.axis, turned[number], force), moment - np.cross(turn.point, force)
+        force, about = _rotate(turn.axis, turned[number], force), moment - np.cross(turn.point, force)
         if jet in turn.carries:
-            moment = _turned(turn.axis, turned[number], about) + np.cross(turn.point, force)
+            moment = _rotate(turn.axis, turned[number], about) + np.cross(turn.point, force)
         else:
             moment = np.cross(place, force) + station.twist * force
     return np.hstack([force, moment])
 
 
-def _turned(axis: Any, at: Array, vectors: Array) -> Array:
+def _rotate(axis: Any, at: Array, vectors: Array) -> Array:
     """Rodrigues' formula with a cosine and a sine for each vector."""
     import numpy as np
 

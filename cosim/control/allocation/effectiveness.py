@@ -94,7 +94,7 @@ class EffectivenessAllocator:
     def __init__(self, effectors: Effectors) -> None:
         name, layout, mass, tensor, low, span, shares, efforts, movers, horizontal = effectors
         self._layout, self._tensor, self._mass = layout, tensor, mass
-        self._inverse = _inverted(tensor)
+        self._inverse = _invert(tensor)
         self._low, self._span = low, span
         self._jets = len(layout.stations)
         self._hinges = len(layout.turns)
@@ -117,8 +117,8 @@ class EffectivenessAllocator:
         self.reset()
         if not self._balanced:
             raise InputError(
-                f"{name}: jets, hinges: in hover they leave {_said(self._missing, self._norms)} that nothing balances; "
-                "hexjet aircraft check says what the engines can do"
+                f"{name}: jets, hinges: in hover they leave {_describe(self._missing, self._norms)} "
+                "that nothing balances; hexjet aircraft check says what the engines can do"
             )
 
     # ---- what stays between steps: the last commands, and the health of the engines
@@ -452,7 +452,7 @@ class EffectivenessAllocator:
         return total, rows
 
 
-def _said(missing: Sequence[float], norms: Sequence[float]) -> str:
+def _describe(missing: Sequence[float], norms: Sequence[float]) -> str:
     """Describe the largest of the missing moments and lift, with its unit."""
     names = {ROLL: ("roll", "N m"), PITCH: ("pitch", "N m"), LIFT: ("lift", "N")}
     row = max(names, key=lambda each: abs(missing[each]))
@@ -460,7 +460,7 @@ def _said(missing: Sequence[float], norms: Sequence[float]) -> str:
     return f"{missing[row] / norms[row]:.3g} {unit} of {name}"
 
 
-def _inverted(tensor: tuple[Vector3, Vector3, Vector3]) -> tuple[Vector3, Vector3, Vector3]:
+def _invert(tensor: tuple[Vector3, Vector3, Vector3]) -> tuple[Vector3, Vector3, Vector3]:
     """Return the inverse of a symmetric positive definite matrix."""
     (a, b, c), (_, d, e), (_, _, f) = tensor
     xx, xy, xz = d * f - e * e, c * e - b * f, b * e - c * d

@@ -82,7 +82,7 @@ class Arming:
         if report.starting:
             reasons.append(f"engine {', '.join(map(str, report.starting))} has yet to start")
         if report.lost:
-            reasons.append(_failed(report))
+            reasons.append(_describe_failure(report))
         remaining = self._watch.energy.remaining
         if remaining is not None and 100.0 * remaining <= self._parameters["HJ_FUEL_CRIT"]:
             reasons.append(f"fuel or battery at {100.0 * remaining:.0f} %")
@@ -98,7 +98,7 @@ class Arming:
     def grounded(self, mode: Mode, report: Report) -> str:
         """Why a mode cannot leave the ground: a failed engine's failsafe would end it at once, or :meth:`blind`."""
         if report.lost and int(self._parameters["HJ_ENG_ACT"]) != NOTHING:
-            return _failed(report)
+            return _describe_failure(report)
         return self.blind(mode)
 
     def blind(self, mode: Mode) -> str:
@@ -108,5 +108,5 @@ class Arming:
         return f"mode {mode.value} needs the position, and the GNSS receiver has stopped"
 
 
-def _failed(report: Report) -> str:
+def _describe_failure(report: Report) -> str:
     return f"engine {', '.join(map(str, report.lost))} failed"

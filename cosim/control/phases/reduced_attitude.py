@@ -214,7 +214,7 @@ def designed(axis: tuple[float, float], last: float, inertia: Vector3, damping: 
     gains: list[NDArray[Any]] = []
     for k in range(2 * count, 0, -1):
         spin = last if k > count else last * (1.0 - np.exp(-(k - 1) * _STEP / lasting))
-        a, b = _held(*linear(axis, spin, inertia, damping, lag))
+        a, b = _discretise(*linear(axis, spin, inertia, damping, lag))
         row = b @ cost
         gain = (row @ a) / (weight + row @ b)
         cost = q + a.T @ cost @ (a - np.outer(b, gain))
@@ -226,7 +226,7 @@ def designed(axis: tuple[float, float], last: float, inertia: Vector3, damping: 
     return tuple([tuple(row) for row in table.tolist()])
 
 
-def _held(a: NDArray[Any], b: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+def _discretise(a: NDArray[Any], b: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return a system over a step with the input held: the exponential series to the fifth power."""
     import numpy as np
 

@@ -49,7 +49,7 @@ def estimate_wind(
         return None
     (north, east), heading = push, euler[2]
     ahead, right = north * cos(heading) + east * sin(heading), east * cos(heading) - north * sin(heading)
-    linear, mass = _swallowed(vehicle, thrust), vehicle.mass_kg
+    linear, mass = _mass_flow(vehicle, thrust), vehicle.mass_kg
     forward, side, _ = vehicle.aero.drag_area_m2
     if linear == 0.0 and min(forward, side) <= 0.0:
         return None
@@ -74,7 +74,7 @@ def fastest_in_air(vehicle: Vehicle, acceleration: float, thrust: Sequence[float
 
     ``thrust`` and ``density`` are as of :func:`estimate_wind`.  None for a vehicle with a wing and one without drag.
     """
-    linear, area = _swallowed(vehicle, thrust), max(vehicle.aero.drag_area_m2[:2])
+    linear, area = _mass_flow(vehicle, thrust), max(vehicle.aero.drag_area_m2[:2])
     if vehicle.control.wing is not None or max(linear, area) <= 0.0:
         return None
     return _speed(vehicle.mass_kg * acceleration, 0.5 * density * area, linear)
@@ -88,7 +88,7 @@ def _speed(force: float, square: float, linear: float) -> float:
     return copysign((sqrt(linear * linear + 4.0 * square * size) - linear) / (2.0 * square), force)
 
 
-def _swallowed(vehicle: Vehicle, thrust: Sequence[float]) -> float:
+def _mass_flow(vehicle: Vehicle, thrust: Sequence[float]) -> float:
     """Return the mass flow of all jets [kg/s]."""
     total = 0.0
     for jet, newton in zip(vehicle.jets, thrust, strict=True):
