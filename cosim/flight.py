@@ -21,7 +21,7 @@ from cosim.results.setup import setup_of
 from cosim.simulation.build import build
 from cosim.simulation.code import need_trust_of
 from cosim.simulation.controllers.controller_file import with_controller
-from cosim.simulation.controllers.source import Source, of_object
+from cosim.simulation.controllers.source import Source, from_object
 from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import Pace
 from cosim.simulation.step import Simulation
@@ -134,7 +134,7 @@ def opened(scenario: Scenario | str | Path, controller: Any = None) -> tuple[Sce
         return scenario, None
     if isinstance(controller, (str, Path)):
         return scenario.replace(controller=seen_from(str(controller), Path())), None
-    own = of_object(controller)
+    own = from_object(controller)
     return scenario.replace(controller=own.name), own
 
 

@@ -24,7 +24,7 @@ from law_loop import LawLoop, both, tune
 from cosim import InputError, Scenario, fly
 from cosim.base.protocols import Parameter, RateLoop
 from cosim.campaign import open_campaign
-from cosim.campaign.analysis.summary import places, shares
+from cosim.campaign.analysis.summary import controller_indices, success_fractions
 from cosim.campaign.analysis.table import FlightTable, read
 from cosim.design import design as make
 from cosim.design.loop.actuator import Actuator
@@ -251,14 +251,14 @@ def robust(found: FlightTable) -> str:
     """How often each succeeds, how many flights it loses, and what the throttles do."""
     activity = found.values[ACTIVITY]
     rows = []
-    for place, share in zip(places(found), shares(found), strict=True):
+    for place, share in zip(controller_indices(found), success_fractions(found), strict=True):
         low, high = share.wilson
         mine = found.of(place)
         gone = np.count_nonzero(lost(found) & mine)
         middle, most = np.nanmedian(activity[mine]), np.nanmax(activity[mine])
         cells = [_percent(share.value or 0.0), f"{100.0 * low:.0f} to {_percent(high)}", f"{gone}"]
         rows.append([LAWS[found.controllers[place]], *cells, f"{middle:.2f}", f"{most:.2f}"])
-    head = ["law", "succeeds", "95 %", f"lost, of {shares(found)[0].of}", "throttle [1/s], median", "most"]
+    head = ["law", "succeeds", "95 %", f"lost, of {success_fractions(found)[0].of}", "throttle [1/s], median", "most"]
     return table(head, rows)
 
 
@@ -286,7 +286,10 @@ def answer(found: Mapping[str, LawLoop], study: FlightTable) -> str:
     load = min(found, key=lambda name: found[name].load_error)
     less, more = smith.step_error / pid.step_error - 1.0, smith.load_error / pid.load_error
     late = {name: within(found[name]) for name in ("pid", "pid-smith", first)}
-    won = {study.controllers[k]: one.value or 0.0 for k, one in zip(places(study), shares(study), strict=True)}
+    won = {
+        study.controllers[k]: one.value or 0.0
+        for k, one in zip(controller_indices(study), success_fractions(study), strict=True)
+    }
     best = sorted(won, key=lambda name: -won[name])
     lines = (
         f"Of {len(LAWS)} laws at a peak sensitivity of {ROBUST:g} Smith's is number {places_of['pid-smith']} and",
@@ -300,7 +303,8 @@ def answer(found: Mapping[str, LawLoop], study: FlightTable) -> str:
         f"the least. The peak doubles where the engines answer {-late['pid-smith'][0]:.1f} samples earlier or",
         f"{late['pid-smith'][1]:.1f} later than Smith's model says; for PID alone {late['pid'][1]:.1f} later, for",
         f"{LAWS[first]} {-late[first][0]:.1f} earlier or {late[first][1]:.1f} later. With everything wrong at once, in",
-        f"{shares(study)[0].of} draws, Smith succeeds in {_percent(won['pid-smith'])}, PID in {_percent(won['pid'])},",
+        f"{success_fractions(study)[0].of} draws, "
+        f"Smith succeeds in {_percent(won['pid-smith'])}, PID in {_percent(won['pid'])},",
         f"all laws in {_percent(won[best[-1]])} to {_percent(won[best[0]])}.",
     )
     return " ".join(lines) + "\n"

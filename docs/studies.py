@@ -21,9 +21,9 @@ import numpy as np
 from cosim.campaign import open_campaign
 from cosim.campaign.analysis.summary import (
     SUCCESS,
-    places,
-    ranked,
-    shares,
+    controller_indices,
+    rank_keys,
+    success_fractions,
 )
 from cosim.campaign.analysis.table import (
     KINDS,
@@ -89,7 +89,7 @@ def lost(flown: FlightTable) -> Mask:
 def shared(flown: FlightTable) -> str:
     """How often each controller succeeds, and how many flights it loses."""
     rows = []
-    for place, found in zip(places(flown), shares(flown), strict=True):
+    for place, found in zip(controller_indices(flown), success_fractions(flown), strict=True):
         low, high = found.wilson
         gone = np.count_nonzero(lost(flown) & flown.of(place))
         share = f"{100.0 * (found.value or 0.0):.1f} %"
@@ -99,7 +99,7 @@ def shared(flown: FlightTable) -> str:
 
 def drives(flown: FlightTable) -> str:
     """First-order index and partial rank correlation of every key with success; of those within chance the latter."""
-    found = [ranked(flown, place, SUCCESS) for place in places(flown)]
+    found = [rank_keys(flown, place, SUCCESS) for place in controller_indices(flown)]
     rows = []
     for key in flown.keys:
         cells = []
@@ -163,7 +163,7 @@ def by_lever(flown: FlightTable) -> str:
     for each in np.unique(product):
         here = np.equal(product, each)
         cells = []
-        for place in places(flown):
+        for place in controller_indices(flown):
             mine = here & flown.of(place)
             cells.append(f"{np.count_nonzero(mine & flown.success)} of {np.count_nonzero(mine)}")
         rows.append([f"{each:g} kg m", *cells])
@@ -179,7 +179,7 @@ def full(flown: FlightTable) -> str:
     """How often, and how often in less and in more than a breeze."""
     gust, everything = _numbers(flown, GUST), np.ones(flown.flight.size, dtype=bool)
     calm = np.less(gust, BREEZE_M_S)
-    (found,) = shares(flown)
+    (found,) = success_fractions(flown)
     low, high = found.wilson
     gone = np.count_nonzero(lost(flown))
     cells = [f"{found.of}", percent(flown.success, everything), f"{100.0 * low:.0f} to {100.0 * high:.0f} %", f"{gone}"]

@@ -17,14 +17,14 @@ from cosim.base.storage.files import one_line, write_whole
 from cosim.campaign.folder import COLUMNS
 from cosim.campaign.study.keys import Key
 from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import Kinds, kinds, own_names
+from cosim.campaign.workers.flight_row import Kinds, custom_metric_names, kinds
 from cosim.simulation.plugins import PREFIX
 
 
 def write_columns(folder: Path, study: Study) -> None:
     """Write what is known of a study's columns into its folder.  Raises OSError, and InputError as the study's code."""
     keys = [asdict(study.key(vary.key)) for vary in study.vary]
-    write_whole(folder / COLUMNS, json.dumps({"own": own_names(study), "keys": keys}, indent=1) + "\n")
+    write_whole(folder / COLUMNS, json.dumps({"own": custom_metric_names(study), "keys": keys}, indent=1) + "\n")
 
 
 def stored_kinds(folder: Path, study: Study, in_rows: Callable[[], Iterable[str]]) -> Kinds:

@@ -54,10 +54,10 @@ class Frozen:
         for name, ours, unstated in ((STUDY, self.study, defaults), (SCENARIO, self.scenario, {})):
             there = read_toml(folder / name)
             told = {key for key in TOLD if name == SCENARIO and (key == "changed" or key not in there)}
-            for key, theirs, own in _differing("", unstated | there, unstated | ours):
+            for key, theirs, own in _compare_tables("", unstated | there, unstated | ours):
                 if key.partition(".")[0] in told:
                     continue
-                yield f"{name}: {key} is {_shown(theirs)} there and {_shown(own)} here"
+                yield f"{name}: {key} is {_format_value(theirs)} there and {_format_value(own)} here"
         for name, content in self.files.items():
             if not (folder / name).is_file() or (folder / name).read_bytes() != content:
                 yield f"{name}: is another file there"
@@ -150,12 +150,12 @@ def _values(base: Scenario, vary: Vary, sources: dict[str, Path | bytes]) -> lis
 def _controller(name: str, folder: Path, sources: dict[str, Path | bytes]) -> str:
     """Return a controller's name in the campaign's folder; add the copies of its files to ``sources``."""
     if is_design(name):
-        return _copied(folder / name, sources)
+        return _add_copy(folder / name, sources)
     own = find(name, folder, f"unknown controller {name!r}")
     return name if own is None else copied_controller(own, sources)
 
 
-def _copied(source: Path, sources: dict[str, Path | bytes]) -> str:
+def _add_copy(source: Path, sources: dict[str, Path | bytes]) -> str:
     """Note a file to be copied, and return its name in the folder."""
     name, number = source.name, len(sources)
     while name in sources:
@@ -171,26 +171,26 @@ def _read(path: Path) -> bytes:
         raise InputError(f"{path}: {error.strerror or error}") from error
 
 
-def _differing(where: str, theirs: Any, ours: Any) -> Iterator[tuple[str, Any, Any]]:
+def _compare_tables(where: str, theirs: Any, ours: Any) -> Iterator[tuple[str, Any, Any]]:
     """Yield the leaves in which two tables differ: dotted key and both values, None where there is none."""
-    theirs, ours = _by_key(theirs), _by_key(ours)
+    theirs, ours = _index_by_key(theirs), _index_by_key(ours)
     if isinstance(theirs, Mapping) and isinstance(ours, Mapping):
         for key in dict.fromkeys([*ours, *theirs]):
-            yield from _differing(f"{where}.{key}" if where else key, theirs.get(key), ours.get(key))
+            yield from _compare_tables(f"{where}.{key}" if where else key, theirs.get(key), ours.get(key))
     elif isinstance(theirs, list) and isinstance(ours, list) and len(theirs) == len(ours):
         for place, (value, own) in enumerate(zip(theirs, ours, strict=True)):
-            yield from _differing(f"{where}.{place}", value, own)
+            yield from _compare_tables(f"{where}.{place}", value, own)
     elif theirs != ours:
         yield where, theirs, ours
 
 
-def _by_key(value: Any) -> Any:
+def _index_by_key(value: Any) -> Any:
     """Return a list whose entries all have a ``key`` as a table by that key; any other value as it is."""
     keyed = isinstance(value, list) and value and all(isinstance(entry, Mapping) and "key" in entry for entry in value)
     return {entry["key"]: entry for entry in value} if keyed else value
 
 
-def _shown(value: Any) -> str:
+def _format_value(value: Any) -> str:
     if value is None:
         return "not stated"
     text = repr(value)

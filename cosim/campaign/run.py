@@ -64,13 +64,13 @@ def run_campaign(
         tell = progress or (lambda tally, done, of: None)
         tell(store.tally, store.kept, len(store.flights))
         left = (flight for flight in store.flights if flight.number not in store.done)
-        with _at_work(workers) as flying:
+        with _open_workers(workers) as flying:
             try:
                 for row in flying.fly(store.study, left):
                     store.add(row)
                     tell(store.tally, store.kept, len(store.flights))
             except FlightError as error:
-                raise FlightError(f"{error}; {kept(store)}") from error
+                raise FlightError(f"{error}; {describe_progress(store)}") from error
             except KeyboardInterrupt:  # it may have come between keeping a flight and telling of it
                 tell(store.tally, store.kept, len(store.flights))
                 raise
@@ -84,7 +84,7 @@ def _check_autopilot(study: Study, autopilot: StudyAutopilot, workers: Workers |
     program_of(autopilot.name, Path(autopilot.seen_from(study.folder).binary) if autopilot.binary else None)
 
 
-def opened(name: str, out: Path | None, resume: bool, **options: Any) -> tuple[Study | None, Path]:
+def resolve_campaign(name: str, out: Path | None, resume: bool, **options: Any) -> tuple[Study | None, Path]:
     """Return the study that a command line names, and the folder that it is flown into.
 
     ``name`` is a scenario's, a study's or a campaign's folder; ``options`` are those of
@@ -106,31 +106,31 @@ def opened(name: str, out: Path | None, resume: bool, **options: Any) -> tuple[S
     return study, out if out is not None else new_folder(Path("runs"), study.name)
 
 
-def workers_at(count: int | None, cluster: str | None, time_limit_s: float | None) -> Workers:
+def choose_workers(count: int | None, cluster: str | None, time_limit_s: float | None) -> Workers:
     """Return the workers of a command line: so many processes here, by default one a processor, or a cluster.
 
     Raises InputError.
     """
     if cluster is None:
-        return LocalWorkers(count or processors(), time_limit_s)
+        return LocalWorkers(count or count_processors(), time_limit_s)
     from cosim.campaign.workers.cluster import DaskWorkers
 
     return DaskWorkers(None if cluster == "local" else cluster, count, time_limit_s)
 
 
-def _at_work(workers: Workers | int | None) -> AbstractContextManager[Workers]:
+def _open_workers(workers: Workers | int | None) -> AbstractContextManager[Workers]:
     """Open workers that are closed by whoever made them."""
     if workers is None or isinstance(workers, int):
-        return LocalWorkers(processors() if workers is None else workers)
+        return LocalWorkers(count_processors() if workers is None else workers)
     return nullcontext(workers)
 
 
-def processors() -> int:
+def count_processors() -> int:
     """Return how many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def kept(store: Store) -> str:
+def describe_progress(store: Store) -> str:
     """Return a line for an interrupted campaign: how many flights are kept, and how to resume it."""
     return f"{store.kept} of {len(store.flights)} flights are kept: hexjet sweep {store.folder} --resume goes on"
 
@@ -178,7 +178,7 @@ def fly_again(campaign: Campaign, number: int, out: Path | str | None = None, **
         raise
     if row["log_sha256"] is None:
         return RepeatedFlight(number, run, [f"{row['outcome']}, {row['reason']}"], False)
-    differences = [] if log_digest(run.log) == row["log_sha256"] else list(_otherwise(row, run))
+    differences = [] if log_digest(run.log) == row["log_sha256"] else list(_explain_differences(row, run))
     return RepeatedFlight(number, run, differences, True)
 
 
@@ -188,7 +188,7 @@ def flight_of(study: Study, row: Row) -> Flight:
     return Flight(row["flight"], row["draw"], row["controller"], row["seed"], values)  # type: ignore[arg-type]
 
 
-def _otherwise(row: Row, run: Run) -> list[str]:
+def _explain_differences(row: Row, run: Run) -> list[str]:
     """Return why a flight may differ now from the recorded one."""
     then, now = json.loads(str(row["inputs"])), json.loads(inputs(run))
     differences = [

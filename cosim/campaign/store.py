@@ -158,7 +158,7 @@ class Store:
         Raises InputError if ``study`` is another one than the folder's, or another process is at work there.
         """
         frozen = None if study is None else freeze(study)
-        anew = frozen is not None and _hardly_begun(folder)
+        anew = frozen is not None and _lacks_study(folder)
         if not anew:
             load(folder)
         try:
@@ -360,7 +360,7 @@ class _Columns(Mapping[str, list[Value]]):
         return self._read[name]
 
 
-def _hardly_begun(folder: Path) -> bool:
+def _lacks_study(folder: Path) -> bool:
     """Return whether a process was killed between its first file here and the study, which is written last."""
     journal = folder / JOURNAL
     begun = journal.is_file() and not (folder / STUDY).exists()

@@ -39,7 +39,7 @@ from cosim.results.metrics import (
 )
 from cosim.results.summary import Setup, Summary, summarize, summary_json
 from cosim.simulation.pacing import PaceReport
-from cosim.simulation.plugins import OwnMetric, unmeasured
+from cosim.simulation.plugins import CustomMetric, refuse_metric
 from cosim.spec.scenario import Scenario
 
 SUMMARY, SCENARIO, LOG, STREAM, REPORT = (
@@ -129,7 +129,7 @@ class Recording:
         sink: KeepingSink | StreamSink,
         background: bool = False,
         columns: Sequence[Column] = COLUMNS,
-        metrics: Sequence[OwnMetric] = (),
+        metrics: Sequence[CustomMetric] = (),
     ) -> None:
         self._metrics = metrics
         self._setup = setup
@@ -208,7 +208,7 @@ def begin_run(
     background: bool = False,
     sink: KeepingSink | None = None,
     columns: Sequence[Column] = COLUMNS,
-    metrics: Sequence[OwnMetric] = (),
+    metrics: Sequence[CustomMetric] = (),
 ) -> Recording:
     """Begin a run, in ``folder`` or in memory, where ``sink`` may keep less than all.
 
@@ -298,7 +298,7 @@ def _settle(
     reason: str,
     wall_s: float | None,
     pace: PaceReport | None = None,
-    own: Sequence[OwnMetric] = (),
+    own: Sequence[CustomMetric] = (),
 ) -> tuple[Summary, ParquetLog]:
     """Make Parquet and summary of a stream, and leave the stream."""
     try:
@@ -325,7 +325,7 @@ def _recover(folder: Path) -> None:
                 setup = Setup.model_validate_json(note)
             except ValidationError as error:
                 raise InputError(f"{stream}: not a stream of this program") from error
-            own = [unmeasured(block.name) for block in setup.brought if block.key == "metrics"]
+            own = [refuse_metric(block.name) for block in setup.brought if block.key == "metrics"]
             summary, log = _settle(folder, setup, "failed", "interrupted", None, own=own)
             _shorten(folder, summary, len(log))
         elif not (folder / LOG).is_file():

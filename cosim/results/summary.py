@@ -32,7 +32,7 @@ from cosim.results.metrics import (
 )
 from cosim.results.verdict import describe_end, judge, read_verdict
 from cosim.simulation.pacing import PaceReport
-from cosim.simulation.plugins import OwnMetric
+from cosim.simulation.plugins import CustomMetric
 from cosim.spec.controller_name import SHORT, controller_words
 from cosim.spec.scenario import Expectation
 
@@ -273,7 +273,7 @@ def summarize(
     reason: str,
     wall_s: float | None,
     pace: PaceReport | None = None,
-    own: Sequence[OwnMetric] = (),
+    own: Sequence[CustomMetric] = (),
 ) -> Summary:
     """Return the summary of a flight from its log; ``own`` are the user's metrics, beside the built-in ones."""
     metrics = flight_metrics(log, setup.step_s, setup.reach)
@@ -320,7 +320,7 @@ def summarize(
     )
 
 
-def _own_values(metrics: Sequence[OwnMetric], log: Log, step_s: float) -> tuple[dict[str, float | None], list[str]]:
+def _own_values(metrics: Sequence[CustomMetric], log: Log, step_s: float) -> tuple[dict[str, float | None], list[str]]:
     """Return the values of the user's metrics, and a line for each that failed; without a step all are None."""
     values: dict[str, float | None] = {name: None for metric in metrics for name in metric.names}
     failed = []

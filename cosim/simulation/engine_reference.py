@@ -78,7 +78,7 @@ def _answers_around(spec: EngineSpec, throttle: float, step: float, sizes: tuple
             expected = spec.thrust_at(high) - spec.thrust_at(low)
             if abs(more - less) < _SEEN * abs(expected) or more == less:
                 continue
-            answers = [_left(bank, throttle, end, step) for end in (low, high) if end != throttle]
+            answers = [_remaining_change(bank, throttle, end, step) for end in (low, high) if end != throttle]
             late = [sum(left) for left in answers]
             per_newton = (fast - slow) / (more - less)
             course = [1.0 - sum(each) / len(answers) for each in zip_longest(*answers, fillvalue=0.0)]
@@ -87,7 +87,7 @@ def _answers_around(spec: EngineSpec, throttle: float, step: float, sizes: tuple
         return AroundTrim(None, speed, 0.0)
 
 
-def _left(bank: Engines, first: float, then: float, step: float) -> list[float]:
+def _remaining_change(bank: Engines, first: float, then: float, step: float) -> list[float]:
     """Return the fraction of the change that is left after each step, until it has been small for a second."""
     after = bank.reset(then).thrust[0]
     change = after - bank.reset(first).thrust[0]
@@ -116,12 +116,12 @@ def _measure(spec: EngineSpec, step: float) -> EngineReference:
             if not all(b > a for a, b in pairwise(speed)):
                 speed = None
         if lag is None or delay is None:
-            measured, begins = _answer(bank, *_AROUND, step)
+            measured, begins = _measure_response(bank, *_AROUND, step)
             delay = begins if delay is None else delay
             if lag is None:
                 # the time to 63 % counts from the throttle, so that it holds with the delay that is used
                 lag = max(step, measured + begins - delay)
-                others = [sum(_answer(bank, *point, step)) - delay for point in _OTHERS]
+                others = [sum(_measure_response(bank, *point, step)) - delay for point in _OTHERS]
                 lags = max(step, min(lag, *others)), max(lag, *others)
     short, long = lags
     assert short is not None
@@ -129,7 +129,7 @@ def _measure(spec: EngineSpec, step: float) -> EngineReference:
     return EngineReference(spec.curve.throttle, spec.curve.thrust, speed, lag, delay, short, long)
 
 
-def _answer(bank: Engines, first: float, then: float, step: float) -> tuple[float, float]:
+def _measure_response(bank: Engines, first: float, then: float, step: float) -> tuple[float, float]:
     """Return lag and delay [s] of a step of the throttle: the time without motion, and then to 63 % of the change."""
     after = bank.reset(then).thrust[0]
     before = bank.reset(first).thrust[0]

@@ -150,7 +150,7 @@ def flown_agreements(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -
         return []
     return [
         agreement
-        for state, there in _states(scenario, vehicle)
+        for state, there in _loading_states(scenario, vehicle)
         for agreement in model_agreements(scenario, there, engine, state)
     ]
 
@@ -182,7 +182,7 @@ def model_agreements(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, s
     return [_compare(scenario, vehicle, engine, response, axis, model, state) for axis, model in models.items()]
 
 
-def _states(scenario: Scenario, vehicle: Vehicle) -> list[tuple[str, Vehicle]]:
+def _loading_states(scenario: Scenario, vehicle: Vehicle) -> list[tuple[str, Vehicle]]:
     """Return the vehicle as the flight begins, and with each payload that it carries in it, each with a description."""
     begun, state = vehicle, ""
     if vehicle.fuel is not None and scenario.initial.fuel < 1.0:

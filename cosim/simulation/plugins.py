@@ -52,7 +52,7 @@ class BlockInfo:
 
 
 @dataclass(frozen=True)
-class OwnMetric:
+class CustomMetric:
     """A custom metric: its names, the columns that it reads (None: any), and itself."""
 
     source: Source
@@ -90,8 +90,8 @@ class OwnMetric:
 class Plugins:
     """The user's blocks that a scenario names beside its controller, ready to fly."""
 
-    metrics: tuple[OwnMetric, ...] = ()
-    observers: tuple[Watching, ...] = ()
+    metrics: tuple[CustomMetric, ...] = ()
+    observers: tuple[GuardedObserver, ...] = ()
     sensors: Callable[[Sensors], Sensors] | None = None  # around the built-in ones
     wind: Callable[[Vehicle, float, float], FieldWind] | None = None
     sources: Mapping[str, Sequence[Source]] = field(default_factory=dict)  # by the scenario's key
@@ -131,18 +131,18 @@ def load_plugins(scenario: Scenario) -> Plugins:
         taken: set[str] = set()
         metrics = []
         for source in sources.get("metrics", []):
-            metrics.append(own_metric(source))
+            metrics.append(read_metric(source))
             for each in metrics[-1].names:
                 if each in taken:
                     raise InputError(f"metric {source.label}: {each} is said by another one already")
                 taken.add(each)
         plugins["metrics"] = tuple(metrics)
         plugins["observers"] = tuple(
-            [Watching(s, _made(s, scenario, vehicle, n)) for n, s in enumerate(sources.get("observers", []))]
+            [GuardedObserver(s, _made(s, scenario, vehicle, n)) for n, s in enumerate(sources.get("observers", []))]
         )
         for source in sources.get("sensors", []):
             block = _made(source, scenario, vehicle, 0)
-            plugins["sensors"] = lambda inner: OwnSensors(source, block, inner)  # noqa: B023  there is one
+            plugins["sensors"] = lambda inner: GuardedSensors(source, block, inner)  # noqa: B023  there is one
         for source in sources.get("wind", []):
             plugins["wind"] = _wind(source, scenario, vehicle)
     return Plugins(sources=sources, **plugins)
@@ -166,7 +166,7 @@ def _source(kind: str, name: str, scenario: Scenario) -> Source:
     return source
 
 
-def own_metric(source: Source) -> OwnMetric:
+def read_metric(source: Source) -> CustomMetric:
     """Return a metric with the names and columns that it states.  Raises InputError."""
     where, block = f"metric {source.label}", source.make()
     plain = getattr(block, "__name__", type(block).__name__).lower()
@@ -178,21 +178,21 @@ def own_metric(source: Source) -> OwnMetric:
     columns = getattr(block, "columns", None)
     if columns is not None and (isinstance(columns, str) or not all(isinstance(column, str) for column in columns)):
         raise InputError(f"{where}: columns = {columns!r}: must be names of columns of the log")
-    return OwnMetric(source, tuple(PREFIX + n for n in names), None if columns is None else tuple(columns))
+    return CustomMetric(source, tuple(PREFIX + n for n in names), None if columns is None else tuple(columns))
 
 
-def unmeasured(name: str) -> OwnMetric:
+def refuse_metric(name: str) -> CustomMetric:
     """Return a metric that refuses to be computed, for a killed flight: what finishes such a flight runs no code."""
 
     def refuse() -> Any:
         raise InputError("not measured: the flight was killed, and what finishes such a flight runs no code")
 
-    return OwnMetric(Source(name, "metric", refuse, {}), (), ())
+    return CustomMetric(Source(name, "metric", refuse, {}), (), ())
 
 
-def metrics_of(scenario: Scenario) -> list[OwnMetric]:
+def metrics_of(scenario: Scenario) -> list[CustomMetric]:
     """Return the scenario's custom metrics.  Raises InputError."""
-    return [own_metric(_source("metric", name, scenario)) for name in scenario.metrics]
+    return [read_metric(_source("metric", name, scenario)) for name in scenario.metrics]
 
 
 def _made(source: Source, scenario: Scenario, vehicle: Vehicle, number: int) -> Any:
@@ -211,7 +211,7 @@ def _called(source: Source, what: str, method: Callable[..., Any], *told: Any) -
     return Named(source.label, kind=source.level).call(what, method, *told)
 
 
-class Watching:
+class GuardedObserver:
     """An observer of the user's: a :class:`cosim.base.protocols.Observer` whose errors name it."""
 
     def __init__(self, source: Source, block: Any) -> None:
@@ -226,7 +226,7 @@ class Watching:
             _called(self._source, "close", self._block.close)
 
 
-class OwnSensors:
+class GuardedSensors:
     """Sensors of the user's behind the built-in ones: told the truth and what these say, they say what is measured."""
 
     def __init__(self, source: Source, block: Any, inner: Sensors) -> None:

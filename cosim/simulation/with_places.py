@@ -139,7 +139,7 @@ class PlacePilot:
             raise InputError(f"{where}: {', '.join(leaning)}: a place needs the lean to itself")
         for key, others in (("altitude_m", ("altitude_m", "collective")), ("yaw_deg", ("yaw_deg",))):
             beside = [signal for signal in asked if signal in others]
-            stated = next((name for _, aim, drawn in self._aims if (name := _states(aim, drawn, key))), None)
+            stated = next((name for _, aim, drawn in self._aims if (name := _describe_target(aim, drawn, key))), None)
             if beside and stated:
                 raise InputError(f"{where}: {beside[0]}: a {stated}; one of them can ask for it")
         if len(set(self._starts)) < len(self._starts):
@@ -315,7 +315,7 @@ def _piece(cubic: Cubic, u: float, resting: bool) -> tuple[float, float, float]:
     return (value, 0.0, 0.0) if resting else (value, (3.0 * a * u + 2.0 * b) * u + c, 6.0 * a * u + 2.0 * b)
 
 
-def _states(aim: GuidedCommand, drawn: Drawn | None, key: str) -> str:
+def _describe_target(aim: GuidedCommand, drawn: Drawn | None, key: str) -> str:
     """Describe what of a guided command states the height (``altitude_m``) or the heading (``yaw_deg``); or nothing."""
     if drawn is not None:
         return f"track states {key}" if key in drawn.states else ""

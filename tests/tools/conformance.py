@@ -24,7 +24,7 @@ from cosim.results.autopilot.autopilot_record import PilotRecord
 from cosim.results.log.recorder import Recorder
 from cosim.results.run import Recording
 from cosim.simulation.controllers.guard import GuardedController, GuardedPredictor
-from cosim.simulation.plugins import Watching, WindTable
+from cosim.simulation.plugins import GuardedObserver, WindTable
 from cosim.simulation.script.disturber import Disturber
 from cosim.simulation.with_places import PlacePilot
 from cosim.vehicle.sensors import FaultySensors, SensorSuite
@@ -62,7 +62,7 @@ def pilot(block: PlacePilot | Autopilot | _PilotOutside) -> protocols.Pilot:
     return block
 
 
-def observer(block: Recorder | Recording | PilotRecord | Watching) -> protocols.Observer:
+def observer(block: Recorder | Recording | PilotRecord | GuardedObserver) -> protocols.Observer:
     return block
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.campaign.analysis.sensitivity import Ranking
 from cosim.campaign.analysis.statistics import Share, classes, wilson
-from cosim.campaign.analysis.summary import places
+from cosim.campaign.analysis.summary import controller_indices
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.results.report.plot import ABOVE, GREEN, GREY, MAGENTA, ORANGE, RED, layout, run_colour
 from cosim.results.wording import Metric
@@ -42,7 +42,10 @@ def campaign_figures(
 def outcomes(table: FlightTable) -> Figure:
     """Return the figure of how the flights of each controller ended, in percent of its flights."""
     counts = np.array(
-        [np.bincount(table.kind[table.of(controller)], minlength=len(KINDS)) for controller in places(table)]
+        [
+            np.bincount(table.kind[table.of(controller)], minlength=len(KINDS))
+            for controller in controller_indices(table)
+        ]
     )
     of = np.maximum(counts.sum(axis=1), 1)
     data = [
@@ -51,7 +54,7 @@ def outcomes(table: FlightTable) -> Figure:
             "orientation": "h",
             "name": name,
             "y": table.controllers,
-            "x": rounded(100.0 * counts[:, kind] / of),
+            "x": round_digits(100.0 * counts[:, kind] / of),
             "customdata": counts[:, kind].tolist(),
             "marker": {"color": KIND_COLOURS[name]},
             "hovertemplate": f"%{{y}}: %{{customdata}} {name} (%{{x:.4~g}} %)<extra></extra>",
@@ -115,7 +118,7 @@ def ranking_figure(table: FlightTable, rankings: Sequence[Ranking | None]) -> Fi
     """Return the figure of first-order indices, the largest on top; shaded is chance, pale what is not above it."""
     known = [(place, ranking) for place, ranking in enumerate(rankings) if ranking is not None]
     by_key = {place: {effect.key: effect for effect in ranking.effects} for place, ranking in known}
-    labels = {key.path: wrapped(key.label) for key in table.keys}
+    labels = {key.path: wrap_label(key.label) for key in table.keys}
     most = {path: max(effects[path].index for effects in by_key.values()) for path in labels}
     paths = sorted(labels, key=lambda path: most[path])[-CURVES:]
     data = []
@@ -165,7 +168,7 @@ def _percent(share: float) -> float:
     return round(100.0 * max(share, 0.0), 3)
 
 
-def wrapped(label: str, most: int = 24) -> str:
+def wrap_label(label: str, most: int = 24) -> str:
     """Return a label broken into lines at its dots, of at most ``most`` characters where the parts allow it."""
     lines = [""]
     for part in label.replace(".", ".\0").split("\0"):
@@ -178,7 +181,7 @@ def wrapped(label: str, most: int = 24) -> str:
 def success_over(table: FlightTable, key: KeyColumn) -> Figure:
     """Return the figure of the fraction of successes over one key, with 95 % intervals; other keys vary as drawn."""
     data = []
-    for place in places(table):
+    for place in controller_indices(table):
         rows = table.of(place) & np.isfinite(key.numbers)
         count = int(np.sum(rows))
         if not count:
@@ -194,12 +197,13 @@ def success_over(table: FlightTable, key: KeyColumn) -> Figure:
             "type": "scatter",
             "name": name,
             "x": _offset(middle, place, table, key),
-            "y": rounded(100.0 * share),
+            "y": round_digits(100.0 * share),
             "mode": "markers" if key.levels else "lines+markers",
             "line": {"color": run_colour(place), "width": 1.6},
             "marker": {"color": run_colour(place), "size": 6},
             "customdata": [
-                f"{_shown(value, key)}: {int(k)} of {int(n)}" for value, k, n in zip(middle, hits, of, strict=True)
+                f"{_format_value(value, key)}: {int(k)} of {int(n)}"
+                for value, k, n in zip(middle, hits, of, strict=True)
             ],
             "hovertemplate": f"{name}, %{{customdata}}, %{{y:.1f}} %<extra></extra>",
         }
@@ -207,8 +211,8 @@ def success_over(table: FlightTable, key: KeyColumn) -> Figure:
             trace["error_y"] = {
                 "type": "data",
                 "symmetric": False,
-                "array": rounded(100.0 * (high - share)),
-                "arrayminus": rounded(100.0 * (share - low)),
+                "array": round_digits(100.0 * (high - share)),
+                "arrayminus": round_digits(100.0 * (share - low)),
                 "thickness": 1,
                 "width": 2,
             }
@@ -233,14 +237,14 @@ def _offset(middle: Array, place: int, table: FlightTable, key: KeyColumn) -> li
     """Return the shift of a controller's marks, so that controllers do not hide each other."""
     apart = place - 0.5 * (len(table.controllers) - 1)
     if key.levels:
-        return rounded(middle + 0.12 * apart)
+        return round_digits(middle + 0.12 * apart)
     low, high = np.nanmin(key.numbers), np.nanmax(key.numbers)
     if key.log:
-        return rounded(middle * (high / low) ** (0.005 * apart), 5)
-    return rounded(middle + 0.005 * (high - low) * apart, 5)
+        return round_digits(middle * (high / low) ** (0.005 * apart), 5)
+    return round_digits(middle + 0.005 * (high - low) * apart, 5)
 
 
-def _shown(value: float, key: KeyColumn) -> str:
+def _format_value(value: float, key: KeyColumn) -> str:
     return key.levels[round(value)] if key.levels else f"{value:.4g} {key.unit}".strip()
 
 
@@ -268,7 +272,7 @@ def distribution(table: FlightTable, metric: Metric) -> Figure:
     """
     data = []
     largest: list[float] = []
-    for place in places(table):
+    for place in controller_indices(table):
         rows = table.of(place)
         values = np.sort(metric.factor * table.values[metric.name][rows])  # NaN comes last
         known = values[np.isfinite(values)]
@@ -282,22 +286,22 @@ def distribution(table: FlightTable, metric: Metric) -> Figure:
                 "type": "scatter",
                 "mode": "lines" if known.size > 1 else "markers",
                 "name": name,
-                "x": rounded(known[picked]),
-                "y": rounded(100.0 * (picked + 1) / values.size),
+                "x": round_digits(known[picked]),
+                "y": round_digits(100.0 * (picked + 1) / values.size),
                 "line": {"color": run_colour(place), "width": 1.8, "shape": "hv"},
                 "hovertemplate": f"{name}: %{{y:.1f}} % of the flights up to %{{x:.4~g}} {metric.unit}<extra></extra>",
             }
         )
     layout = _layout(270) | {"showlegend": False}
     layout["margin"] |= {"t": 30}
-    layout["xaxis"] = {"title": {"text": f"{metric.label} [{metric.unit}]"}, "zeroline": False} | _stretch(
+    layout["xaxis"] = {"title": {"text": f"{metric.label} [{metric.unit}]"}, "zeroline": False} | _metric_axis(
         table, metric
     )
     layout["yaxis"] = {"title": {"text": "of all flights [%]"}, "range": [-3.0, 103.0]}
     return {"data": data, "layout": layout}
 
 
-def _stretch(table: FlightTable, metric: Metric) -> Figure:
+def _metric_axis(table: FlightTable, metric: Metric) -> Figure:
     """Return the axis of a metric, logarithmic for values that are spread over decades."""
     values = table.values[metric.name]
     known = values[np.isfinite(values)]
@@ -308,7 +312,7 @@ def _stretch(table: FlightTable, metric: Metric) -> Figure:
 # ---- pieces
 
 
-def rounded(values: Array, digits: int = 4) -> list[Any]:
+def round_digits(values: Array, digits: int = 4) -> list[Any]:
     """Round to so many significant digits, with None for what is not a number."""
     return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values.tolist()]
 

@@ -19,19 +19,19 @@ from cosim.campaign.analysis.statistics import Interval, MedianDifference
 from cosim.campaign.analysis.summary import (
     SUCCESS,
     comparisons,
+    controller_indices,
     kinds,
-    places,
-    ranked,
+    rank_keys,
     reasons,
     result,
-    shares,
     spread,
+    success_fractions,
 )
 from cosim.campaign.analysis.table import (
     KINDS,
     FlightTable,
     KeyColumn,
-    criterion,
+    describe_criterion,
     read,
 )
 from cosim.campaign.analysis.worst_cases import case_rows
@@ -80,11 +80,11 @@ def write_campaign_report(campaign: Campaign) -> Path:
 def page(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the figures of the report and the values for its template; write the scenario files of its cases."""
     table, study = read(campaign), campaign.study
-    successes = shares(table)
+    successes = success_fractions(table)
     names = [SUCCESS, *(metric.name for metric in table.metrics)]
-    rankings = {name: [ranked(table, place, name) for place in places(table)] for name in names}
+    rankings = {name: [rank_keys(table, place, name) for place in controller_indices(table)] for name in names}
     leading = next((name for name in names if any(rankings[name])), SUCCESS)
-    order = by_influence(table, rankings[leading])
+    order = order_by_influence(table, rankings[leading])
     figures = campaign_figures(table, successes, rankings, order)
     if len(table.keys) > 1 and table.flight.size:
         shown = order[:MAP_KEYS]
@@ -100,11 +100,11 @@ def page(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]:
         "table": table,
         "planned": campaign.of,
         "facts": facts(campaign, table),
-        "success_is": criterion(study.success),
+        "success_is": describe_criterion(study.success),
         "interval_note": INTERVALS.get(study.design, ""),
         "kind_colours": KIND_COLOURS,
         "keys": key_rows(study, table),
-        "correlations": [correlation_words(correlation) for correlation in study.correlate],
+        "correlations": [describe_correlation(correlation) for correlation in study.correlate],
         "comparisons": comparison_rows(table),
         "metric_rows": metric_rows(table),
         "rankings": ranking_tables(table, rankings),
@@ -113,7 +113,7 @@ def page(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]:
         "warnings": warnings(campaign, table),
         "most_curves": len([name for name in figures if name.startswith("key-")]),
         "python": python_lines(campaign.folder),
-        "made_from": made_from(campaign),
+        "made_from": collect_sources(campaign),
     }
 
 
@@ -131,10 +131,10 @@ def facts(campaign: Campaign, table: FlightTable) -> list[tuple[str, str]]:
         ("draws", f"{study.draws:,}" + (f", {study.repeats} at each point" if study.repeats > 1 else "")),
         ("controllers", ", ".join(table.controllers)),
         ("seed", str(study.seed)),
-        ("simulated", duration(simulated)),
+        ("simulated", format_duration(simulated)),
     ]
     if wall.sum() > 0.0:
-        lines.append(("work", f"{duration(float(wall.sum()))}, {1e3 * float(wall.mean()):.0f} ms a flight"))
+        lines.append(("work", f"{format_duration(float(wall.sum()))}, {1e3 * float(wall.mean()):.0f} ms a flight"))
         lines.append(("workers", str(len(set(campaign.columns.get("worker", []))))))
     return [line for line in lines if line[1] not in ("", "0")]
 
@@ -147,7 +147,7 @@ def scenario_name(study: Study) -> str:
         return study.scenario
 
 
-def duration(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """Return a time [s] as text in hours, minutes or seconds."""
     for unit, length in (("h", 3600.0), ("min", 60.0)):
         if seconds >= 2.0 * length:
@@ -168,7 +168,7 @@ def key_rows(study: Study, table: FlightTable) -> list[dict[str, str]]:
         rows.append(
             {
                 "path": vary.key,
-                "drawn": drawn_from(vary),
+                "drawn": describe_draws(vary),
                 "nominal": NONE if nominal is None else _value_text(nominal),
                 "observed": NONE if key is None else _observed_range(key),
                 "unit": "" if key is None else key.unit,
@@ -186,7 +186,7 @@ def _observed_range(key: KeyColumn) -> str:
     return f"{known.min():.4g} to {known.max():.4g}"
 
 
-def drawn_from(vary: Vary) -> str:
+def describe_draws(vary: Vary) -> str:
     """Describe a distribution."""
     relative = {"": "", "factor": ", times the nominal value", "offset": ", added to the nominal value"}[vary.relative]
     return _distribution(vary) + relative
@@ -225,7 +225,7 @@ def _value_text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def correlation_words(correlation: Correlation) -> str:
+def describe_correlation(correlation: Correlation) -> str:
     """Describe one requested correlation."""
     return f"{correlation.keys[0]} with {correlation.keys[1]}: {correlation.rank:g}"
 
@@ -246,7 +246,7 @@ def warnings(campaign: Campaign, table: FlightTable) -> list[str]:
             f"{failed:,} flight{'s' if failed > 1 else ''} could not be flown to a verdict (failed): "
             f"{'they count' if failed > 1 else 'it counts'} as no success everywhere; the reasons are below."
         )
-    changed = [name for name, values in made_from(campaign).items() if len(values) > 1]
+    changed = [name for name, values in collect_sources(campaign).items() if len(values) > 1]
     if changed:
         lines.append(
             f"What the flights were made from changed while the study was flown: {', '.join(changed)}. "
@@ -255,7 +255,7 @@ def warnings(campaign: Campaign, table: FlightTable) -> list[str]:
     return lines
 
 
-def made_from(campaign: Campaign) -> dict[str, list[str]]:
+def collect_sources(campaign: Campaign) -> dict[str, list[str]]:
     """Return by name every version and file hash of aircraft and engines with which flights were computed."""
     sources: dict[str, list[str]] = {}
     for text in dict.fromkeys(campaign.columns.get("inputs", [])):
@@ -269,7 +269,7 @@ def made_from(campaign: Campaign) -> dict[str, list[str]]:
 # ---- what drives it
 
 
-def by_influence(table: FlightTable, rankings: Sequence[Ranking | None]) -> list[int]:
+def order_by_influence(table: FlightTable, rankings: Sequence[Ranking | None]) -> list[int]:
     """Return the keys' indices by their largest sensitivity with any controller; unranked keys last, in order."""
     most = dict.fromkeys((key.path for key in table.keys), -1.0)
     for ranking in rankings:
@@ -290,7 +290,9 @@ def strongest_pair(
     for first, second in combinations(keys, 2):
         a, b = table.keys[first].numbers, table.keys[second].numbers
         known = np.isfinite(values) & np.isfinite(a) & np.isfinite(b)
-        together[first, second] = sum(_joint(known & table.of(place), a, b, values) for place in places(table))
+        together[first, second] = sum(
+            _joint(known & table.of(place), a, b, values) for place in controller_indices(table)
+        )
     usual = (keys[0], keys[1])
     best = max(together, key=lambda pair: together[pair])
     return best if together[best] > together[usual] + sum(ranking.floor for ranking in rankings if ranking) else usual
@@ -353,9 +355,9 @@ def comparison_rows(table: FlightTable) -> list[dict[str, Any]]:
             "first_colour": run_colour(comparison.first),
             "second_colour": run_colour(comparison.second),
             "pairs": comparison.pairs,
-            "difference": NONE if comparison.pairs.difference is None else points(comparison.pairs.difference),
-            "interval": "" if comparison.interval is None else " to ".join(map(points, comparison.interval)),
-            "p": p_text(comparison.p_holm),
+            "difference": NONE if comparison.pairs.difference is None else format_points(comparison.pairs.difference),
+            "interval": "" if comparison.interval is None else " to ".join(map(format_points, comparison.interval)),
+            "p": format_p_value(comparison.p_holm),
             "completed": comparison.completed,
             "metrics": [
                 _difference(metric, difference)
@@ -373,24 +375,26 @@ def _difference(metric: Metric, difference: MedianDifference) -> dict[str, Any]:
         "label": metric.label,
         "unit": metric.unit,
         "draws": difference.draws,
-        "median": signed(metric.factor * difference.median),
-        "interval": f"{signed(metric.factor * low)} to {signed(metric.factor * high)}" if difference.interval else "",
-        "p": p_text(difference.p),
+        "median": format_signed(metric.factor * difference.median),
+        "interval": f"{format_signed(metric.factor * low)} to {format_signed(metric.factor * high)}"
+        if difference.interval
+        else "",
+        "p": format_p_value(difference.p),
     }
 
 
-def points(share: float) -> str:
+def format_points(share: float) -> str:
     """Format a difference of fractions in percentage points, 0 without a sign."""
     text = f"{100.0 * share:+.1f}"
     return text[1:] if text[1:] == "0.0" else text
 
 
-def signed(value: float) -> str:
+def format_signed(value: float) -> str:
     """Format a number with its sign, 0 without."""
     return f"{value:+.3g}" if value else "0"
 
 
-def p_text(p: float) -> str:
+def format_p_value(p: float) -> str:
     """Format a p-value in two digits, or as below 0.0001."""
     return "< 0.0001" if p < 1e-4 else f"{p:.2g}"
 
@@ -400,7 +404,7 @@ def metric_rows(table: FlightTable) -> list[dict[str, Any]]:
     rows = []
     for number, metric in enumerate(table.metrics):
         cells = []
-        for place in places(table):
+        for place in controller_indices(table):
             quartiles = spread(table, place, metric.name)
             cells.append(
                 {"text": NONE, "none": 0, "flights": 0, "of": int(np.sum(table.of(place)))}
@@ -419,7 +423,7 @@ def metric_rows(table: FlightTable) -> list[dict[str, Any]]:
 
 def reason_rows(campaign: Campaign, table: FlightTable) -> list[dict[str, Any]]:
     """Return the reasons of flights without success, the commonest first, with the count of every controller."""
-    counted = [reasons(table, table.of(place), campaign.study.success) for place in places(table)]
+    counted = [reasons(table, table.of(place), campaign.study.success) for place in controller_indices(table)]
     names = sorted(
         {name for counter in counted for name in counter},
         key=lambda name: (-sum(counter[name] for counter in counted), name),

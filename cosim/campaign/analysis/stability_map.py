@@ -12,9 +12,9 @@ from math import isqrt
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.campaign.analysis.figures import Figure, group_medians, rounded
+from cosim.campaign.analysis.figures import Figure, group_medians, round_digits
 from cosim.campaign.analysis.statistics import Counts
-from cosim.campaign.analysis.summary import places
+from cosim.campaign.analysis.summary import controller_indices
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.results.wording import Metric
 
@@ -45,22 +45,35 @@ def map_tables(table: FlightTable, keys: Sequence[int], pair: tuple[int, int], c
         "colour": colour,
         "controllers": table.controllers,
         "keys": [
-            {"title": key.title, "label": key.label, "log": key.log, "levels": key.levels, "edges": rounded(edges, 6)}
+            {
+                "title": key.title,
+                "label": key.label,
+                "log": key.log,
+                "levels": key.levels,
+                "edges": round_digits(edges, 6),
+            }
             for key, (edges, _) in zip(chosen, sides, strict=True)
         ],
         "metrics": [_metric_table(table, metric) for metric in metrics],
         "cells": {
-            f"{x},{y}": [_cells(table, place, sides[x], sides[y], metrics, least) for place in places(table)]
+            f"{x},{y}": [
+                _cells(table, place, sides[x], sides[y], metrics, least) for place in controller_indices(table)
+            ]
             for x, y in pairs
         },
-        "points": [_points(table, place, chosen, metrics) for place in places(table)],
+        "points": [_points(table, place, chosen, metrics) for place in controller_indices(table)],
     }
 
 
 def _metric_table(table: FlightTable, metric: Metric) -> Figure:
     values = metric.factor * table.values[metric.name]
     low, high = np.nanquantile(values, [0.02, 0.98])
-    return {"name": metric.name, "label": metric.label, "unit": metric.unit, "range": rounded(np.array([low, high]))}
+    return {
+        "name": metric.name,
+        "label": metric.label,
+        "unit": metric.unit,
+        "range": round_digits(np.array([low, high])),
+    }
 
 
 def _sides(table: FlightTable, key: KeyColumn, pairs: int) -> tuple[Array, Counts]:
@@ -68,7 +81,7 @@ def _sides(table: FlightTable, key: KeyColumn, pairs: int) -> tuple[Array, Count
     known = np.isfinite(key.numbers)
     if key.levels:
         return np.arange(-0.5, len(key.levels)), np.where(known, key.numbers, -1).astype(np.intp)
-    flights = max((int(np.sum(table.of(place))) for place in places(table)), default=0)
+    flights = max((int(np.sum(table.of(place))) for place in controller_indices(table)), default=0)
     most = int(np.clip(isqrt(flights // FLIGHTS_PER_CELL), 3, max(16, min(40, isqrt(MAP_CELLS // pairs)))))
     numbers = np.where(known, key.numbers, key.numbers[known][0] if known.any() else 1.0)
     levels = np.unique(numbers)
@@ -120,7 +133,7 @@ def _medians(cell: Counts, values: Array, total: int, least: int) -> list[float 
     medians = np.full(total, np.nan)
     _, numbered = np.unique(cell, return_inverse=True)
     medians[present] = group_medians(numbered, values)
-    return rounded(np.where(counts >= least, medians, np.nan))
+    return round_digits(np.where(counts >= least, medians, np.nan))
 
 
 def _points(table: FlightTable, place: int, keys: Sequence[KeyColumn], metrics: Sequence[Metric]) -> Figure:
@@ -136,6 +149,6 @@ def _points(table: FlightTable, place: int, keys: Sequence[KeyColumn], metrics: 
         "of": [int(np.sum(mine & table.success)), int(np.sum(mine & ~table.success))],
         "flight": table.flight[rows].tolist(),
         "kind": [KINDS[kind] for kind in table.kind[rows]],
-        "keys": [rounded(key.numbers[rows]) for key in keys],
-        "m": [rounded(metric.factor * table.values[metric.name][rows]) for metric in metrics],
+        "keys": [round_digits(key.numbers[rows]) for key in keys],
+        "m": [round_digits(metric.factor * table.values[metric.name][rows]) for metric in metrics],
     }

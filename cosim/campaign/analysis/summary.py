@@ -28,7 +28,7 @@ from cosim.campaign.analysis.table import (
     KINDS,
     FlightTable,
     Mask,
-    criterion,
+    describe_criterion,
     read,
 )
 from cosim.results.wording import metric
@@ -67,15 +67,15 @@ class Spread(NamedTuple):
     high: float  # 5 % lie above
 
 
-def shares(table: FlightTable) -> list[Share]:
+def success_fractions(table: FlightTable) -> list[Share]:
     """Return the fraction of successes of every controller; a failed flight counts as no success."""
     return [
         share(int(np.sum(table.success & table.of(controller))), int(np.sum(table.of(controller))))
-        for controller in places(table)
+        for controller in controller_indices(table)
     ]
 
 
-def places(table: FlightTable) -> range:
+def controller_indices(table: FlightTable) -> range:
     """Return the indices of the controllers."""
     return range(len(table.controllers))
 
@@ -100,7 +100,7 @@ def spread(table: FlightTable, controller: int, name: str) -> Spread | None:
 
 def comparisons(table: FlightTable) -> list[Comparison]:
     """Compare every two controllers on the draws that both have flown."""
-    compared = [_compared(table, first, second) for first, second in combinations(places(table), 2)]
+    compared = [_compared(table, first, second) for first, second in combinations(controller_indices(table), 2)]
     corrected = holm([comparison.p for comparison in compared])
     return [comparison._replace(p_holm=p) for comparison, p in zip(compared, corrected, strict=True)]
 
@@ -129,7 +129,7 @@ def result(table: FlightTable, name: str) -> Array:
     return table.success.astype(np.float64) if name == SUCCESS else table.values[name]
 
 
-def ranked(table: FlightTable, controller: int, name: str) -> Ranking | None:
+def rank_keys(table: FlightTable, controller: int, name: str) -> Ranking | None:
     """Return the effect of each key on the success or on a metric of a controller; None if it cannot be estimated."""
     values = result(table, name)
     rows = table.of(controller) & np.isfinite(values)
@@ -144,16 +144,18 @@ def reasons(table: FlightTable, rows: Mask, success: Mapping[str, Range]) -> Cou
     counts: Counter[str] = Counter()
     missed = table.kind == KINDS.index("missed")
     for row in np.flatnonzero(rows & ~table.success):
-        counts[" and ".join(missing(table, int(row), success)) if missed[row] else plain(table.reason[row])] += 1
+        counts[
+            " and ".join(unmet_criteria(table, int(row), success)) if missed[row] else strip_numbers(table.reason[row])
+        ] += 1
     return counts
 
 
-def plain(reason: str) -> str:
+def strip_numbers(reason: str) -> str:
     """Return a reason without its numbers, so that the reasons of similar flights become one."""
     return NUMBER.sub("…", BRACKETS.sub("", reason)).strip() or "no reason given"
 
 
-def missing(table: FlightTable, row: int, success: Mapping[str, Range]) -> list[str]:
+def unmet_criteria(table: FlightTable, row: int, success: Mapping[str, Range]) -> list[str]:
     """Return the criteria of a study that a completed flight does not meet."""
     lines = [f"{metric(name).label} beyond the flight's own limit" for name in table.beyond[row]]
     for name, allowed in success.items():
@@ -182,11 +184,11 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
         "flights": int(table.flight.size),
         "planned": campaign.of,
         "finished": int(table.flight.size) == campaign.of,
-        "success_is": criterion(study.success),
+        "success_is": describe_criterion(study.success),
         "share_is": "share of the grid" if table.grid else "estimated probability",
         "controllers": {
             name: _controller(table, place, share)
-            for place, (name, share) in enumerate(zip(table.controllers, shares(table), strict=True))
+            for place, (name, share) in enumerate(zip(table.controllers, success_fractions(table), strict=True))
         },
         "comparisons": [_comparison(table, comparison) for comparison in comparisons(table)],
         "reasons": {
@@ -194,7 +196,7 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
             for place, name in enumerate(table.controllers)
         },
         "drives_success": {
-            name: _ranking(ranked(table, place, SUCCESS)) for place, name in enumerate(table.controllers)
+            name: _ranking(rank_keys(table, place, SUCCESS)) for place, name in enumerate(table.controllers)
         },
         "wall_s": float(np.nansum(np.array(campaign.columns.get("wall_s", []), dtype=np.float64))),
     }

@@ -121,7 +121,7 @@ def read(campaign: Campaign) -> FlightTable:
         beyond=[str(names or "").split() for names in columns.get("beyond", outcomes.size * [""])],
         duration=numbers(columns.get("duration_s", [])),
         keys=key_columns(campaign),
-        metrics=[metric(name) for name in telling(values, list(study.success))],
+        metrics=[metric(name) for name in choose_metrics(values, list(study.success))],
         values=values,
         controllers=[short_name(name) for name in controllers],
         grid=study.design == "grid",
@@ -182,7 +182,7 @@ def short_names(paths: Sequence[str]) -> list[str]:
     return names
 
 
-def telling(values: Mapping[str, Array], required: Sequence[str]) -> list[str]:
+def choose_metrics(values: Mapping[str, Array], required: Sequence[str]) -> list[str]:
     """Return the names of the metrics to show: at most ``MOST_METRICS``, and those of ``OF_THE_WHOLE``.
 
     First those of the study's success, then the custom ones, then those of axes that were commanded in steps, then the
@@ -206,15 +206,15 @@ def telling(values: Mapping[str, Array], required: Sequence[str]) -> list[str]:
     return list(dict.fromkeys([*moving[:MOST_METRICS], *(name for name in moving if name in OF_THE_WHOLE)]))
 
 
-def criterion(success: Mapping[str, Range]) -> str:
+def describe_criterion(success: Mapping[str, Range]) -> str:
     """Describe a study's criterion of success: the flight keeps its own limits, and the metrics are in their ranges."""
-    parts = [f"{metric(name).label} {span(name, allowed)}" for name, allowed in success.items()]
+    parts = [f"{metric(name).label} {describe_range(name, allowed)}" for name, allowed in success.items()]
     return (
         f"flies to its end within its limits{', with ' if parts else '; nothing else is checked'}{' and '.join(parts)}"
     )
 
 
-def span(name: str, allowed: Range) -> str:
+def describe_range(name: str, allowed: Range) -> str:
     """Describe the range of a metric, in the unit of the report."""
     of = metric(name)
     low, high = (

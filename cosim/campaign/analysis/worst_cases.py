@@ -13,7 +13,7 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import one_line, write_whole
 from cosim.base.storage.toml import toml_text
 from cosim.base.trust import CodeRefusedError, is_looking
-from cosim.campaign.analysis.summary import SUCCESS, missing, places
+from cosim.campaign.analysis.summary import SUCCESS, controller_indices, unmet_criteria
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.campaign.folder import CASES, SCENARIO
 from cosim.campaign.study.plan import scenario_of
@@ -43,13 +43,13 @@ def case_rows(campaign: Campaign, table: FlightTable) -> list[dict[str, Any]]:
         {
             "controller": table.controllers[place],
             "colour": run_colour(place),
-            "rows": [_case_row(campaign, table, case) for case in worst(campaign.study, table, place)],
+            "rows": [_case_row(campaign, table, case) for case in worst_flights(campaign.study, table, place)],
         }
-        for place in places(table)
+        for place in controller_indices(table)
     ]
 
 
-def worst(study: Study, table: FlightTable, controller: int) -> list[Case]:
+def worst_flights(study: Study, table: FlightTable, controller: int) -> list[Case]:
     """Return the flights lost soonest, those failed nearest to the middle of the draws, and those without a verdict.
 
     Then the successes with the worst of the first metric; a flight is named once.
@@ -100,7 +100,7 @@ def _case_row(campaign: Campaign, table: FlightTable, case: Case) -> dict[str, A
     kind = KINDS[table.kind[case.row]]
     reason = table.reason[case.row]
     if kind == "missed":
-        reason = " and ".join(missing(table, case.row, campaign.study.success))
+        reason = " and ".join(unmet_criteria(table, case.row, campaign.study.success))
     return {
         "flight": number,
         "draw": int(table.draw[case.row]),
@@ -135,7 +135,7 @@ def write_case(campaign: Campaign, row: int) -> tuple[str, str]:
     try:
         flight = flight_of(campaign.study, {name: campaign.columns[name][row] for name in stated})
         name = f"flight-{flight.number:06d}"
-        if is_looking() and (there := _written(campaign.folder, name)):
+        if is_looking() and (there := _existing_case(campaign.folder, name)):
             return there, ""
         scenario = scenario_of(campaign.study, flight)
         return write_flight(scenario, campaign.folder, name), ""
@@ -145,7 +145,7 @@ def write_case(campaign: Campaign, row: int) -> tuple[str, str]:
         return "", str(error)
 
 
-def _written(folder: Path, name: str) -> str:
+def _existing_case(folder: Path, name: str) -> str:
     """Return the path of a case's existing scenario file; empty if there is none."""
     places = [Path(CASES) / name / SCENARIO, Path(CASES) / f"{name}.toml"]
     return next((place.as_posix() for place in places if (folder / place).is_file()), "")

@@ -28,8 +28,8 @@ from cosim.campaign.search.search import (
     Plan,
     SearchResult,
     SecondKey,
+    describe_flight,
     search,
-    why,
 )
 from cosim.campaign.search.span import span
 from cosim.campaign.study.distributions import Vary, parse_vary
@@ -53,7 +53,7 @@ STUDY, QUESTION, JOURNAL, RESULT, REPORT, CASES = (
 )
 
 
-def opened(
+def resolve_search(
     name: str,
     *,
     vary: Sequence[str],
@@ -140,7 +140,7 @@ def run_search(
     """
     frozen = freeze(study)
     try:
-        begun = _begun(out, frozen, plan, resume)
+        begun = _holds_search(out, frozen, plan, resume)
         if not begun:
             _begin(out, frozen, plan)
         with locked(out / JOURNAL, f"{out}: another search is at work there"):
@@ -156,7 +156,7 @@ def run_search(
     return searched
 
 
-def _begun(out: Path, frozen: Frozen, plan: Plan, resume: bool) -> bool:
+def _holds_search(out: Path, frozen: Frozen, plan: Plan, resume: bool) -> bool:
     """Return whether the folder holds this very search, to be resumed; InputError if it holds anything else."""
     if not out.exists() or not any(out.iterdir()):
         return False
@@ -185,9 +185,9 @@ def _begin(out: Path, frozen: Frozen, plan: Plan) -> None:
 
 def _cases(result: SearchResult, prober: Prober, folder: Path) -> Iterator[Case]:
     """Fly what breaks and what just holds once more, recorded in full."""
-    for name, point, breaks in _shown(result):
+    for name, point, breaks in _points_to_record(result):
         verdict = prober.result(point)
-        row = verdict.worst if breaks else _held(result, prober, point)
+        row = verdict.worst if breaks else _first_success(result, prober, point)
         seed = int(row["seed"] or 0)
         try:
             run = fly(scenario_of(prober.study, prober.flight(point, seed)), folder / name)
@@ -196,17 +196,17 @@ def _cases(result: SearchResult, prober: Prober, folder: Path) -> Iterator[Case]
             yield Case(name, point.controller, breaks, dict(point.values), seed, "failed", str(error), same)
             continue
         same = row["log_sha256"] == log_digest(run.log) and row["outcome"] == run.outcome
-        ended = why(prober.study, row) if same else f"{run.outcome}, {run.summary.reason}"
+        ended = describe_flight(prober.study, row) if same else f"{run.outcome}, {run.summary.reason}"
         yield Case(name, point.controller, breaks, dict(point.values), seed, run.outcome, ended, same)
 
 
-def _held(result: SearchResult, prober: Prober, point: Point) -> Row:
+def _first_success(result: SearchResult, prober: Prober, point: Point) -> Row:
     """Return the row of the first flight at a point that was a success."""
     rows = [prober.row(point, seed) for seed in result.plan.seeds]
     return next((row for row in rows if row["success"]), rows[0])
 
 
-def _shown(result: SearchResult) -> Iterator[tuple[str, Point, bool]]:
+def _points_to_record(result: SearchResult) -> Iterator[tuple[str, Point, bool]]:
     """Yield the points whose flights get a folder, with name and whether the vehicle breaks there.
 
     These are the edges, of a curve the nearest on each side, and what breaks together.

@@ -44,7 +44,7 @@ class Scan:
         return bands
 
 
-def outward(places: Sequence[float], between: Between, at_once: int | None = None) -> Walk:
+def scan_outward(places: Sequence[float], between: Between, at_once: int | None = None) -> Walk:
     """Evaluate ``places``, the start first, and bisect the first change.
 
     ``between(a, b)`` is the place to look at next between two, None where they are close enough.  ``at_once``: so many
@@ -71,7 +71,7 @@ def _first_change(known: Mapping[float, bool]) -> tuple[float, float] | None:
     return None
 
 
-def side_by_side(
+def run_walks(
     walks: Mapping[Name, Walk], look: Callable[[Sequence[tuple[Name, float]]], Sequence[bool]]
 ) -> dict[Name, Scan]:
     """Run all walks to their ends; ``look`` evaluates at one time all positions that they need next."""

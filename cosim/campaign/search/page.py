@@ -73,7 +73,7 @@ def write_page(searched: SavedSearch, path: Path) -> None:
         labels={name: short_name(name) for name in result.study.controller_names},
         columns=columns,
         rows=rows,
-        fine=[how_fine(span) for span in result.plan.spans],
+        fine=[describe_resolution(span) for span in result.plan.spans],
         together=joint_lines(result),
         cases=cases,
     )
@@ -124,7 +124,7 @@ def _then(edge: Edge) -> str:
     return f"{some}{edge.reason}{back}"
 
 
-def how_fine(span: Span) -> str:
+def describe_resolution(span: Span) -> str:
     """Describe the resolution at which a key was searched."""
     unit = span.key.unit
     fine = "exactly" if span.key.kind == "int" and span.tolerance <= 1.0 else f"to {text(span.tolerance, unit)}"
@@ -298,8 +298,8 @@ def _pair(plan: Plan, joint: Joint, looked: list[tuple[Point, bool]]) -> Figure:
                 "type": "scatter",
                 "mode": "lines",
                 "name": "as far from the start",
-                "x": [_at(first, x) for x, _ in near],
-                "y": [_at(second, y) for _, y in near],
+                "x": [_value_at(first, x) for x, _ in near],
+                "y": [_value_at(second, y) for _, y in near],
                 "line": {"color": GREY, "width": 1.2, "dash": "dot"},
                 "hoverinfo": "skip",
             }
@@ -320,7 +320,7 @@ def _pair(plan: Plan, joint: Joint, looked: list[tuple[Point, bool]]) -> Figure:
     return {"data": data, "layout": layout}
 
 
-def _at(span: Span, deviation: float) -> float | None:
+def _value_at(span: Span, deviation: float) -> float | None:
     """Return the value at a deviation on the unit circle; None where the range ends before it."""
     if abs(deviation) > 1.0 or (1 if deviation > 0.0 else -1) not in span.sides:
         return None if abs(deviation) > 1e-9 else span.start

@@ -46,7 +46,7 @@ class SpentError(Exception):
     """None of the allowed flights is left."""
 
 
-def needed(share: float, flights: int) -> int:
+def count_needed(share: float, flights: int) -> int:
     """Return how many of a point's flights have to break before it does."""
     return max(1, ceil(share * flights - 1e-9))
 
@@ -69,7 +69,7 @@ class Prober:
     ) -> None:
         self.study = study
         self.seeds = tuple(seeds)
-        self.needed = needed(share, len(self.seeds))
+        self.needed = count_needed(share, len(self.seeds))
         self.left: int | None = None  # flights that are still allowed; None: as many as it takes
         self._workers = workers
         self._journal = journal

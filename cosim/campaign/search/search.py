@@ -19,14 +19,14 @@ from cosim.base.arrays import Array
 from cosim.campaign.search.line_search import (
     Between,
     Scan,
-    outward,
-    side_by_side,
+    run_walks,
+    scan_outward,
 )
 from cosim.campaign.search.probe import (
     Point,
     Prober,
     SpentError,
-    needed,
+    count_needed,
 )
 from cosim.campaign.search.span import Span
 from cosim.campaign.study.keys import Key, Value
@@ -113,7 +113,7 @@ class Joint:
     breaks: Mapping[str, Value]
     holds: Mapping[str, Value]  # the last that holds on the way there
     deviations: Mapping[str, float]
-    alone: float | None  # the smallest distance of a single key that breaks
+    search_singly: float | None  # the smallest distance of a single key that breaks
     rays: int  # tried
     flights: int
     spent: bool  # ended because no more flights were allowed
@@ -142,7 +142,7 @@ class SearchResult:
         count = len(self.plan.seeds)
         if count == 1:
             return f"the flight breaks if {condition}"
-        least = needed(self.plan.share, count)
+        least = count_needed(self.plan.share, count)
         some = "any" if least == 1 else "all" if least == count else f"at least {least}"
         return (
             f"a flight breaks if {condition}; a point if {some} of its {count} flights {'does' if least == 1 else 'do'}"
@@ -157,14 +157,14 @@ class SearchResult:
 def search(plan: Plan, prober: Prober) -> SearchResult:
     """Search every controller of the study.  Raises FlightError if flights cannot be flown."""
     study = prober.study
-    edges = alone(plan, prober, study.controller_names)
+    edges = search_singly(plan, prober, study.controller_names)
     joints: tuple[Joint, ...] = ()
     if len(plan.spans) > 1:
-        joints = tuple(together(plan, prober, controller, edges) for controller in study.controller_names)
+        joints = tuple(search_jointly(plan, prober, controller, edges) for controller in study.controller_names)
     return SearchResult(study, plan, tuple(edges), joints, prober.flights)
 
 
-def why(study: Study, row: Row) -> str:
+def describe_flight(study: Study, row: Row) -> str:
     """Describe how a flight ended, and for a completed one which metrics were out of range."""
     if row["outcome"] == "failed" and not row.get("steps"):
         return f"not flown: {row['reason']}"
@@ -192,7 +192,7 @@ class _Line:
         return plan.point(self.controller, {span.key.path: span.at(self.side * place)}, level)
 
 
-def alone(plan: Plan, prober: Prober, controllers: Sequence[str]) -> list[Edge]:
+def search_singly(plan: Plan, prober: Prober, controllers: Sequence[str]) -> list[Edge]:
     """Search every key by itself, for every controller, side and level, all side by side."""
     lines = [
         _Line(controller, number, side, level)
@@ -202,10 +202,10 @@ def alone(plan: Plan, prober: Prober, controllers: Sequence[str]) -> list[Edge]:
         for level in range(len(plan.over.levels) if plan.over else 1)
     ]
     walks = {
-        line: outward(plan.spans[line.span].places(line.side), plan.spans[line.span].between(line.side))
+        line: scan_outward(plan.spans[line.span].places(line.side), plan.spans[line.span].between(line.side))
         for line in lines
     }
-    scans = side_by_side(walks, lambda requests: prober.look([line.point(plan, place) for line, place in requests]))
+    scans = run_walks(walks, lambda requests: prober.look([line.point(plan, place) for line, place in requests]))
     return [_edge(plan, prober, line, scan) for line, scan in scans.items()]
 
 
@@ -235,7 +235,7 @@ def _edge(plan: Plan, prober: Prober, line: _Line, scan: Scan) -> Edge:
         flown=shown.flights,
         broken=shown.broken,
         outcome=str(shown.worst["outcome"]),
-        reason=why(prober.study, shown.worst),
+        reason=describe_flight(prober.study, shown.worst),
     )
 
 
@@ -276,7 +276,7 @@ class _Ray:
         return middle
 
 
-class _Broken(NamedTuple):
+class _BreakPoint(NamedTuple):
     """The point at which a ray breaks."""
 
     distance: float
@@ -291,7 +291,7 @@ class _Rays:
     def __init__(self, plan: Plan, prober: Prober, controller: str, single: float | None) -> None:
         self._plan, self._prober, self._controller = plan, prober, controller
         self._single = single  # distance of the nearest key alone
-        self.best: _Broken | None = None
+        self.best: _BreakPoint | None = None
         self.tried = 0
 
     @property
@@ -314,8 +314,10 @@ class _Rays:
             for number, column in enumerate(directions.T)
             if np.linalg.norm(column) > 1e-9
         }
-        walks = {number: outward(ray.places(ring, limit), ray.between(gap), RAY_BATCH) for number, ray in rays.items()}
-        scans = side_by_side(
+        walks = {
+            number: scan_outward(ray.places(ring, limit), ray.between(gap), RAY_BATCH) for number, ray in rays.items()
+        }
+        scans = run_walks(
             walks, lambda requests: self._prober.look([rays[number].point(place) for number, place in requests])
         )
         distances = np.full(directions.shape[1], limit)
@@ -325,7 +327,7 @@ class _Rays:
                 near, far = (rays[number].values(place) for place in scan.change)
                 distances[number] = distance(self._plan, far)
                 if self.best is None or distances[number] < self.best.distance:
-                    self.best = _Broken(float(distances[number]), directions[:, number].copy(), far, near)
+                    self.best = _BreakPoint(float(distances[number]), directions[:, number].copy(), far, near)
         return distances
 
     def refine(self) -> None:
@@ -334,7 +336,7 @@ class _Rays:
             self.distances(self.best.direction[:, None], RAY_STEP / 2.0, FINE_STEP)
 
 
-def together(plan: Plan, prober: Prober, controller: str, edges: Sequence[Edge]) -> Joint:
+def search_jointly(plan: Plan, prober: Prober, controller: str, edges: Sequence[Edge]) -> Joint:
     """Return the smallest deviation of all keys together that is found within the flights allowed."""
     before = prober.flights
     own = [e for e in edges if e.controller == controller and e.breaks is not None]
@@ -370,7 +372,7 @@ def together(plan: Plan, prober: Prober, controller: str, edges: Sequence[Edge])
         flights=prober.flights - before,
         spent=spent,
         outcome=str(shown.get("outcome", "")),
-        reason=why(prober.study, shown) if shown else "",
+        reason=describe_flight(prober.study, shown) if shown else "",
     )
 
 

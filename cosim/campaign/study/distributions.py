@@ -100,7 +100,7 @@ class Vary(Model):
             if self.lognormal is not None and self.lognormal.min is not None:
                 raise ValueError(f"{self.key}: a lognormal number is above 0, and so must be min")
         for name, form in (("normal", self.normal), ("lognormal", self.lognormal)):
-            if form is not None and not _reaches(form):
+            if form is not None and not _has_probability(form):
                 raise ValueError(f"{self.key}: {_text(low)} to {_text(high)} is too far out for this {name}")
         return self
 
@@ -159,7 +159,7 @@ class Vary(Model):
         return f"{name}({','.join([_text(first), _text(second), *(bounds if any(bounds) else [])])})"
 
 
-def _reaches(form: Normal | LogNormal) -> bool:
+def _has_probability(form: Normal | LogNormal) -> bool:
     """Return whether the bounds leave something within 8 standard deviations, where the inverse keeps its digits."""
     if isinstance(form, Normal):
         low, high = ((bound - form.mean) / form.sd if bound is not None else None for bound in (form.min, form.max))
@@ -180,11 +180,11 @@ def parse_vary(text: str) -> Vary:
     if match is None:
         raise InputError(f"--vary {text}: {USAGE}")
     key, sign, what = match.groups()
-    table = {"key": key, "relative": RELATIVE[sign], **_read(what, text)}
+    table = {"key": key, "relative": RELATIVE[sign], **_parse_form(what, text)}
     return validate(Vary, table, f"--vary {text}")
 
 
-def _read(what: str, text: str) -> dict[str, Any]:
+def _parse_form(what: str, text: str) -> dict[str, Any]:
     """Parse the part behind the equals sign into the table that a study's file would have."""
     called = re.fullmatch(r"([A-Za-z]+)\s*\((.*)\)", what)
     if called is None:

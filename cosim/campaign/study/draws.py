@@ -27,7 +27,7 @@ from cosim.campaign.study.values import (
     absolute_support,
     levels,
     quantum,
-    whole,
+    round_to_steps,
     whole_bounds,
 )
 
@@ -161,7 +161,7 @@ class LatinHypercube:
 
             study = self._study
             points = qmc.LatinHypercube(len(study.vary), rng=_generator(study.seed)).random(study.draws)
-            self._points = rearranged(np.maximum(points, SMALLEST), study.correlations())
+            self._points = reorder_points(np.maximum(points, SMALLEST), study.correlations())
         return self._points[first:end]
 
 
@@ -177,7 +177,7 @@ def _generator(seed: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(POINTS,)))
 
 
-def _correlated(matrix: Array) -> list[int]:
+def _correlated_keys(matrix: Array) -> list[int]:
     """Return the indices of the keys that are correlated with any other."""
     return [place for place, row in enumerate(matrix) if np.count_nonzero(row) > 1]
 
@@ -185,7 +185,7 @@ def _correlated(matrix: Array) -> list[int]:
 def _copula(study: Study) -> Callable[[Array], Array]:
     """Map points of independent sides to points whose sides are correlated."""
     matrix = study.correlations()
-    sides = _correlated(matrix)
+    sides = _correlated_keys(matrix)
     lower = np.linalg.cholesky(matrix[np.ix_(sides, sides)])
 
     def correlate(points: Array) -> Array:
@@ -204,13 +204,13 @@ def _copula(study: Study) -> Callable[[Array], Array]:
     return correlate
 
 
-def rearranged(points: Array, matrix: Array) -> Array:
+def reorder_points(points: Array, matrix: Array) -> Array:
     """Return points whose sides keep their numbers in another order, with (nearly) these correlations.
 
     Normal scores of the ranks are freed of the correlation that they have by chance, given the one wanted, and the
     numbers of each side are put into the order of the scores (Iman and Conover, 1982).
     """
-    sides = _correlated(matrix)
+    sides = _correlated_keys(matrix)
     if not sides:
         return points
     from scipy.special import ndtri
@@ -249,7 +249,7 @@ def inverse(vary: Vary, key: Key) -> Callable[[Array], list[Value]]:
     def values(shares: Array) -> list[Value]:
         made = bend(shares) * scale + shift
         if stepped:
-            return [key.fit(value) for value in whole(made.tolist(), vary, key)]
+            return [key.fit(value) for value in round_to_steps(made.tolist(), vary, key)]
         return list(np.clip(made, low, high).tolist())  # rounding may have left the bounds by a bit
 
     return values

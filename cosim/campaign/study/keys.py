@@ -199,8 +199,8 @@ def all_keys(scenario: Scenario) -> list[Key]:
     archive = _archive(scenario, scenario.engine)
     return [
         *own,
-        *own_keys(scenario),
-        *(key for key in _below("vehicle", vehicle) if not key.path.startswith(OWN_TUNING)),
+        *custom_keys(scenario),
+        *(key for key in _table_keys("vehicle", vehicle) if not key.path.startswith(OWN_TUNING)),
         *_predictor_keys(vehicle.control.predictor),
         *_parameters("engine_parameters", archive, scenario.engine_parameters),
         *_station_keys(scenario, len(vehicle.jets)),
@@ -232,8 +232,8 @@ def with_values(scenario: Scenario, values: Mapping[str, Value]) -> Scenario:
     """
     values = _with_own_engine(scenario, values)
     if "controller" in values:
-        scenario, values = _for_controller(scenario, values)
-    _need_together(scenario, values)
+        scenario, values = _select_parameters(scenario, values)
+    _check_together(scenario, values)
     changes, values = _controller_file(scenario, values)
     for path, value in values.items():
         *tables, last = split_key(path)
@@ -270,7 +270,7 @@ def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[d
     return {"vehicle": file.vehicle, "parameter_files": given}, {**values, "controller": file.controller}
 
 
-def own_keys(scenario: Scenario) -> list[Key]:
+def custom_keys(scenario: Scenario) -> list[Key]:
     """Return the parameters of the scenario's user-supplied controller; none while files are only looked at."""
     if is_design(scenario.controller):
         return []
@@ -287,11 +287,11 @@ def own_keys(scenario: Scenario) -> list[Key]:
     ]
 
 
-def _for_controller(scenario: Scenario, values: Mapping[str, Value]) -> tuple[Scenario, Mapping[str, Value]]:
+def _select_parameters(scenario: Scenario, values: Mapping[str, Value]) -> tuple[Scenario, Mapping[str, Value]]:
     """Return the scenario and values without the parameters that the controller of these values does not have."""
     controller = str(values["controller"])
     changed = scenario.model_copy(update={"controller": controller, "controller_parameters": {}})
-    known = {key.path.removeprefix(OWN_PARAMETERS) for key in own_keys(changed)}
+    known = {key.path.removeprefix(OWN_PARAMETERS) for key in custom_keys(changed)}
     kept = {name: value for name, value in scenario.controller_parameters.items() if name in known}
     changes: dict[str, Any] = {"controller_parameters": kept}
     if controller != scenario.controller:
@@ -304,7 +304,7 @@ def _for_controller(scenario: Scenario, values: Mapping[str, Value]) -> tuple[Sc
     return scenario.model_copy(update=changes), left
 
 
-def _need_together(scenario: Scenario, values: Mapping[str, Value]) -> None:
+def _check_together(scenario: Scenario, values: Mapping[str, Value]) -> None:
     """Refuse another aircraft or engine under values that were meant for the one that the scenario has."""
     rules: list[tuple[str, str, Mapping[str, Any], tuple[str, ...]]] = [
         ("aircraft", scenario.aircraft, scenario.vehicle, ("vehicle.",)),
@@ -336,10 +336,10 @@ def _scenario_keys(scenario: Scenario, name: str, field: FieldInfo) -> Iterator[
         yield Key(name, "choice", value or STATED, choices=tuple(profile_names()))
     elif name in LISTS:
         for place, entry in enumerate(value):
-            for key in _below(f"{name}.{place}", entry):
-                yield _of_entry(key, entry, scenario)
+            for key in _table_keys(f"{name}.{place}", entry):
+                yield _refine_key(key, entry, scenario)
     else:
-        yield from _leaves(name, _annotated(field), value)
+        yield from _value_keys(name, _restore_bounds(field), value)
 
 
 def _names(name: str) -> list[str]:
@@ -349,7 +349,7 @@ def _names(name: str) -> list[str]:
     return aircraft_names() if name == "aircraft" else engine_names()
 
 
-def _of_entry(key: Key, entry: BaseModel, scenario: Scenario) -> Key:
+def _refine_key(key: Key, entry: BaseModel, scenario: Scenario) -> Key:
     """Return a command's, disturbance's or fault's key with its grid of steps, unit, or the number of jets as bound."""
     parts = key.path.split(".")
     name, last = parts[2], parts[-1]
@@ -373,40 +373,40 @@ def _predictor_keys(tuning: PredictorTuning) -> Iterator[Key]:
                 yield Key(path, "float", values[parameter.name], parameter.unit, parameter.least, parameter.most)
 
 
-def _below(path: str, value: BaseModel) -> Iterator[Key]:
+def _table_keys(path: str, value: BaseModel) -> Iterator[Key]:
     """Yield the keys of a table."""
     for name, field in type(value).model_fields.items():
-        yield from _leaves(f"{path}.{name}", _annotated(field), getattr(value, name))
+        yield from _value_keys(f"{path}.{name}", _restore_bounds(field), getattr(value, name))
 
 
-def _annotated(field: FieldInfo) -> Any:
+def _restore_bounds(field: FieldInfo) -> Any:
     """Return a field's annotation with the bounds that pydantic keeps apart from it."""
     return Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
 
 
-def _leaves(path: str, annotation: Any, value: Any) -> Iterator[Key]:
+def _value_keys(path: str, annotation: Any, value: Any) -> Iterator[Key]:
     """Yield the keys at and below ``path``, whose value is ``value``."""
     if isinstance(value, BaseModel):
-        yield from _below(path, value)
+        yield from _table_keys(path, value)
         return
-    plain, bounds = _peeled(annotation)
+    plain, bounds = _unwrap(annotation)
     if _is_union(plain):
-        plain, bounds = _peeled(_of_its_kind(plain, value))
+        plain, bounds = _unwrap(_select_member(plain, value))
     arguments = get_args(plain)
     if isinstance(value, Mapping):
         for name, item in value.items():
-            yield from _leaves(f"{path}.{name}", arguments[1] if len(arguments) == 2 else Any, item)
+            yield from _value_keys(f"{path}.{name}", arguments[1] if len(arguments) == 2 else Any, item)
     elif isinstance(value, (list, tuple)):
         for place, item in enumerate(value):
             inner = arguments[place] if get_origin(plain) is tuple and Ellipsis not in arguments else arguments[0]
-            yield from _leaves(f"{path}.{place}", inner, item)
+            yield from _value_keys(f"{path}.{place}", inner, item)
     else:
-        key = _leaf(path, plain, bounds, value)
+        key = _scalar_key(path, plain, bounds, value)
         if key is not None:
             yield key
 
 
-def _leaf(path: str, plain: Any, bounds: list[Any], value: Any) -> Key | None:
+def _scalar_key(path: str, plain: Any, bounds: list[Any], value: Any) -> Key | None:
     """Return one value's key; None for text, tables that are not stated, and choices without names."""
     if get_origin(plain) is Literal:
         choices = get_args(plain)
@@ -428,7 +428,7 @@ def _leaf(path: str, plain: Any, bounds: list[Any], value: Any) -> Key | None:
     return key
 
 
-def _peeled(annotation: Any) -> tuple[Any, list[Any]]:
+def _unwrap(annotation: Any) -> tuple[Any, list[Any]]:
     """Return an annotation without its wrappings and without None, and the bounds that were in them."""
     bounds: list[Any] = []
     while True:
@@ -445,11 +445,11 @@ def _peeled(annotation: Any) -> tuple[Any, list[Any]]:
             return annotation, bounds
 
 
-def _of_its_kind(union: Any, value: Any) -> Any:
+def _select_member(union: Any, value: Any) -> Any:
     """Return the first part of a union that is a list or tuple if the value is one, and none if it is not."""
     several = isinstance(value, (list, tuple))
     for part in get_args(union):
-        if (get_origin(_peeled(part)[0]) in (list, tuple)) == several and part is not type(None):
+        if (get_origin(_unwrap(part)[0]) in (list, tuple)) == several and part is not type(None):
             return part
     return Any
 
@@ -515,7 +515,7 @@ def _station_keys(scenario: Scenario, jets: int) -> Iterator[Key]:
 def _nearest(name: str, keys: Iterable[str]) -> str:
     """Return the keys that may be meant: those that end alike, or have its words in their parts."""
     alike = {LIST_INDEX.sub("#", path): path for path in reversed(list(keys))}  # the first of those at different places
-    scored = sorted((-_likeness(name, path), len(path), path) for path in alike.values())
+    scored = sorted((-_similarity(name, path), len(path), path) for path in alike.values())
     least = max(0.6, -scored[0][0] - 0.15)
     close = [path for score, _, path in scored[:MOST_SUGGESTIONS] if -score >= least]
     if close:
@@ -523,7 +523,7 @@ def _nearest(name: str, keys: Iterable[str]) -> str:
     return "hexjet sweep SCENARIO --keys lists all of them"
 
 
-def _likeness(name: str, path: str) -> float:
+def _similarity(name: str, path: str) -> float:
     """Return the similarity, 0 to 1, of ``name`` and the path or its last parts, list indices not counted."""
     if not name:
         return 0.0

@@ -14,7 +14,7 @@ from cosim.simulation.engines import engines_of
 from cosim.simulation.model_agreement import ModelAgreement, flown_agreements
 from cosim.spec.scenario import flown_parameters
 
-LOOKED_AT = 1000  # flights whose values are compared for the ends of what varies: they cost nothing to draw
+MOST_DRAWN = 1000  # flights whose values are compared for the ends of what varies: they cost nothing to draw
 UNSEEN = ("mismatch.", "command.", "controller_parameters.")  # of keys that change neither model nor stated vehicle
 
 
@@ -28,7 +28,7 @@ def model_notes(study: Study) -> list[str]:
         return []
     looked_at = noted = 0
     worst: tuple[Flight, ModelAgreement] | None = None
-    for flight in _ends(study):
+    for flight in _extreme_flights(study):
         try:
             scenario = scenario_of(study, flight)
             vehicle, _ = scenario.resolved_vehicle()
@@ -68,7 +68,7 @@ def designs_off(study: Study) -> list[str]:
     return list(dict.fromkeys(notes))
 
 
-def _ends(study: Study) -> Iterator[Flight]:
+def _extreme_flights(study: Study) -> Iterator[Flight]:
     """Yield the flights whose identified models are compared with what is flown.
 
     These are the first draw with each controller that may use another model, of the built-in ones only one, as they
@@ -78,7 +78,7 @@ def _ends(study: Study) -> Iterator[Flight]:
     count = len(names)
     told = [k for k, name in enumerate(names) if name in PREDICTORS and PREDICTORS[name].needs_model][:1]
     told += [k for k, name in enumerate(names) if name not in PREDICTORS]
-    drawn = [planned[n] for n in range(0, min(len(planned), LOOKED_AT * count), count)]
+    drawn = [planned[n] for n in range(0, min(len(planned), MOST_DRAWN * count), count)]
     chosen = {0}
     for vary in study.vary:
         if not vary.key.startswith(UNSEEN):

@@ -45,11 +45,11 @@ def open_study(
     has levels or values and no ``runs`` are given, and else over a Latin hypercube.  Raises InputError.
     """
     mention([*controllers, *settings, *vary], Path())
-    data, folder, where = _opened(name)
-    listed = [_seen_from_here(parse_vary(text).model_dump(mode="json", exclude_none=True)) for text in vary]
-    data["vary"] = _written_over(data.get("vary", []), listed, lambda table: table.get("key"))
+    data, folder, where = _read_source(name)
+    listed = [_resolve_files(parse_vary(text).model_dump(mode="json", exclude_none=True)) for text in vary]
+    data["vary"] = _merge_by_key(data.get("vary", []), listed, lambda table: table.get("key"))
     pairs = [parse_correlate(text).model_dump(mode="json") for text in correlate]
-    data["correlate"] = _written_over(data.get("correlate", []), pairs, lambda table: frozenset(table.get("keys", [])))
+    data["correlate"] = _merge_by_key(data.get("correlate", []), pairs, lambda table: frozenset(table.get("keys", [])))
     data["success"] = {
         **data.get("success", {}),
         **{metric: span.model_dump(exclude_none=True) for metric, span in parse_success(success).items()},
@@ -63,16 +63,16 @@ def open_study(
     given = {"design": design, "runs": runs, "repeats": repeats, "seed": seed}
     data |= {key: value for key, value in given.items() if value is not None}
     if "title" in data and (vary or settings or controllers or design or runs or repeats):
-        data |= _retold(data, settings, controllers)
+        data |= _retitle(data, settings, controllers)
     if not data["vary"]:
         raise InputError(f"{where}: nothing varies; --vary KEY=LO:HI says what does")
-    data.setdefault("design", _usual_design(data))
+    data.setdefault("design", _default_design(data))
     if data["design"] not in DESIGNS:
         raise InputError(f"--design {data['design']}: {nearest(str(data['design']), DESIGNS)}")
     return Study.from_table(data, folder, where)
 
 
-def _retold(data: Mapping[str, Any], settings: Sequence[str], controllers: Sequence[str]) -> dict[str, str]:
+def _retitle(data: Mapping[str, Any], settings: Sequence[str], controllers: Sequence[str]) -> dict[str, str]:
     """Return a title of what flies and a marked description: the study's file tells of what it states itself."""
     over = [*settings, *([f"controllers {', '.join(map(short_name, controllers))}"] if controllers else [])]
     listed = [*over[:3], *([f"{len(over) - 3} more changes"] if len(over) > 3 else [])]
@@ -82,7 +82,7 @@ def _retold(data: Mapping[str, Any], settings: Sequence[str], controllers: Seque
     return {"title": f"{data.get('name', '')}: {words}", "description": told}
 
 
-def _opened(name: str | Path) -> tuple[dict[str, Any], Path, str]:
+def _read_source(name: str | Path) -> tuple[dict[str, Any], Path, str]:
     """Return the table of a study's file or one that only names a scenario, its folder, and its name in messages."""
     path = Path(name)
     if path.suffix != ".toml" and not path.is_file():
@@ -102,7 +102,7 @@ def _opened(name: str | Path) -> tuple[dict[str, Any], Path, str]:
     return {"name": scenario.name, "scenario": str(path.absolute())}, path.parent, str(path)
 
 
-def _seen_from_here(table: dict[str, Any]) -> dict[str, Any]:
+def _resolve_files(table: dict[str, Any]) -> dict[str, Any]:
     """Resolve aircraft and engine files of the command line against the current folder."""
     last = table["key"].split(".")[-1]
     seen = {"aircraft": aircraft_seen_from, "engine": file_seen_from}.get(last)
@@ -111,12 +111,12 @@ def _seen_from_here(table: dict[str, Any]) -> dict[str, Any]:
     return table | {"values": [seen(value, Path()) if isinstance(value, str) else value for value in table["values"]]}
 
 
-def _usual_design(data: Mapping[str, Any]) -> str:
+def _default_design(data: Mapping[str, Any]) -> str:
     discrete = all("levels" in table or "values" in table for table in data["vary"])
     return "grid" if discrete and data.get("runs") is None else "latin-hypercube"
 
 
-def _written_over(tables: Any, new: list[dict[str, Any]], what: Any) -> list[Any]:
+def _merge_by_key(tables: Any, new: list[dict[str, Any]], what: Any) -> list[Any]:
     """Return ``tables`` with those of ``new`` in the place of the ones with the same key, or at the end."""
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         return [tables] if new == [] else new  # the model says what is wrong with it

@@ -72,7 +72,7 @@ def flight_count(study: Study) -> int:
 
 def controllers(study: Study) -> list[str]:
     """Return each draw's controllers as rows name them: a file by its name relative to the study's folder."""
-    return [_seen_from(study.folder, name) for name in study.controller_names]
+    return [_relative_name(study.folder, name) for name in study.controller_names]
 
 
 def scenario_of(study: Study, flight: Flight) -> Scenario:
@@ -81,7 +81,7 @@ def scenario_of(study: Study, flight: Flight) -> Scenario:
     return with_values(study.base(), {**flight.values, "controller": controller, "seed": flight.seed})
 
 
-def _seen_from(folder: Path, controller: str) -> str:
+def _relative_name(folder: Path, controller: str) -> str:
     """Return a controller's file relative to the folder that it is in, so that rows are the same wherever that is."""
     named = file_name(controller)
     if named is not None and Path(named.file).is_relative_to(folder.absolute()):

@@ -25,8 +25,8 @@ from cosim.campaign.study.distributions import Vary, parse_vary
 from cosim.campaign.study.keys import (
     OWN_PARAMETERS,
     Key,
+    custom_keys,
     find_key,
-    own_keys,
     with_values,
 )
 from cosim.campaign.study.values import check_vary
@@ -139,8 +139,8 @@ class Study(Model):
                 known = [with_values(base, {"controller": controller}) for controller in self.tried]
                 known.sort(
                     key=lambda scenario: [
-                        name in [key.path for key in own_keys(scenario)],
-                        bool(own_keys(scenario)),
+                        name in [key.path for key in custom_keys(scenario)],
+                        bool(custom_keys(scenario)),
                     ]
                 )
                 base = known[-1]

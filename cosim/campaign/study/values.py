@@ -25,7 +25,7 @@ def check_vary(vary: Vary, key: Key) -> None:
         if vary.relative == "factor" and not key.nominal:
             raise InputError(f"vary {vary.text}: {key.path} is 0, and stays so times any factor; += adds to it")
     low, high = absolute_support(vary, key)
-    if not _inside(low, high, key):
+    if not _is_allowed(low, high, key):
         shown = f"{low:g} to {high:g}"
         unbounded = "" if isfinite(low) and isfinite(high) else "; state min and max, it is truncated there"
         raise InputError(f"vary {vary.text}: {key.path} would be {shown}, and must be {key.allowed}{unbounded}")
@@ -57,7 +57,7 @@ def levels(vary: Vary, key: Key) -> list[Value]:
     else:
         assert vary.range is not None
         drawn = _between(*vary.range, vary.levels or 2, vary.scale == "log")
-    return [key.fit(value) for value in whole([absolute(value, vary, key) for value in drawn], vary, key)]
+    return [key.fit(value) for value in round_to_steps([to_absolute(value, vary, key) for value in drawn], vary, key)]
 
 
 def _between(low: float, high: float, count: int, in_ratio: bool) -> list[float]:
@@ -67,7 +67,7 @@ def _between(low: float, high: float, count: int, in_ratio: bool) -> list[float]
     return [low, *(float(f"{value:.12g}") for value in inner), high]
 
 
-def whole(values: list[float], vary: Vary, key: Key) -> list[float]:
+def round_to_steps(values: list[float], vary: Vary, key: Key) -> list[float]:
     """Round values to the nearest step within the bounds, for a key that takes steps only."""
     step = quantum(key)
     if step is None:
@@ -88,7 +88,7 @@ def whole_bounds(low: float, high: float, step: float) -> tuple[float, float]:
     return first, float(floor(high / step + slack)) if isfinite(high) else high
 
 
-def absolute(drawn: float, vary: Vary, key: Key) -> float:
+def to_absolute(drawn: float, vary: Vary, key: Key) -> float:
     """Return the key's value for a drawn number, which may be a factor or an offset."""
     if not vary.relative:
         return drawn
@@ -98,11 +98,11 @@ def absolute(drawn: float, vary: Vary, key: Key) -> float:
 
 def absolute_support(vary: Vary, key: Key) -> tuple[float, float]:
     """Return the least and the largest value that the key can get."""
-    ends = [absolute(end, vary, key) for end in vary.support]
+    ends = [to_absolute(end, vary, key) for end in vary.support]
     return min(ends), max(ends)
 
 
-def _inside(low: float, high: float, key: Key) -> bool:
+def _is_allowed(low: float, high: float, key: Key) -> bool:
     """Return whether all values between are allowed, a bound that is never reached aside."""
     above = low > key.low if key.open_low and isfinite(low) else low >= key.low
     below = high < key.high if key.open_high and isfinite(high) else high <= key.high

@@ -20,8 +20,8 @@ from cosim.base.outcomes import Verdict
 from cosim.base.storage.files import finite, write_files, write_records
 from cosim.base.storage.toml import toml_text
 from cosim.campaign.surveys.faults import HEIGHT_M, SETTLED_S
-from cosim.campaign.surveys.lean_bound import STEP_S, Bound, RollAxis, courses_of, roller
-from cosim.campaign.surveys.survey import Say, Subject, fly_all, judge, verdict_of
+from cosim.campaign.surveys.lean_bound import STEP_S, Bound, RollAxis, make_roll_axis, measure_courses
+from cosim.campaign.surveys.survey import Say, Subject, fly_all, measure_flight, verdict_of
 from cosim.design.controller_table import controller_table
 from cosim.design.design import design
 from cosim.engine import engine_names, load_engine
@@ -137,19 +137,19 @@ def engine_out(
             raise InputError(f"aircraft {name}: it has no tilting banks, and no plan for an engine that is lost")
         for engine in engines or [engine for engine in engine_names() if engine not in NOT_A_JET]:
             subject = Subject(name, vehicle, engine)
-            chosen = unfit(subject) or _controller(subject, designs, say)
+            chosen = find_obstacle(subject) or _controller(subject, designs, say)
             if isinstance(chosen, str):
                 left.append(SkippedFlight(name, engine, chosen))
                 continue
             jets = range(1, len(vehicle.jets) + 1)
             flights = [(_scenario(subject, chosen, jet, means), jet, means) for jet in jets for means in MEANS]
             tasks += flights
-            levers.append(_levers(flights[0][0]))
+            levers.append(_compute_lever(flights[0][0]))
     results = fly_all(_fly, tasks, workers, say, lambda flight: f"{flight.aircraft}, {flight.engine}, jet {flight.jet}")
     return EngineOut(list(results), left, levers)
 
 
-def unfit(subject: Subject) -> str:
+def find_obstacle(subject: Subject) -> str:
     """Return why an engine cannot carry an aircraft, empty if it can.  Raises InputError for an unknown engine."""
     vehicle = subject.vehicle
     curve = load_engine(subject.engine, {}, STEP_S).curve
@@ -206,7 +206,7 @@ def _fly(task: tuple[Scenario, int, Means]) -> Flight:
     scenario, jet, means = task
     run = fly(scenario)
     begin = scenario.count(SETTLED_S["hover"], "start_s")
-    lean, lost, detected = judge(run.log, begin)
+    lean, lost, detected = measure_flight(run.log, begin)
     north, east = (run.log[name][begin:] for name in ("north_m", "east_m"))
     drift = max((hypot(n - north[0], e - east[0]) for n, e in zip(north, east, strict=True)), default=nan)
     sink = float(run.log["velocity_down_m_s"][-1])
@@ -216,7 +216,7 @@ def _fly(task: tuple[Scenario, int, Means]) -> Flight:
     detection = None if detected is None else detected - begin + 1
     with build(scenario) as simulation:
         shut_at = detection if means != PLANNED else None
-        turned = roller(simulation)
+        turned = make_roll_axis(simulation)
         throttles = turned.least_lean(jet, shut_at=shut_at)
         bound = turned.least_lean(jet, shut_at=shut_at, tilting=True)
         limit = simulation.vehicle.limits.tilt_deg
@@ -239,14 +239,14 @@ def _fly(task: tuple[Scenario, int, Means]) -> Flight:
     )
 
 
-def _levers(scenario: Scenario) -> Lever:
+def _compute_lever(scenario: Scenario) -> Lever:
     """Return what a middle engine out demands, from the bound alone."""
     with build(scenario) as simulation:
-        whole = roller(simulation)
+        whole = make_roll_axis(simulation)
         vehicle = simulation.vehicle
         limit = vehicle.limits.tilt_deg
         jet = max(range(1, len(vehicle.jets) + 1), key=lambda n: (vehicle.jets[n - 1].position_m[0] == 0.0, -n))
-        light = _half(simulation, whole)
+        light = _halve_mass(simulation, whole)
     late = round(LATE_S / STEP_S)
 
     # the later, the more it leans
@@ -265,12 +265,12 @@ def _levers(scenario: Scenario) -> Lever:
     )
 
 
-def _half(simulation: Simulation, whole: RollAxis) -> RollAxis | None:
+def _halve_mass(simulation: Simulation, whole: RollAxis) -> RollAxis | None:
     """Return the roll axis with half the mass and inertia on the same engines; None where these cannot go so low."""
     share = simulation.cascade.thrust_map.share(0.5 * whole.hover)
     if share <= simulation.vehicle.control.allocation.throttle_min:
         return None
-    return RollAxis(simulation.vehicle, courses_of(simulation, share), 0.5 * whole.hover, 0.5)
+    return RollAxis(simulation.vehicle, measure_courses(simulation, share), 0.5 * whole.hover, 0.5)
 
 
 def _inertia_for(whole: RollAxis, jet: int, limit: float) -> float:
@@ -305,7 +305,7 @@ PAGES = {"faults.md": ("hexjet",), "full-scale.md": ("hexjet-100", "hexjet-p220"
 def rows(result: EngineOut, aircraft: Sequence[str]) -> dict[str, list[tuple[str, ...]]]:
     """Return the outcomes of these aircraft, the bounds for changed ones, and what was not flown, by TABLES' names."""
     return {
-        "engine-out": [_row(flights) for flights in _together(result, aircraft)],
+        "engine-out": [_row(flights) for flights in _group_flights(result, aircraft)],
         "engine-out-levers": [_lever_row(lever) for lever in result.levers if lever.aircraft in aircraft],
         "engine-out-left": [
             (skipped.aircraft, skipped.engine, skipped.why) for skipped in result.left if skipped.aircraft in aircraft
@@ -313,7 +313,7 @@ def rows(result: EngineOut, aircraft: Sequence[str]) -> dict[str, list[tuple[str
     }
 
 
-def _together(result: EngineOut, aircraft: Sequence[str]) -> list[list[Flight]]:
+def _group_flights(result: EngineOut, aircraft: Sequence[str]) -> list[list[Flight]]:
     """Return the flights grouped by vehicle, engine and means, each group in the order of the jets."""
     known: dict[tuple[str, str, str], list[Flight]] = {}
     for flight in result.flights:

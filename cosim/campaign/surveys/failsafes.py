@@ -212,10 +212,12 @@ def _plan(
     ]
     with build(tasks[0].scenario) as simulation:
         energy = with_autopilot(simulation, airborne=True).energy
-        return controller, [drawn(task, vehicle, energy, conditions.seed) if task.number else task for task in tasks]
+        return controller, [
+            draw_flight(task, vehicle, energy, conditions.seed) if task.number else task for task in tasks
+        ]
 
 
-def drawn(task: Task, vehicle: Vehicle, energy: Energy, seed: int) -> Task:
+def draw_flight(task: Task, vehicle: Vehicle, energy: Energy, seed: int) -> Task:
     """Return a flight from the ground on, its moment and noise drawn, the tank as full as the failsafe needs."""
     case, start = task.case, task.start
     draw = Random(f"{seed} {vehicle.name} {case.name} {start} {task.number}")

@@ -68,14 +68,17 @@ def page_parts(result: Survival) -> dict[str, str]:
     """Return what :func:`write_page` writes, by mark."""
     controllers, lines = summary(result)
     found = [
-        (kind, start, *map(_cell_text, cells), _times(_predicting(controllers, cells))) for kind, start, cells in lines
+        (kind, start, *map(_cell_text, cells), _times(_select_predicting(controllers, cells)))
+        for kind, start, cells in lines
     ]
     growing = ("what grows", "controller", *(f"from {start}" for start in STARTS))
     return {
         "faults": table(("fault", "from", *controllers, "detected after"), found, left=2),
-        "faults-attainable": table(("lost jets", "thrust over weight", "roll moment left in hover"), _left(result)),
+        "faults-attainable": table(
+            ("lost jets", "thrust over weight", "roll moment left in hover"), _authority_lines(result)
+        ),
         "faults-moments": "" if result.moments is None else f"{_moments_in_words(result.moments)}\n",
-        "faults-limits": table(growing, _scanned(result), 4),
+        "faults-limits": table(growing, _scan_lines(result), 4),
     }
 
 
@@ -89,25 +92,25 @@ def _moments_in_words(moments: Moments) -> str:
     )
 
 
-def _scanned(result: Survival) -> Iterator[tuple[str, ...]]:
+def _scan_lines(result: Survival) -> Iterator[tuple[str, ...]]:
     """Yield the line of every scan of :data:`SCANS` with a controller."""
-    known = {(limit.quantity, limit.controller, limit.start): _reached(limit) for limit in result.limits}
+    known = {(limit.quantity, limit.controller, limit.start): _describe_limits(limit) for limit in result.limits}
     for quantity, controller in dict.fromkeys((limit.quantity, limit.controller) for limit in result.limits):
         yield quantity, controller, *(known.get((quantity, controller, start), "-") for start in STARTS)
 
 
-def _reached(limit: Limit) -> str:
+def _describe_limits(limit: Limit) -> str:
     """Describe where it is held, where no more than airborne, and the first point where it is lost."""
     grid = SCANS[limit.quantity]
     spans = [
-        f"{what} {_spans(values, grid)}"
+        f"{what} {_format_spans(values, grid)}"
         for what, values in (("held", limit.held), ("airborne", limit.airborne))
         if values
     ]
     return ", ".join([*spans, "lost nowhere" if limit.lost_at is None else f"lost at {limit.lost_at:g}"])
 
 
-def _spans(values: Sequence[float], grid: Sequence[float]) -> str:
+def _format_spans(values: Sequence[float], grid: Sequence[float]) -> str:
     """Describe points of a grid, those beside each other as first and last."""
     spans: list[list[int]] = []
     for place in (grid.index(value) for value in values):
@@ -123,7 +126,7 @@ def _cell_text(cell: Cell) -> str:
     return f"{cell.held} of {cell.flights}{airborne}; {cell.lean_deg:.0f}°, {cell.lost_m:.1f} m"
 
 
-def _predicting(controllers: Sequence[str], cells: Sequence[Cell]) -> Sequence[Cell]:
+def _select_predicting(controllers: Sequence[str], cells: Sequence[Cell]) -> Sequence[Cell]:
     """Return the cells of the controllers that predict, as one from outside is taken to; all where none does."""
     unaware = {name for name, spec in PREDICTORS.items() if not spec.needs_model}
     return [cell for name, cell in zip(controllers, cells, strict=True) if name not in unaware] or cells
@@ -137,7 +140,7 @@ def _times(cells: Sequence[Cell]) -> str:
     return f"{min(times):.0f} ms" if max(times) - min(times) < 0.5 else f"{min(times):.0f} to {max(times):.0f} ms"
 
 
-def _left(result: Survival) -> Iterator[tuple[str, ...]]:
+def _authority_lines(result: Survival) -> Iterator[tuple[str, ...]]:
     """Yield the lines of the attainable sets, those that come to the same on one."""
     alike: dict[tuple[str, str], list[str]] = {}
     for attainable in result.attainable:

@@ -20,7 +20,7 @@ from cosim.campaign.surveys.survey import (
     Subject,
     choose,
     fly_all,
-    judge,
+    measure_flight,
     subject_of,
     verdict_of,
 )
@@ -203,14 +203,14 @@ def survival(
         for controller in controllers
     ]
     first = flights[: len(controllers)]
-    own = _own_controllers(first)
+    own = _custom_controllers(first)
     warnings = tuple(
         f"{label(flight.controller)}: {text}"
         for flight in first
         if is_design(flight.controller)
         for text in differences(flight.scenario, Path(flight.controller))
     )
-    flights = [flight._replace(scenario=_pinned(flight, own)) for flight in flights]
+    flights = [flight._replace(scenario=_pin_controller(flight, own)) for flight in flights]
     with build(flights[0].scenario.replace(controller=BASELINE.name)) as simulation:
         hover, idle = simulation.cascade.allocator.hover, simulation.cascade.thrust_map.idle
         moments = _moments(vehicle, simulation.stations[0].delay)
@@ -224,7 +224,7 @@ def survival(
     )
 
 
-def _own_controllers(flights: Sequence[_Flight]) -> dict[str, Source]:
+def _custom_controllers(flights: Sequence[_Flight]) -> dict[str, Source]:
     """Return the controllers from outside, by name; wrong input is found here, before anything is spent on it."""
     own: dict[str, Source] = {}
     for flight in flights:
@@ -234,7 +234,7 @@ def _own_controllers(flights: Sequence[_Flight]) -> dict[str, Source]:
     return own
 
 
-def _pinned(flight: _Flight, own: dict[str, Source]) -> Scenario:
+def _pin_controller(flight: _Flight, own: dict[str, Source]) -> Scenario:
     """Return the scenario with the hash of its controller: another file than that is refused by whoever flies it."""
     source = own.get(flight.controller)
     return flight.scenario if source is None else flight.scenario.replace(controller_sha256=source.sha256)
@@ -266,7 +266,7 @@ def _fly(flight: _Flight) -> Row:
     case, start, controller, scenario = flight
     run = fly(scenario)
     begin = scenario.count(SETTLED_S[start], "start_s")
-    lean, lost, detected = judge(run.log, begin)
+    lean, lost, detected = measure_flight(run.log, begin)
     return Row(
         case.kind,
         case.place,

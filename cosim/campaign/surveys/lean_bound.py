@@ -109,7 +109,7 @@ class RollAxis:
         inertia = self.inertia * vehicle.inertia_kg_m2[0]
         kept = exp(-_damping(vehicle) * STEP_S / inertia)
         p = phi = 0.0
-        upright = _upright(vehicle, after) if tilting else [1.0]
+        upright = _upright_fractions(vehicle, after) if tilting else [1.0]
         for k in range(len(courses.up)):
             moment = 0.0
             for number, station in enumerate(vehicle.jets, 1):
@@ -117,11 +117,11 @@ class RollAxis:
                 if number == jet:
                     thrust = courses.out[k]
                 elif number == other:
-                    thrust = falling[k] * next_or(upright, k)
+                    thrust = falling[k] * value_at(upright, k)
                 elif lever * side > 0.0:
                     thrust = held[k] if k < after else courses.up[k - after]
                 else:
-                    thrust = (held[k] if k < after else courses.down[k - after]) * next_or(upright, k)
+                    thrust = (held[k] if k < after else courses.down[k - after]) * value_at(upright, k)
                 moment -= side * lever * thrust
             before = p
             p = kept * p + STEP_S * moment / inertia
@@ -133,12 +133,12 @@ class RollAxis:
         return Bound(float("inf"), (k + 1) * STEP_S)
 
 
-def next_or(values: Sequence[float], k: int) -> float:
+def value_at(values: Sequence[float], k: int) -> float:
     """Return the value of step ``k``, or the last one if there are no more."""
     return values[k] if k < len(values) else values[-1]
 
 
-def _upright(vehicle: Vehicle, after: int) -> list[float]:
+def _upright_fractions(vehicle: Vehicle, after: int) -> list[float]:
     """Return the fraction of its thrust that a bank keeps upright, tilted as far and as fast as its servo goes."""
 
     if vehicle.servo is None:
@@ -163,7 +163,7 @@ def opposite_of(vehicle: Vehicle, jet: int) -> int:
     return opposites(vehicle)[jet - 1] + 1
 
 
-def courses_of(simulation: Simulation, share: float, seconds: float = FOLLOWED_S) -> ThrustCourses:
+def measure_courses(simulation: Simulation, share: float, seconds: float = FOLLOWED_S) -> ThrustCourses:
     """Return the courses of a built flight's engines, all alike, from a ``share`` of their range of thrust on."""
     limits = simulation.vehicle.control.allocation
     count = len(simulation.vehicle.jets)
@@ -174,8 +174,8 @@ def courses_of(simulation: Simulation, share: float, seconds: float = FOLLOWED_S
     return ThrustCourses(simulation.engine, hover, least, most, round(seconds / STEP_S))
 
 
-def roller(simulation: Simulation, seconds: float = FOLLOWED_S) -> RollAxis:
+def make_roll_axis(simulation: Simulation, seconds: float = FOLLOWED_S) -> RollAxis:
     """Return the roll axis of a built flight's vehicle with engines all alike, followed for ``seconds``."""
     vehicle = simulation.vehicle
-    courses = courses_of(simulation, simulation.cascade.allocator.hover, seconds)
+    courses = measure_courses(simulation, simulation.cascade.allocator.hover, seconds)
     return RollAxis(vehicle, courses, vehicle.mass_kg * GRAVITY / len(vehicle.jets))

@@ -12,7 +12,7 @@ import numpy as np
 from cosim.base.errors import InputError
 from cosim.base.outcomes import Verdict
 from cosim.base.signals import AXES
-from cosim.campaign.workers.tasks import in_order
+from cosim.campaign.workers.tasks import run_in_order
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import load_engine
 from cosim.results.log.columns import jets_in
@@ -73,12 +73,12 @@ def fly_all(
     of: int = 0,
 ) -> Iterator[R]:
     """Yield the outcome of every task, in order; ``done`` of all ``of`` were flown before them."""
-    for count, result in enumerate(in_order(act, tasks, workers), done + 1):
+    for count, result in enumerate(run_in_order(act, tasks, workers), done + 1):
         say(describe(result), count, of or len(tasks))
         yield result
 
 
-def judge(log: Log, begin: int) -> tuple[float, float, int | None]:
+def measure_flight(log: Log, begin: int) -> tuple[float, float, int | None]:
     """Return the largest lean [deg], the height lost [m] and the row of the first detection, from row ``begin`` on."""
     roll, pitch, height = (log[name][begin:] for name in ("roll_rad", "pitch_rad", "altitude_m"))
     if not roll.size:

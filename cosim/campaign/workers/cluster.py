@@ -267,7 +267,7 @@ class _Tasks:
             warnings.simplefilter("ignore")
             if self._packed is None:
                 name = f"{self._name}-study-{next(self._number)}"
-                self._packed = self._client.submit(_same, self._frozen, key=name)
+                self._packed = self._client.submit(_identity_task, self._frozen, key=name)
             future = self._client.submit(
                 _fly,
                 self._packed,
@@ -321,7 +321,7 @@ class _Tasks:
                 self._usual = seconds if self._usual is None else self._usual + 0.1 * (seconds - self._usual)
 
 
-def _same(frozen: Frozen) -> Frozen:
+def _identity_task(frozen: Frozen) -> Frozen:
     """Return the study itself, as a task that Dask repeats where its result was lost."""
     return frozen
 

@@ -61,7 +61,7 @@ def kinds(study: Study, own: Sequence[str] | None = None) -> Kinds:
     have a value.
     """
     varied = {vary.key: _kind(study, vary.key) for vary in study.vary}
-    measured = dict.fromkeys([*_metrics(), *(own_names(study) if own is None else own)], float)
+    measured = dict.fromkeys([*_metrics(), *(custom_metric_names(study) if own is None else own)], float)
     lockstep = _LOCKSTEP if study.autopilot is not None else {}
     return _FIRST | varied | _OUTCOME | measured | _LAST | _plugin_kinds(study) | lockstep
 
@@ -123,7 +123,7 @@ def with_autopilot(study: Study, scenario: Scenario, folder: Path, page: bool = 
     return row, run
 
 
-def own_names(study: Study) -> list[str]:
+def custom_metric_names(study: Study) -> list[str]:
     """Return the names of the custom metrics that a study's rows have."""
     return [name for metric in metrics_of(study.base()) for name in metric.names]
 

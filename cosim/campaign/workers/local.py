@@ -35,9 +35,9 @@ from cosim.base.trust import decision, inherit
 from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
 from cosim.campaign.workers.protocol import (
     LOSSES,
-    lost,
+    describe_loss,
+    describe_timeout,
     time_limit,
-    too_slow,
 )
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ class LocalWorkers:
             if process.late(limit):
                 flight, *rest = self._end(process)
                 waiting.put_back(rest)
-                yield self._failed(study, flight, too_slow(limit)) | process.mark(limit)
+                yield self._failed(study, flight, describe_timeout(limit)) | process.mark(limit)
             elif not process.alive:
                 yield from self._after_loss(study, process, waiting)
 
@@ -154,7 +154,7 @@ class LocalWorkers:
             if self._starts >= STARTS:
                 raise FlightError(f"{STARTS} processes in a row ended before they could fly; the last {end}")
         elif given and waiting.lose(given[0]) >= LOSSES:
-            yield self._failed(study, given.pop(0), lost(end)) | process.mark()
+            yield self._failed(study, given.pop(0), describe_loss(end)) | process.mark()
         waiting.put_back(given)
 
     def _end_busy(self) -> None:
@@ -290,7 +290,7 @@ def serve(descriptor: int, folder: str) -> None:
     """Fly the flights that arrive until the other end is gone; ``folder`` is the process's own, deleted at the end."""
     os.set_inheritable(descriptor, False)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _have_it_ended()
+    _end_with_parent()
     Thread(target=_leave_with, args=(descriptor, folder), daemon=True).start()
     with suppress(EOFError, OSError):  # the other end is gone
         _fly_what_comes(Connection(descriptor), folder)
@@ -326,7 +326,7 @@ def _leave_with(descriptor: int, folder: str) -> None:
     _leave(folder)
 
 
-def _have_it_ended() -> None:
+def _end_with_parent() -> None:
     """Have the system end this process too, a second later: while C code holds Python's lock, no thread can.
 
     It sends SIGHUP, number 1, and what answers that is ``alarm`` itself: ``alarm(1)``.

@@ -23,11 +23,11 @@ def time_limit(study: Study) -> float:
     return max(LEAST_LIMIT_S, LIMIT_FACTOR * study.base().duration_s)
 
 
-def lost(end: str) -> str:
+def describe_loss(end: str) -> str:
     """Return the reason of a flight that was given up; ``end`` says how its last process ended."""
     return f"the process was lost in this flight {LOSSES} times; the last {end}"
 
 
-def too_slow(limit: float) -> str:
+def describe_timeout(limit: float) -> str:
     """Return the reason of a flight that took longer than ``limit`` seconds."""
     return f"not finished within the time limit of {limit:g} s"

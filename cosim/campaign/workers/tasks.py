@@ -37,7 +37,7 @@ def as_finished(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> 
             yield answer["number"], answer["value"]
 
 
-def in_order(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> Iterator[R]:
+def run_in_order(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> Iterator[R]:
     """Yield the answers of :func:`as_finished` in the order of the arguments; one worker is this process."""
     if workers == 1:
         yield from map(act, arguments)

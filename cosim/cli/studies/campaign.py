@@ -86,17 +86,17 @@ def sweep(options: Sweep) -> int:
     """
     from cosim.campaign.analysis.page import write_campaign_report
     from cosim.campaign.analysis.summary import campaign_summary
-    from cosim.campaign.run import opened, run_campaign, workers_at
+    from cosim.campaign.run import choose_workers, resolve_campaign, run_campaign
     from cosim.campaign.study.model_notes import designs_off, model_notes
 
     settings = options.study_settings()
     if options.keys is not None:
         return _list_keys(settings, options.keys, options)
     drawn = options.chosen("vary", "runs", "repeats", "design", "controllers", "correlate", "success", "seed")
-    study, folder = opened(options.name, options.out, options.resume, settings=settings, **drawn)
+    study, folder = resolve_campaign(options.name, options.out, options.resume, settings=settings, **drawn)
     notes = (*study.notes(), *designs_off(study), *model_notes(study)) if study is not None else ()
     with output_to_stderr(options.as_json), sweep_progress(folder, quiet=options.as_json) as tell:
-        with workers_at(options.workers, options.cluster, options.time_limit) as flying:
+        with choose_workers(options.workers, options.cluster, options.time_limit) as flying:
             for text in notes:
                 click.echo(f"hexjet: note: {text}", err=True)
             campaign = run_campaign(study, folder, flying, options.resume, tell)
@@ -159,18 +159,18 @@ def search(options: Search) -> int:
     Leaves search.json, search.html, every flight, and the flights that show it.  Status 0: searched, whatever was
     found; 1: it was stopped before, or a flight that shows it came out otherwise when it was flown again.
     """
-    from cosim.campaign.run import workers_at
-    from cosim.campaign.search.folder import opened, run_search
+    from cosim.campaign.run import choose_workers
+    from cosim.campaign.search.folder import resolve_search, run_search
 
     searching = ("vary", "over", "controllers", "tolerance", "seeds", "share", "success", "budget", "seed")
-    study, plan = opened(options.name, settings=options.study_settings(), **options.chosen(*searching))
+    study, plan = resolve_search(options.name, settings=options.study_settings(), **options.chosen(*searching))
     if options.resume and options.out is None:
         raise InputError("--resume: give the folder of the search with --out")
     folder = options.run_folder(f"search-{study.name}")
     with (
         output_to_stderr(options.as_json),
         search_progress(folder, quiet=options.as_json) as tell,
-        workers_at(options.workers, options.cluster, options.time_limit) as flying,
+        choose_workers(options.workers, options.cluster, options.time_limit) as flying,
     ):
         searched = run_search(study, plan, folder, flying, options.resume, tell)
     options.answer(searched.to_dict, lambda: print_search(searched))
@@ -261,7 +261,7 @@ def print_keys(keys: Sequence[Key]) -> None:
 
 def print_search(searched: SavedSearch) -> None:
     """Print where each controller breaks, when that counts as broken, how closely was looked, and the files."""
-    from cosim.campaign.search.page import how_fine, joint_lines
+    from cosim.campaign.search.page import describe_resolution, joint_lines
     from cosim.campaign.search.page import table as edges
 
     result = searched.result
@@ -269,7 +269,7 @@ def print_search(searched: SavedSearch) -> None:
     say(f"{base.name}: {base.aircraft_name}, engine {base.engine}; {result.flights} flights")
     say(result.criterion, wrap=False)
     show_table(*edges(result), plain=True, pad_edge=False)
-    for line in [*joint_lines(result), *map(how_fine, result.plan.spans)]:
+    for line in [*joint_lines(result), *map(describe_resolution, result.plan.spans)]:
         say(line, wrap=False)
     for case in searched.cases:
         if not case.same:

@@ -15,7 +15,7 @@ from cosim.design.measured.estimate import QUANTITIES, Response, measured, relat
 from cosim.design.measured.excitation import Multisine, Record, Tap, fly_with, multisine, still
 from cosim.simulation.build import build
 from cosim.simulation.controllers.plugged import find_controller
-from cosim.simulation.controllers.source import Source, of_object
+from cosim.simulation.controllers.source import Source, from_object
 from cosim.simulation.delay_ledger import transport_samples
 from cosim.spec.controller_name import label, seen_from
 from cosim.spec.scenario import Scenario, controller_shown, flown_parameters
@@ -200,7 +200,7 @@ def measure_margins(
     if isinstance(controller, str):
         scenario = scenario.replace(controller=seen_from(controller, scenario.folder))
     elif controller is not None:
-        own = of_object(controller)
+        own = from_object(controller)
         scenario = scenario.replace(controller=own.name)
     scenario = still(scenario)
     own = own or find_controller(scenario)

@@ -93,11 +93,11 @@ def _by_effectiveness(
         movers,
         limits.horizontal,
     )
-    late = _late(scenario, vehicle, stations)
+    late = _engine_lateness(scenario, vehicle, stations)
     return EffectivenessAllocator(effectors) if late is None else HingedCatch(effectors, late)
 
 
-def _late(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> Late | None:
+def _engine_lateness(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> Late | None:
     """Return the lateness of the engines, where the vehicle is to be caught without one of them.
 
     A throttle has acted after the delay and a third of the lag, by when an engine is well on its way: chosen by us.

@@ -100,7 +100,7 @@ def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list
     if spec.needs_model and not models:
         raise InputError(
             f"controller {scenario.controller!r} needs an identified model of {vehicle.name} with engine "
-            f"{engine.family!r}; there are {_said_of(vehicle.identified)}; " + _one_command(scenario, vehicle, engine)
+            f"{engine.family!r}; there are {_said_of(vehicle.identified)}; " + _advise_design(scenario, vehicle, engine)
         )
     known = known_models(scenario, vehicle, engine)
     made: list[Predictor] = []
@@ -118,7 +118,7 @@ def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list
     return made
 
 
-def _one_command(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> str:
+def _advise_design(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> str:
     """Return the advice for an engine without an identified model: the command that designs a controller for it."""
     what = engine.name if engine.library else str(engine.mapping or engine.path)
     named = aircraft_seen_from(scenario.aircraft, scenario.folder)

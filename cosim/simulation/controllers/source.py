@@ -154,12 +154,12 @@ def find_python(kind: str, name: str, folder: Path) -> Source | None:
     """Return the Python block of that name, a file seen from ``folder``; None for another name.  Raises InputError."""
     named, where = file_name(name), f"{kind} {name}"
     if named is not None and named.after and not named.before:
-        return _of_file(kind, name, Path(named.seen_from(folder).file), named.after[1:])
+        return _from_file(kind, name, Path(named.seen_from(folder).file), named.after[1:])
     if named is None and _MODULE.fullmatch(name):
         module_name, _, attribute = name.partition(":")
         module, path, files = imported(module_name, where)
         block = _attribute(module, attribute, kind, where, path)
-        return _stated(kind, name, block, None, files, version_of(module_name), copied=False)
+        return _from_statements(kind, name, block, None, files, version_of(module_name), copied=False)
     entry = find_entries(kind).get(name)
     return None if entry is None else _of_entry(kind, name, entry)
 
@@ -179,7 +179,7 @@ def names() -> Iterator[tuple[str, str]]:
         yield name, f"{said or entry.value} ({level})"
 
 
-def of_object(given: Any) -> Source:
+def from_object(given: Any) -> Source:
     """Return the source of a class or an object of a program.  Raises InputError for one that is no controller.
 
     A class of a file flies again from that file, and so does an object that is as its class makes it without being told
@@ -192,8 +192,8 @@ def of_object(given: Any) -> Source:
     make = None if isinstance(given, type) else _copies(given)
     again = path is not None and path.suffix == ".py" and made.__qualname__.isidentifier()
     if again and (isinstance(given, type) or _as_made(given, made)):
-        return _stated("controller", f"{path}:{made.__name__}", given, make, files)
-    source = _stated("controller", f"{OBJECT}{label}", given, make, files, copied=False)
+        return _from_statements("controller", f"{path}:{made.__name__}", given, make, files)
+    source = _from_statements("controller", f"{OBJECT}{label}", given, make, files, copied=False)
     return source if files else replace(source, text=_text_of(made))
 
 
@@ -249,7 +249,7 @@ def _text_of(made: type) -> str:
 _known: Memory[Source] = Memory(32)
 
 
-def _of_file(kind: str, name: str, path: Path, attribute: str) -> Source:
+def _from_file(kind: str, name: str, path: Path, attribute: str) -> Source:
     """Return the block of a file, anew where the file has changed, or one that it imports from beside it."""
     where = f"{kind} {name}"
     if not path.is_file():
@@ -262,7 +262,7 @@ def _of_file(kind: str, name: str, path: Path, attribute: str) -> Source:
         module, neighbours = executed(path, where)
         _last_files[path] = [path, *neighbours]
         files = {file.name: file for file in (path, *neighbours)}
-        return _stated(kind, name, _attribute(module, attribute, kind, where, path), None, files)
+        return _from_statements(kind, name, _attribute(module, attribute, kind, where, path), None, files)
 
     return _known.get((kind, name, str(path), tuple(held)), load)
 
@@ -277,7 +277,7 @@ def _of_process(controller: str, path: Path, arguments: str) -> Source:
 
     def ask() -> Source:
         description = describe(command, path.parent, label_of(controller))
-        return _described(controller, description, {path.name: path}, command, path.parent)
+        return _from_description(controller, description, {path.name: path}, command, path.parent)
 
     return _known.get(key, ask)
 
@@ -293,7 +293,7 @@ def _of_fmu(controller: str, path: Path) -> Source:
     key = (controller, str(path), *[_sha256(file) for file in fmu.files.values()])
     run = command(path)
     return _known.get(
-        key, lambda: _described(controller, describe_controller(fmu), fmu.files, lambda: run, path.parent)
+        key, lambda: _from_description(controller, describe_controller(fmu), fmu.files, lambda: run, path.parent)
     )
 
 
@@ -306,7 +306,7 @@ def _of_record(controller: str, path: Path) -> Source:
     return source
 
 
-def _described(
+def _from_description(
     controller: str, said: Mapping[str, Any], files: Mapping[str, Path], command: Command, folder: Path
 ) -> Source:
     """Return the source of a process or an FMU from its description.  Raises InputError for what does not fit."""
@@ -316,7 +316,9 @@ def _described(
     for key in said:
         if key not in known:
             raise InputError(f"{where}: its first line: {key!r}: {nearest(key, known)}")
-    level, predictor, columns, parameters = _states(SimpleNamespace(**said), where, "[name, unit, frame, meaning]")
+    level, predictor, columns, parameters = _read_statements(
+        SimpleNamespace(**said), where, "[name, unit, frame, meaning]"
+    )
     extras = said.get("extras", ())
     if not isinstance(extras, (list, tuple)):
         raise InputError(f"{where}: extras = {extras!r}: must be a list")
@@ -344,7 +346,7 @@ def _of_entry(kind: str, name: str, entry: EntryPoint) -> Source:
         raise InputError(f"{describe_entry(entry)}: there is a predictor of this name already")
     member, package = load_entry(entry)
     path = file_of(member)
-    return _stated(kind, name, member, None, {} if path is None else {path.name: path}, package, copied=False)
+    return _from_statements(kind, name, member, None, {} if path is None else {path.name: path}, package, copied=False)
 
 
 def version_of(module: str) -> str:
@@ -372,7 +374,7 @@ def _attribute(module: ModuleType, name: str, kind: str, where: str, path: Path)
     return member
 
 
-def _stated(
+def _from_statements(
     kind: str,
     name: str,
     block: Any,
@@ -384,7 +386,7 @@ def _stated(
     """Return what a block states of itself.  Raises InputError for what does not fit."""
     if kind == "controller":
         where = f"controller {label_of(name)}"
-        level, predictor, columns, parameters = _states(block, where, "Column(name, unit, frame, meaning)")
+        level, predictor, columns, parameters = _read_statements(block, where, "Column(name, unit, frame, meaning)")
         methods: Any = [("reset", ()), ("update", LEVELS[level])]
         methods += [("prepare", ("belief",))] if hasattr(block, "prepare") else []
         make = make or _maker(block, where)
@@ -402,7 +404,7 @@ def _stated(
     return source
 
 
-def _states(block: Any, where: str, column: str) -> tuple[str, str, tuple[Column, ...], tuple[Parameter, ...]]:
+def _read_statements(block: Any, where: str, column: str) -> tuple[str, str, tuple[Column, ...], tuple[Parameter, ...]]:
     """Return level, predictor, columns and parameters that a block states; ``column``: how it writes one.
 
     Raises InputError for what does not fit.

@@ -48,19 +48,19 @@ from cosim.campaign.analysis.summary import (
     campaign_summary,
     comparison_lines,
     comparisons,
-    plain,
     reasons,
     spread_table,
+    strip_numbers,
     success_lines,
 )
 from cosim.campaign.analysis.table import (
     KINDS,
-    criterion,
+    describe_criterion,
     metric,
     read,
     short_names,
 )
-from cosim.campaign.analysis.worst_cases import eccentricity, worst, write_case
+from cosim.campaign.analysis.worst_cases import eccentricity, worst_flights, write_case
 from cosim.campaign.store import Campaign
 from cosim.campaign.study.plan import Flight, flights
 from cosim.campaign.workers.flight_row import fly_one
@@ -485,9 +485,12 @@ def test_of_a_grid_nothing_is_called_a_probability(tmp_path: Path) -> None:
 
 
 def test_reasons_that_differ_in_numbers_are_one(tmp_path: Path) -> None:
-    assert plain("leaned past 60 deg at 3.212 s (roll -61.2 deg)") == "leaned past … deg at … s"
-    assert plain("engine 3 (edf.fmu): thrust is not finite at step 812") == "engine …: thrust is not finite at step …"
-    assert plain("") == "no reason given"
+    assert strip_numbers("leaned past 60 deg at 3.212 s (roll -61.2 deg)") == "leaned past … deg at … s"
+    assert (
+        strip_numbers("engine 3 (edf.fmu): thrust is not finite at step 812")
+        == "engine …: thrust is not finite at step …"
+    )
+    assert strip_numbers("") == "no reason given"
     flown = read(made := campaign(tmp_path, study(runs=100)))
     counted = reasons(flown, flown.of(0), made.study.success)
     assert counted.total() == int(np.sum(flown.of(0) & ~flown.success))
@@ -502,12 +505,12 @@ def test_names_are_short_and_tell_keys_apart() -> None:
 
 
 def test_what_success_is_in_words() -> None:
-    assert criterion({}) == "flies to its end within its limits; nothing else is checked"
+    assert describe_criterion({}) == "flies to its end within its limits; nothing else is checked"
     limits = {"roll.rmse_rad": Range(max=pi / 180.0), "altitude.max_abs_error_m": Range(min=0.1, max=2.0)}
     expected = (
         "flies to its end within its limits, with roll RMSE at most 1 deg and altitude largest error 0.1 m to 2 m"
     )
-    assert criterion(limits) == expected
+    assert describe_criterion(limits) == expected
 
 
 # ---- figures and the map
@@ -571,7 +574,7 @@ def test_single_flights_are_a_sample_where_there_are_many(tmp_path: Path) -> Non
 def test_the_worst_are_named(tmp_path: Path) -> None:
     made = campaign(tmp_path, study(runs=150, controllers=["baseline"]))
     flown = read(made)
-    cases = worst(made.study, flown, 0)
+    cases = worst_flights(made.study, flown, 0)
     assert len({case.row for case in cases}) == len(cases)
     by_why = {case.why: case.row for case in reversed(cases)}  # the first of each
     lost = flown.kind >= KINDS.index("crashed")

@@ -16,9 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cosim.base.errors import InputError
-from cosim.campaign.search.folder import opened, run_search
-from cosim.campaign.search.line_search import outward, side_by_side
-from cosim.campaign.search.page import how_fine
+from cosim.campaign.search.folder import resolve_search, run_search
+from cosim.campaign.search.line_search import run_walks, scan_outward
+from cosim.campaign.search.page import describe_resolution
 from cosim.campaign.search.probe import (
     Journal,
     Point,
@@ -77,7 +77,7 @@ class Rule:
 
 def found(rule: Rule, vary: list[str], **options: Any) -> SearchResult:
     """A search by rule; the gust's scenario has 8 m/s along y, and 0 along x and z."""
-    study, plan = opened("gust", vary=vary, **options)
+    study, plan = resolve_search("gust", vary=vary, **options)
     return search(plan, Prober(study, plan.seeds, plan.share, rule))
 
 
@@ -118,11 +118,11 @@ def test_whole_numbers_are_found_exactly(edge: int) -> None:
     ],
 )
 def test_how_closely_a_key_is_looked_at_is_told(vary: str, said: str) -> None:
-    _, plan = opened("gust", vary=[vary])
+    _, plan = resolve_search("gust", vary=[vary])
     (span,) = plan.spans
     values = sorted(float(span.at(side * place)) for side in span.sides for place in span.places(side))
     assert max(b - a for a, b in pairwise(values)) == pytest.approx(float(span.step))
-    assert how_fine(span).startswith(said)
+    assert describe_resolution(span).startswith(said)
 
 
 def test_both_ways_from_the_scenario_and_to_the_ends() -> None:
@@ -216,8 +216,8 @@ def test_a_walk_asks_for_nothing_twice() -> None:
         asked.extend(place for _, place in places)
         return [place > 0.55 for _, place in places]
 
-    walk = outward([0.0, 0.25, 0.5, 0.75, 1.0], lambda a, b: None if b - a < 0.02 else 0.5 * (a + b), at_once=2)
-    (scan,) = side_by_side({"one": walk}, look).values()
+    walk = scan_outward([0.0, 0.25, 0.5, 0.75, 1.0], lambda a, b: None if b - a < 0.02 else 0.5 * (a + b), at_once=2)
+    (scan,) = run_walks({"one": walk}, look).values()
     assert scan.change is not None
     assert scan.change[0] <= 0.55 < scan.change[1]
     assert len(asked) == len(set(asked))
@@ -282,7 +282,7 @@ def test_flights_end_at_the_budget_and_nothing_found_is_said_so() -> None:
 
 
 def test_flights_that_are_known_cost_nothing_and_count_once() -> None:
-    study, plan = opened("gust", vary=[f"{X}=0:10"], seeds=2)
+    study, plan = resolve_search("gust", vary=[f"{X}=0:10"], seeds=2)
     rule = Rule(lambda values, controller, seed: False)
     prober = Prober(study, plan.seeds, plan.share, rule)
     one, two, three = (plan.point("smith", {X: value}) for value in (1.0, 2.0, 3.0))
@@ -339,7 +339,7 @@ def test_the_delay_margin_of_the_linear_roll_channel_to_the_sample() -> None:
     """
     command = '[{kind="doublet", signal="roll_deg", start_s=0.4, amplitude=0.5, width_s=0.4}]'
     controllers = ["smith", "filtered-smith"]
-    study, plan = opened(
+    study, plan = resolve_search(
         "roll-doublet",
         vary=[f"{DELAY}=8:26:4"],
         success=["roll.oscillation_rad<=0.02"],
@@ -385,7 +385,7 @@ GUST = {
 
 
 def test_what_is_left_behind_flies_again_and_what_was_stopped_goes_on(tmp_path: Path) -> None:
-    study, plan = opened("gust", **GUST)
+    study, plan = resolve_search("gust", **GUST)
     stopped = Here(most=7)
     with pytest.raises(KeyboardInterrupt):
         run_search(study, plan, tmp_path / "run", stopped)
@@ -417,7 +417,9 @@ def test_what_is_left_behind_flies_again_and_what_was_stopped_goes_on(tmp_path: 
 
 def test_what_cannot_be_flown_breaks_and_says_so(tmp_path: Path) -> None:
     """Too heavy to hover: found as an edge, with the reason in the words of the one who refuses to fly it."""
-    study, plan = opened("hover", vary=["vehicle.mass_kg=5.525:20:2"], settings=["duration_s=0.1"], tolerance=["5"])
+    study, plan = resolve_search(
+        "hover", vary=["vehicle.mass_kg=5.525:20:2"], settings=["duration_s=0.1"], tolerance=["5"]
+    )
     searched = run_search(study, plan, tmp_path / "run", Here())
     (edge,) = searched.result.edges
     assert edge.outcome == "failed"
@@ -436,14 +438,14 @@ def test_journal_is_read_back_whole(tmp_path: Path) -> None:
 
 
 def test_another_search_is_left_alone(tmp_path: Path) -> None:
-    study, plan = opened("gust", vary=[f"{X}=0:4:2"])
+    study, plan = resolve_search("gust", vary=[f"{X}=0:4:2"])
     rule = Here(most=0)
     with pytest.raises(KeyboardInterrupt):
         run_search(study, plan, tmp_path, rule)
     before = sorted(path.name for path in tmp_path.rglob("*"))
     with pytest.raises(InputError, match="already holds a search"):
         run_search(study, plan, tmp_path, rule)
-    other = opened("gust", vary=[f"{X}=0:5:2"])
+    other = resolve_search("gust", vary=[f"{X}=0:5:2"])
     with pytest.raises(InputError, match=r"holds another search; .*[54]\.0"):
         run_search(*other, tmp_path, rule, resume=True)
     with pytest.raises(InputError, match=r"holds another search; search\.toml: seeds is"):
@@ -504,5 +506,5 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
 )
 def test_wrong_input_is_one_line(options: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=r"\A[^\n]+\Z") as error:
-        opened("gust", **options)
+        resolve_search("gust", **options)
     assert words in str(error.value)

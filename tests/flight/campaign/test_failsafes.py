@@ -626,7 +626,7 @@ def test_what_is_drawn_is_the_same_again_and_other_for_every_flight() -> None:
 
         def drawn(number: int, seed: int = 0) -> table.Task:
             task = table.Task(fuel, table.Start(30.0, 0.0), scenario, number)
-            return table.drawn(task, vehicle, energy, seed)
+            return table.draw_flight(task, vehicle, energy, seed)
 
         assert drawn(1) == drawn(1)
         several = [drawn(number) for number in range(1, 9)] + [drawn(1, seed=1)]

@@ -31,11 +31,18 @@ from cosim.campaign.surveys.engine_out import (
     _fly,
     _scenario,
     engine_out,
+    find_obstacle,
     rows,
-    unfit,
     write_pages,
 )
-from cosim.campaign.surveys.lean_bound import STEP_S, RollAxis, ThrustCourses, courses_of, opposite_of, roller
+from cosim.campaign.surveys.lean_bound import (
+    STEP_S,
+    RollAxis,
+    ThrustCourses,
+    make_roll_axis,
+    measure_courses,
+    opposite_of,
+)
 from cosim.campaign.surveys.survey import subject_of
 from cosim.control.autopilot import requests as rq
 from cosim.engine import EngineBank, engine_names, load_engine
@@ -98,7 +105,7 @@ def test_the_bound_with_idle_in_place_of_the_allocations_least_is_the_pages() ->
     least_throttle = scenario.resolved_vehicle()[0].control.allocation.throttle_min
     for least in (0.0, least_throttle):
         with build(scenario.replace(vehicle={"control": {"allocation": {"throttle_min": least}}})) as simulation:
-            bounds.append(roller(simulation).least_lean(5).lean_deg)
+            bounds.append(make_roll_axis(simulation).least_lean(5).lean_deg)
     assert 80.0 < bounds[0] < bounds[1]
     sentence = (
         "{} % of the range of thrust), below which nothing here asks an engine to go; with the engine's idle in its "
@@ -130,7 +137,7 @@ def test_what_the_flame_out_costs_in_height_at_least() -> None:
     scenario = Scenario.load("fault-flame-out-full-scale")
     with build(scenario) as simulation:
         mass = simulation.vehicle.mass_kg
-        courses = courses_of(simulation, simulation.cascade.allocator.hover, seconds=4.0)
+        courses = measure_courses(simulation, simulation.cascade.allocator.hover, seconds=4.0)
     weight, found = mass * GRAVITY, round(0.076 / STEP_S)
     waiting = [weight / 6.0] * found
     thrust = [
@@ -147,7 +154,7 @@ def test_flown_open_loop_in_six_degrees_of_freedom_the_best_throttles_reach_the_
     """And no better: the middle jet out, full throttle beside it and least across, until the vehicle stops rolling."""
     scenario = flight(engine, 5, PLANNED).replace(sensor_noise=False, fault=[], monitor=False)
     with build(scenario) as simulation:
-        found = roller(simulation)
+        found = make_roll_axis(simulation)
         bound = found.least_lean(5)
         rolls = [0.0]
         for k in range(400):
@@ -178,7 +185,7 @@ def test_a_vehicle_that_spins_leans_less_than_the_bound_with_tilts() -> None:
     """So that bound holds for a heading that is kept, as the page says; flown open loop in six degrees of freedom."""
     scenario = flight("p220", 5, PLANNED).replace(sensor_noise=False, fault=[], monitor=False)
     with build(scenario) as simulation:
-        vehicle, found = simulation.vehicle, roller(simulation)
+        vehicle, found = simulation.vehicle, make_roll_axis(simulation)
         assert vehicle.servo is not None
         servos = [TiltServo(vehicle.servo, STEP_S) for _ in "lr"]
         lean, spin = 0.0, 0.0
@@ -239,7 +246,7 @@ def test_the_least_fall_is_what_the_failsafes_page_says() -> None:
         vehicle, _ = load_vehicle(aircraft)
         scenario = Scenario.load("hover").replace(aircraft=aircraft, engine=vehicle.engine, controller="baseline")
         with build(scenario) as one:
-            turning = roller(one, 4.0)
+            turning = make_roll_axis(one, 4.0)
         legs.append(height - max(each.position_m[2] for each in vehicle.contacts if each.kind == "leg"))
         lost.append(least_fall(turning).lost_m)
         with Hover(aircraft, height) as flight:
@@ -283,7 +290,7 @@ def test_a_fall_under_engines_that_jump_is_the_closed_form() -> None:
 
 def test_tilts_and_an_earlier_shut_off_can_only_help() -> None:
     with build(flight("turbine-20", 2, OPPOSITE)) as simulation:
-        found = roller(simulation)
+        found = make_roll_axis(simulation)
     plain = found.least_lean(2)
     assert found.least_lean(2, tilting=True).lean_deg < plain.lean_deg < found.least_lean(2, after=10).lean_deg
     leans = [found.least_lean(2, shut_at=at).lean_deg for at in (0, 10, 20, 30)]
@@ -373,10 +380,10 @@ def test_a_vehicle_without_opposite_jets_is_refused() -> None:
 
 
 def test_what_cannot_be_flown_says_why() -> None:
-    assert unfit(subject_of("hexjet-p220", "edf")) == "cannot lift it: 120 N at most for 608 N of weight"
-    assert unfit(subject_of("hexjet", "p220")) == "cannot stay down: 90 N at idle for 54 N of weight"
-    assert unfit(subject_of("hexjet", "turbine-100")) == "too strong: it would hover at 7 % of its range"
-    assert all(unfit(subject_of(aircraft, engine)) == "" for engine, aircraft in HOME.items())
+    assert find_obstacle(subject_of("hexjet-p220", "edf")) == "cannot lift it: 120 N at most for 608 N of weight"
+    assert find_obstacle(subject_of("hexjet", "p220")) == "cannot stay down: 90 N at idle for 54 N of weight"
+    assert find_obstacle(subject_of("hexjet", "turbine-100")) == "too strong: it would hover at 7 % of its range"
+    assert all(find_obstacle(subject_of(aircraft, engine)) == "" for engine, aircraft in HOME.items())
 
 
 # ---- the command and the pages

@@ -22,7 +22,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import EngineOutput, PerJet, Sample
 from cosim.campaign.surveys.fault_page import PARTS, write, write_page
 from cosim.campaign.surveys.faults import LOSS, Case, Limit, cases, scenario_of, summary, survival
-from cosim.campaign.surveys.survey import judge, subject_of
+from cosim.campaign.surveys.survey import measure_flight, subject_of
 from cosim.control.allocation.engine_monitor import EngineMonitor, EngineReference
 from cosim.engine import EngineBank, load_engine
 from cosim.engine.rundown import ELECTRIC, OWN, FlameOutLaw
@@ -786,7 +786,7 @@ def test_the_table_has_every_fault_at_every_place() -> None:
 def test_the_judge_reads_lean_height_and_detection() -> None:
     case = Case("flame-out", "jet 1", {"kind": "flame_out", "jet": 1})
     run = fly(scenario_of(subject_of("hexjet", "edf-as-flown"), case, "hover", "smith"))
-    lean, lost, detected = judge(run.log, 250)
+    lean, lost, detected = measure_flight(run.log, 250)
     assert lean == pytest.approx(np.degrees(np.abs(run.log["roll_rad"]).max()), abs=2.0)
     assert lost == pytest.approx(run.log["altitude_m"][250] - run.log["altitude_m"][250:].min())
     assert detected == 255

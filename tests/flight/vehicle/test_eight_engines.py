@@ -18,7 +18,7 @@ from cosim.base.storage.paths import data_folder
 from cosim.campaign.study.keys import find_key
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
-from cosim.campaign.surveys.survey import judge
+from cosim.campaign.surveys.survey import measure_flight
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.flight import fly
 from cosim.results.events import events_of
@@ -105,9 +105,9 @@ def test_a_survey_of_faults_hears_of_the_last_of_them(run: Run) -> None:
     log = {name: run.log[name] for name in run.log.columns}
     assert np.min(log["health_8"]) < 1.0  # the monitor sees that 30 % are missing
     log["health_8"] = np.ones_like(log["health_8"])
-    assert judge(Columns(log), 80)[2] is None
+    assert measure_flight(Columns(log), 80)[2] is None
     log["health_8"] = np.where(run.log["time_s"] > 0.25, 0.0, 1.0)
-    assert judge(Columns(log), 80)[2] == np.flatnonzero(run.log["time_s"] > 0.25)[0]
+    assert measure_flight(Columns(log), 80)[2] == np.flatnonzero(run.log["time_s"] > 0.25)[0]
 
 
 def test_metrics_are_of_all_of_them(run: Run) -> None:

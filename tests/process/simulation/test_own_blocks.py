@@ -16,7 +16,7 @@ from cosim import InputError, Scenario, fly
 from cosim.base.frames import conjugate, jet_axis, rotate
 from cosim.base.plugins.entry_points import GROUP, GROUPS
 from cosim.campaign.run import run_campaign
-from cosim.campaign.search.search import why
+from cosim.campaign.search.search import describe_flight
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.flight_row import fly_one
@@ -168,7 +168,7 @@ def test_a_campaign_has_it_in_every_row_and_counts_by_it(mine: str, tmp_path: Pa
     there = campaign.columns
     assert there["own.swing_rad"][1] == row["own.swing_rad"] > 0.0
     assert not any(there["success"])
-    assert "own.swing_rad = " in why(study, row)
+    assert "own.swing_rad = " in describe_flight(study, row)
     assert re.fullmatch("metrics mine.py:Swing [0-9a-f]{64}", str(row["brought_sha256"]))
 
 

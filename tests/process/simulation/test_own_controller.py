@@ -25,8 +25,8 @@ from places import ROOT
 from cosim import InputError, Scenario, fly, open_run
 from cosim.base.protocols import Column, Parameter
 from cosim.base.signals import UNKNOWN3, Actuation, Unallocated
-from cosim.campaign.run import fly_again, run_campaign, workers_at
-from cosim.campaign.search.folder import opened, run_search
+from cosim.campaign.run import choose_workers, fly_again, run_campaign
+from cosim.campaign.search.folder import resolve_search, run_search
 from cosim.campaign.study.keys import find_key
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
@@ -453,8 +453,8 @@ def test_a_search_and_a_survey_of_faults_fly_it_and_say_which_it_was(mine: str, 
     assert (out / "mine.py").read_bytes() == Path(mine.removesuffix(":Mine")).read_bytes()
 
     vary = ["controller_parameters.share=0.5:1:2"]
-    study, plan = opened("hover", vary=vary, controllers=[mine], settings=["duration_s=0.2"])
-    with workers_at(1, None, None) as workers:
+    study, plan = resolve_search("hover", vary=vary, controllers=[mine], settings=["duration_s=0.2"])
+    with choose_workers(1, None, None) as workers:
         searched = run_search(study, plan, tmp_path / "search", workers)
     assert list(searched.to_dict()["controller_sha256"].values()) == [sha256[mine]]
     journal = (tmp_path / "search" / "flights.jsonl").read_text(encoding="utf-8").splitlines()

@@ -71,7 +71,7 @@ def test_a_command_is_one(words: list[str]) -> None:
             "wind",
             "aircraft",
         )
-        searches.opened(name, **{option: value for option, value in options.items() if option not in elsewhere})
+        searches.resolve_search(name, **{option: value for option, value in options.items() if option not in elsewhere})
 
 
 @pytest.mark.parametrize("command", ["sweep", "search"])

@@ -20,7 +20,7 @@ from cosim.campaign.study.draws import (
     draws,
     flight_seed,
     inverse,
-    rearranged,
+    reorder_points,
 )
 from cosim.campaign.study.keys import Key
 from cosim.campaign.study.options import open_study
@@ -284,7 +284,7 @@ def test_normal_keys_have_the_correlation_of_the_closed_form() -> None:
 def test_a_few_runs_in_a_line_are_rearranged_all_the_same() -> None:
     """Scores that are correlated by chance to the full have no inverse."""
     points = np.array([[0.1, 0.2], [0.5, 0.4], [0.9, 0.8]])
-    found = rearranged(points, np.array([[1.0, -0.9], [-0.9, 1.0]]))
+    found = reorder_points(points, np.array([[1.0, -0.9], [-0.9, 1.0]]))
     assert sorted(found[:, 1]) == [0.2, 0.4, 0.8]
     assert list(found[:, 0]) == [0.1, 0.5, 0.9]
 
