@@ -46,11 +46,12 @@ class _ClosedThrottles:
 
 
 @cache
-def tip_speed(aircraft: str, engine: str) -> float:
+def tip_speed(aircraft: str, engine: str, above_m: float = ABOVE_M) -> float:
     """Return the speed over the ground (m/s) from which a vehicle tips over legs that catch.
 
     The least of eight headings, in still air, at full weight; found by bisection to 0.02 m/s, infinite if 8 m/s does
-    not tip it.  ``aircraft`` is a name or the path of a folder, ``engine`` a name or a file.  Raises InputError as
+    not tip it.  ``aircraft`` is a name or the path of a folder, ``engine`` a name or a file; ``above_m`` is the height
+    of the lowest leg at the start, and with legs that just touch (0) the speed is less.  Raises InputError as
     :func:`build`.
     """
     subject = Subject(aircraft, load_vehicle(aircraft)[0], engine)
@@ -64,7 +65,7 @@ def tip_speed(aircraft: str, engine: str) -> float:
         duration_s=LONGEST_S,
         sensor_noise=False,
         vehicle={"contacts": contacts},
-        initial={"altitude_m": max(leg["position_m"][2] for leg in legs) + ABOVE_M},
+        initial={"altitude_m": max(leg["position_m"][2] for leg in legs) + above_m},
     )
     least = FASTEST_M_S
     for heading in HEADINGS_DEG:

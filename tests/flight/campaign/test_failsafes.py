@@ -23,7 +23,7 @@ from cosim.campaign.surveys import failsafe_flight
 from cosim.campaign.surveys import failsafe_table as tables
 from cosim.campaign.surveys import failsafes as table
 from cosim.campaign.surveys.survey import subject_of
-from cosim.campaign.surveys.tipping import tip_speed
+from cosim.campaign.surveys.tipping import ABOVE_M, tip_speed
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.results.report import marks
@@ -145,6 +145,16 @@ def test_turbines_that_still_carry_it_let_a_vehicle_tip_much_sooner() -> None:
     assert tip_speed("hexjet-p220", "p220") == pytest.approx(0.47, abs=0.03)
     sentence = "whose energy would have to be that of {} m/s, tips from {} m/s on"
     stated("docs/failsafes.md", sentence, gone("hexjet-p220"), tip_speed("hexjet-p220", "p220"))
+
+
+def test_legs_that_just_touch_tip_sooner_as_the_page_says() -> None:
+    fans, turbines = ("hexjet", "edf-as-flown"), ("hexjet-p220", "p220")
+    sentence = (
+        "The legs begin {} mm above the ground, for the tables too; with legs that just touch it is less: {} m/s instead "
+        "of {} m/s for hexjet on `edf-as-flown`, {} m/s instead of {} m/s for hexjet-p220"
+    )
+    speeds = (speed for each in (fans, turbines) for speed in (tip_speed(*each, 0.0), tip_speed(*each)))
+    stated("docs/failsafes.md", sentence, 1e3 * ABOVE_M, *speeds)
 
 
 def test_what_touches_faster_sideways_has_not_landed(monkeypatch: pytest.MonkeyPatch) -> None:
