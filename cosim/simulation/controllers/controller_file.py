@@ -24,6 +24,7 @@ from cosim.spec.scenario import FlownParameters, Scenario, find_scenario, parame
 from cosim.spec.scenario.parameter_file import parse_table
 from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_names, aircraft_seen_from, load_vehicle
 
+NO_PROOF = "has no proof flights: made with --no-proof, or for another autopilot, or before designs had them"
 SAME_STEP_S = 1e-9  # control steps nearer to each other than this are one
 NOISE_SHARE = 0.0833  # of the room of the command: three standard deviations of noise take a quarter of it
 STEP_RAD = 0.1745  # 10 deg, the size of the roll doublet
@@ -251,7 +252,7 @@ def differences(scenario: Scenario, path: Path, noted: bool = True) -> list[str]
 
 
 def design_notes(parameters: Iterable[FlownParameters], engine: EngineSpec) -> list[str]:
-    """Return what the record of a flight says of its design: that its proof failed, that it is for another engine.
+    """Return what the record of a flight says of its design: a proof that failed or is not there, another engine.
 
     Empty where no design is among ``parameters``.  Raises InputError for one that is none.
     """
@@ -267,6 +268,8 @@ def design_notes(parameters: Iterable[FlownParameters], engine: EngineSpec) -> l
 
 def _proof_and_engine(made: Purpose, spec: EngineSpec) -> list[str]:
     lines = [f"its proof failed: {made.proof.failed}"] if made.proof and made.proof.failed else []
+    if made.proof is None:
+        lines.append(NO_PROOF)
     if made.engine_sha256 not in (spec.identity, spec.sha256):
         lines.append(f"designed for engine {made.engine} ({made.engine_sha256[:12]}), flown with {spec.name} "
                      f"({spec.identity[:12]})")  # fmt: skip

@@ -13,13 +13,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from places import DESIGNS
 from state_space import Body, Loop, first_order
 from stored_designs import LINEAR, small_step, stored
 
+from cosim import open_run
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml, toml_text
-from cosim.cli.main import main
+from cosim.campaign.study.model_notes import designs_off
+from cosim.campaign.study.options import open_study
+from cosim.cli.main import cli, main
 from cosim.control.predictors.linear import model_response, observer_response
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.predictors.state import ModalPredictor, Modes, modal_observer
@@ -40,7 +44,13 @@ from cosim.design.loop.tuning import Tuning, candidates
 from cosim.engine import load_engine
 from cosim.flight import fly
 from cosim.simulation.build import build
-from cosim.simulation.controllers.controller_file import Requirements, differences, read_controller, with_controller
+from cosim.simulation.controllers.controller_file import (
+    NO_PROOF,
+    Requirements,
+    differences,
+    read_controller,
+    with_controller,
+)
 from cosim.simulation.delay_ledger import total_samples
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import PredictorTuning, RateModel, load_vehicle
@@ -562,6 +572,29 @@ def test_a_file_whose_proof_failed_later_is_told(tmp_path: Path) -> None:
     flown = with_controller("roll-doublet", path)
     assert differences(flown, path) == ["its proof failed: doublet to 20 deg: diverged"]
     assert differences(flown, path, noted=False) == []
+
+
+def test_a_file_without_a_proof_is_told(tmp_path: Path) -> None:
+    """A run keeps it, as the flight again does, and a study says it before it flies: nobody else would know."""
+    table = read_toml(DESIGNS / "edf-as-flown.toml")
+    del table["design"]["proof"]
+    path = tmp_path / "unproved.toml"
+    path.write_text(toml_text(table), encoding="utf-8")
+    short = with_controller("roll-doublet", path, ["duration_s=0.1"])
+    assert differences(short, path) == [NO_PROOF]
+    assert differences(short, path, noted=False) == []
+    assert NO_PROOF.startswith("has no proof flights: made with --no-proof")
+    note = f"unproved.toml: {NO_PROOF}"
+    arguments = ["fly", "roll-doublet", "--controller", str(path), "--set", "duration_s=0.1", "--out"]
+    said = CliRunner().invoke(cli, [*arguments, str(tmp_path / "run")])
+    assert note in " ".join(said.output.split())
+    run = open_run(tmp_path / "run")
+    assert note in run.summary.notes
+    assert note in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert fly(tmp_path / "run" / "scenario.toml").summary.notes == run.summary.notes
+    assert designs_off(
+        open_study("roll-doublet", controllers=[str(path)], vary=["environment.ground_m=0:10"], runs=2)
+    ) == [note]
 
 
 def test_a_run_keeps_what_its_design_is_not_for(tmp_path: Path) -> None:
