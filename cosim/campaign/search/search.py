@@ -113,7 +113,7 @@ class Joint:
     breaks: Mapping[str, Value]
     holds: Mapping[str, Value]  # the last that holds on the way there
     deviations: Mapping[str, float]
-    search_singly: float | None  # the smallest distance of a single key that breaks
+    alone: float | None  # the smallest distance of a single key that breaks
     rays: int  # tried
     flights: int
     spent: bool  # ended because no more flights were allowed
