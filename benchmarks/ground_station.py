@@ -322,7 +322,7 @@ def line(baud: int) -> tuple[dict[str, float], float, list[float]]:
 
 
 def lines() -> str:
-    """The table of the page."""
+    """Return the page's table of serial lines by baud rate."""
     columns = ("baud", "bytes/s", "of them used", *(f"{name}, Hz" for name in SHOWN), "latest acknowledgement, s")
     rows = []
     for baud in BAUD:
@@ -387,7 +387,7 @@ class _Asker:
 
 
 def stalled(seconds: float) -> str:
-    """A pseudo-terminal that is read for 3 s, not for ``seconds``, and then again; a flight at real time."""
+    """Fly at real time with a pseudo-terminal read for 3 s, not for ``seconds``, then again; return a table."""
     import tty
 
     ours, theirs = os.openpty()

@@ -45,7 +45,7 @@ STILL = Frame(
 
 
 def stand_in(kind: str) -> None:
-    """What the child process does, until its standard input ends."""
+    """Be the autopilot's stand-in or the echo in the child process, until its standard input ends."""
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "tools"))
     import autopilot_standins
 
@@ -101,7 +101,7 @@ def timed(step: Callable[[int], object]) -> Clocked:
 
 
 def bare(kind: str) -> Clocked:
-    """A round trip of packets as large as those of the lockstep, and nothing else."""
+    """Measure a round trip of packets as large as those of the lockstep, and nothing else."""
     with child(kind) as process:
         assert process.stdout is not None
         port = int(process.stdout.readline())

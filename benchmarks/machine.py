@@ -32,7 +32,7 @@ class Machine:
 
 
 def look_around(begin: float | None, processor_share: float | None) -> Machine:
-    """This machine; ``begin`` is :func:`load` before the measurements."""
+    """Describe this machine; ``begin`` is :func:`load` before the measurements."""
     end = load()
     return Machine(
         cpu=_cpu(),
@@ -48,7 +48,7 @@ def look_around(begin: float | None, processor_share: float | None) -> Machine:
 
 
 def load() -> float | None:
-    """Processes that want to run, on average over the last minute."""
+    """Return how many processes want to run, on average over the last minute; None: the system does not say."""
     return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
 
 
@@ -70,7 +70,7 @@ def package_versions() -> dict[str, str]:
 
 
 def compilers() -> dict[str, str]:
-    """What compiled Python, and the packages where the time goes, as far as their files say it themselves."""
+    """Return what compiled Python, and the packages where the time goes, as far as their files say it themselves."""
     versions = {"python": platform.python_compiler()}
     for name in COMPILED:
         spec = find_spec(name)
@@ -83,7 +83,7 @@ def compilers() -> dict[str, str]:
 
 
 def _needed(requirements: Iterable[str]) -> list[str]:
-    """The names in requirements that belong to no extra."""
+    """Return the names in requirements that belong to no extra."""
     plain = (text for text in requirements if "extra ==" not in text)
     return [match.group() for text in plain if (match := re.match(r"[A-Za-z0-9._-]+", text))]
 

@@ -1,5 +1,4 @@
-"""The measurements in a Markdown page between its marks (:mod:`cosim.results.report.marks`): all figures are of one
-run."""
+"""The measurements of one run in a Markdown page, between its marks (:mod:`cosim.results.report.marks`)."""
 
 from __future__ import annotations
 
@@ -20,7 +19,7 @@ ABSENT = "Not measured in this run.\n"
 
 
 def check_page(path: Path) -> None:
-    """Raises InputError if a page could not be written there: before hours of measuring, not after."""
+    """Raise InputError if a page could not be written there: before hours of measuring, not after."""
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {path.parent}")
     if not os.access(path.parent, os.W_OK):
@@ -37,7 +36,7 @@ def write_page(path: Path, result: Result, command: str) -> None:
 
 
 def fill(path: Path, parts: dict[str, str]) -> str:
-    """The page with what is between its marks replaced; a new one if there is none yet.
+    """Return the page with what is between its marks replaced; a new one if there is none yet.
 
     Raises InputError for a page that cannot be read, or whose marks do not fit together.
     """

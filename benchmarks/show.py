@@ -27,7 +27,7 @@ UNIT = (
 
 @contextmanager
 def progress(quiet: bool) -> Iterator[Callable[[str, int, int], object]]:
-    """Shows on a terminal how far the measurements are; says nothing in a pipe."""
+    """Show on a terminal how far the measurements are; say nothing in a pipe."""
     if quiet or not sys.stderr.isatty():
         yield lambda what, done, total: None
         return

@@ -88,7 +88,7 @@ FULL = Plan(
 
 
 def make_plan(full: bool, campaign: bool, only: Sequence[str], amounts: Mapping[str, Any]) -> Plan:
-    """The quick plan or the full one, with the campaign if asked for, or with some parts ``only``.
+    """Return the quick plan or the full one, with the campaign if asked for, or with some parts ``only``.
 
     An amount that is None stays as it is.  Raises InputError for an unknown part.
     """
@@ -171,7 +171,7 @@ def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda 
 
 
 def _part(part: str, plan: Plan, folder: Path) -> tuple[Callable[[Callable[[], object]], object], int]:
-    """What measures a part, and how often it says that it has got further."""
+    """Return what measures a part, and how often it says that it has got further."""
     steps, rounds = plan.steps, plan.rounds
     parts: dict[str, tuple[Callable[[Callable[[], object]], object], int]] = {
         STEP: (partial(measure_speed, steps, rounds, folder), rounds),

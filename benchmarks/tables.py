@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import starmap
+from typing import Any
 
 from benchmarks.measures.blocks import Breakdown
 from benchmarks.measures.browser import Frames, Seen
@@ -52,35 +54,24 @@ class Table:
 
 
 def tables(result: Result) -> dict[str, list[Table]]:
-    """The tables by part, in the order in which they are read; nothing for a part that was not measured."""
-    parts: dict[str, list[Table]] = {ASKED: [_asked(result)]}
-    if result.step:
-        parts[STEP] = [_step(runs, costs) for runs, costs in result.step.items()]
-    if result.blocks:
-        parts[BLOCKS] = [_blocks(result.blocks)]
-    if result.others:
-        parts[OTHERS] = [_others(result.others)]
-    if result.own:
-        parts[OWN] = [_own(result.own)]
-    if result.peers:
-        parts[PEERS] = [_peers(result.peers)]
-    if result.rotorpy:
-        parts[ROTORPY] = [_rotorpy(result.rotorpy)]
-    if result.time:
-        parts[TIME] = [_time(result.time)]
-    if result.engines:
-        parts[ENGINES] = list(_engines(result.engines))
-    if result.log:
-        parts[LOG] = [_log(result.log)]
-    if result.pages:
-        parts[PAGES] = list(_pages(result.pages))
-    if result.start:
-        parts[START] = [_start(result.start)]
-    if result.memory:
-        parts[MEMORY] = [_memory(result.memory)]
-    if result.campaign:
-        parts[CAMPAIGN] = list(_campaign(result.campaign))
-    return parts | {MACHINE: list(_machine(result))}
+    """Return the tables by part, in the order in which they are read; none for a part that was not measured."""
+    measured: dict[str, tuple[Any, Callable[[Any], Iterable[Table]]]] = {
+        STEP: (result.step, lambda runs: starmap(_step, runs.items())),
+        BLOCKS: (result.blocks, lambda part: [_blocks(part)]),
+        OTHERS: (result.others, lambda part: [_others(part)]),
+        OWN: (result.own, lambda part: [_own(part)]),
+        PEERS: (result.peers, lambda part: [_peers(part)]),
+        ROTORPY: (result.rotorpy, lambda part: [_rotorpy(part)]),
+        TIME: (result.time, lambda part: [_time(part)]),
+        ENGINES: (result.engines, _engines),
+        LOG: (result.log, lambda part: [_log(part)]),
+        PAGES: (result.pages, _pages),
+        START: (result.start, lambda part: [_start(part)]),
+        MEMORY: (result.memory, lambda part: [_memory(part)]),
+        CAMPAIGN: (result.campaign, _campaign),
+    }
+    parts = {key: list(make(part)) for key, (part, make) in measured.items() if part}
+    return {ASKED: [_asked(result)], **parts, MACHINE: list(_machine(result))}
 
 
 def spread(value: Spread) -> str:

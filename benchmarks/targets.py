@@ -54,7 +54,7 @@ def judge(result: Result) -> list[TargetResult]:
 
 
 def to_dict(result: Result) -> dict[str, Any]:
-    """A result as it goes into JSON, with what is asked for."""
+    """Return a result as it goes into JSON, with what is asked for."""
     return result.to_dict() | {"asked": [asdict(row) | {"met": row.met} for row in judge(result)]}
 
 

@@ -56,12 +56,12 @@ class Spread:
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread:
-        """The spread of at least one value."""
+        """Return the spread of at least one value."""
         low, median, high = (float(v) for v in np.percentile(values, (25.0, 50.0, 75.0)))
         return cls(median, low, high, min(values), len(values))
 
     def times(self, factor: float) -> Spread:
-        """The spread of the values times ``factor``, which is positive."""
+        """Return the spread of the values times ``factor``, which is positive."""
         median, low, high, least = (factor * value for value in (self.median, self.low, self.high, self.least))
         return Spread(median, low, high, least, self.repeats)
 
@@ -83,7 +83,7 @@ class Cost:
 
     @classmethod
     def of(cls, pairs: Sequence[Pair], less: int = 0) -> Cost:
-        """The cost from its rounds, ``less`` this many units in each."""
+        """Return the cost from its rounds, ``less`` this many units in each."""
         return cls(
             wall_us=Spread.of([1e6 * (step.wall - less * unit.wall) for step, unit in pairs]),
             cpu_us=Spread.of([1e6 * (step.cpu - less * unit.cpu) for step, unit in pairs]),

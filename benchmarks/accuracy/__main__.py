@@ -50,7 +50,7 @@ def case_table(folder: Path) -> tuple[str, list[Compared]]:
 
 
 def flight_table() -> str:
-    """The study of methods and runs on the project's own flights."""
+    """Return the table of the study of methods and runs on the project's own flights."""
     rows = []
     for flown in courses():
         truth = exact(flown, 1)
@@ -86,7 +86,7 @@ def closed_table() -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The exit status."""
+    """Write the tables of the chosen parts and return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy", description="How exact the airframe is.")
     parser.add_argument("--data", type=Path, help="folder with the trajectories of NASA's simulators")
     parser.add_argument("--only", choices=list(PARTS), help="this part alone")

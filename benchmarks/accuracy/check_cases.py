@@ -1,5 +1,4 @@
-"""Five of NASA's atmospheric check cases, flown by :class:`cosim.vehicle.airframe.Airframe` at the step that
-flights use.
+"""Five of NASA's atmospheric check cases, flown by :class:`cosim.vehicle.airframe.Airframe` at a flight's step.
 
 Source: NASA/TM-2015-218675, "Check-Cases for Verification of 6-Degree-of-Freedom Flight Vehicle Simulations".  The
 trajectories of NASA's simulators are those published with SimuPy-Flight (nasa/simupy-flight on GitHub), in files
@@ -99,7 +98,7 @@ ABOUT = 10  # rows
 
 
 def body(case: Case) -> Vehicle:
-    """The body as a vehicle: jets that never push, one contact on top, the case's constants as body.xml has them."""
+    """Return the body as a vehicle: jets that never push, one contact on top, the case's constants as in body.xml."""
     vehicle, _ = load_vehicle("hexjet")
     area = case.drag_area_ft2 * FOOT**2
     roll, pitch, yaw = (term * POUND_FOOT for term in case.damping_ft4)
@@ -121,7 +120,7 @@ def body(case: Case) -> Vehicle:
 
 
 def fly_case(case: Case, step: float | None = None, substeps: int | None = None) -> dict[str, Array]:
-    """The trajectory, by quantity, a row every 0.1 s; without ``step`` and ``substeps`` with those of every flight."""
+    """Return the trajectory by quantity, a row every 0.1 s; ``step`` and ``substeps``: None for those of flights."""
     usual = Scenario(name="usual", duration_s=1.0)
     step, substeps = step or usual.step_s, substeps or usual.substeps
     yaw = radians(case.yaw_deg)

@@ -51,7 +51,7 @@ class Motion:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """The same as numpy's, for two vectors and in a tenth of the time."""
+    """Return the cross product of two vectors, as numpy's does but in a tenth of the time."""
     (x, y, z), (u, v, w) = a.tolist(), b.tolist()
     return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
 
@@ -130,7 +130,7 @@ class Body:
 
 
 def start(latitude_deg: float, longitude_deg: float, height: float, motion: Motion) -> Array:
-    """The state (13) of a vehicle with this motion at this place; the axes coincide with the Earth's then."""
+    """Return the state (13) of a vehicle with this motion at this place; the axes coincide with the Earth's then."""
     latitude, longitude = np.radians(latitude_deg), np.radians(longitude_deg)
     e2 = 1.0 - (POLAR / RADIUS) ** 2
     normal = RADIUS / np.sqrt(1.0 - e2 * np.sin(latitude) ** 2)
@@ -161,7 +161,7 @@ def earth(t: float) -> Array:
 
 
 def motion_of(state: Array, t: float) -> Motion:
-    """What an observer on the ground sees."""
+    """Return the motion that an observer on the ground sees ``t`` seconds after the start."""
     r, v, turn = state[:3], state[3:6], matrix(state[6:10])
     to_earth = earth(t)
     place = to_earth @ r
@@ -171,7 +171,7 @@ def motion_of(state: Array, t: float) -> Motion:
 
 
 def let_go(state: Array, shift: Array) -> Array:
-    """The state with the centre of gravity elsewhere in the body, by ``shift`` [m, body]; the body moves as it did."""
+    """Shift the centre of gravity in the body by ``shift`` [m, body] and return the state; the body moves as it did."""
     turn = matrix(state[6:10])
     moved = [state[:3] + turn @ shift, state[3:6] + turn @ cross(state[10:], shift), state[6:]]
     return np.concatenate(moved)
@@ -219,7 +219,7 @@ def integrate(
     parts: int = 2,
     payload: Payload | None = None,
 ) -> list[Motion]:
-    """The motion after every control step; ``parts``: steps of the Runge-Kutta method in each.
+    """Return the motion after every control step; ``parts``: steps of the Runge-Kutta method in each.
 
     ``payload``: on board at the start; None: that of the first step.
     """

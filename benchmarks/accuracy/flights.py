@@ -96,7 +96,7 @@ class _Inputs:
 def course(
     title: str, name: str, changes: dict[str, Any], momentum: Vector3 = (0.0, 0.0, 0.0), study: bool = True
 ) -> Course:
-    """What acted in a flight; of gusts and turbulence there must be none, and the aerodynamics ``vehicle.toml``'s.
+    """Fly, and return what acted; there must be no gusts or turbulence, and the aerodynamics are ``vehicle.toml``'s.
 
     ``momentum``: of rotors that the engines do not have.
     """
@@ -115,7 +115,7 @@ OFF_CENTRE = {"fuel": {"mass_kg": 18.0, "position_m": [0.2, 0.1, 0.1]}}
 
 
 def courses(seconds: float | None = None) -> list[Course]:
-    """The flights of the study; ``seconds``: the beginning alone."""
+    """Return the flights of the study; ``seconds``: the beginning alone."""
     short = {} if seconds is None else {"duration_s": seconds}
     studied = [
         course("roll doublet", "roll-doublet", short),
@@ -142,17 +142,17 @@ AXES: tuple[Vector3, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def turn_of(attitude: Quaternion) -> Array:
-    """The same rotation, body to NED, as a matrix."""
+    """Return the same rotation, body to NED, as a matrix."""
     return np.array([rotate(attitude, axis) for axis in AXES]).T
 
 
 def seen(state: State, place: tuple[float, float, float]) -> Motion:
-    """The airframe's state as the other integration states it."""
+    """Return the airframe's state in the form of the independent integration."""
     return Motion(turn_of(state.attitude), np.array(state.rate), np.array(state.velocity), np.array(place))
 
 
 def fly_again(flown: Course, scheme: Scheme, runs: int) -> tuple[Motion, list[Motion]]:
-    """The start, and the motion after every step, of the airframe."""
+    """Return the airframe's motion at the start, and after every step."""
     spins = any(any(held.momentum) for held in flown.held)
     frame = Airframe(flown.vehicle, flown.folder, Environment(), flown.step, runs, 1, spins)
 
@@ -204,7 +204,7 @@ class Error:
 
 
 def exact(flown: Course, parts: int = 2) -> list[Motion]:
-    """The independent integration of a course."""
+    """Return the motion after every step by independent integration of a course."""
     place = Environment()
     begin, _ = fly_again(replace(flown, held=flown.held[:1]), SCHEMES["flown"], 1)
     state = start(place.latitude_deg, place.longitude_deg, place.ground_m + flown.initial.altitude_m, begin)

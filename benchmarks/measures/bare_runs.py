@@ -1,5 +1,4 @@
-"""A process that does nothing but run JSBSim's airframe when it is told to: see
-:mod:`benchmarks.measures.campaign`."""
+"""A process that only runs JSBSim's airframe when it is told to: see :mod:`benchmarks.measures.campaign`."""
 
 from __future__ import annotations
 

@@ -72,12 +72,12 @@ class Block:
     answered: Sequence[Any] | None = field(default=None, repr=False)
 
     def replay(self) -> list[Any]:
-        """The block's answers to the inputs, from its start."""
+        """Return the block's answers to the inputs, from its start."""
         self.reset()
         return list(starmap(self.function, self.inputs))
 
     def job(self, steps: int) -> Job:
-        """Timing it; the loop over the inputs runs in C and adds little."""
+        """Return the job that times the block; the loop over the inputs runs in C and adds little."""
         return Job(self.name, SUBSTEPS, steps, self._prepare)
 
     def _prepare(self) -> Action:
@@ -296,7 +296,7 @@ class Clocks:
                 self._medians[name].append(1e-9 * (median(spent) - own) * self._calls[name])
 
     def blocks(self, units: Sequence[float]) -> dict[str, InFlight]:
-        """The medians of the flights; ``units`` are the unit's seconds, flight by flight."""
+        """Return the medians of the flights by block; ``units`` are the unit's seconds, flight by flight."""
         blocks = {}
         for name, medians in self._medians.items():
             less = SUBSTEPS if name == AIRFRAME else 0

@@ -48,8 +48,9 @@ _DRAWN = "document.documentElement.dataset.drawn === 'all' && document.documentE
 
 @dataclass(frozen=True)
 class Frames:
-    """While something moves: frames a second, % of them late; ms of processor time a frame, of the page's thread and
-    of the process that draws.
+    """How a page draws while something moves.
+
+    Frames a second, % of them late; ms of processor time a frame, of the page's thread and of the process that draws.
     """
 
     rate: Spread
@@ -60,8 +61,10 @@ class Frames:
 
 @dataclass(frozen=True)
 class Seen:
-    """A page: s from asking for it until it is laid out and painted, processor time of its thread until then; frames
-    while it is scrolled and, where it has a replay that runs, while that runs in sight.
+    """A page as a browser shows it.
+
+    Seconds from asking for it until it is laid out and painted, processor time of its thread until then; frames while
+    it is scrolled and, where it has a replay that runs, while that runs in sight.
     """
 
     open_s: Spread
@@ -145,13 +148,13 @@ def _frames(what: str, tab: Any, spent: _Spent, seconds: float, by: int) -> dict
 
 
 def find_browser() -> str | None:
-    """The program that ``HEXJET_BROWSER`` names, else one that is installed; None: none is."""
+    """Return the program that ``HEXJET_BROWSER`` names, else one that is installed; None: none is."""
     return os.environ.get("HEXJET_BROWSER") or next(filter(None, map(shutil.which, NAMES)), None)
 
 
 @contextmanager
 def looking() -> Iterator[Look | str]:
-    """What looks at pages, as the browser is started by anybody; where there is no browser, why."""
+    """Yield what looks at pages in a browser with its usual settings; where there is no browser, the reason."""
     name = find_browser()
     if name is None:
         yield "no browser: install chromium, or name one in HEXJET_BROWSER"

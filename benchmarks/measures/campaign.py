@@ -112,8 +112,10 @@ class Watched:
 
 @dataclass(frozen=True)
 class CampaignPlan:
-    """How much of it: ``rounds``, seconds of JSBSim alone, flights of a worker in a round, the first and last few of
-    them not timed, how long they are, and how many flights the ``study`` after the rounds has (0: none).
+    """How much of a campaign is measured.
+
+    ``rounds``, seconds of JSBSim alone, flights of a worker in a round, the first and last few of them not timed, how
+    long they are, and how many flights the ``study`` after the rounds has (0: none).
     """
 
     rounds: int = 5

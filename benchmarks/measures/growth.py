@@ -133,7 +133,7 @@ def quadrotor(steps: int) -> Scenario:
 
 
 def turbines(aircraft: str, steps: int) -> Scenario:
-    """A hover of ``aircraft`` on turbines of 100 N by the paper's cascade."""
+    """Return a hover of ``aircraft`` on turbines of 100 N by the paper's cascade."""
     flight = Scenario.load("octojet-hover")
     return flight.replace(
         aircraft=aircraft, controller="baseline", substeps=SUBSTEPS, duration_s=steps * flight.step_s, expect=[]

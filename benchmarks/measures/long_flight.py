@@ -61,7 +61,7 @@ def resident_of(process: str) -> float | None:
 
 
 def _status(process: str) -> dict[str, float]:
-    """What Linux says of a process's memory, MB; nothing where there is no such process, or no Linux."""
+    """Return what Linux says of a process's memory, MB; nothing where there is no such process, or no Linux."""
     try:
         with open(f"/proc/{process}/status", encoding="utf-8", errors="replace") as status:
             words = [line.split() for line in status]

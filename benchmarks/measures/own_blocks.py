@@ -111,7 +111,7 @@ class Whole:
 
 
 def flights(seconds: float, substeps: int, folder: Path, fmu: bool = True) -> dict[str, Scenario]:
-    """The hover with each of them in it, and without; files are made in ``folder``.
+    """Return the hover with each of the blocks in it, and without; files are made in ``folder``.
 
     Raises FlightError and InputError as exporting a controller does; without a C compiler there is no FMU.
     """

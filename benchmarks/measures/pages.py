@@ -21,8 +21,10 @@ MB = 1e-6
 
 @dataclass(frozen=True)
 class PagesPlan:
-    """Of flights of so many ``seconds``, and of a campaign of so many ``flights``, each a second long, which does not
-    change its page; each page is scrolled and replayed for ``look_s``.
+    """The pages that are measured.
+
+    Those of flights of so many ``seconds``, and of a campaign of so many ``flights``, each a second long, which does
+    not change its page; each page is scrolled and replayed for ``look_s``.
     """
 
     seconds: tuple[int, ...] = (20,)
@@ -32,8 +34,10 @@ class PagesPlan:
 
 @dataclass(frozen=True)
 class Page:
-    """One page: megabytes with all in it and beside shared assets, and the log's; seconds to write it, and the same
-    by those that the steps of the flight took; what a browser makes of it, where there is one.
+    """The size of one page and the time that it takes.
+
+    Megabytes with all in it and beside shared assets, and the log's; seconds to write it, and the same by those that
+    the steps of the flight took; what a browser makes of it, where there is one.
     """
 
     whole_mb: float
@@ -55,8 +59,9 @@ class CampaignPage:
 
 @dataclass(frozen=True)
 class Pages:
-    """Pages by the seconds flown, and that of a campaign.  ``missing``: why no browser has looked at them; ``browser``:
-    which, and what it draws the replay with.
+    """Pages by the seconds flown, and that of a campaign.
+
+    ``missing``: why no browser has looked at them; ``browser``: which, and what it draws the replay with.
     """
 
     flight: str

@@ -155,7 +155,7 @@ def _fly_long(out: Path, minutes: float, report: bool) -> _Long:
 
 
 def start_python(code: str, *arguments: str, ask: bool = False) -> subprocess.Popen[str]:
-    """This Python, with this package; ``ask``: it reads what it is asked."""
+    """Start this Python with this package; ``ask``: it reads what it is asked."""
     return subprocess.Popen(
         python_command(code, *arguments),
         stdin=subprocess.PIPE if ask else None,

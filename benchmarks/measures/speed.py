@@ -72,11 +72,11 @@ class RepeatedFlight:
             self._recording = None
 
     def plain(self, name: str) -> Job:
-        """A whole flight that nobody looks at."""
+        """Return the job of a whole flight that nobody looks at."""
         return self._job(name, lambda: [])
 
     def recorded(self, name: str, every: int = 1) -> Job:
-        """A whole flight recorded to a run's folder: each step, or each ``every``-th."""
+        """Return the job of a whole flight recorded to a run's folder: each step, or each ``every``-th."""
         return self._job(name, partial(self._observers, every))
 
     def _job(self, name: str, observers: Callable[[], Sequence[Observer]]) -> Job:
@@ -91,7 +91,7 @@ class RepeatedFlight:
         return [recording if every == 1 else Every(every, recording)]
 
     def new_recording(self) -> Recording:
-        """A recording to a folder of its own; the one before it is finished."""
+        """Begin a recording to a folder of its own; the one before it is finished."""
         self.close()
         self._recordings += 1
         self._recording = record(self.simulation, self._folder / f"{self._recordings:04d}")
@@ -148,7 +148,7 @@ class Flights:
         return {substeps: Job(BARE, substeps, UNIT_RUNS, partial(self._run_bare, substeps)) for substeps in SUBSTEPS}
 
     def jobs(self, substeps: int) -> list[Job]:
-        """The engines alone, and whole flights without and with recording."""
+        """Return the jobs: the engines alone, the airframe alone, and whole flights without and with recording."""
         return [
             Job(ENGINES, substeps, self.steps, partial(self._step_engines, substeps)),
             self._whole[substeps].plain(FLOWN),
@@ -158,7 +158,7 @@ class Flights:
         ]
 
     def recorded(self, substeps: int) -> Job:
-        """A whole flight recorded to a run's folder."""
+        """Return the job of a whole flight recorded to a run's folder."""
         return self._whole[substeps].recorded(RECORDED)
 
     def _run_bare(self, substeps: int) -> Action:
@@ -193,7 +193,7 @@ def _begin(simulation: Simulation, more: float = 0.0) -> list[Vector3]:
 
 
 def airframe_alone(simulation: Simulation, steps: int, plain: bool) -> Action:
-    """The airframe's part of so many control steps, forces changing in each, as :meth:`Airframe.step` has it.
+    """Return the airframe's part of so many control steps, forces changing in each, as :meth:`Airframe.step` has it.
 
     ``plain``: by the integrators that JSBSim has where nobody chooses, and without what the first run makes up.
     """
@@ -232,7 +232,7 @@ def step_bank(engines: Engines | EngineChain, count: int, throttle: float, steps
 
 
 def hover(steps: int, substeps: int) -> Scenario:
-    """The shipped ``hover``, ``steps`` long."""
+    """Return the shipped ``hover``, ``steps`` long."""
     scenario = Scenario.load("hover")
     return scenario.replace(duration_s=steps * scenario.step_s, substeps=substeps, expect=[])
 
@@ -267,7 +267,7 @@ def collect(jobs: Sequence[Job], units: Mapping[int, Job], rounds: int, on_round
 
 
 def differences(ours: Sequence[Pair], theirs: Sequence[Pair]) -> list[Pair]:
-    """What a step of one costs more than a step of the other, round by round, in the unit around the first."""
+    """Return what a step of one costs more than a step of the other, round by round, in the unit around the first."""
     return [Pair(Clocked(*map(sub, one.step, other.step)), one.unit) for one, other in zip(ours, theirs, strict=True)]
 
 

@@ -152,7 +152,7 @@ def _bank(stack: ExitStack) -> EngineBank:
 
 
 def _fmu() -> tuple[Path, int, int]:
-    """The archive, and the value references of its throttle and its thrust."""
+    """Return the archive, and the value references of its throttle and its thrust."""
     path = load_engine(ENGINE, {}, STEP).path
     with zipfile.ZipFile(path) as archive, archive.open("modelDescription.xml") as file:
         variables = ElementTree.parse(file).iter("ScalarVariable")
@@ -170,7 +170,7 @@ def _ours(stack: ExitStack) -> Stepper:
 
 
 def _thrust(answer: Any) -> Sequence[float]:
-    """The thrusts in what the bank answers."""
+    """Return the thrusts in what the bank answers."""
     thrust: Sequence[float] = getattr(answer, "thrust", answer)
     return thrust
 

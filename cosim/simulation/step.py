@@ -152,7 +152,7 @@ class Simulation:
         return self._sample(k, command, state, measured, actuation, disturbance, health)
 
     def _command(self, k: int, given: Command | None) -> tuple[Command, Measured, EngineState]:
-        """What the pilot or the script asks for, what it is flown with, and what the engines do meanwhile."""
+        """Return what the pilot or the script asks for, what it is flown with, and what the engines do meanwhile."""
         pilot, measured, engines = self.pilot, self.measured, _FLY
         if given is not None:
             command = given
@@ -184,7 +184,7 @@ class Simulation:
         return self._every_engine if off else self.propulsion.engines.restarting
 
     def _disturbance(self, k: int) -> Disturbance:
-        """What acts from outside, and what is added to the controller's own signals; a field's wind is in it."""
+        """Return what acts from outside, a field's wind in it, and what is added to the controller's own signals."""
         disturbance = self.disturber.at(k)
         if self._field is not None:
             disturbance = self._field.with_wind(k, self.state, disturbance)
@@ -192,7 +192,7 @@ class Simulation:
         return disturbance
 
     def _count(self) -> None:
-        """The step is done."""
+        """Count the step as done, and note up to which step engines were starting."""
         self.k += 1
         if self.starting:
             self.starting = self._yet_to_start()
@@ -208,7 +208,7 @@ class Simulation:
         disturbance: Disturbance,
         health: PerJet,
     ) -> Sample:
-        """What was on the wires during step ``k``, for the observers."""
+        """Return what was on the wires during step ``k``, for the observers."""
         propulsion = self.propulsion
         return Sample(
             k,
@@ -233,7 +233,7 @@ class Simulation:
         return starting
 
     def _own(self) -> tuple[float, ...]:
-        """What the blocks show of their own.  Raises FlightError for a block that shows more or less than it said."""
+        """Return the blocks' own signals.  Raises FlightError for a block that shows more or less than it said."""
         own: list[float] = []
         for block, columns in self._showing:
             shown = block.shown
@@ -315,7 +315,7 @@ class Simulation:
         return Ending("completed", f"flew {self.k} steps{late}{self._told_of_the_start()}")
 
     def _told_of_the_start(self) -> str:
-        """What became of starts that were flown, and of the script meanwhile, in words behind those of an ending."""
+        """Say what became of starts that were flown, and of the script meanwhile, in words after those of an ending."""
         if self.starting:
             return f"; engine {', '.join(map(str, self.starting))} had not started at the end, and nothing was flown"
         if not self.started:
