@@ -90,10 +90,6 @@ class Cascade:
         """From torque and collective to throttles and angles."""
         return self.loops.allocator
 
-    @allocator.setter
-    def allocator(self, allocator: Allocator) -> None:
-        self.loops.allocator = allocator
-
     def _forget(self, burnt: float) -> None:
         self._demand.burnt, self._demand.unallocated = burnt, NOTHING_LEFT
         self._selector.reset()
@@ -220,7 +216,7 @@ class Cascade:
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """What predictors show of their own, each with its axis before the name, and own loops: see :class:`Shows`."""
+        """What predictors show, each with its axis before the name, then own loops and laws: see :class:`Shows`."""
         own = [column for block in self._own for column in columns_of(block)]
         return tuple(
             [column._replace(name=f"{axis}_{column.name}") for axis, _, columns in self._shows for column in columns]

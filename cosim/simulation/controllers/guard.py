@@ -56,7 +56,10 @@ class Named:
         return FlightError(f"{self.kind} {self.label}: {text}")
 
     def call(self, what: str, method: Callable[..., Any], *told: Any) -> Any:
-        """Call a method of the user's.  Raises FlightError for whatever it raises, and if it takes too long."""
+        """Call a method of the user's.  Raises FlightError for what it raises, and if it takes too long.
+
+        An InputError that a controller raises is passed on as it is.
+        """
         deadline = self.deadline
         begun = 0.0 if deadline is None else deadline.begin()
         try:

@@ -383,7 +383,7 @@ def _from_statements(
     package: str = "",
     copied: bool = True,
 ) -> Source:
-    """Return what a block states of itself.  Raises InputError for what does not fit."""
+    """Return the source of a block, with what it states of itself.  Raises InputError for what does not fit."""
     if kind == "controller":
         where = f"controller {label_of(name)}"
         level, predictor, columns, parameters = _read_statements(block, where, "Column(name, unit, frame, meaning)")
