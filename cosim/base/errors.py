@@ -35,7 +35,7 @@ class EngineError(FlightError):
 
 def describe_error(error: Exception) -> str:
     """Return an error in one line, with the file and the line that raised it, where the one who caught it did not."""
-    frames = traceback.extract_tb(error.__traceback__)
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "importlib" not in frame.filename]
     place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if len(frames) > 1 else ""
     return ": ".join([type(error).__name__, *str(error).splitlines()[:1]]) + place
 

@@ -26,12 +26,20 @@ GROUPS = {  # by kind, groups of one kind each, which may be stated instead
 
 
 def find_entries(kind: str) -> dict[str, EntryPoint]:
-    """Return the entry points of a kind that can be imported from here, by the names that a user has for them."""
+    """Return the entry points of a kind that can be imported from here, by the names that a user has for them.
+
+    Raises InputError where two have one name: which of them flies would depend on the order of installation.
+    """
     every = entry_points()
     found: dict[str, EntryPoint] = {}
     for entry in chain(every.select(group=GROUP), every.select(group=GROUPS[kind])):
         if entry.group != GROUP or entry.name.startswith(f"{kind}."):
-            found.setdefault(name_of(entry), entry)
+            first = found.setdefault(name_of(entry), entry)
+            if first.value != entry.value:  # the same one may stand in both groups
+                raise InputError(
+                    f"{kind} {name_of(entry)!r}: there is one of this name already: "
+                    f"{describe_entry(first)} is {first.value}, {describe_entry(entry)} is {entry.value}"
+                )
     return found
 
 

@@ -24,7 +24,10 @@ class SurfaceHover(FlightLaw):
 
 
 class HingedLean(FlightLaw):
-    """Hover without an engine on hinges that carry engines: it leans against what they push aside."""
+    """Hover without an engine on hinges that carry engines: it leans against what they push aside.
+
+    The allocator's pressure is left alone: :meth:`HingedCatch.allocate` takes it for zero while an engine is out.
+    """
 
     def __init__(self, loops: Loops, allocator: HingedCatch) -> None:
         super().__init__(loops)

@@ -332,7 +332,23 @@ def test_a_package_that_does_not_is_told_in_one_line(package: Path, text: str, m
     done = hexjet(package, "fly", "hover", "--controller", "my-smith")
     assert done.returncode == 2
     assert message in done.stderr
+    assert "importlib" not in done.stderr
+    assert "__init__.py" not in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_two_of_one_name_are_refused_and_the_same_one_twice_is_not(package: Path) -> None:
+    """Which of them flies would depend on the order of installation; a package may state one in both groups."""
+    other = package / "other_predictors-1.0.dist-info"
+    other.mkdir()
+    (other / "METADATA").write_text("Metadata-Version: 2.1\nName: other-predictors\nVersion: 1.0\n")
+    for value, status in (("my_predictors:SPEC", 0), ("my_predictors:OTHER", 2)):
+        (other / "entry_points.txt").write_text(f"[hexjet.plugins]\npredictor.my-smith = {value}\n")
+        done = hexjet(package, "fly", "hover", "--controller", "my-smith", "--set", "duration_s=0.1")
+        assert done.returncode == status, done.stderr
+    assert "predictor 'my-smith': there is one of this name already: " in done.stderr
+    assert "my_predictors:SPEC" in done.stderr
+    assert "my_predictors:OTHER" in done.stderr
 
 
 def test_the_page_lists_those_that_come_with_it() -> None:
