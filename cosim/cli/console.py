@@ -121,10 +121,6 @@ def show_table(
         terminal().print(table, **({"highlight": False, "markup": False} if plain else {}))
 
 
-def cell(value: float | None, form: str) -> str:
-    return "-" if value is None else form.format(value)
-
-
 def terminal() -> Any:
     """Return where tables go: as wide as the terminal, or as COLUMNS says, also in a pipe."""
     import os

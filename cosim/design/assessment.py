@@ -19,7 +19,7 @@ from cosim.spec.vehicle import RateGains, RateModel, Vehicle
 
 @dataclass(frozen=True)
 class LeastMargins:
-    """The smaller of each pair of :class:`LoopMargins`, as a design reports it.
+    """The smaller of each pair of :class:`cosim.design.loop.frequency.LoopMargins`, as a design reports it.
 
     Of the loop broken at the plant's input, attitude and rate loop closed; None where nothing is crossed."""
 
