@@ -14,7 +14,7 @@ FILE = Path(__file__).with_name("calibration.toml")
 class Calibration(BaseModel):
     """The unknowns of the paper."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     # quadrotor, found
     p: float  # command per rad/s
@@ -43,7 +43,7 @@ class Calibration(BaseModel):
 class FittedNumber(BaseModel):
     """A printed number that the calibration was fitted to, and its value after the fit."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     key: str
     paper: float
@@ -55,7 +55,7 @@ class FittedNumber(BaseModel):
 class Frozen(BaseModel):
     """The file: unknowns, the numbers that were used, and how they were met."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     parameters: Calibration
     used: list[FittedNumber]

@@ -12,7 +12,7 @@ from typing import Any
 
 from benchmarks.measures.speed import Flights, collect, differences
 from benchmarks.timing import Cost
-from cosim import Scenario
+from cosim import Scenario, trust
 from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Applied
 from cosim.base.signals import Command, Measured, Vector3
@@ -121,6 +121,7 @@ def flights(seconds: float, substeps: int, folder: Path, fmu: bool = True) -> di
     )
     program = folder / "rate_loop.py"
     program.write_text(_PROGRAM, encoding="utf-8")
+    trust(folder)
     found = {
         BASELINE: hover,
         PREDICTOR: hover.replace(controller=f"{_HERE}:Predictor"),
