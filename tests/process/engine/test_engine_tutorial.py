@@ -41,7 +41,7 @@ def test_the_first_lines_fly_an_engine_of_ones_own(
     monkeypatch.setattr(search, "GENERATIONS", 4)
     monkeypatch.setattr(search, "ROUNDS", 40)
     monkeypatch.setattr(making, "settle", lambda *a, **k: None)
-    monkeypatch.setattr(making, "_limits", lambda *a, **k: {})
+    monkeypatch.setattr(making, "bandwidths_without_limits", lambda *a, **k: {})
     foreign(tmp_path, "mine", "lag=0.15,delay=0.04")
     monkeypatch.chdir(tmp_path)
     check, design, fly = first_lines()
