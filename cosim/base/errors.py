@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import errno
+import importlib
 import traceback
 from collections.abc import Iterable
 from pathlib import Path
@@ -33,9 +34,14 @@ class EngineError(FlightError):
     """An engine returned an error or a value that is not finite; the message names engine, step and time."""
 
 
+_IMPORT_MACHINERY = ("<frozen importlib", str(Path(importlib.__file__).parent))  # its lines say nothing to a user
+
+
 def describe_error(error: Exception) -> str:
     """Return an error in one line, with the file and the line that raised it, where the one who caught it did not."""
-    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "importlib" not in frame.filename]
+    frames = [
+        frame for frame in traceback.extract_tb(error.__traceback__) if not frame.filename.startswith(_IMPORT_MACHINERY)
+    ]
     place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if len(frames) > 1 else ""
     return ": ".join([type(error).__name__, *str(error).splitlines()[:1]]) + place
 
