@@ -8,6 +8,9 @@ and :func:`stretched` by how busy this one is.
 from __future__ import annotations
 
 import os
+import time
+
+import psutil
 
 PATIENCE = 120.0  # s, for what must come
 FLIGHT_PATIENCE = 300.0  # s, for what must be flown first, with the clock or as slowly as a busy machine flies
@@ -21,3 +24,16 @@ def stretched(seconds: float) -> float:
     """
     busy = os.getloadavg()[0] / (os.cpu_count() or 1)
     return seconds * min(_MOST, max(2.0, 4.0 * busy))
+
+
+def is_ended(number: int) -> bool:
+    """Wait until a process is gone, or dead and not yet reaped: one that is killed takes a moment to end."""
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        try:
+            if psutil.Process(number).status() == psutil.STATUS_ZOMBIE:
+                return True
+        except psutil.NoSuchProcess:
+            return True
+        time.sleep(0.01)
+    return False

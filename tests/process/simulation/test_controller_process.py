@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import fmpy
-import psutil
 import pytest
 from fmpy.fmi2 import FMU2Slave
+from patience import is_ended
 from places import ROOT, TOOLS
 
 from cosim import InputError, Run, Scenario, fly
@@ -180,7 +180,7 @@ def test_what_a_process_has_started_ends_with_the_flight(tmp_path: Path) -> None
     helpers = [int(line) for line in started.read_text().splitlines()]
     assert helpers
     for helper in helpers:
-        assert not psutil.pid_exists(helper) or psutil.Process(helper).status() == psutil.STATUS_ZOMBIE
+        assert is_ended(helper)
 
 
 def test_the_whole_cascade_in_a_process_leaves_the_log_of_ours(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from patience import PATIENCE
+from patience import PATIENCE, is_ended
 
 from cosim.base.runtime.processes import Child, end_group, python_command, reap, run_child
 
@@ -58,7 +58,7 @@ def test_what_a_child_has_started_in_a_session_of_its_own_is_ended_with_it() -> 
         daemon = int(child.stdout.readline())
         assert psutil.Process(daemon).status() != psutil.STATUS_ZOMBIE
         child.end()
-    assert not psutil.pid_exists(daemon) or psutil.Process(daemon).status() == psutil.STATUS_ZOMBIE
+    assert is_ended(daemon)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="told by /proc")
@@ -77,7 +77,7 @@ def test_a_command_that_takes_too_long_is_ended(tmp_path: Path) -> None:
     with pytest.raises(subprocess.TimeoutExpired):
         run_child(["sh", "-c", shell], 1.0)
     number = started.read_text().strip() if started.is_file() else ""
-    assert not number or not psutil.pid_exists(int(number)) or psutil.Process(int(number)).status() == "zombie"
+    assert not number or is_ended(int(number))
 
 
 def test_a_command_says_what_it_printed() -> None:
