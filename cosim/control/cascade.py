@@ -56,8 +56,7 @@ class Cascade:
     ) -> None:
         self.loops, self.thrust_map = loops, thrust_map
         self.monitor, self.schedule = monitor, schedule
-        self.laws = list(laws)
-        self._selector = Selector(laws)
+        self.selector = Selector(laws)
         self._demand = Demand()
         self._mass, self._jets, self._step = vehicle.mass_kg, len(vehicle.jets), step
         self._low = vehicle.control.allocation.throttle_min
@@ -92,7 +91,7 @@ class Cascade:
 
     def _forget(self, burnt: float) -> None:
         self._demand.burnt, self._demand.unallocated = burnt, NOTHING_LEFT
-        self._selector.reset()
+        self.selector.reset()
         self.signals = ControlSignals(ZERO3, ZERO3, ZERO3, 0.0, 0.0)
         self._off = NO_JETS  # jets that are to be shut off
         self._across = NO_JETS  # those of them that a law shut off because others were lost
@@ -127,7 +126,7 @@ class Cascade:
             self._switch(engines)
         step, loops = self._demand, self.loops
         step.command, step.measured, step.injected, step.idle = command, measured, injected, self._idles
-        law = self._selector.select(step)
+        law = self.selector.select(step)
         step.rate_setpoint = law.steer(step)
         if self._idles:
             return self._idle(step)
@@ -148,7 +147,7 @@ class Cascade:
         """Every engine at its least throttle, the hinges at rest, and loops that remember nothing when needed again."""
         loops, low = self.loops, self._low
         loops.reset()
-        self._selector.idle()
+        self.selector.idle()
         step.unallocated = Unallocated(0.0, 0.0, 0.0, -low)
         self.signals = ControlSignals(step.rate_setpoint, loops.rate.predicted, ZERO3, 0.0, low)
         return self._actuated(Actuation((low,) * self._jets, loops.allocator.rest, step.unallocated, NO_JETS), low)
@@ -182,12 +181,12 @@ class Cascade:
                 self._starting = 0.0
             monitor.resume(self._throttle)
         elif monitor.update(self._throttle, engines):
-            for law in self.laws:
+            for law in self.selector.laws:
                 across = law.lose(monitor, self._demand.burnt)
                 if across:
                     self._off, self._across = self._off | across, across
             self.loops.allocator.replan(monitor.health)
-        for law in self.laws:
+        for law in self.selector.laws:
             law.look(monitor)
         return monitor.gains
 
@@ -238,4 +237,4 @@ class Cascade:
     @property
     def _own(self) -> list[object]:
         """What may show numbers of its own beside predictors."""
-        return [self.loops.own_attitude, self.loops.own_rate, *self.laws]
+        return [self.loops.own_attitude, self.loops.own_rate, *self.selector.laws]

@@ -36,7 +36,7 @@ _UP = 0.9
 _LONGEST_RESTART_S = 120.0
 
 
-class Effect:
+class EngineEffect:
     """What stands around one engine: it changes the throttle before it, thrust [N] and speed [rad/s] behind it."""
 
     burns: bool = True  # False: it takes no fuel
@@ -51,7 +51,7 @@ class Effect:
         """From the next step on it starts."""
 
 
-class _Stuck(Effect):
+class _Stuck(EngineEffect):
     """The throttle stays at ``at``, or at the command of its first step."""
 
     def __init__(self, at: float | None) -> None:
@@ -63,7 +63,7 @@ class _Stuck(Effect):
         return self._at
 
 
-class _Late(Effect):
+class _Late(EngineEffect):
     """The command arrives ``samples`` later; until the first late one arrives the first one is held."""
 
     def __init__(self, samples: int) -> None:
@@ -76,7 +76,7 @@ class _Late(Effect):
         return line.popleft() if len(line) > self._samples else line[0]
 
 
-class _Slow(Effect):
+class _Slow(EngineEffect):
     """``y += (1 - exp(-dt / lag)) (command - y)``, from the command of its first step."""
 
     def __init__(self, share: float) -> None:
@@ -89,7 +89,7 @@ class _Slow(Effect):
         return self._value
 
 
-class _Weak(Effect):
+class _Weak(EngineEffect):
     """A constant share of the thrust."""
 
     def __init__(self, share: float) -> None:
@@ -99,7 +99,7 @@ class _Weak(Effect):
         return thrust * self._share, speed * sqrt(self._share)
 
 
-class _Closed(Effect):
+class _Closed(EngineEffect):
     """Shut off without a port for it: throttle 0, and no thrust at once."""
 
     def throttle(self, command: float) -> float:
@@ -109,7 +109,7 @@ class _Closed(Effect):
         return 0.0, speed
 
 
-class _Unpowered(Effect):
+class _Unpowered(EngineEffect):
     """A fan's motor is off: the thrust dies away by ``left`` a step; on again, it comes back the same way."""
 
     def __init__(self, left: float) -> None:
@@ -129,7 +129,7 @@ class _Unpowered(Effect):
         return thrust * self._factor, speed * sqrt(self._factor)
 
 
-class _Rundown(Effect):
+class _Rundown(EngineEffect):
     """An engine's thrust and speed while its fire is out, by ``law``, and while it is lit again.
 
     The thrust at the end of the first step without fire is ``T_0``: the engine itself keeps its command over that one
@@ -212,10 +212,10 @@ class EngineChain:
     def _forget(self) -> None:
         """No fault, and all are on, as a bank that was reset is."""
         self._acting: list[EngineFault] = []
-        self._effects: list[tuple[int, EngineFault, Effect]] = []
+        self._effects: list[tuple[int, EngineFault, EngineEffect]] = []
         self._out: list[tuple[int, EngineFault]] = []  # flamed out by their port run
         self.off: frozenset[int] = NO_JETS  # switched off
-        self._cut: dict[int, Effect] = {}  # of them those without the port
+        self._cut: dict[int, EngineEffect] = {}  # of them those without the port
         self._restarts: dict[int, int] = {}  # engines that were switched on again, and the steps they still have for it
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
@@ -317,7 +317,7 @@ class EngineChain:
             else:
                 self._effects.append((i, fault, self._effect(fault, i)))
 
-    def _effect(self, fault: EngineFault, i: int) -> Effect:
+    def _effect(self, fault: EngineFault, i: int) -> EngineEffect:
         if isinstance(fault, ThrustLoss):
             return _Weak(1.0 - fault.share)
         if isinstance(fault, StuckThrottle):

@@ -57,7 +57,7 @@ def try_model(file: str) -> None:
 
 
 def _end_with(xml: bytes) -> str:
-    """Return what becomes of a process that loads a model, in words; nothing where it comes to its end."""
+    """Return how a process that loads a model fails, as the predicate of a sentence; empty if it ends with status 0."""
     file = scratch() / "tried.xml"
     file.write_bytes(xml)
     try:
@@ -70,6 +70,9 @@ def _end_with(xml: bytes) -> str:
         return f"was not done with it within {CPU_S} s of processor time"
     if done.returncode < 0:
         return f"crashes with it ({signal.Signals(-done.returncode).name})"
+    if done.returncode:
+        last = done.stderr.strip().rpartition("\n")[2]
+        return f"ends the process with it, with status {done.returncode}{f' ({last})' if last else ''}"
     return ""
 
 

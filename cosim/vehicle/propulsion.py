@@ -25,7 +25,7 @@ from cosim.base.signals import (
 from cosim.engine.wrappers import EngineChain
 from cosim.spec.vehicle import Hinge, Jet, Vehicle, layout_of
 from cosim.vehicle.effects.effect import NO_OUTPUT, Effect, Load
-from cosim.vehicle.effects.ground_effect import GroundJets
+from cosim.vehicle.effects.ground_effect import HotGas
 from cosim.vehicle.servo import TiltServo, make_servos
 from cosim.vehicle.tank import Tank
 
@@ -48,7 +48,7 @@ class Propulsion:
         tank: Tank | None,
         air: Callable[[], tuple[float, float]],
         hinges: Sequence[Hinge] = (),
-        hot_gas: GroundJets | None = None,
+        hot_gas: HotGas | None = None,
     ) -> None:
         self.engines = engines
         self.servos = list(servos)
@@ -232,5 +232,5 @@ def make_propulsion(
         Tank(vehicle.fuel.mass_kg, step, fuel) if vehicle.fuel else None,
         air,
         flown.hinges,
-        GroundJets(ground, flown.jets) if ground and ground.hot_gas else None,
+        HotGas(ground) if ground and ground.hot_gas else None,
     )

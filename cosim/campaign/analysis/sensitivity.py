@@ -30,7 +30,7 @@ LEVEL = 0.95  # of the largest index that chance gives to any key
 
 
 @dataclass(frozen=True)
-class Effect:
+class KeyEffect:
     """The effect of one key on one result."""
 
     key: str
@@ -48,7 +48,7 @@ class Ranking:
 
     flights: int
     floor: float  # what chance alone gives to the largest of all keys, in 19 of 20 cases
-    effects: list[Effect]
+    effects: list[KeyEffect]
 
     @property
     def explained(self) -> float:
@@ -73,12 +73,14 @@ def ranking(keys: Mapping[str, Array], choices: Sequence[str], result: Array) ->
     return Ranking(n, floor, sorted(effects, key=lambda effect: -effect.index))
 
 
-def _effect(key: str, numbered: Counts, result: Array, floor: float, direction: tuple[float, float] | None) -> Effect:
+def _effect(
+    key: str, numbered: Counts, result: Array, floor: float, direction: tuple[float, float] | None
+) -> KeyEffect:
     index, deviation = first_order(numbered, result)
     interval = (max(0.0, index - Z * deviation), min(1.0, max(0.0, index + Z * deviation)))
     rank, partial = direction or (None, None)
     bounds = None if rank is None else rank_interval(rank, result.size)
-    return Effect(key, index, interval, index > floor, rank, bounds, partial)
+    return KeyEffect(key, index, interval, index > floor, rank, bounds, partial)
 
 
 def most_classes(flights: int) -> int:

@@ -15,29 +15,27 @@ LEAST_HEIGHT = 0.3  # of D - d; chosen: the law has no limit towards the ground,
 
 
 def lift_loss(height: float, planform: float, jet: float) -> float:
-    """Share of the thrust that a jet's entrainment between planform and ground takes, by Wyatt's correlation.
+    """Return the fraction of the thrust that a jet's entrainment between planform and ground takes.
+
+    Wyatt's correlation:
 
         dL / T = 0.012 (h / (D - d))^-2.3
 
     ``height`` h of the planform above the ground [m], ``planform`` its angular mean diameter D [m], ``jet`` the
-    diameter d of its one round jet [m].  Below 0.3 (D - d) it is held.
+    diameter d of its one round jet [m].  It is constant below 0.3 (D - d).
     """
     span = planform - jet
     return float(COEFFICIENT * max(height / span, LEAST_HEIGHT) ** -EXPONENT)
 
 
-class GroundJets(Effect):
-    """Lift loss and warmed intakes of one vehicle near the ground.
+class LiftLoss(Effect):
+    """Lift loss of one vehicle near the ground.
 
     The loss pulls along body z, through the centre of gravity; all jets count as one of their joint area.
     """
 
     def __init__(self, effect: GroundEffect, jets: Sequence[Jet]) -> None:
-        self.suckdown = effect.suckdown
-        self.hot_gas = effect.hot_gas
         self._planform, self._jet, self._below = effect.planform_m, effect.jet_m, effect.planform_z_m
-        self._heights = list(effect.hot_gas_height_m)
-        self._rises = list(effect.hot_gas_rise_k)
         # the force is spread over the stations: this is where that acts, and what it has in moment is taken back
         self._mean_x = sum([jet.position_m[0] for jet in jets]) / len(jets)
         self._mean_y = sum([jet.position_m[1] for jet in jets]) / len(jets)
@@ -49,20 +47,28 @@ class GroundJets(Effect):
         if lift <= 0.0:
             return
         loss = lift * lift_loss(state.altitude - self._below, self._planform, self._jet)
-        share = loss / len(forces)
-        load.forces = [(x, y, z + share) for x, y, z in forces]
+        part = loss / len(forces)
+        load.forces = [(x, y, z + part) for x, y, z in forces]
         load.turn((-self._mean_y * loss, self._mean_x * loss, 0.0))
 
-    def rise(self, altitude: float) -> float:
-        """K by which intakes are warmer than the air with the centre of gravity ``altitude`` [m] above the ground.
 
-        Linear between the stated heights, held below the first; the last one's is zero.
+class HotGas:
+    """Exhaust gas that the ground turns back into the intakes of one vehicle."""
+
+    def __init__(self, effect: GroundEffect) -> None:
+        self._heights = list(effect.hot_gas_height_m)
+        self._rises = list(effect.hot_gas_rise_k)
+
+    def rise(self, altitude: float) -> float:
+        """Return by how many K intakes are warmer than the air, the centre of gravity ``altitude`` [m] above ground.
+
+        Linear between the heights of the table, constant below the first; the last one's is zero.
         """
         heights, rises = self._heights, self._rises
         if altitude <= heights[0]:
             return rises[0]
         for i in range(1, len(heights)):
             if altitude < heights[i]:
-                share = (altitude - heights[i - 1]) / (heights[i] - heights[i - 1])
-                return rises[i - 1] + share * (rises[i] - rises[i - 1])
+                fraction = (altitude - heights[i - 1]) / (heights[i] - heights[i - 1])
+                return rises[i - 1] + fraction * (rises[i] - rises[i - 1])
         return 0.0

@@ -9,7 +9,7 @@ from cosim.engine.fmu.port_kinds import ASIDE
 from cosim.spec.vehicle import Vehicle, layout_of
 from cosim.vehicle.effects.banks import Banks
 from cosim.vehicle.effects.effect import Effect
-from cosim.vehicle.effects.ground_effect import GroundJets
+from cosim.vehicle.effects.ground_effect import LiftLoss
 from cosim.vehicle.effects.hinges import HingeReactions
 from cosim.vehicle.effects.intakes import IntakeDrag
 from cosim.vehicle.effects.jets import CarriedJets, EngineSideForces, EngineTorques, JetReactions
@@ -30,13 +30,13 @@ def make_effects(vehicle: Vehicle, flown: Vehicle, engines: Sequence[EngineSpec]
     reactions = [0.0 if "torque" in own else jet.reaction_m for jet, own in zip(jets, aside, strict=True)]
     rotors, intakes = RotorDynamics(jets, engines, step, hinges), IntakeDrag(vehicle.airflow, jets, hinges)
     hinged, effect = HingeReactions(hinges, jets, step), vehicle.ground_effect
-    ground = GroundJets(effect, jets) if effect else None
+    ground = LiftLoss(effect, jets) if effect and effect.suckdown else None
     banks = Banks(vehicle.servo, jets, step) if vehicle.servo else None
     effects: list[tuple[bool, Effect | None]] = [
         (any(reactions), JetReactions(layout, reactions)),
         (rotors.any, rotors),
         (any("torque" in own for own in aside), EngineTorques(layout, aside)),
-        (ground is not None and ground.suckdown, ground),
+        (ground is not None, ground),
         (any(aside), EngineSideForces(layout, aside)),
         (intakes.any, intakes),
         (banks is not None and banks.any, banks),

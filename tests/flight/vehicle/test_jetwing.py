@@ -210,7 +210,7 @@ def test_it_settles_where_jsbsim_trims_it(tmp_path: Path) -> None:
 
 
 def wing_of(simulation: Simulation) -> WingFlight:
-    (wing,) = [law for law in simulation.cascade.laws if isinstance(law, WingFlight)]
+    (wing,) = [law for law in simulation.cascade.selector.laws if isinstance(law, WingFlight)]
     return wing
 
 

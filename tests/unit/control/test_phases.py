@@ -40,7 +40,7 @@ def asked(**more: object) -> Demand:
 
 
 def law_of(cascade: Cascade, kind: type[FlightLaw]) -> FlightLaw:
-    (law,) = [law for law in cascade.laws if type(law) is kind]
+    (law,) = [law for law in cascade.selector.laws if type(law) is kind]
     return law
 
 
@@ -49,14 +49,14 @@ def test_a_vehicle_has_its_laws_and_hovers_by_the_last_or_its_surfaces(
     scenario: str, kinds: list[type[FlightLaw]]
 ) -> None:
     with cascade_of(scenario) as cascade:
-        assert [type(law) for law in cascade.laws] == kinds
-        flying = type(Selector(cascade.laws).select(asked()))
+        assert [type(law) for law in cascade.selector.laws] == kinds
+        flying = type(Selector(cascade.selector.laws).select(asked()))
         assert flying is (SurfaceHover if SurfaceHover in kinds else FlightLaw)
 
 
 def test_a_speed_ahead_is_for_the_wing_until_it_is_asked_for_no_more() -> None:
     with cascade_of("jetwing-hover") as cascade:
-        wing, selector = law_of(cascade, WingFlight), Selector(cascade.laws)
+        wing, selector = law_of(cascade, WingFlight), Selector(cascade.selector.laws)
         assert isinstance(wing, WingFlight)
         step = asked(ahead=8.0)
         assert selector.select(step) is wing
@@ -73,7 +73,7 @@ def test_a_speed_ahead_is_for_the_wing_until_it_is_asked_for_no_more() -> None:
 
 def test_the_catch_waits_while_rates_are_asked_for_and_ends_with_idle_engines() -> None:
     with cascade_of("octojet-hover") as cascade:
-        law, monitor, selector = law_of(cascade, ShutOpposite), cascade.monitor, Selector(cascade.laws)
+        law, monitor, selector = law_of(cascade, ShutOpposite), cascade.monitor, Selector(cascade.selector.laws)
         assert monitor is not None
         monitor.give_up(0)
         across = law.lose(monitor, 0.0)
@@ -81,19 +81,19 @@ def test_the_catch_waits_while_rates_are_asked_for_and_ends_with_idle_engines() 
         assert [gain for jet, gain in enumerate(monitor.gains) if jet in across] == [0.0]
         assert law.lose(monitor, 0.0) == NO_JETS  # of the second nobody shuts off another
         assert selector.select(asked()) is law
-        assert selector.select(asked(rate=ZERO3)) is cascade.laws[-1]
+        assert selector.select(asked(rate=ZERO3)) is cascade.selector.laws[-1]
         assert selector.select(asked()) is law  # it goes on where it was
         selector.idle()
-        assert selector.select(asked()) is cascade.laws[-1]
+        assert selector.select(asked()) is cascade.selector.laws[-1]
 
 
 def test_a_quadrotor_spins_with_its_first_rotor_lost_until_its_engines_idle() -> None:
     with cascade_of("hover", aircraft="quadrotor", engine="motor", controller="baseline") as cascade:
-        law, monitor, selector = law_of(cascade, SpunFlight), cascade.monitor, Selector(cascade.laws)
+        law, monitor, selector = law_of(cascade, SpunFlight), cascade.monitor, Selector(cascade.selector.laws)
         assert monitor is not None
-        assert selector.select(asked()) is cascade.laws[-1]
+        assert selector.select(asked()) is cascade.selector.laws[-1]
         monitor.give_up(2)
         assert law.lose(monitor, 0.0) == NO_JETS
         assert selector.select(asked(rate=ZERO3)) is law
         selector.idle()
-        assert selector.select(asked()) is cascade.laws[-1]
+        assert selector.select(asked()) is cascade.selector.laws[-1]

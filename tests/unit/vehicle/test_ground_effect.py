@@ -17,7 +17,7 @@ from cosim.spec.scaling import scale_vehicle
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import GroundEffect, Vehicle, load_vehicle
 from cosim.vehicle.airframe import standing_height
-from cosim.vehicle.effects.ground_effect import GroundJets, lift_loss
+from cosim.vehicle.effects.ground_effect import HotGas, LiftLoss, lift_loss
 
 PLATE = {"planform_m": 0.4, "jet_m": 0.1}
 GAS = {"hot_gas": True, "hot_gas_height_m": [0.5, 1.0, 2.0], "hot_gas_rise_k": [20.0, 10.0, 0.0]}
@@ -52,18 +52,18 @@ def test_the_loss_acts_at_the_centre() -> None:
     ]
     rng = np.random.default_rng(1)
     before = [(float(x), 0.0, -float(z)) for x, z in rng.uniform(10.0, 100.0, (6, 2))]
-    after, moment = acted(GroundJets(effect, moved), before, altitude=1.1)
+    after, moment = acted(LiftLoss(effect, moved), before, altitude=1.1)
     change = np.array(after) - np.array(before)
     thrust = -sum(z for _, _, z in before)
     assert change.sum(axis=0) == pytest.approx([0.0, 0.0, 0.012 * thrust], rel=1e-12)
     whole = np.cross([jet.position_m for jet in moved], change).sum(axis=0) + moment
     assert whole == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
     nothing = [(0.0, 0.0, 0.0)] * 6
-    assert acted(GroundJets(effect, moved), nothing, altitude=1.1) == (nothing, (0.0, 0.0, 0.0))
+    assert acted(LiftLoss(effect, moved), nothing, altitude=1.1) == (nothing, (0.0, 0.0, 0.0))
 
 
 def test_warmed_intakes() -> None:
-    near = GroundJets(GroundEffect(**PLATE, **GAS), p220()[0].jets)  # type: ignore[arg-type]
+    near = HotGas(GroundEffect(**PLATE, **GAS))  # type: ignore[arg-type]
     heights = (0.0, 0.5, 0.75, 1.0, 1.5, 2.0, 50.0)
     assert [near.rise(h) for h in heights] == pytest.approx([20.0, 20.0, 15.0, 10.0, 5.0, 0.0, 0.0], rel=1e-14)
 
