@@ -27,9 +27,7 @@ from cosim.simulation.pacing import Pace
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_autopilot import with_autopilot
 from cosim.spec.controller_name import is_design, seen_from
-from cosim.spec.scenario import (
-    Scenario,
-)
+from cosim.spec.scenario import Scenario
 
 
 def fly(

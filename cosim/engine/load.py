@@ -15,14 +15,7 @@ from cosim.engine.fmu.variables import Variable
 from cosim.engine.measure import Measured, measure_once
 from cosim.engine.response import ResponseError, window_for
 from cosim.engine.rundown import OWN, FlameOutLaw, law_of
-from cosim.engine.spec import (
-    EngineSource,
-    EngineSpec,
-    Sibling,
-    find_source,
-    need_whole_steps,
-    resolve_parameters,
-)
+from cosim.engine.spec import EngineSource, EngineSpec, Sibling, find_source, need_whole_steps, resolve_parameters
 
 
 def load_unchecked(

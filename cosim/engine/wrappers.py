@@ -13,21 +13,9 @@ from collections.abc import Callable, Sequence
 from math import exp, sqrt
 
 from cosim.base.protocols import Engines
-from cosim.base.signals import (
-    NO_JETS,
-    Ambient,
-    EngineOutput,
-    PerJet,
-)
+from cosim.base.signals import NO_JETS, Ambient, EngineOutput, PerJet
 from cosim.engine.rundown import FlameOutLaw
-from cosim.spec.scenario import (
-    DelayGrowth,
-    EngineFault,
-    FlameOut,
-    SlowSpool,
-    StuckThrottle,
-    ThrustLoss,
-)
+from cosim.spec.scenario import DelayGrowth, EngineFault, FlameOut, SlowSpool, StuckThrottle, ThrustLoss
 
 # Chosen by us.  After this time a turbine's rotor has less than a fiftieth of its speed.  An engine is up at nine
 # tenths of the thrust with which it idles; one that is not after two minutes is left to the engine monitor.

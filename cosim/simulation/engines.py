@@ -5,12 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cosim.base.errors import InputError
-from cosim.engine import (
-    Air,
-    EngineSpec,
-    load_engine,
-    make_bank,
-)
+from cosim.engine import Air, EngineSpec, load_engine, make_bank
 from cosim.engine.fmu.port_kinds import ASIDE
 from cosim.engine.wrappers import EngineChain
 from cosim.simulation.engine_reference import engine_reference

@@ -17,16 +17,7 @@ from cosim.base.protocols import (
     Shows,
     columns_of,
 )
-from cosim.base.signals import (
-    ZERO3,
-    Actuation,
-    Command,
-    Disturbance,
-    Measured,
-    PerJet,
-    Sample,
-    State,
-)
+from cosim.base.signals import ZERO3, Actuation, Command, Disturbance, Measured, PerJet, Sample, State
 from cosim.control.cascade import Cascade
 from cosim.engine import EngineSpec
 from cosim.simulation.controllers.plugged import Plugged

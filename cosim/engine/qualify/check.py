@@ -30,19 +30,8 @@ from cosim.engine.measure import Measured, measure_once
 from cosim.engine.qualify.remembered import misbehaves, remember_misbehaviour, write
 from cosim.engine.qualify.report import CheckReport
 from cosim.engine.qualify.supervisor import READ, STARTED, Apart, Limits, run_apart
-from cosim.engine.response import (
-    NO_CHANGE,
-    Curve,
-    Response,
-    Small,
-    curve_problems,
-)
-from cosim.engine.spec import (
-    EngineSource,
-    find_source,
-    need_whole_steps,
-    resolve_parameters,
-)
+from cosim.engine.response import NO_CHANGE, Curve, Response, Small, curve_problems
+from cosim.engine.spec import EngineSource, find_source, need_whole_steps, resolve_parameters
 
 DEFAULT_STEP_S = 0.004  # of the Hex-Jet's control loop
 LIMITS = Limits()

@@ -47,12 +47,7 @@ from cosim.engine.response import (
     step_response,
     window_for,
 )
-from cosim.engine.spec import (
-    EngineSource,
-    EngineSpec,
-    find_source,
-    resolve_parameters,
-)
+from cosim.engine.spec import EngineSource, EngineSpec, find_source, resolve_parameters
 from cosim.engine.ssp.system_instance import make_instance
 
 Say = Callable[[dict[str, Any]], None]

@@ -14,9 +14,7 @@ from cosim.control.allocation.effectiveness import EffectivenessAllocator, Effec
 from cosim.control.allocation.hinged_catch import HingedCatch, Late
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
 from cosim.control.phases.catch import Catch
-from cosim.engine import (
-    EngineSpec,
-)
+from cosim.engine import EngineSpec
 from cosim.simulation.controllers.models import map_thrust
 from cosim.simulation.engine_reference import engine_reference
 from cosim.spec.scenario import Environment, Scenario

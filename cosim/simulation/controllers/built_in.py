@@ -26,9 +26,7 @@ from cosim.control.phases.spun import SpunFlight
 from cosim.control.phases.wing import WingFlight, WingTable
 from cosim.control.rate import RateController
 from cosim.control.schedule import GainSchedule
-from cosim.engine import (
-    EngineSpec,
-)
+from cosim.engine import EngineSpec
 from cosim.simulation.controllers.allocators import ask_model, make_allocator
 from cosim.simulation.controllers.models import map_thrust, predictors
 from cosim.simulation.controllers.plugged import Plugged

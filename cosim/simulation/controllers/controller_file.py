@@ -9,15 +9,7 @@ from typing import Any
 from pydantic import Field
 
 from cosim.base.errors import InputError
-from cosim.base.storage.toml import (
-    Model,
-    NotNegative,
-    merge,
-    parse_setting,
-    read_toml,
-    set_path,
-    validate,
-)
+from cosim.base.storage.toml import Model, NotNegative, merge, parse_setting, read_toml, set_path, validate
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import EngineSpec, load_engine
 from cosim.spec.scenario import FlownParameters, Scenario, find_scenario, parameter_files

@@ -15,9 +15,7 @@ from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
 from cosim.control.belief import Belief
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.control.predictors.smith import NoPredictor
-from cosim.engine import (
-    EngineSpec,
-)
+from cosim.engine import EngineSpec
 from cosim.simulation.engine_reference import engine_reference
 from cosim.simulation.engines import engines_of
 from cosim.spec.scenario import Scenario

@@ -10,17 +10,9 @@ from cosim.base.protocols import Predictor
 from cosim.base.signals import AXES
 from cosim.control.belief import Belief
 from cosim.control.predictors.smith import NoPredictor
-from cosim.engine import (
-    EngineSpec,
-)
+from cosim.engine import EngineSpec
 from cosim.simulation.controllers.deadline import Deadline
-from cosim.simulation.controllers.guard import (
-    GuardedAttitude,
-    GuardedController,
-    GuardedPredictor,
-    GuardedRate,
-    Named,
-)
+from cosim.simulation.controllers.guard import GuardedAttitude, GuardedController, GuardedPredictor, GuardedRate, Named
 from cosim.simulation.controllers.models import make_belief
 from cosim.simulation.controllers.process import ProcessBlock
 from cosim.simulation.controllers.source import Source, find

@@ -5,18 +5,8 @@ from __future__ import annotations
 from operator import sub
 
 from cosim.base.errors import InputError
-from cosim.base.signals import (
-    AXES,
-    ZERO3,
-    Disturbance,
-    Vector3,
-)
-from cosim.simulation.script.commander import (
-    Waveform,
-    doublet,
-    pulse,
-    sweep,
-)
+from cosim.base.signals import AXES, ZERO3, Disturbance, Vector3
+from cosim.simulation.script.commander import Waveform, doublet, pulse, sweep
 from cosim.spec.scenario import (
     ForceDisturbance,
     GustDisturbance,

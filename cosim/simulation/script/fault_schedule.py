@@ -14,15 +14,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import JETS, Measured
 from cosim.engine.rundown import FlameOutLaw
 from cosim.engine.wrappers import EngineChain
-from cosim.spec.scenario import (
-    DelayGrowth,
-    Fault,
-    FlameOut,
-    Scenario,
-    SensorBias,
-    SensorDropout,
-    ServoJam,
-)
+from cosim.spec.scenario import DelayGrowth, Fault, FlameOut, Scenario, SensorBias, SensorDropout, ServoJam
 from cosim.vehicle.sensors import FaultySensors
 from cosim.vehicle.servo import TiltServo
 

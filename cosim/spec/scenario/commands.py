@@ -6,12 +6,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
-from cosim.base.storage.toml import (
-    Duration,
-    Model,
-    Positive,
-    Seconds,
-)
+from cosim.base.storage.toml import Duration, Model, Positive, Seconds
 
 Amplitude = Annotated[float, Field(ge=-1e6, le=1e6)]
 Signal = Literal[

@@ -6,13 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from cosim.base.storage.toml import (
-    Duration,
-    Model,
-    Positive,
-    Seconds,
-    Vector,
-)
+from cosim.base.storage.toml import Duration, Model, Positive, Seconds, Vector
 from cosim.spec.scenario.commands import Amplitude
 
 Axis = Literal["roll", "pitch", "yaw"]

@@ -8,12 +8,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from cosim.base.constants import Sensor
 from cosim.base.signals import MOST_JETS
-from cosim.base.storage.toml import (
-    Duration,
-    Model,
-    Seconds,
-    Vector,
-)
+from cosim.base.storage.toml import Duration, Model, Seconds, Vector
 
 
 def _as_list(jet: Any) -> Any:

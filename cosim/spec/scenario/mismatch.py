@@ -6,10 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from cosim.base.storage.toml import (
-    Model,
-    Vector,
-)
+from cosim.base.storage.toml import Model, Vector
 
 Factor = Annotated[float, Field(gt=0.0, le=10.0)]
 

@@ -9,15 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PrivateAttr, model_validator
 
 from cosim.base.errors import InputError
-from cosim.base.storage.toml import (
-    Duration,
-    Model,
-    merge,
-    parse_setting,
-    read_toml,
-    set_path,
-    validate,
-)
+from cosim.base.storage.toml import Duration, Model, merge, parse_setting, read_toml, set_path, validate
 from cosim.base.trust import mention
 from cosim.spec.scenario.commands import CommandEntry
 from cosim.spec.scenario.disturbances import DisturbanceEntry
