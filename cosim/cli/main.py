@@ -6,7 +6,7 @@ import os
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from io import TextIOWrapper
 from typing import TYPE_CHECKING, Any
@@ -59,9 +59,8 @@ class Commands(click.Group):
             module, _, name = COMMANDS[cmd_name].partition(":")
             command: click.Command = getattr(import_module(f"cosim.cli.{module}"), name)
             return with_trust(command, cmd_name)
-        for entry in _added().select(name=cmd_name):
-            return with_trust(_load_added(entry), cmd_name)
-        return None
+        entries = tuple(_added().select(name=cmd_name))
+        return with_trust(_load_added(entries), cmd_name) if entries else None
 
 
 def _added() -> EntryPoints:
@@ -71,24 +70,40 @@ def _added() -> EntryPoints:
     return entry_points(group=ADDED)
 
 
-def _load_added(entry: EntryPoint) -> click.Command:
+def _load_added(entries: Sequence[EntryPoint]) -> click.Command:
     """Return the command that an installed package adds; one that cannot be loaded says so when it is called."""
-    package = entry.dist.name if entry.dist else "an installed package"
+    entry, *others = entries
+    package = _package(entry)
+    if others:
+        return _unavailable(entry.name, f"{' and '.join(map(_package, entries))} both add it; uninstall all but one")
     try:
         command = entry.load()
         if isinstance(command, click.Command):
             return command
-        reason = f"{entry.value} of {package} is no command of click"
+        return _unavailable(entry.name, f"{entry.value} of {package} is no command of click")
     except Exception as error:  # whatever the module of somebody else does
-        reason = f"{entry.value} of {package} cannot be loaded: {type(error).__name__}: {error}".partition("\n")[0]
         if isinstance(error, ModuleNotFoundError) and error.name == entry.module.partition(".")[0]:
             reason = f"needs {error.name!r}, which is not installed; the sources of {package} have it"
+            return _unavailable(entry.name, reason, hidden=True)
+        reason = f"{entry.value} of {package} cannot be loaded: {type(error).__name__}: {error}"
+        return _unavailable(entry.name, reason.partition("\n")[0])
+
+
+def _package(entry: EntryPoint) -> str:
+    """Return the name of the package that has an entry point."""
+    return entry.dist.name if entry.dist else "an installed package"
+
+
+def _unavailable(name: str, reason: str, hidden: bool = False) -> click.Command:
+    """Return a command that says why it cannot run; ``hidden``: which the help leaves out."""
 
     def complain() -> None:
-        raise InputError(f"{entry.name}: {reason}")
+        raise InputError(f"{name}: {reason}")
 
     anything = {"ignore_unknown_options": True, "allow_extra_args": True}
-    return click.Command(entry.name, context_settings=anything, callback=complain, help=f"Not here: {reason}.")
+    return click.Command(
+        name, context_settings=anything, callback=complain, help=f"Not here: {reason}.", hidden=hidden
+    )
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

@@ -246,8 +246,7 @@ def print_engine_out(result: EngineOut, paths: Sequence[Path]) -> None:
     say(
         "each jet: verdict, largest lean, height lost, furthest drift; bounds: the lean that no throttles avoid, "
         "and while it does not spin no tilts either, told of it at once; the second table: the bound for throttles "
-        "alone with one thing changed, and when the opposite engine has to be shut off for a bound at the limit",
-        wrap=False,
+        "alone with one thing changed, and when the opposite engine has to be shut off for a bound at the limit"
     )
     for path in paths:
         say(str(path), wrap=False)
@@ -273,7 +272,6 @@ def print_failsafes(result: Failsafes, table: Path) -> None:
     say(
         f"{result.aircraft}, {result.engine}, {result.controller}: the fastest touch-down and the most thrust of all "
         f"{'heights' if result.airborne else 'flights of a cell'}; a leg that touches faster than "
-        f"{result.limit_m_s:.2f} m/s counts as a crash; faster than {result.trip_m_s:.2f} m/s sideways it has slid",
-        wrap=False,
+        f"{result.limit_m_s:.2f} m/s counts as a crash; faster than {result.trip_m_s:.2f} m/s sideways it has slid"
     )
     say(f"every flight: {table}", wrap=False)

@@ -62,6 +62,24 @@ def test_one_that_cannot_be_loaded_says_so(name: str, reason: str) -> None:
     assert "\n" not in str(error.value)
 
 
+def test_the_help_leaves_out_what_is_not_installed_and_nothing_else() -> None:
+    listed = CliRunner().invoke(cli, ["--help"]).output
+    names = [line.split()[0] for line in listed.partition("Commands:")[2].splitlines() if line.strip()]
+    assert "absent" not in names
+    assert {"added", "broken", "number"} <= set(names)
+
+
+def test_two_packages_with_one_name_are_refused_by_their_names(tmp_path: Path) -> None:
+    other = tmp_path / "other_commands-2.0.dist-info"
+    other.mkdir()
+    (other / "METADATA").write_text("Metadata-Version: 2.1\nName: other-commands\nVersion: 2.0\n")
+    (other / "entry_points.txt").write_text(f"[{ADDED}]\nadded = added_commands:greet\n")
+    with pytest.raises(InputError) as error:
+        cli.main(["added"], standalone_mode=False)
+    packages = str(error.value).removeprefix("added: ").removesuffix(" both add it; uninstall all but one")
+    assert sorted(packages.split(" and ")) == ["added-commands", "other-commands"]
+
+
 def test_none_takes_the_place_of_ours() -> None:
     assert "SCENARIO" in CliRunner().invoke(cli, ["fly", "--help"]).output
 
