@@ -101,9 +101,7 @@ def _unavailable(name: str, reason: str, hidden: bool = False) -> click.Command:
         raise InputError(f"{name}: {reason}")
 
     anything = {"ignore_unknown_options": True, "allow_extra_args": True}
-    return click.Command(
-        name, context_settings=anything, callback=complain, help=f"Not here: {reason}.", hidden=hidden
-    )
+    return click.Command(name, context_settings=anything, callback=complain, help=f"Not here: {reason}.", hidden=hidden)
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

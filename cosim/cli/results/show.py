@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
@@ -16,13 +17,15 @@ from cosim.cli.console import say, show_table
 from cosim.cli.options import DONE, example
 from cosim.cli.results.runs import KINDS, catalogue
 from cosim.cli.trust import looks
+from cosim.spec.controller_name import is_design
 
 if TYPE_CHECKING:
     from cosim.spec.vehicle import Vehicle
 
 _UNITS = {  # what a key ends with, the longest first
     "_kg_m2": "kg m^2", "_rad_s": "rad/s", "_samples": "samples", "_percent": "%", "_N_m": "N m", "_m_s": "m/s",
-    "_1_s": "1/s", "_deg": "deg", "_rad": "rad", "_m2": "m^2", "_kg": "kg", "_m": "m", "_s": "s", "_N": "N", "_K": "K",
+    "_1_s": "1/s", "_deg": "deg", "_rad": "rad", "_m2": "m^2", "_db": "dB", "_hz": "Hz", "_kg": "kg", "_m": "m",
+    "_s": "s", "_N": "N", "_K": "K",
 }  # fmt: skip
 _MEANINGS = {  # of the first part of a key in the file of a scenario or a study
     "duration_s": "planned length of the flight",
@@ -48,6 +51,15 @@ _MEANINGS = {  # of the first part of a key in the file of a scenario or a study
     "vary": "what is drawn, and from where to where",
     "settings": "written over the scenario's",
     "success": "what counts as one",
+}
+_MEANINGS_OF_MARGINS = {  # of the last part of a key in the file of a design
+    "peak_sensitivity": "largest |S|",
+    "gain_margin_db": "of more gain",
+    "gain_margin_down_db": "of less gain",
+    "delay_margin_s": "of more delay",
+    "tolerated": "times the tolerances until instability",
+    "overshoot": "share of a step",
+    "settling_s": "of a step, within 5 %",
 }
 _NO_THRUST = 1e-9  # of full thrust: what is left of it when its lag has run down, and no idling
 _TEXTS = ("name", "title", "description")
@@ -76,17 +88,12 @@ class Show(opt.Output):
 def show(options: Show) -> int:
     """Show what NAME, of hexjet list, is: its numbers, their units and what they mean, from its files.
 
-    The thrust of an engine is measured: its FMU is held at throttles until it stands still.
+    The thrust of an engine is measured: its FMU is held at throttles until it stands still.  NAME may be the file of a
+    design, too: what it was made for, what its proof came to, its margins and gains.
     """
-    name, kinds = options.name, [options.kind] if options.kind else list(KINDS)
-    entries = [(kind, entry) for kind in kinds for entry in catalogue(kind) if entry["name"] == name]
-    if not entries:
-        names = {entry["name"] for kind in kinds for entry in catalogue(kind)}
-        raise InputError(f"nothing that can be flown is called {name!r}; {similar(name, names)}")
-    shown = [
-        {"kind": kind, **entry, "description": _description(kind, name), "numbers": list(_numbers(kind, name))}
-        for kind, entry in entries
-    ]
+    name = options.name
+    design = None if options.kind else _design(name)
+    shown = [design] if design else _entries(name, [options.kind] if options.kind else KINDS)
 
     def show_all() -> None:
         for item in shown:
@@ -95,6 +102,44 @@ def show(options: Show) -> int:
     data = [item | {"numbers": [number._asdict() for number in item["numbers"]]} for item in shown]
     options.answer(lambda: data, show_all, nan=True)
     return DONE
+
+
+def _entries(name: str, kinds: Sequence[str]) -> list[dict[str, Any]]:
+    """Return what is called so in ``hexjet list``, an entry for each kind.  Raises InputError if nothing is."""
+    catalogues = {kind: catalogue(kind) for kind in kinds}
+    shown = [
+        {"kind": kind, **entry, "description": _description(kind, name), "numbers": list(_numbers(kind, name))}
+        for kind, entries in catalogues.items()
+        for entry in entries
+        if entry["name"] == name
+    ]
+    if not shown:
+        names = {entry["name"] for entries in catalogues.values() for entry in entries}
+        raise InputError(f"nothing that can be flown is called {name!r}; {similar(name, names)}")
+    return shown
+
+
+def _design(name: str) -> dict[str, Any] | None:
+    """Return what a controller file of ``hexjet design`` is, None for any other name.  Raises InputError."""
+    from cosim.simulation.controllers.controller_file import describe_proof, purpose_of
+
+    path = Path(name)
+    table = read_toml(path) if is_design(name) and path.is_file() else {}
+    if not isinstance(table.get("design"), Mapping):  # a study's is a word
+        return None
+    purpose = purpose_of(path)
+    margins = [
+        number._replace(meaning=_MEANINGS_OF_MARGINS.get(number.name.rpartition(".")[2], ""))
+        for axis, record in purpose.axes.items()
+        for number in _leaves(record.model_dump(exclude_none=True, exclude={"candidates"}), f"{axis}.")
+    ]
+    return {
+        "kind": "designs",
+        "name": name,
+        "title": f"{table['controller']} for {purpose.aircraft} with engine {purpose.engine}",
+        "description": describe_proof(purpose),
+        "numbers": [*margins, *_file_rows(table["vehicle"])],
+    }
 
 
 def _table(kind: str, name: str) -> dict[str, Any]:

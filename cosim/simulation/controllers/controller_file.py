@@ -128,6 +128,16 @@ def purpose_of(path: Path) -> Purpose:
     return validate(ControllerFile, read_toml(path), str(path)).design
 
 
+def describe_proof(purpose: Purpose) -> str:
+    """Return what the proof of a design came to, and what is worse with it than with the gains that ship."""
+    proof = purpose.proof
+    if proof is None:
+        return NO_PROOF
+    if proof.failed:
+        return "; ".join([f"its proof failed: {proof.failed}", *proof.worse])
+    return "; ".join([f"its proof of {proof.flights} flights kept what was promised", *proof.worse])
+
+
 def read_controller(path: Path, aircraft: str | None = None, folder: Path = Path()) -> ControllerFile:
     """Read a controller file, for ``aircraft`` where one is named; a path is seen from ``folder``.
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from cosim.base.errors import InputError
+from cosim.base.storage.toml import read_toml
 from cosim.cli.results.runs import catalogue
 from cosim.cli.results.show import _file_rows, _table, show
 from cosim.spec.vehicle import load_vehicle
@@ -74,3 +76,26 @@ def test_every_controller_and_a_name_that_there_is_not(capsys: pytest.CaptureFix
     with pytest.raises(InputError, match="called 'gusty'; did you mean 'gust'") as complaint:
         show.main(["gusty"], standalone_mode=False)
     assert "hexjet list" in str(complaint.value)
+
+
+def test_a_design_says_what_it_is_for_and_what_its_proof_came_to(capsys: pytest.CaptureFixture[str]) -> None:
+    folder = Path(__file__).parents[2]
+    (one,) = shown(capsys, str(folder / "designs" / "p220.toml"))
+    assert (one["kind"], one["title"]) == ("designs", "baseline for hexjet-p220 with engine p220")
+    assert one["description"] == "its proof of 22 flights kept what was promised"
+    design = read_toml(folder / "designs" / "p220.toml")
+    assert numbers(one)["roll.gain_margin_db"] == design["design"]["axes"]["roll"]["gain_margin_db"]
+    assert numbers(one)["control.rate.yaw.p"] == design["vehicle"]["control"]["rate"]["yaw"]["p"]
+    (older,) = shown(capsys, str(folder / "older" / "0.1.0-a" / "design.toml"))
+    assert older["description"].startswith("has no proof flights")
+
+
+@pytest.mark.parametrize("name", ["scenarios/hover.toml", "studies/mass.toml", "nothing.toml"])
+def test_another_file_is_no_design(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "studies").mkdir()
+    (tmp_path / "studies" / "mass.toml").write_text('design = "random"\n')
+    (tmp_path / "scenarios").mkdir()
+    (tmp_path / "scenarios" / "hover.toml").write_text('name = "hover"\n')
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="nothing that can be flown is called"):
+        show.main([name], standalone_mode=False)
