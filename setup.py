@@ -43,7 +43,7 @@ def build_fmus(engines: Path, fmus: Path) -> None:
 
     Raises CompileError, which setuptools shows as one line.
     """
-    builder = by_path("engine_build", ROOT / "cosim" / "engine" / "build.py")
+    builder = by_path("engine_library", ROOT / "cosim" / "engine" / "library" / "__init__.py")
     try:
         builder.build_all(engines=engines, fmus=fmus)
     except builder.BuildError as error:
@@ -51,14 +51,17 @@ def build_fmus(engines: Path, fmus: Path) -> None:
 
 
 # What is not built when it has ended is built by build_fmus, which says why where it cannot be.
-BUILD_FMUS = """import runpy, sys
+BUILD_FMUS = """import importlib.util, sys
 from pathlib import Path
-runpy.run_path(sys.argv[1])["build_all"](engines=Path(sys.argv[2]), fmus=Path(sys.argv[3]))"""
+spec = importlib.util.spec_from_file_location("engine_library", sys.argv[1])
+builder = sys.modules["engine_library"] = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(builder)
+builder.build_all(engines=Path(sys.argv[2]), fmus=Path(sys.argv[3]))"""
 
 
 def begin_fmus(engines: Path, fmus: Path) -> subprocess.Popen[bytes]:
     """Build them in a process of its own: most of the time one compiler is at the one large file of the modules."""
-    words = [str(path) for path in (ROOT / "cosim" / "engine" / "build.py", engines, fmus)]
+    words = [str(path) for path in (ROOT / "cosim" / "engine" / "library" / "__init__.py", engines, fmus)]
     quiet = subprocess.DEVNULL
     return subprocess.Popen([sys.executable, "-P", "-c", BUILD_FMUS, *words], stdin=quiet, stdout=quiet, stderr=quiet)
 

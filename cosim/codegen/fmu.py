@@ -10,7 +10,7 @@ from cosim.base.storage.scratch import temporary
 from cosim.codegen.files import Labels, render
 from cosim.codegen.form import Form
 from cosim.codegen.vectors import INPUTS, Vectors, output_names
-from cosim.engine.build import FMI_VERSIONS, BuildError, Engine, Variable, archive_path, build_one
+from cosim.engine.library import FMI_VERSIONS, BuildError, EngineDefinition, VariableDefinition, archive_path, build_one
 
 # unit and meaning; attitude's quaternion starts upright
 _INPUTS: dict[str, tuple[str, str]] = {
@@ -59,7 +59,7 @@ def build_fmus(
             places=places,
         )
         glue.write_text(text, encoding="utf-8")
-        engine = Engine(
+        engine = EngineDefinition(
             name=n,
             folder=place,
             title=labels.title,
@@ -85,21 +85,23 @@ def build_fmus(
     return archives, None
 
 
-def _variables(vectors: Vectors, outputs: tuple[str, ...]) -> tuple[Variable, ...]:
+def _variables(vectors: Vectors, outputs: tuple[str, ...]) -> tuple[VariableDefinition, ...]:
     variables = [
-        Variable("on_ground", 1, "parameter", True, None, 0.0, 1.0, float(vectors.on_ground), "1: it starts standing")
+        VariableDefinition(
+            "on_ground", 1, "parameter", True, None, 0.0, 1.0, float(vectors.on_ground), "1: it starts standing"
+        )
     ]
     for name in INPUTS:
         unit, text = _INPUTS[name]
         start = 1.0 if name == "attitude_w" else vectors.burnt if name == "fuel_burnt" else 0.0
-        variables.append(Variable(name, len(variables) + 1, "input", False, unit, None, None, start, text))
+        variables.append(VariableDefinition(name, len(variables) + 1, "input", False, unit, None, None, start, text))
     for name in outputs:
         kind, _, rest = name.partition("_")
         unit, text = _OUTPUTS[kind]
         if name.startswith(("shown_rate_setpoint", "shown_predicted")):
             unit = "rad/s"
         text = f"{text} {rest.replace('_', ' ')}"
-        variables.append(Variable(name, len(variables) + 1, "output", False, unit, None, None, None, text))
+        variables.append(VariableDefinition(name, len(variables) + 1, "output", False, unit, None, None, None, text))
     return tuple(variables)
 
 

@@ -14,9 +14,9 @@ from xml.etree import ElementTree
 from cosim.base.errors import InputError
 from cosim.codegen.vehicle_ports import REPORTS, Flight
 from cosim.engine import EngineSpec
-from cosim.engine.build import FMI2_SUFFIX, archive_path, pack
 from cosim.engine.fmu.port_kinds import AMBIENT
 from cosim.engine.fmu.variables import REALS, Port
+from cosim.engine.library import FMI2_SUFFIX, archive_path, pack
 
 _SSP = "http://ssp-standard.org/SSP1/SystemStructure"
 NAMESPACES = {"ssd": f"{_SSP}Description", "ssc": f"{_SSP}Common", "ssv": f"{_SSP}ParameterValues"}

@@ -19,7 +19,15 @@ from cosim.codegen.files import TEMPLATES, Labels
 from cosim.codegen.ssp import write_ssp
 from cosim.codegen.vehicle_ports import Flight, Parts
 from cosim.codegen.vehicle_process import FLIGHT, MANIFEST
-from cosim.engine.build import FMI2_SUFFIX, FMI_VERSIONS, BuildError, Engine, Variable, archive_path, build_one
+from cosim.engine.library import (
+    FMI2_SUFFIX,
+    FMI_VERSIONS,
+    BuildError,
+    EngineDefinition,
+    VariableDefinition,
+    archive_path,
+    build_one,
+)
 from cosim.results.resolved_scenario import resolve
 from cosim.results.run import scenario_toml
 from cosim.results.summary import versions
@@ -130,10 +138,10 @@ def _resources(flight: Flight, parts: Parts) -> Mapping[str, bytes]:
     }
 
 
-def _as_engine(flight: Flight, labels: Labels) -> Engine:
+def _as_engine(flight: Flight, labels: Labels) -> EngineDefinition:
     """Return the vehicle as the FMU build takes an engine: variables, and the C that starts the process."""
     variables = [
-        Variable(
+        VariableDefinition(
             "seed",
             1,
             "parameter",
@@ -147,15 +155,17 @@ def _as_engine(flight: Flight, labels: Labels) -> Engine:
     ]
     for number in flight.inputs:
         variables.append(
-            Variable(
+            VariableDefinition(
                 number.name, len(variables) + 1, "input", False, number.unit, None, None, number.start, number.text
             )
         )
     for number in flight.outputs:
         variables.append(
-            Variable(number.name, len(variables) + 1, "output", False, number.unit, None, None, None, number.text)
+            VariableDefinition(
+                number.name, len(variables) + 1, "output", False, number.unit, None, None, None, number.text
+            )
         )
-    return Engine(
+    return EngineDefinition(
         name=labels.name,
         folder=Path(tempfile.gettempdir()),
         title=labels.title,

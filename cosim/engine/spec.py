@@ -14,12 +14,20 @@ from cosim.base.errors import InputError, nearest
 from cosim.base.storage.cache import Memory
 from cosim.base.storage.paths import data_folder
 from cosim.base.trust import Code
-from cosim.engine import build
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive, read_archive
 from cosim.engine.fmu.mapping import MappingFile, PortMap, is_mapping, read_mapping
 from cosim.engine.fmu.starting import Setting
 from cosim.engine.fmu.variables import INTEGERS, Port, Variable
+from cosim.engine.library import (
+    FMI2_SUFFIX,
+    BuildError,
+    EngineDefinition,
+    archive_path,
+    build_all,
+    engine_folders,
+    read_engine,
+)
 from cosim.engine.response import NO_CHANGE, Curve, Small, rising
 from cosim.engine.rundown import FlameOutLaw
 from cosim.engine.ssp.parameter_set import read_parameter_set
@@ -122,7 +130,7 @@ class EngineSpec:
         The file is the mapping file where there is one.  With its suffix, so that somebody's ``edf.fmu`` is not taken
         for the library's ``edf``.
         """
-        return self.name.removesuffix(build.FMI2_SUFFIX) if self.library else (self.mapping or self.path).name
+        return self.name.removesuffix(FMI2_SUFFIX) if self.library else (self.mapping or self.path).name
 
     @property
     def ports(self) -> Mapping[str, Port]:
@@ -164,7 +172,7 @@ class EngineSpec:
 
 def engine_names() -> list[str]:
     """Return the shipped engines' names; each exists as FMI 3.0, and with ``-fmi2`` appended as FMI 2.0."""
-    return build.engine_folders(data_folder("engines"))
+    return engine_folders(data_folder("engines"))
 
 
 def build_engines(names: list[str] | None = None) -> list[Path]:
@@ -173,8 +181,8 @@ def build_engines(names: list[str] | None = None) -> list[Path]:
     Raises InputError if one cannot be built.
     """
     try:
-        return build.build_all(data_folder("engines"), data_folder("fmus"), names)
-    except build.BuildError as error:
+        return build_all(data_folder("engines"), data_folder("fmus"), names)
+    except BuildError as error:
         raise InputError(str(error)) from error
 
 
@@ -182,7 +190,7 @@ def _read(path: Path, ports: PortMap | None = None) -> Archive:
     return read_system(path, ports) if is_system(path) else read_archive(path, ports)
 
 
-_definitions: Memory[build.Engine] = Memory(64)
+_definitions: Memory[EngineDefinition] = Memory(64)
 
 
 def behaviour_of(archive: Archive, settings: tuple[Setting, ...], air: Air) -> tuple[Hashable, ...]:
@@ -198,7 +206,7 @@ class EngineSource:
 
     path: Path  # of the archive, or of the mapping file that speaks of it
     archive: Archive
-    engine: build.Engine | None  # its definition, if it is one of the library
+    engine: EngineDefinition | None  # its definition, if it is one of the library
     mapping: MappingFile
 
     @property
@@ -229,31 +237,31 @@ def find_source(name_or_path: str) -> EngineSource:
         return EngineSource(path, archive, None, mapping)
     if path.suffix.lower() in (".fmu", SUFFIX) or len(path.parts) > 1 or path.is_file():
         return EngineSource(path, _read(path), None, MappingFile(fmu=path.name))
-    name = name_or_path.removesuffix(build.FMI2_SUFFIX)
+    name = name_or_path.removesuffix(FMI2_SUFFIX)
     if name not in engine_names():
         allowed = nearest(name, engine_names())
         raise InputError(
             f"unknown engine {name_or_path!r}; {allowed}, or the path of an .fmu or .ssp, or of a .toml that maps one"
         )
     engine = _definition(data_folder("engines") / name)
-    path = build.archive_path(data_folder("fmus"), name, 2 if name_or_path != name else 3)
+    path = archive_path(data_folder("fmus"), name, 2 if name_or_path != name else 3)
     if not path.is_file():
         raise InputError(f"engine {name_or_path}: {path} has not been built; run: hexjet fmu build")
     known = PortMap(ports=engine.ports, search=False)
     return EngineSource(path, read_archive(path, known), engine, MappingFile(fmu=path.name))
 
 
-def _definition(folder: Path) -> build.Engine:
+def _definition(folder: Path) -> EngineDefinition:
     path = folder / "engine.toml"
     try:
-        return _definitions.get((folder, path.read_bytes()), lambda: build.read_engine(folder))
+        return _definitions.get((folder, path.read_bytes()), lambda: read_engine(folder))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
-    except build.BuildError as error:
+    except BuildError as error:
         raise InputError(str(error)) from error
 
 
-def need_whole_steps(archive: Archive, engine: build.Engine | None, step: float) -> None:
+def need_whole_steps(archive: Archive, engine: EngineDefinition | None, step: float) -> None:
     """Raise InputError for a communication step that is no multiple of the engine's clocks and internal step."""
     if archive.system is not None:
         for part in archive.system.parts:

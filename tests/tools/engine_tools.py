@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 
 from cosim.base.arrays import Array
 from cosim.base.storage.paths import data_folder
-from cosim.engine import build
+from cosim.engine import library
 
 STEP = 0.004
 NEWTON_PER_KGF = 9.80665
@@ -47,7 +47,7 @@ def paper_thrust(name: str, throttle: Array) -> Array:
 
 
 def archive(name: str, fmi: int) -> Path:
-    return build.archive_path(data_folder("fmus"), name, fmi)
+    return library.archive_path(data_folder("fmus"), name, fmi)
 
 
 def throttles() -> dict[str, Array]:
@@ -293,5 +293,5 @@ def build_faulty(root: Path) -> Mapping[int, Path]:
         shutil.copy(adapter / f"fmi{fmi}.c", folder / f"honest{fmi}.h")
         head = _FAULTY_C.format(N=fmi, GET=f"Get{kind}", SET=f"Set{kind}")
         (adapter / f"fmi{fmi}.c").write_text(head + wrappers)
-    built = build.build_all(engines, fmus, adapter=adapter)
+    built = library.build_all(engines, fmus, adapter=adapter)
     return {3: built[0], 2: built[1]}

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from cosim.base.storage.paths import data_folder
-from cosim.engine.build import Engine, Variable, build_one
+from cosim.engine.library import EngineDefinition, VariableDefinition, build_one
 
 STEP = 0.004
 FULL = 20.0  # N
@@ -38,13 +38,13 @@ def component(folder: Path, name: str, fmi: int) -> Path:
         f"void engine_step(Variables *v, void *s) {{ (void)s; {body} }}\n"
     )
     variables = [
-        Variable(
+        VariableDefinition(
             each, i, causality, False, unit, *((0.0, 1.0) if each == "demand" else (None, None)),
             None if causality == "output" else start, each,
         )
         for i, (each, (causality, unit, start)) in enumerate(table.items(), 1)
     ]  # fmt: skip
-    engine = Engine(name, folder, name, name, (source,), STEP, {}, {}, 0.0, {}, tuple(variables))
+    engine = EngineDefinition(name, folder, name, name, (source,), STEP, {}, {}, 0.0, {}, tuple(variables))
     target = folder / f"{name}.fmu"
     build_one(engine, data_folder("engines") / "fmi", fmi, target, {})
     return target

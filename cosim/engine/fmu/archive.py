@@ -14,7 +14,6 @@ from xml.etree import ElementTree
 
 from cosim.base.errors import InputError
 from cosim.base.storage.cache import Memory
-from cosim.engine.build import ADAPTER, ADAPTER_MADE, GENERATION_TOOL
 from cosim.engine.fmu.clocks import InputClock, find_clocks
 from cosim.engine.fmu.container import (
     DAMAGE,
@@ -35,6 +34,7 @@ from cosim.engine.fmu.ports import PortError, find_engines
 from cosim.engine.fmu.starting import Setting, Starting, resolve_start
 from cosim.engine.fmu.units import Unit
 from cosim.engine.fmu.variables import INTEGERS, REALS, Port, Variable
+from cosim.engine.library import ADAPTER, ADAPTER_GENERATED, GENERATION_TOOL, platform_folder
 
 TYPES = {*REALS, *INTEGERS, "Boolean", "Enumeration"}
 LARGEST_ARRAY = 10_000  # elements that are listed one by one
@@ -177,13 +177,6 @@ def read_once(
         raise InputError(f"{path}: {reason}") from reason
 
 
-def platform_folder(fmi: int) -> str:
-    """Return the folder inside ``binaries`` that has this platform's library."""
-    import fmpy  # type: ignore[import-untyped]
-
-    return str(fmpy.platform if fmi == 2 else fmpy.platform_tuple)
-
-
 def libraries_of(archive: Archive) -> list[str]:
     """Return the paths of this platform's libraries relative to the folder of an unpacked archive."""
     if archive.system is None:
@@ -193,7 +186,7 @@ def libraries_of(archive: Archive) -> list[str]:
 
 def library_of(archive: Archive) -> str:
     """Return the path of this platform's library in the archive of one FMU."""
-    import fmpy
+    import fmpy  # type: ignore[import-untyped]
 
     return f"binaries/{platform_folder(archive.fmi)}/{archive.identifier}{fmpy.sharedLibraryExtension}"
 
@@ -289,7 +282,7 @@ def own_sources(data: bytes) -> list[tuple[str, bytes]]:
 
     Raises UnusableError where one is damaged.
     """
-    given = {f"sources/{name}" for name in (*ADAPTER, *ADAPTER_MADE, "fmi2.c", "fmi3.c")}
+    given = {f"sources/{name}" for name in (*ADAPTER, *ADAPTER_GENERATED, "fmi2.c", "fmi3.c")}
     try:
         with Zip(io.BytesIO(data)) as fmu:
             names = sorted(set(fmu.namelist()) - given)

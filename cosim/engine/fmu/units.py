@@ -10,9 +10,9 @@ from math import isclose, pi
 from typing import NamedTuple
 
 from cosim.base.constants import GRAVITY
-from cosim.engine.unit_table import BASE, UNITS
+from cosim.engine.library import BASE_UNITS, UNITS
 
-Exponents = tuple[int, ...]  # of each of BASE
+Exponents = tuple[int, ...]  # of each of BASE_UNITS
 
 
 class Unit(NamedTuple):
@@ -37,7 +37,7 @@ class Quantity(NamedTuple):
 
 def exponents(unit: str) -> Exponents:
     """Of a unit of the table."""
-    return tuple(int(UNITS[unit].get(base, 0)) for base in BASE)
+    return tuple(int(UNITS[unit].get(base, 0)) for base in BASE_UNITS)
 
 
 class UnitError(ValueError):

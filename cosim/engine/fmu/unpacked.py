@@ -13,8 +13,9 @@ from types import TracebackType
 
 from cosim.base.errors import InputError
 from cosim.base.storage.scratch import scratch
-from cosim.engine.fmu.archive import Archive, libraries_of, platform_folder
+from cosim.engine.fmu.archive import Archive, libraries_of
 from cosim.engine.fmu.container import DAMAGE, UnusableError, Zip, one_line, read_bytes
+from cosim.engine.library import platform_folder
 
 MOST_FREE = 16  # folders that wait for their next user
 _free: list[Unpacked] = []  # the youngest last

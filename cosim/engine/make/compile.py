@@ -17,7 +17,6 @@ from cosim.base.runtime.processes import python_command, run_child
 from cosim.base.storage.files import replacing
 from cosim.base.storage.scratch import temporary
 from cosim.base.trust import code_of, remember
-from cosim.engine.fmu.archive import platform_folder
 from cosim.engine.fmu.container import (
     DESCRIPTION,
     UnusableError,
@@ -29,6 +28,7 @@ from cosim.engine.fmu.container import (
     read_bytes,
 )
 from cosim.engine.fmu.description import describe, with_initial
+from cosim.engine.library import platform_folder
 
 LONGEST_S = 600.0  # chosen by us: a solver's sources take a minute
 # In a process of its own, because FMPy lets CMake print to standard output; without its validation, as when reading.

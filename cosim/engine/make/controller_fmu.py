@@ -33,11 +33,12 @@ from cosim.base.runtime.processes import python_command
 from cosim.base.signals import MOST_JETS
 from cosim.base.storage.scratch import temporary
 from cosim.base.storage.toml import read_toml
-from cosim.engine.fmu.archive import parse_number, platform_folder
+from cosim.engine.fmu.archive import parse_number
 from cosim.engine.fmu.container import DAMAGE, UnusableError, Zip, fmi_of, one_line, open_archive, parse, read_bytes
 from cosim.engine.fmu.description import describe
 from cosim.engine.fmu.ports import plain
 from cosim.engine.fmu.variables import INTEGERS, REALS
+from cosim.engine.library import platform_folder
 
 MAPPING = ".fmu.toml"
 _SERVE = "from cosim.engine.make.controller_fmu import serve; serve(sys.argv[1])"

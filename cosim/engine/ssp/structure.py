@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 
 from cosim.engine.fmu.container import UnusableError, one_line
 from cosim.engine.fmu.units import Unit
-from cosim.engine.unit_table import BASE
+from cosim.engine.library import BASE_UNITS
 
 STRUCTURE = "SystemStructure.ssd"
 TYPES = ("Real", "Float64", "Float32", "Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64",
@@ -104,7 +104,7 @@ def read_units(root: ElementTree.Element) -> dict[str, Unit]:
     units = {}
     for unit in children(root, "Units", "Unit"):
         for base in children(unit, "BaseUnit"):
-            powers = tuple(int(base.get(name, 0)) for name in BASE)
+            powers = tuple(int(base.get(name, 0)) for name in BASE_UNITS)
             units[unit.get("name", "")] = Unit(powers, float(base.get("factor", 1.0)), float(base.get("offset", 0.0)))
     return units
 

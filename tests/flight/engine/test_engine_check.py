@@ -24,7 +24,7 @@ from cosim.engine import (
     engine_names,
     load_engine,
 )
-from cosim.engine.build import build_all
+from cosim.engine.library import build_all
 from cosim.engine.response import (
     Hold,
     ResponseError,

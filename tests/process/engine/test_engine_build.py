@@ -21,13 +21,13 @@ from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
 from cosim.engine import (
     EngineBank,
-    build,
     build_engines,
     check_fmu,
     engine_names,
+    library,
     load_engine,
 )
-from cosim.engine.build import BuildError, build_all, read_engine
+from cosim.engine.library import BuildError, archives, build_all, read_engine
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -55,7 +55,7 @@ def test_what_is_up_to_date_is_left_alone_and_what_is_not_is_built(
 ) -> None:
     shutil.copytree(data_folder("fmus"), tmp_path / "fmus")
     compiled = []
-    monkeypatch.setattr(build, "compile_sources", lambda folder, label: compiled.append(label))
+    monkeypatch.setattr(archives, "compile_sources", lambda folder, label: compiled.append(label))
     built = build_all(engines, tmp_path / "fmus")
     assert sorted(path.name for path in built) == sorted(f"{n}{s}.fmu" for n in load_names() for s in ("", "-fmi2"))
     assert compiled == []
@@ -76,12 +76,12 @@ def test_what_is_up_to_date_is_left_alone_and_what_is_not_is_built(
 
 
 def load_names() -> list[str]:
-    return build.engine_folders(data_folder("engines"))
+    return library.engine_folders(data_folder("engines"))
 
 
 def test_the_token_is_that_of_the_content(engines: Path) -> None:
     def token(fmi: int) -> str:
-        return build._token(read_engine(engines / "edf"), engines / "fmi", fmi)
+        return library.fmi_token(read_engine(engines / "edf"), engines / "fmi", fmi)
 
     described = fmpy.read_model_description(str(archive("edf", 3)))
     assert described.instantiationToken == token(3) != token(2)
@@ -102,7 +102,7 @@ def test_the_sources_inside_are_enough_to_compile_it_elsewhere(fmi: int, tmp_pat
     fmpy.extract(str(stripped), str(folder))
     assert not (folder / "binaries").exists()
     assert not list((folder / "sources").glob("fmi*.h"))  # the importer's own headers are to be used
-    build.compile_sources(folder, "turbojet")
+    library.compile_sources(folder, "turbojet")
     runs = []
     for place in (folder, tmp_path / "shipped"):
         with driven(archive("turbojet", fmi), place) as engine:
@@ -163,7 +163,7 @@ def test_it_builds_without_the_package_around_it(tmp_path: Path) -> None:
     program = f"""
 import importlib.util, json, sys
 from pathlib import Path
-spec = importlib.util.spec_from_file_location("engine_build", {str(Path(build.__file__))!r})
+spec = importlib.util.spec_from_file_location("engine_build", {str(Path(library.__file__))!r})
 module = sys.modules["engine_build"] = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(module)
 paths = module.build_all(Path({str(data_folder("engines"))!r}), Path({str(data_folder("fmus"))!r}))

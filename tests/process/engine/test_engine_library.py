@@ -15,7 +15,7 @@ from fmpy.validation import validate_fmu
 from places import TOOLS
 
 from cosim.base.storage.paths import data_folder
-from cosim.engine import build, build_engines, engine_names
+from cosim.engine import build_engines, engine_names, library
 
 ENGINES = engine_names()
 FMUS = [(name, fmi) for name in ENGINES for fmi in (2, 3)]
@@ -41,7 +41,7 @@ def _built() -> None:
 
 
 def step_of(name: str) -> float:
-    return build.read_engine(data_folder("engines") / name).internal_step
+    return library.read_engine(data_folder("engines") / name).internal_step
 
 
 def run_wildly(engine: Driven, steps: range, step: float, seed: int = 5) -> Array:
@@ -77,7 +77,7 @@ def test_the_standard_ports_are_described_with_unit_and_range(name: str, fmi: in
     description = fmpy.read_model_description(str(archive(name, fmi)))
     variables = {v.name: v for v in description.modelVariables}
     units = {u.name: u.baseUnit for u in description.unitDefinitions}
-    engine = build.read_engine(data_folder("engines") / name)
+    engine = library.read_engine(data_folder("engines") / name)
     for port, variable in engine.ports.items():
         assert port == variable or (port, variable) == ("start", "throttle_start")
     for port in set(STANDARD) & set(variables):

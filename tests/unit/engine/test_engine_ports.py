@@ -22,8 +22,8 @@ from cosim.base.signals import Ambient, EngineOutput
 from cosim.engine import (
     EngineBank,
     EngineSpec,
-    build,
     build_engines,
+    library,
     load_engine,
 )
 from cosim.engine.fmu.archive import read_archive
@@ -678,10 +678,10 @@ def odd(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, data in contents.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(data)
-    build.compile_sources(folder, "odd")
+    library.compile_sources(folder, "odd")
     for path in (folder / "binaries").rglob("*.*"):
         contents[path.relative_to(folder).as_posix()] = path.read_bytes()
-    build.pack(contents, folder / "odd.fmu")
+    library.pack(contents, folder / "odd.fmu")
     (folder / "odd.toml").write_text(ODD_MAPPING)
     return folder / "odd.toml"
 
@@ -867,7 +867,7 @@ def test_variables_of_two_types_may_share_a_reference(monkeypatch: pytest.Monkey
 
 
 def test_the_order_of_the_ports_is_that_of_the_c_loop() -> None:
-    source = (Path(build.__file__).parent / "_bank.c").read_text()
+    source = (Path(library.__file__).parents[1] / "_bank.c").read_text()
     for names, title in ((INPUTS, "INPUT_NAMES[INPUTS]"), (OUTPUTS, "OUTPUT_NAMES[OUTPUTS]")):
         listed = ", ".join(f'"{name}"' for name in names)
         assert f"{title} = {{{listed}}};" in source

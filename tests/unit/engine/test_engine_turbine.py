@@ -16,7 +16,7 @@ from engine_tools import STEP, Array, Driven, archive, driven
 from turbine_reference import CP_AIR, CP_GAS, T_REF, Ambient, Turbine
 
 from cosim.base.storage.paths import data_folder
-from cosim.engine import build, build_engines
+from cosim.engine import build_engines, library
 
 TURBINES = ["turbine-20", "turbine-100", "turbine-220"]
 OUTPUTS = ("thrust", "spool_speed", "exhaust_temperature", "fuel_flow")
@@ -39,7 +39,7 @@ def sizing() -> Any:
 
 
 def parameters(name: str) -> dict[str, float]:
-    variables = build.read_engine(data_folder("engines") / name).variables
+    variables = library.read_engine(data_folder("engines") / name).variables
     return {v.name: v.start for v in variables if v.causality == "parameter" and v.start is not None}
 
 
@@ -139,7 +139,7 @@ def test_the_parameters_follow_from_the_data_sheet(name: str, sizing: Any) -> No
     assert (given["full_speed"], given["idle_speed"]) == (sheet.speed, sheet.idle_speed)
     assert (given["air_flow"], given["pressure_ratio"]) == (sheet.air, sheet.pressure_ratio)
     assert given["rotor_inertia"] == pytest.approx(sizing.rotor(sheet)[1], rel=0.02)  # two digits
-    assert build.read_engine(data_folder("engines") / name).rotor_inertia == given["rotor_inertia"]
+    assert library.read_engine(data_folder("engines") / name).rotor_inertia == given["rotor_inertia"]
     # what came out of it is what such small machines have
     assert 0.65 < given["turbine_efficiency"] < 0.80
     assert 0.80 < given["combustion_efficiency"] < 0.95

@@ -21,8 +21,6 @@ BENCHMARKS = ROOT / "benchmarks"
 # A file above this many lines is divided by meaning, except those here.
 MOST_LINES = 500
 LONGER = {
-    # setup.py loads it by its path, and its bytes are part of the names of the FMUs
-    "engine/build.py",
     # one class: an airframe's properties in JSBSim are set and read together, in the order of a control step
     "vehicle/airframe.py",
     # not divided yet: values are written into a scenario beside the walk that finds its keys

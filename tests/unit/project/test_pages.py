@@ -34,7 +34,7 @@ from cosim.campaign.surveys import engine_out, survey
 from cosim.campaign.surveys import faults as survival
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.control.allocation import reallocation as replan
-from cosim.engine import build, build_engines, load_engine, response
+from cosim.engine import build_engines, library, load_engine, response
 from cosim.engine.fmu import container
 from cosim.engine.qualify import check, trial
 from cosim.identify.sweep import Identification, identify_axis
@@ -295,7 +295,7 @@ IDENTIFICATION = "docs/identification.md"
 
 def delay(name: str) -> int:
     """Samples of transport delay that an engine of the library states."""
-    variables = build.read_engine(data_folder("engines") / name).variables
+    variables = library.read_engine(data_folder("engines") / name).variables
     return int(next(v.start for v in variables if v.name == "delay_samples") or 0)
 
 
@@ -533,7 +533,7 @@ QUADROTOR = "aircraft/quadrotor/README.md"
 
 def test_the_quadrotors_numbers_are_its_files() -> None:
     vehicle, _ = load_vehicle("quadrotor")
-    motor = {v.name: v.start or 0.0 for v in build.read_engine(data_folder("engines") / "motor").variables}
+    motor = {v.name: v.start or 0.0 for v in library.read_engine(data_folder("engines") / "motor").variables}
     thrust = motor["newton_per_unit"] * motor["gain"] / (1.0 - motor["pole"])
     position = vehicle.control.position
     assert position is not None
@@ -628,12 +628,12 @@ def engine(name: str, folder: Path) -> Iterator[Driven]:
 
 
 def parameters(name: str) -> dict[str, float]:
-    variables = build.read_engine(data_folder("engines") / name).variables
+    variables = library.read_engine(data_folder("engines") / name).variables
     return {v.name: v.start for v in variables if v.causality == "parameter" and v.start is not None}
 
 
 def step_of(name: str) -> float:
-    return float(build.read_engine(data_folder("engines") / name).internal_step)
+    return float(library.read_engine(data_folder("engines") / name).internal_step)
 
 
 def rise(thrust: Array) -> float:

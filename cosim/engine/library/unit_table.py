@@ -3,7 +3,7 @@
 Imports nothing, because the package's own build loads it by its path.
 """
 
-BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # FMI's base units, in its order
+BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # FMI's base units, in its order
 # Exponents of the base units, and a factor where it is not 1, as FMI wants them stated.
 UNITS: dict[str, dict[str, float]] = {
     "1": {},
