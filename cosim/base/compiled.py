@@ -36,7 +36,7 @@ MODULES = (
     "control/altitude.py",
     "control/attitude.py",
     "control/bumpless.py",
-    "control/phases/catch.py",
+    "control/phases/recovery.py",
     "control/phases/hinged.py",
     "control/phases/law.py",
     "control/phases/shut_opposite.py",

@@ -17,28 +17,28 @@ class SurfaceHover(FlightLaw):
         super().__init__(loops)
         self._allocator = allocator
 
-    def update(self, step: Demand) -> Actuation:
+    def update(self, demand: Demand) -> Actuation:
         """As :meth:`FlightLaw.update`, with the pressure of the speed over the ground."""
-        self._allocator.pressure = dynamic_pressure(step.measured)
-        return super().update(step)
+        self._allocator.pressure = dynamic_pressure(demand.measured)
+        return super().update(demand)
 
 
 class HingedLean(FlightLaw):
-    """Hover without an engine on hinges that carry engines: it leans against what they push aside.
+    """Hover without an engine on hinges that carry engines: it leans against their push to the side.
 
-    The allocator's pressure is left alone: :meth:`HingedCatch.allocate` takes it for zero while an engine is out.
+    The allocator's pressure stays as it is: :meth:`HingedCatch.allocate` assumes zero while an engine is lost.
     """
 
     def __init__(self, loops: Loops, allocator: HingedCatch) -> None:
         super().__init__(loops)
         self._allocator = allocator
 
-    def wants(self, step: Demand) -> bool:
-        return self._allocator.leans and self.loops.own_attitude is None
+    def wants(self, demand: Demand) -> bool:
+        return self._allocator.leans and self.loops.custom_attitude is None
 
-    def steer(self, step: Demand) -> Vector3:
+    def steer(self, demand: Demand) -> Vector3:
         """Return rates to the thrust's direction first; the heading only stops turning."""
-        return self.loops.attitude.thrust_first(step.command, step.measured, self._allocator.lean)
+        return self.loops.attitude.thrust_first(demand.command, demand.measured, self._allocator.lean)
 
-    def look(self, monitor: EngineMonitor) -> None:
+    def observe(self, monitor: EngineMonitor) -> None:
         self._allocator.look(monitor.reported)

@@ -1,4 +1,4 @@
-"""What a law for one phase of a flight is, and what all of them share."""
+"""The laws for the phases of a flight: their base class, the loops that they share, and their selection."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from cosim.control.predictors.smith import DelayLine
 from cosim.control.rate import RateController
 from cosim.control.schedule import Scheduled
 
-NOTHING_LEFT = Unallocated(0.0, 0.0, 0.0, 0.0)
+FULLY_ALLOCATED = Unallocated(0.0, 0.0, 0.0, 0.0)
 
 
-class OwnRate(Protocol):
-    """A rate loop of the user's in place of ours."""
+class CustomRate(Protocol):
+    """A user's rate loop, in place of the built-in one."""
 
     predicted: Vector3
 
@@ -40,8 +40,8 @@ class OwnRate(Protocol):
     def tell(self, added: Vector3) -> None: ...
 
 
-class OwnAttitude(Protocol):
-    """An attitude loop of the user's in place of ours."""
+class CustomAttitude(Protocol):
+    """A user's attitude loop, in place of the built-in one."""
 
     def reset(self) -> None: ...
 
@@ -49,26 +49,26 @@ class OwnAttitude(Protocol):
 
 
 class Demand:
-    """One step: what is asked for, what the loops and a law make of it, and what allocation left of that.
+    """What one step demands: the command, the outputs of loops and law, and the allocation residual.
 
-    ``torque``, ``collective`` and ``given`` of it, per engine, are what is shown of the step; ``unallocated`` is what
-    the loops learn in the next one.
+    ``torque``, ``collective`` and ``allocated``, the part of it per engine that was allocated, go into the log;
+    ``unallocated`` is what the loops learn in the next step.
     """
 
     def __init__(self) -> None:
         self.command = Command(ZERO3, 0.0)
         self.measured = Measured(ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, 0.0)
         self.injected = Disturbance()
-        self.idle = False  # the engines idle or are off
+        self.is_idle = False  # the engines idle or are off
         self.burnt = 0.0  # kg of fuel
         self.rate_setpoint = UNKNOWN3
         self.torque = ZERO3
-        self.collective = self.given = 0.0
-        self.unallocated = NOTHING_LEFT
+        self.collective = self.allocated = 0.0
+        self.unallocated = FULLY_ALLOCATED
 
     @property
     def upright(self) -> float:
-        """Cosine of the lean, but for what the height loop does not make up for."""
+        """Cosine of the lean, no less than the height loop makes up for."""
         _, x, y, _ = self.measured.attitude
         return max(LEAST_UPRIGHT, 1.0 - 2.0 * (x * x + y * y))
 
@@ -76,8 +76,7 @@ class Demand:
 class Loops:
     """The loops and the allocation that the laws share.
 
-    ``added_delay``: of the roll command, steps.  ``own_attitude`` and ``own_rate`` fly in place of the loop that they
-    are named after.
+    ``added_delay``: of the roll command, steps.  ``custom_attitude`` and ``custom_rate`` replace the loop of that name.
     """
 
     def __init__(
@@ -87,45 +86,45 @@ class Loops:
         altitude: AltitudeController,
         allocator: Allocator,
         added_delay: int = 0,
-        own_attitude: OwnAttitude | None = None,
-        own_rate: OwnRate | None = None,
+        custom_attitude: CustomAttitude | None = None,
+        custom_rate: CustomRate | None = None,
     ) -> None:
         self.attitude, self.rate, self.altitude = attitude, rate, altitude
         self.allocator: TiltAllocator | Allocator = allocator
-        self.own_attitude, self.own_rate = own_attitude, own_rate
+        self.custom_attitude, self.custom_rate = custom_attitude, custom_rate
         self._added_delay = DelayLine(added_delay)
 
     def reset(self) -> None:
-        """Nothing is remembered."""
+        """Forget the flight before."""
         self.attitude.reset()
         self.altitude.reset()
         self.rate.reset()
         self._added_delay.reset()
-        if self.own_attitude is not None:
-            self.own_attitude.reset()
-        if self.own_rate is not None:
-            self.own_rate.reset()
+        if self.custom_attitude is not None:
+            self.custom_attitude.reset()
+        if self.custom_rate is not None:
+            self.custom_rate.reset()
 
     def steer(self, command: Command, measured: Measured) -> Vector3:
-        """Return the body rates [rad/s] that lead to the attitude asked for."""
-        own = self.own_attitude
-        if own is None or command.rate is not None:
+        """Return the body rates [rad/s] that lead to the commanded attitude."""
+        custom = self.custom_attitude
+        if custom is None or command.rate is not None:
             return self.attitude.update(command, measured)
-        return own.update(command, measured)
+        return custom.update(command, measured)
 
-    def ask(self, step: Demand) -> None:
-        """Put into the step the torque and the collective that lead to its set-points."""
-        rate, unallocated = step.measured.rate, step.unallocated
-        if self.own_rate is None:
-            step.torque = self.rate.update(step.rate_setpoint, rate, unallocated)
+    def update(self, demand: Demand) -> None:
+        """Store the torque and the collective that lead to the set-points."""
+        rate, unallocated = demand.measured.rate, demand.unallocated
+        if self.custom_rate is None:
+            demand.torque = self.rate.update(demand.rate_setpoint, rate, unallocated)
         else:
-            step.torque = self.own_rate.update(step.rate_setpoint, rate, unallocated)
-        step.collective = self.altitude.update(step.command, step.measured, unallocated, step.burnt)
+            demand.torque = self.custom_rate.update(demand.rate_setpoint, rate, unallocated)
+        demand.collective = self.altitude.update(demand.command, demand.measured, unallocated, demand.burnt)
 
     @property
     def predicted(self) -> Vector3:
-        """The body rates that the rate loop was fed with, rad/s."""
-        return self.rate.predicted if self.own_rate is None else self.own_rate.predicted
+        """The body rates [rad/s] that the rate loop was fed with."""
+        return self.rate.predicted if self.custom_rate is None else self.custom_rate.predicted
 
     def inject(self, torque: Vector3, injected: Disturbance) -> Vector3:
         """Return the rate loop's output with what is added to it there, roll after the added delay; once a step."""
@@ -134,8 +133,8 @@ class Loops:
         if added != ZERO3:
             roll, pitch, yaw = roll + added[0], pitch + added[1], yaw + added[2]
         if injected.torque_seen != ZERO3:
-            if self.own_rate is not None:
-                self.own_rate.tell(injected.torque_seen)
+            if self.custom_rate is not None:
+                self.custom_rate.tell(injected.torque_seen)
             else:
                 self.rate.tell(injected.torque_seen)
         return (self._added_delay.update(roll), pitch, yaw)
@@ -149,7 +148,7 @@ class Loops:
 
 
 class FlightLaw:
-    """The law of one phase; as it stands that of hover, which flies where no other wants to."""
+    """The law of one phase; this base class is the law of hover, which flies where no other law wants to."""
 
     def __init__(self, loops: Loops) -> None:
         self.loops = loops
@@ -158,42 +157,42 @@ class FlightLaw:
         """Begin a flight."""
 
     def idle(self) -> None:
-        """Give up what was under way: the engines idle or are off."""
+        """Give up the manoeuvre: the engines idle or are off."""
 
     def leave(self) -> None:
         """Hand over: another law flies from this step on."""
 
-    def wants(self, step: Demand) -> bool:
-        """Return whether it is to fly this step; asked for in the order of the laws, up to the first that does."""
+    def wants(self, demand: Demand) -> bool:
+        """Return whether the law is to fly this step; laws are asked in their order, up to the first that does."""
         return True
 
-    def steer(self, step: Demand) -> Vector3:
-        """Return the body rates [rad/s] that are asked for; shown of engines that idle too."""
-        return self.loops.steer(step.command, step.measured)
+    def steer(self, demand: Demand) -> Vector3:
+        """Return the body rates [rad/s] to ask for; called while the engines idle too, for the log."""
+        return self.loops.steer(demand.command, demand.measured)
 
-    def update(self, step: Demand) -> Actuation:
-        """Return shares of thrust and angles, and put into the step what became of torque and collective.
+    def update(self, demand: Demand) -> Actuation:
+        """Return thrust fractions and angles, and store in the demand what was allocated of torque and collective.
 
-        The loops fly on under every law, and learn by ``unallocated`` what it did not give of theirs: so none finds
-        them wound up when it hands over.
+        The loops run under every law, and learn from ``unallocated`` which part of their outputs it did not use, so
+        that they are not wound up when it hands over.
         """
-        injected = step.injected
-        torque = self.loops.inject(step.torque, injected)
-        given = self.loops.allocator.allocate(step.collective, torque, injected.torque_command)
-        step.unallocated = given.unallocated
-        step.given = step.collective - given.unallocated.collective
-        return given
+        injected = demand.injected
+        torque = self.loops.inject(demand.torque, injected)
+        actuation = self.loops.allocator.allocate(demand.collective, torque, injected.torque_command)
+        demand.unallocated = actuation.unallocated
+        demand.allocated = demand.collective - actuation.unallocated.collective
+        return actuation
 
-    def lose(self, monitor: EngineMonitor, burnt: float) -> frozenset[int]:
-        """Return the jets, from 0, that are to be shut off with an engine that the monitor newly takes for ill."""
+    def handle_loss(self, monitor: EngineMonitor, burnt: float) -> frozenset[int]:
+        """Return the jets, from 0, to shut off because of an engine that the monitor has just found failed."""
         return NO_JETS
 
-    def look(self, monitor: EngineMonitor) -> None:
-        """Take what the engines reported at the end of a step."""
+    def observe(self, monitor: EngineMonitor) -> None:
+        """Take the engines' reports at the end of a step."""
 
 
 class Selector:
-    """Which law flies."""
+    """Selects the law that flies."""
 
     def __init__(self, laws: Sequence[FlightLaw]) -> None:
         self.laws = list(laws)
@@ -206,11 +205,11 @@ class Selector:
             law.idle()
             law.reset()
 
-    def select(self, step: Demand) -> FlightLaw:
+    def select(self, demand: Demand) -> FlightLaw:
         """Return the first law that wants to fly the step; the one that flew until now leaves where it is another."""
         chosen = self.laws[-1]
         for law in self.laws:
-            if law.wants(step):
+            if law.wants(demand):
                 chosen = law
                 break
         if chosen is not self._flying:
@@ -219,6 +218,6 @@ class Selector:
         return chosen
 
     def idle(self) -> None:
-        """Give up what was under way in every law: the engines idle or are off."""
+        """Give up the manoeuvre of every law: the engines idle or are off."""
         for law in self.laws:
             law.idle()

@@ -11,8 +11,8 @@ is to have, and the rates p and q, follow
 
 and each part that ``a`` does not reach is soon one that it does.  Linear about ``d = (0, 0, 1)`` that is controllable
 with one input for any spin but none.  State feedback is the optimal one along the spin-up, from the Riccati recursion
-run backwards from the last spin to none; it is kept by spin.  What the rotors report and what they were told is
-carried on over their delay by the equations above, with ``M' = (M_c - M) / tau``; feedback acts on what comes out.
+run backwards from the last spin to none; it is tabulated by spin.  The reports of the rotors and their commands are
+predicted over their delay by the equations above, with ``M' = (M_c - M) / tau``; feedback acts on the prediction.
 
 M. W. Mueller and R. D'Andrea, Stability and control of a quadrocopter despite the complete loss of one, two, or three
 propellers, ICRA 2014, have the equilibria and the feedback at one spin.
@@ -49,9 +49,9 @@ Gains = tuple[tuple[float, ...], ...]
 
 
 class ReducedAttitude:
-    """Thrusts of four rotors of which one is lost; see the module's text.
+    """Control of four rotors of which one is lost; see the module's text.
 
-    ``lag`` and ``delay`` of the rotors [s]; ``added``: steps by which every command is held back.  Raises InputError
+    ``lag`` and ``delay`` of the rotors [s]; ``added_delay``: of every command, steps.  Raises InputError
     where the vehicle has not four rotors in opposite pairs, each pair turning the frame its own way.
     """
 
@@ -63,12 +63,12 @@ class ReducedAttitude:
         lag: float,
         delay: float,
         step: float,
-        added: int = 0,
+        added_delay: int = 0,
     ) -> None:
         jets = vehicle.jets
-        left = [jet.reaction_m > 0.0 for jet in jets]
-        paired = all(left[i] == left[o] and jets[i].reaction_m for i, o in enumerate(opposites))
-        if len(jets) != 4 or not paired or sum(left) != 2:
+        turns_left = [jet.reaction_m > 0.0 for jet in jets]
+        is_paired = all(turns_left[i] == turns_left[o] and jets[i].reaction_m for i, o in enumerate(opposites))
+        if len(jets) != 4 or not is_paired or sum(turns_left) != 2:
             raise InputError(f"{vehicle.name}: control.monitor.catch: not four rotors in pairs that turn alike")
         if not vehicle.aero.damping_n_m_s[2] > 0.0:
             raise InputError(
@@ -78,101 +78,105 @@ class ReducedAttitude:
         self._opposites, self._map, self._step = tuple(opposites), thrust_map, step
         self._least = thrust_map.low + thrust_map.span * limits.throttle_min
         self._most = thrust_map.low + thrust_map.span * limits.throttle_max
-        self._places = [jet.position_m[:2] for jet in jets]
+        self._positions = [jet.position_m[:2] for jet in jets]
         self._reactions = [jet.reaction_m for jet in jets]
         self._inertia, self._damping = vehicle.inertia_kg_m2[:3], vehicle.aero.damping_n_m_s
         lag = max(lag, step)
-        self._share = 1.0 - exp(-step / lag)
-        self._added, self._delay = added, round(delay / step) + added
+        self._lag_weight = 1.0 - exp(-step / lag)
+        self._added_delay, self._delay = added_delay, round(delay / step) + added_delay
         self._signs = [
             (copysign(1.0, -jet.position_m[1]), copysign(1.0, jet.position_m[0]), copysign(1.0, jet.reaction_m))
             for jet in jets
         ]
-        # the last spin, and what the rotor across gives there
-        self._spin, self._across = self._equilibrium(vehicle.mass_kg * GRAVITY, radians(vehicle.limits.rate_deg_s))
-        self._gains = [self._designed(jet, lag) for jet in range(4)]
-        self.flies = False
+        # the final spin [rad/s], and the thrust [N] of the opposite rotor there
+        weight, limit = vehicle.mass_kg * GRAVITY, radians(vehicle.limits.rate_deg_s)
+        self._spin, self._opposite_thrust = self._equilibrium(weight, limit)
+        self._gains = [self._feedback_for(jet, lag) for jet in range(4)]
+        self.is_flying = False
 
     def _equilibrium(self, weight: float, limit: float) -> tuple[float, float]:
         """Return the final spin [rad/s], and the thrust of the rotor across that keeps it there [N]."""
         lever, damping = abs(self._reactions[0]), self._damping[2]
-        across = max(self._least, 0.5 * (weight - damping * _MOST_SPIN * limit / lever))
-        return lever * (weight - 2.0 * across) / damping, across
+        opposite = max(self._least, 0.5 * (weight - damping * _MOST_SPIN * limit / lever))
+        return lever * (weight - 2.0 * opposite) / damping, opposite
 
-    def _designed(self, lost: int, lag: float) -> Gains:
-        pair = next(i for i in range(4) if i not in (lost, self._opposites[lost]))
-        x, y = self._places[pair]
+    def _feedback_for(self, failed: int, lag: float) -> Gains:
+        pair = next(i for i in range(4) if i not in (failed, self._opposites[failed]))
+        x, y = self._positions[pair]
         arm = hypot(x, y)
         sense = 1.0 if self._reactions[pair] > 0.0 else -1.0
-        return designed((-y / arm, x / arm), sense * self._spin, self._inertia, self._damping, lag)
+        return feedback_gains((-y / arm, x / arm), sense * self._spin, self._inertia, self._damping, lag)
 
-    def begin(self, lost: int, thrust: PerJet, asked: Sequence[PerJet]) -> None:
-        """Rotor ``lost``, from 0, is gone; what all report, and what they were asked for, oldest first [N]."""
-        across = self._opposites[lost]
-        one, other = [i for i in range(4) if i not in (lost, across)]
-        self._jets = (lost, across, one, other)
+    def begin(self, failed: int, thrust: PerJet, commands: Sequence[PerJet]) -> None:
+        """Begin without rotor ``failed``, from 0; ``thrust`` as reported and ``commands``, oldest first [N]."""
+        opposite = self._opposites[failed]
+        one, other = [i for i in range(4) if i not in (failed, opposite)]
+        self._jets = (failed, opposite, one, other)
         self._thrust = thrust
-        late = self._delay - self._added
-        self._asked = [*asked[max(0, len(asked) - late) :], *[asked[-1]] * self._added]
-        self.flies = True
+        delay = self._delay - self._added_delay
+        self._commands = [*commands[max(0, len(commands) - delay) :], *[commands[-1]] * self._added_delay]
+        self.is_flying = True
 
     def end(self) -> None:
         """End the flight with a spin: the rotors idle or are off."""
-        self.flies = False
+        self.is_flying = False
 
-    def look(self, thrust: PerJet) -> None:
-        """Take what the rotors report at the end of a step [N]."""
+    def observe(self, thrust: PerJet) -> None:
+        """Take the thrusts [N] that the rotors report at the end of a step."""
         self._thrust = thrust
 
-    def update(self, wanted: Vector3, rate: Vector3, total: float, disturbed: Vector3 = ZERO3) -> tuple[PerJet, float]:
-        """Shares of all rotors, and the thrust that they ask for together [N] in place of ``total``.
+    def update(
+        self, direction: Vector3, rate: Vector3, total: float, added_torque: Vector3 = ZERO3
+    ) -> tuple[PerJet, float]:
+        """Return the thrust fractions of all rotors, and their commanded total [N] in place of ``total``.
 
-        ``wanted``: the direction that the body's z axis is to have, in body axes; ``rate`` [rad/s]; ``disturbed``:
-        added to roll, pitch and yaw in throttle, unknown to the law.
+        ``direction``: set-point of the body's z axis, in body axes; ``rate`` [rad/s]; ``added_torque``: a disturbance
+        of roll, pitch and yaw in throttle, unknown to the law.
         """
-        lost, across, one, other = self._jets
-        ahead, rate, moment = self._ahead(wanted, rate)
-        state = (rate[0], rate[1], ahead[0], ahead[1], moment)
-        gain = self._gains[lost]
-        place = min(abs(rate[2]) / _GRID, len(gain) - 1.001)
-        index = int(place)
-        part = place - index
+        failed, opposite, one, other = self._jets
+        predicted_direction, rate, moment = self._predict(direction, rate)
+        state = (rate[0], rate[1], predicted_direction[0], predicted_direction[1], moment)
+        gain = self._gains[failed]
+        position = min(abs(rate[2]) / _GRID, len(gain) - 1.001)
+        index = int(position)
+        part = position - index
         command = 0.0
         for low, high, value in zip(gain[index], gain[index + 1], state, strict=True):
             command -= (low + part * (high - low)) * value
-        arm = hypot(*self._places[one])
+        arm = hypot(*self._positions[one])
         least, most = self._least, self._most
         turning = min(1.0, abs(rate[2]) / self._spin)
-        push = max(least, self._across * turning * turning)
+        opposite_thrust = max(least, self._opposite_thrust * turning * turning)
         half = max(-0.5 * (most - least), min(0.5 * (most - least), command / (2.0 * arm)))
         size = abs(half)
-        mean = max(least + size, min(most - size, 0.5 * (total - push)))
-        asked = [0.0] * 4
-        asked[lost], asked[across], asked[one], asked[other] = least, push, mean + half, mean - half
-        self._asked.append(tuple(asked))
-        told = list(self._asked[-1 - self._added])
-        if len(self._asked) > self._delay:
-            del self._asked[0]
-        given = told[across] + told[one] + told[other]
-        if disturbed != ZERO3:
+        mean = max(least + size, min(most - size, 0.5 * (total - opposite_thrust)))
+        commands = [0.0] * 4
+        commands[failed], commands[opposite] = least, opposite_thrust
+        commands[one], commands[other] = mean + half, mean - half
+        self._commands.append(tuple(commands))
+        delayed = list(self._commands[-1 - self._added_delay])
+        if len(self._commands) > self._delay:
+            del self._commands[0]
+        allocated = delayed[opposite] + delayed[one] + delayed[other]
+        if added_torque != ZERO3:
             for i, signs in enumerate(self._signs):
-                for sign, value in zip(signs, disturbed, strict=True):
-                    told[i] += self._map.span * sign * value
-                told[i] = max(least, min(most, told[i]))
-        return tuple([self._map.share(thrust) for thrust in told]), given
+                for sign, value in zip(signs, added_torque, strict=True):
+                    delayed[i] += self._map.span * sign * value
+                delayed[i] = max(least, min(most, delayed[i]))
+        return tuple([self._map.share(thrust) for thrust in delayed]), allocated
 
-    def _ahead(self, wanted: Vector3, rate: Vector3) -> tuple[Vector3, Vector3, float]:
-        """Direction, rates and the pair's moment when what is asked for now arrives."""
+    def _predict(self, direction: Vector3, rate: Vector3) -> tuple[Vector3, Vector3, float]:
+        """Return direction, rates and the pair's moment at the time when a command of now arrives."""
         step, (jx, jy, jz), (cx, cy, cz) = self._step, self._inertia, self._damping
-        (x, y, z), (p, q, r), thrust = wanted, rate, list(self._thrust)
-        lost = self._jets[0]
-        for asked in self._asked:
+        (x, y, z), (p, q, r), thrust = direction, rate, list(self._thrust)
+        failed = self._jets[0]
+        for command in self._commands:
             mx = my = mz = 0.0
-            for i, (px, py) in enumerate(self._places):
+            for i, (px, py) in enumerate(self._positions):
                 mx -= py * thrust[i]
                 my += px * thrust[i]
                 mz += self._reactions[i] * thrust[i]
-                thrust[i] += self._share * ((0.0 if i == lost else asked[i]) - thrust[i])
+                thrust[i] += self._lag_weight * ((0.0 if i == failed else command[i]) - thrust[i])
             x, y, z = x + step * (r * y - q * z), y + step * (p * z - r * x), z + step * (q * x - p * y)
             p, q, r = (
                 p + step * (mx - cx * p - (jz - jy) * q * r) / jx,
@@ -180,11 +184,13 @@ class ReducedAttitude:
                 r + step * (mz - cz * r) / jz,
             )
         _, _, one, other = self._jets
-        return (x, y, z), (p, q, r), hypot(*self._places[one]) * (thrust[one] - thrust[other])
+        return (x, y, z), (p, q, r), hypot(*self._positions[one]) * (thrust[one] - thrust[other])
 
 
-def linear(axis: tuple[float, float], spin: float, inertia: Vector3, damping: Vector3, lag: float) -> tuple[Any, Any]:
-    """``x' = A x + B u`` of p, q, d_x, d_y and the moment about ``axis``, at a constant spin [rad/s]."""
+def linear_model(
+    axis: tuple[float, float], spin: float, inertia: Vector3, damping: Vector3, lag: float
+) -> tuple[Any, Any]:
+    """Return A, B of ``x' = A x + B u`` for p, q, d_x, d_y and the moment about ``axis``, at a spin [rad/s]."""
     import numpy as np
 
     (jx, jy, jz), (cx, cy, _), (ax, ay), r = inertia, damping, axis, spin
@@ -201,8 +207,8 @@ def linear(axis: tuple[float, float], spin: float, inertia: Vector3, damping: Ve
 
 
 @cache
-def designed(axis: tuple[float, float], last: float, inertia: Vector3, damping: Vector3, lag: float) -> Gains:
-    """Feedback by spin, every ``_GRID`` from none to the ``last`` one, signed [rad/s]; see the module's text."""
+def feedback_gains(axis: tuple[float, float], last: float, inertia: Vector3, damping: Vector3, lag: float) -> Gains:
+    """Return the feedback gains by spin, every ``_GRID`` from none to the ``last`` one, signed [rad/s]."""
     import numpy as np
 
     q = np.diag([_RATE_WEIGHT**2, _RATE_WEIGHT**2, 1.0, 1.0, 0.0]) * _STEP
@@ -214,7 +220,7 @@ def designed(axis: tuple[float, float], last: float, inertia: Vector3, damping: 
     gains: list[NDArray[Any]] = []
     for k in range(2 * count, 0, -1):
         spin = last if k > count else last * (1.0 - np.exp(-(k - 1) * _STEP / lasting))
-        a, b = _discretise(*linear(axis, spin, inertia, damping, lag))
+        a, b = _discretise(*linear_model(axis, spin, inertia, damping, lag))
         row = b @ cost
         gain = (row @ a) / (weight + row @ b)
         cost = q + a.T @ cost @ (a - np.outer(b, gain))
@@ -230,10 +236,10 @@ def _discretise(a: NDArray[Any], b: NDArray[Any]) -> tuple[NDArray[Any], NDArray
     """Return a system over a step with the input held: the exponential series to the fifth power."""
     import numpy as np
 
-    whole = np.zeros((6, 6))
-    whole[:5, :5], whole[:5, 5] = a * _STEP, b * _STEP
-    term = answer = np.eye(6)
+    system = np.zeros((6, 6))
+    system[:5, :5], system[:5, 5] = a * _STEP, b * _STEP
+    term = transition = np.eye(6)
     for n in range(1, 6):
-        term = term @ whole / n
-        answer = answer + term
-    return answer[:5, :5], answer[:5, 5]
+        term = term @ system / n
+        transition = transition + term
+    return transition[:5, :5], transition[:5, 5]

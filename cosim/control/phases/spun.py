@@ -10,7 +10,7 @@ from cosim.control.phases.reduced_attitude import ReducedAttitude
 
 
 class SpunFlight(FlightLaw):
-    """The direction of thrust and no heading, as soon as one rotor is lost; whoever asks for rates gets it upright."""
+    """Control of the thrust's direction, without a heading, once one rotor is lost; a commanded rate gives upright."""
 
     def __init__(self, loops: Loops, reduced: ReducedAttitude, thrust_map: ThrustMap, rotors: int) -> None:
         super().__init__(loops)
@@ -19,30 +19,30 @@ class SpunFlight(FlightLaw):
     def idle(self) -> None:
         self._reduced.end()
 
-    def wants(self, step: Demand) -> bool:
-        return self._reduced.flies
+    def wants(self, demand: Demand) -> bool:
+        return self._reduced.is_flying
 
-    def update(self, step: Demand) -> Actuation:
-        """As :meth:`FlightLaw.update`; the loops learn that nothing of their torque was given."""
-        loops, every, thrust_map, command = self.loops, self._rotors, self._map, step.command
+    def update(self, demand: Demand) -> Actuation:
+        """As :meth:`FlightLaw.update`; the loops learn that none of their torque was used."""
+        loops, rotors, thrust_map, command = self.loops, self._rotors, self._map, demand.command
         upright = command if command.rate is None else command._replace(attitude=ZERO3)
-        total = every * (thrust_map.low + thrust_map.span * step.collective)
-        (roll, pitch, yaw), unknown = loops.inject(ZERO3, step.injected), step.injected.torque_command
-        added = (roll + unknown[0], pitch + unknown[1], yaw + unknown[2])
-        wanted = loops.attitude.direction(upright, step.measured)
-        throttle, thrust = self._reduced.update(wanted, step.measured.rate, total, added)
-        step.given = (thrust / every - thrust_map.low) / thrust_map.span
-        torque, step.torque = step.torque, ZERO3
-        step.unallocated = Unallocated(torque[0], torque[1], torque[2], step.collective - step.given)
-        return Actuation(throttle, loops.allocator.rest, step.unallocated, NO_JETS)
+        total = rotors * (thrust_map.low + thrust_map.span * demand.collective)
+        (roll, pitch, yaw), disturbance = loops.inject(ZERO3, demand.injected), demand.injected.torque_command
+        added_torque = (roll + disturbance[0], pitch + disturbance[1], yaw + disturbance[2])
+        direction = loops.attitude.direction(upright, demand.measured)
+        throttle, thrust = self._reduced.update(direction, demand.measured.rate, total, added_torque)
+        demand.allocated = (thrust / rotors - thrust_map.low) / thrust_map.span
+        torque, demand.torque = demand.torque, ZERO3
+        demand.unallocated = Unallocated(torque[0], torque[1], torque[2], demand.collective - demand.allocated)
+        return Actuation(throttle, loops.allocator.rest, demand.unallocated, NO_JETS)
 
-    def lose(self, monitor: EngineMonitor, burnt: float) -> frozenset[int]:
+    def handle_loss(self, monitor: EngineMonitor, burnt: float) -> frozenset[int]:
         """Begin with the first rotor that is lost."""
-        lost = [i for i, health in enumerate(monitor.health) if health == JetHealth(0.0)]
-        if len(lost) == 1 and not self._reduced.flies:
-            self._reduced.begin(lost[0], monitor.reported, monitor.asked)
+        failed = [i for i, health in enumerate(monitor.health) if health == JetHealth(0.0)]
+        if len(failed) == 1 and not self._reduced.is_flying:
+            self._reduced.begin(failed[0], monitor.reported, monitor.asked)
         return NO_JETS
 
-    def look(self, monitor: EngineMonitor) -> None:
-        if self._reduced.flies:
-            self._reduced.look(monitor.reported)
+    def observe(self, monitor: EngineMonitor) -> None:
+        if self._reduced.is_flying:
+            self._reduced.observe(monitor.reported)

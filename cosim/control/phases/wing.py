@@ -40,17 +40,17 @@ from cosim.spec.vehicle import WingControl
 
 # kg/m^3, at sea level in the standard atmosphere (ISO 2533): what is known of the air without a sensor for it
 DENSITY: Final = 1.225
-AHEAD_M_S: Final = 2.0  # no further from the speed its set-point goes, which limits would leave behind; chosen by us
-SLACK: Final = 0.005  # rad: nearer to the least angle of attack the wing is at its end
+MOST_LEAD_M_S: Final = 2.0  # most difference of set-point and speed: at a limit it would run away; chosen by us
+ALPHA_MARGIN: Final = 0.005  # rad, above the least angle of attack, where the wing can lift no less
 LEAST_PRESSURE: Final = 1e-3  # Pa: less than this carries nothing
-# of the most angle of attack: no further does the nose lead; chosen by us, by flights in wind from behind: where lift
-# is missing the height loop asks for more for good, which bends no path, and the nose would go up until the wing stalls
-LEADING: Final = 0.25
-STEEPEST: Final = 0.35  # rad, of the path that pitch follows; chosen by us, well beyond the climb of the height loop
+# Of the largest angle of attack, the most lead of the nose.  Chosen by us, by flights in wind from behind: where lift
+# is missing the height loop asks for more for good, which bends no path, and the nose would rise until the wing stalls.
+MOST_LEAD: Final = 0.25
+STEEPEST_RAD: Final = 0.35  # of the path that pitch follows; chosen by us, well beyond the climb of the height loop
 
 
 def dynamic_pressure(measured: Measured) -> float:
-    """Return Pa, of the speed ahead over the ground in still air of standard density; 0 backwards."""
+    """Return the dynamic pressure [Pa] of the speed ahead over the ground, in still standard air; 0 backwards."""
     ahead = rotate(conjugate(measured.attitude), measured.velocity)[0]
     return 0.5 * DENSITY * ahead * ahead if ahead > 0.0 else 0.0
 
@@ -64,28 +64,28 @@ class WingTable(NamedTuple):
     moment: tuple[float, ...]
 
     def at(self, alpha: float) -> tuple[float, float, float]:
-        """Linear between the rows, held beyond them."""
+        """Return lift, drag and moment at an angle of attack [rad]: linear between the rows, constant beyond them."""
         angles = self.alpha
         i = min(max(bisect_right(angles, alpha) - 1, 0), len(angles) - 2)
-        share = min(max((alpha - angles[i]) / (angles[i + 1] - angles[i]), 0.0), 1.0)
+        fraction = min(max((alpha - angles[i]) / (angles[i + 1] - angles[i]), 0.0), 1.0)
         return (
-            self.lift[i] + share * (self.lift[i + 1] - self.lift[i]),
-            self.drag[i] + share * (self.drag[i + 1] - self.drag[i]),
-            self.moment[i] + share * (self.moment[i + 1] - self.moment[i]),
+            self.lift[i] + fraction * (self.lift[i + 1] - self.lift[i]),
+            self.drag[i] + fraction * (self.drag[i + 1] - self.drag[i]),
+            self.moment[i] + fraction * (self.moment[i + 1] - self.moment[i]),
         )
 
-    def carrying(self, area: float) -> float:
+    def angle_for(self, area: float) -> float:
         """Return the angle of attack [rad] with this lift area [m^2], or the nearest; lift rises with the angle."""
         for i in range(len(self.alpha) - 1):
             low, high = self.lift[i], self.lift[i + 1]
             if area <= high:
-                share = 0.0 if area <= low else (area - low) / (high - low)
-                return self.alpha[i] + share * (self.alpha[i + 1] - self.alpha[i])
+                fraction = 0.0 if area <= low else (area - low) / (high - low)
+                return self.alpha[i] + fraction * (self.alpha[i + 1] - self.alpha[i])
         return self.alpha[-1]
 
 
 class WingDemand(NamedTuple):
-    """What jets, hinges and surfaces are to give: N along body x and up, N m about y."""
+    """The demand on jets, hinges and surfaces: N along body x and up, N m about y."""
 
     ahead: float
     lift: float
@@ -95,8 +95,8 @@ class WingDemand(NamedTuple):
 class WingFlight(FlightLaw):
     """Flight on the wing; see the module's text.
 
-    ``table`` is the model's; ``tilts``: the servos that turn thrust ahead, from 0; ``late``: by how much the attitude
-    follows its set-point late [s].
+    ``table``: of the wing's model; ``tilts``: the servos that turn thrust ahead, from 0; ``lag``: of the attitude
+    behind its set-point [s].
     """
 
     def __init__(
@@ -108,90 +108,90 @@ class WingFlight(FlightLaw):
         tilts: Sequence[int],
         mass: float,
         step: float,
-        late: float,
+        lag: float,
     ) -> None:
         super().__init__(loops)
         self._allocator = allocator
-        self._settings, self._table, self._mass, self._step, self._late = settings, table, mass, step, late
+        self._settings, self._table, self._mass, self._step, self._lag = settings, table, mass, step, lag
         self.tilts = list(tilts)
         self.reset()
 
     def reset(self) -> None:
-        """Nobody has asked for a speed yet."""
-        self.flies = False
+        """Start without a speed set-point."""
+        self.is_flying = False
         self._integral = 0.0
         self._setpoint = 0.0
         self._alpha = 0.0
         self._vertical = self._mass * GRAVITY
-        self._refused = self._pressure = 0.0
+        self._missing_ahead = self._pressure = 0.0
         self._speed = self._acceleration = self._path = self._lift = 0.0
 
     def leave(self) -> None:
-        self.flies = False
+        self.is_flying = False
         self._lift = 0.0
 
-    def wants(self, step: Demand) -> bool:
+    def wants(self, demand: Demand) -> bool:
         """Return whether a speed ahead is asked for, and neither rates nor a collective."""
-        command = step.command
-        return command.ahead is not None and command.rate is None and command.collective is None and not step.idle
+        command = demand.command
+        return command.ahead is not None and command.rate is None and command.collective is None and not demand.is_idle
 
-    def steer(self, step: Demand) -> Vector3:
-        """Return rates to the attitude that the wing needs for the speed."""
-        if step.command.ahead is not None:
-            step.command = self.attitude(step.command, step.command.ahead, step.measured)
-        return super().steer(step)
+    def steer(self, demand: Demand) -> Vector3:
+        """Return the body rates [rad/s] to the attitude that the wing needs for the speed."""
+        if demand.command.ahead is not None:
+            demand.command = self.attitude(demand.command, demand.command.ahead, demand.measured)
+        return super().steer(demand)
 
-    def update(self, step: Demand) -> Actuation:
+    def update(self, demand: Demand) -> Actuation:
         """As :meth:`FlightLaw.update`, forces along and up of which the wing carries its part."""
-        allocator, injected, measured = self._allocator, step.injected, step.measured
+        allocator, injected, measured = self._allocator, demand.injected, demand.measured
         if not allocator.surfaces:
-            return super().update(step)
+            return super().update(demand)
         allocator.pressure = dynamic_pressure(measured)
-        # of the height loop as a force up: it divides by how upright the thrust stands, which here is turned as wanted
-        demand = self.demand(allocator.force(step.collective) * step.upright, measured, step.burnt)
-        (roll, pitch, yaw), (a, b, c) = self.loops.inject(step.torque, injected), injected.torque_command
-        asked = (roll + a, pitch + b, yaw + c)
-        given, missing = allocator.ahead(demand.ahead, demand.lift, demand.pitch, asked, self.tilts)
-        step.unallocated = self.refused(missing, given.unallocated)
-        step.given = step.collective - given.unallocated.collective
-        return given
+        # The height loop's output as a force up: it divides by the cosine of the lean, but this law turns the thrust.
+        remainder = self.actuator_demand(allocator.force(demand.collective) * demand.upright, measured, demand.burnt)
+        (roll, pitch, yaw), (a, b, c) = self.loops.inject(demand.torque, injected), injected.torque_command
+        torque = (roll + a, pitch + b, yaw + c)
+        actuation, missing_ahead = allocator.ahead(remainder.ahead, remainder.lift, remainder.pitch, torque, self.tilts)
+        demand.unallocated = self.report_residual(missing_ahead, actuation.unallocated)
+        demand.allocated = demand.collective - actuation.unallocated.collective
+        return actuation
 
-    def attitude(self, command: Command, asked: float, measured: Measured) -> Command:
-        """Return the command with the attitude for a speed ahead of ``asked`` m/s; once a step, before the loops."""
+    def attitude(self, command: Command, speed_setpoint: float, measured: Measured) -> Command:
+        """Return the command with the attitude for a speed ahead [m/s]; called once a step, before the loops."""
         settings, step = self._settings, self._step
         _, _, yaw = to_euler(measured.attitude)
         north, east, down = measured.velocity
         speed = north * cos(yaw) + east * sin(yaw)
-        aside = east * cos(yaw) - north * sin(yaw)
-        if not self.flies:
-            self.flies, self._integral, self._setpoint, self._alpha = True, 0.0, speed, 0.0
-            self._refused = 0.0
-        before = self._setpoint
-        faster = asked * before >= 0.0 and abs(asked) > abs(before)
-        most = settings.acceleration_m_s2 if faster else settings.braking_m_s2
-        self._setpoint = speed + clamp(before + clamp(asked - before, most * step) - speed, AHEAD_M_S)
+        side_speed = east * cos(yaw) - north * sin(yaw)
+        if not self.is_flying:
+            self.is_flying, self._integral, self._setpoint, self._alpha = True, 0.0, speed, 0.0
+            self._missing_ahead = 0.0
+        previous = self._setpoint
+        speeds_up = speed_setpoint * previous >= 0.0 and abs(speed_setpoint) > abs(previous)
+        limit = settings.acceleration_m_s2 if speeds_up else settings.braking_m_s2
+        self._setpoint = speed + clamp(previous + clamp(speed_setpoint - previous, limit * step) - speed, MOST_LEAD_M_S)
         error = self._setpoint - speed
-        if self._refused * error <= 0.0:
+        if self._missing_ahead * error <= 0.0:
             integral = self._integral + settings.integral_1_s2 * step * error
             self._integral = clamp(integral, settings.integral_limit_m_s2)
-        planned = clamp((self._setpoint - before) / step, most)
-        self._acceleration = planned + settings.velocity_1_s * error + self._integral
+        acceleration = clamp((self._setpoint - previous) / step, limit)
+        self._acceleration = acceleration + settings.velocity_1_s * error + self._integral
         self._speed = speed
-        opened = clamp(max(speed, 0.0) / settings.open_m_s, 1.0)
+        opening = clamp(max(speed, 0.0) / settings.open_m_s, 1.0)
         self._pressure = 0.5 * DENSITY * speed * speed
-        alpha = opened * self._table.carrying(self._vertical / max(self._pressure, LEAST_PRESSURE))
+        alpha = opening * self._table.angle_for(self._vertical / max(self._pressure, LEAST_PRESSURE))
         self._alpha += step / (settings.alpha_filter_s + step) * (alpha - self._alpha)
-        self._path = path = opened * clamp(atan2(-down, max(speed, settings.open_m_s)), STEEPEST)
-        # what bends the path turns the nose as well, and the attitude follows late: what is lost of alpha till then
-        # would be lost of the lift, more than half of what the height loop asks for at 25 m/s
-        bend = opened * (self._vertical / self._mass - GRAVITY) / max(speed, settings.open_m_s)
-        path += clamp(self._late * bend, LEADING * settings.alpha_rad[1])
+        self._path = path = opening * clamp(atan2(-down, max(speed, settings.open_m_s)), STEEPEST_RAD)
+        # A path that bends has to turn the nose too, and the attitude follows late.  The alpha that is short until then
+        # would cost lift, at 25 m/s more than half of what the height loop asks for.
+        bend = opening * (self._vertical / self._mass - GRAVITY) / max(speed, settings.open_m_s)
+        path += clamp(self._lag * bend, MOST_LEAD * settings.alpha_rad[1])
         roll, pitch, heading = command.attitude
-        bank = clamp(settings.aside_1_s * aside / GRAVITY, settings.bank_rad)
+        bank = clamp(settings.aside_1_s * side_speed / GRAVITY, settings.bank_rad)
         return command._replace(attitude=(roll - bank, pitch + path + self._alpha, heading))
 
-    def demand(self, vertical: float, measured: Measured, burnt: float) -> WingDemand:
-        """Return what is left for jets, hinges and surfaces where ``vertical`` N are needed up."""
+    def actuator_demand(self, vertical: float, measured: Measured, burnt: float) -> WingDemand:
+        """Return what jets, hinges and surfaces have to give beside the wing where ``vertical`` N are needed up."""
         roll, pitch, _ = to_euler(measured.attitude)
         lift, drag, moment = (self._pressure * coefficient for coefficient in self._table.at(self._alpha))
         self._lift = lift
@@ -203,14 +203,16 @@ class WingFlight(FlightLaw):
         self._vertical = vertical - max(0.0, along) * s  # thrust along the body lifts where the nose is up
         return WingDemand(along, (up * c - ahead * s) / max(LEAST_UPRIGHT, cos(roll)), -moment)
 
-    def refused(self, ahead: float, others: Unallocated) -> Unallocated:
+    def report_residual(self, ahead: float, unallocated: Unallocated) -> Unallocated:
         """Return the allocation residual as the loops are to know it, and keep that of the force ahead [N].
 
         Jets that cannot push down are no limit of the height loop while the wing can still lift less.
         """
-        self._refused = ahead
+        self._missing_ahead = ahead
         least = self._settings.alpha_rad[0]
-        return others._replace(collective=0.0) if others.collective < 0.0 and self._alpha > least + SLACK else others
+        if unallocated.collective < 0.0 and self._alpha > least + ALPHA_MARGIN:
+            return unallocated._replace(collective=0.0)
+        return unallocated
 
     @property
     def columns(self) -> tuple[Column, ...]:

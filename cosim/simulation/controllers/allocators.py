@@ -13,7 +13,7 @@ from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
 from cosim.control.allocation.effectiveness import EffectivenessAllocator, Effectors, Mover
 from cosim.control.allocation.hinged_catch import HingedCatch, Late
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
-from cosim.control.phases.catch import Catch
+from cosim.control.phases.recovery import Recovery
 from cosim.engine import EngineSpec
 from cosim.simulation.controllers.models import map_thrust
 from cosim.simulation.engine_reference import engine_reference
@@ -32,7 +32,7 @@ def make_allocator(
     stations: Sequence[EngineSpec],
     thrust_map: ThrustMap,
     hover: float,
-    catch: Catch | None,
+    catch: Recovery | None,
 ) -> Allocator:
     """Return the allocator for what the vehicle has, or states."""
     limits = vehicle.control.allocation

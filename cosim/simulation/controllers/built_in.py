@@ -17,9 +17,9 @@ from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.cascade import Cascade
 from cosim.control.lead import Lead
-from cosim.control.phases.catch import Catch
 from cosim.control.phases.hinged import HingedLean, SurfaceHover
 from cosim.control.phases.law import FlightLaw, Loops
+from cosim.control.phases.recovery import Recovery
 from cosim.control.phases.reduced_attitude import ReducedAttitude
 from cosim.control.phases.shut_opposite import ShutOpposite
 from cosim.control.phases.spun import SpunFlight
@@ -99,7 +99,7 @@ def make_cascade(
 
 
 def _laws_of_a_loss(
-    loops: Loops, vehicle: Vehicle, thrust_map: ThrustMap, reduced: ReducedAttitude | None, catch: Catch | None
+    loops: Loops, vehicle: Vehicle, thrust_map: ThrustMap, reduced: ReducedAttitude | None, catch: Recovery | None
 ) -> list[FlightLaw]:
     """Return what flies without an engine, of vehicles whose allocation does not."""
     monitor = vehicle.control.monitor
@@ -152,7 +152,9 @@ def _reduced(
     return ReducedAttitude(vehicle, opposites(vehicle), thrust_map, lag, delay, scenario.step_s, added)
 
 
-def _catch(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap) -> Catch | None:
+def _catch(
+    scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap
+) -> Recovery | None:
     """Return the recovery that shuts off the opposite of a lost engine, with the engine the vehicle is made for.
 
     With that one its constants were chosen; slower ones stay longer at their limits, which it does not know.
@@ -170,7 +172,7 @@ def _catch(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec],
     if not isinstance(lead, EngineLead) or lead.damping is None:
         return None
     delay = max(engine_reference(spec, scenario.step_s).delay for spec in stations)
-    return Catch(vehicle, thrust_map, lead, delay, scenario.step_s)
+    return Recovery(vehicle, thrust_map, lead, delay, scenario.step_s)
 
 
 def opposites(vehicle: Vehicle) -> tuple[int, ...]:

@@ -140,7 +140,7 @@ class GuardedPredictor:
 
 
 class GuardedRate:
-    """A rate loop of the user's: see :class:`cosim.control.phases.law.OwnRate`."""
+    """A rate loop of the user's: see :class:`cosim.control.phases.law.CustomRate`."""
 
     def __init__(self, block: Any, named: Named) -> None:
         self._block, self._named = block, named
@@ -174,7 +174,7 @@ class GuardedRate:
 
 
 class GuardedAttitude:
-    """An attitude loop of the user's: see :class:`cosim.control.phases.law.OwnAttitude`."""
+    """An attitude loop of the user's: see :class:`cosim.control.phases.law.CustomAttitude`."""
 
     def __init__(self, block: Any, named: Named) -> None:
         self._block, self._named = block, named

@@ -17,7 +17,7 @@ from scipy.optimize import fsolve
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Command, Measured
-from cosim.control.phases.wing import LEADING, WingFlight, WingTable
+from cosim.control.phases.wing import MOST_LEAD, WingFlight, WingTable
 from cosim.flight import fly
 from cosim.simulation.build import build
 from cosim.simulation.step import Simulation
@@ -226,10 +226,10 @@ def test_the_law_counts_on_what_the_model_says() -> None:
 
 def test_the_angle_that_carries() -> None:
     table = WingTable((-0.1, 0.0, 0.2), (-0.1, 0.2, 1.2), (0.0,) * 3, (0.0,) * 3)
-    assert table.carrying(0.7) == pytest.approx(0.1)
-    assert table.carrying(-5.0) == -0.1
-    assert table.carrying(5.0) == 0.2
-    assert table.at(table.carrying(0.33))[0] == pytest.approx(0.33)
+    assert table.angle_for(0.7) == pytest.approx(0.1)
+    assert table.angle_for(-5.0) == -0.1
+    assert table.angle_for(5.0) == 0.2
+    assert table.at(table.angle_for(0.33))[0] == pytest.approx(0.33)
 
 
 def test_it_gains_speed_on_its_jets_at_one_height() -> None:
@@ -324,10 +324,10 @@ def test_the_nose_leads_no_further_than_stated_where_lift_is_missing() -> None:
         wing.reset()
         for _ in range(1000):
             asked = wing.attitude(Command(ZERO3, 60.0, ahead=15.0), 15.0, level)
-            wing.demand(vertical * weight, level, 0.0)
+            wing.actuator_demand(vertical * weight, level, 0.0)
         lead = asked.attitude[1] - wing.shown[2]
         late = 1.0 / VEHICLE.control.attitude.gain_1_s[1] + 1.0 / VEHICLE.control.rate.pitch.p
-        expected = LEADING * 0.14 if leads is None else late * leads * GRAVITY / 15.0
+        expected = MOST_LEAD * 0.14 if leads is None else late * leads * GRAVITY / 15.0
         assert lead == pytest.approx(expected, abs=1e-9)
     simulation.close()
 

@@ -61,13 +61,13 @@ def test_a_speed_ahead_is_for_the_wing_until_it_is_asked_for_no_more() -> None:
         step = asked(ahead=8.0)
         assert selector.select(step) is wing
         wing.steer(step)
-        assert wing.flies
+        assert wing.is_flying
         for other in (asked(), asked(ahead=8.0, rate=ZERO3), asked(ahead=8.0, collective=0.5)):
             assert selector.select(asked(ahead=8.0)) is wing
             wing.steer(asked(ahead=8.0))
             assert selector.select(other) is not wing
-            assert not wing.flies  # it has left
-        step.idle = True
+            assert not wing.is_flying  # it has left
+        step.is_idle = True
         assert selector.select(step) is not wing
 
 
@@ -76,10 +76,10 @@ def test_the_catch_waits_while_rates_are_asked_for_and_ends_with_idle_engines() 
         law, monitor, selector = law_of(cascade, ShutOpposite), cascade.monitor, Selector(cascade.selector.laws)
         assert monitor is not None
         monitor.give_up(0)
-        across = law.lose(monitor, 0.0)
+        across = law.handle_loss(monitor, 0.0)
         assert len(across) == 1
         assert [gain for jet, gain in enumerate(monitor.gains) if jet in across] == [0.0]
-        assert law.lose(monitor, 0.0) == NO_JETS  # of the second nobody shuts off another
+        assert law.handle_loss(monitor, 0.0) == NO_JETS  # of the second nobody shuts off another
         assert selector.select(asked()) is law
         assert selector.select(asked(rate=ZERO3)) is cascade.selector.laws[-1]
         assert selector.select(asked()) is law  # it goes on where it was
@@ -93,7 +93,7 @@ def test_a_quadrotor_spins_with_its_first_rotor_lost_until_its_engines_idle() ->
         assert monitor is not None
         assert selector.select(asked()) is cascade.selector.laws[-1]
         monitor.give_up(2)
-        assert law.lose(monitor, 0.0) == NO_JETS
+        assert law.handle_loss(monitor, 0.0) == NO_JETS
         assert selector.select(asked(rate=ZERO3)) is law
         selector.idle()
         assert selector.select(asked()) is cascade.selector.laws[-1]

@@ -14,7 +14,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Command, Measured
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
 from cosim.control.attitude import AttitudeController
-from cosim.control.phases.reduced_attitude import ReducedAttitude, designed, linear
+from cosim.control.phases.reduced_attitude import ReducedAttitude, feedback_gains, linear_model
 from cosim.simulation.controllers.built_in import opposites
 from cosim.spec.vehicle import Vehicle, load_vehicle
 
@@ -57,9 +57,9 @@ def body(
     for k in range(round(duration / STEP)):
         asked = np.full(4, WEIGHT / 4)
         if k * STEP >= fire:
-            if not block.flies:
+            if not block.is_flying:
                 block.begin(lost, tuple(thrust), [tuple(asked)] * 20)
-            block.look(tuple(thrust))
+            block.observe(tuple(thrust))
             told, _ = block.update(tuple(attitude.T[:, 2]), tuple(rate), WEIGHT, (0.0, pushed, 0.0))
             asked = FULL * np.array(told)
         pipe.append(asked)
@@ -126,7 +126,7 @@ def test_one_input_reaches_every_state_while_it_spins_and_not_before() -> None:
     axis = (-(0.5**0.5), 0.5**0.5)
 
     def rank(spin: float) -> int:
-        a, b = linear(axis, spin, INERTIA, DAMPING, LAG)
+        a, b = linear_model(axis, spin, INERTIA, DAMPING, LAG)
         scale = 1.0 / max(1.0, np.abs(a).max())
         return int(np.linalg.matrix_rank(np.array([np.linalg.matrix_power(a * scale, n) @ b for n in range(5)])))
 
@@ -139,8 +139,8 @@ def test_the_last_gain_is_the_riccati_equations_and_every_one_holds_its_spin(sen
     from scipy.linalg import solve_continuous_are
 
     axis, last = (0.6, 0.8), sense * 31.0
-    gains = np.array(designed(axis, last, INERTIA, DAMPING, LAG))
-    a, b = linear(axis, last, INERTIA, DAMPING, LAG)
+    gains = np.array(feedback_gains(axis, last, INERTIA, DAMPING, LAG))
+    a, b = linear_model(axis, last, INERTIA, DAMPING, LAG)
     weight = (INERTIA[0] * 100.0) ** -2
     cost = solve_continuous_are(a, b[:, None], np.diag([0.01, 0.01, 1.0, 1.0, 0.0]), [[weight]])
     exact = b @ cost / weight
@@ -148,7 +148,7 @@ def test_the_last_gain_is_the_riccati_equations_and_every_one_holds_its_spin(sen
     one, other = (np.sort_complex(np.linalg.eigvals(a - np.outer(b, gain))) for gain in (exact, gains[-2]))
     assert np.abs(other - one).max() < 0.25 * np.abs(one).max()
     for spin, gain in list(zip(np.arange(0.0, 31.0, 0.5), gains, strict=False))[6:]:
-        a, b = linear(axis, sense * spin, INERTIA, DAMPING, LAG)
+        a, b = linear_model(axis, sense * spin, INERTIA, DAMPING, LAG)
         assert np.linalg.eigvals(a - np.outer(b, gain)).real.max() < 0.0, spin
 
 

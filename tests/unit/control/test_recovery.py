@@ -9,7 +9,7 @@ import pytest
 
 from cosim.base.constants import GRAVITY
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
-from cosim.control.phases.catch import Catch
+from cosim.control.phases.recovery import Recovery
 from cosim.spec.vehicle import EngineLead, load_vehicle
 
 STEP = 0.001  # s; the answer is that of continuous time, from which steps of h are off by about h a
@@ -36,7 +36,7 @@ def test_roll_and_sinking_come_to_rest_with_the_poles_that_are_stated(delay: flo
     """Engines as stated, never at their limits: from where the delay ends on every state is that of (s + a)^n."""
     vehicle, _ = load_vehicle("hexjet-p220")
     curve = StaticCurve("straight", (0.0, 1.0), (0.0, 1e6))
-    catch = Catch(vehicle, ThrustMap(curve, [curve] * 6), LEAD, delay, STEP)
+    catch = Recovery(vehicle, ThrustMap(curve, [curve] * 6), LEAD, delay, STEP)
     mass, inertia, weight = vehicle.mass_kg, vehicle.inertia_kg_m2[0], vehicle.mass_kg * GRAVITY
     lever = abs(vehicle.jets[0].position_m[1])
     n = round(delay / STEP)
@@ -51,9 +51,9 @@ def test_roll_and_sinking_come_to_rest_with_the_poles_that_are_stated(delay: flo
         thrust = (0.0, 0.0, left, right, right, left)
         if not leans:
             catch.reset(thrust, USED, weight)
-        catch.look(thrust, USED)
+        catch.observe(thrust, USED)
         roll, collective = catch.update(lean, rate, climb, 0.0, 1.0, mass)
-        catch.asked(roll, collective)
+        catch.record_command(roll, collective)
         line.append((roll * 6e6 * lever, collective * 6e6))
         asked, lifted = line.pop(0)
         leans.append(lean)
@@ -86,7 +86,7 @@ def test_roll_and_sinking_come_to_rest_with_the_poles_that_are_stated(delay: flo
 def test_it_is_caught_when_nothing_is_left_to_do_and_not_before() -> None:
     vehicle, _ = load_vehicle("hexjet-p220")
     curve = StaticCurve("straight", (0.0, 1.0), (0.0, 200.0))
-    catch = Catch(vehicle, ThrustMap(curve, [curve] * 6), LEAD, 0.0, 0.004)
+    catch = Recovery(vehicle, ThrustMap(curve, [curve] * 6), LEAD, 0.0, 0.004)
     weight = vehicle.mass_kg * GRAVITY
     for given, lean, rate, off, caught in (
         (1.0, 0.0, 0.0, 0.0, True),
@@ -98,20 +98,20 @@ def test_it_is_caught_when_nothing_is_left_to_do_and_not_before() -> None:
     ):
         catch.reset((0.0, 0.0, *[0.25 * given * weight] * 4), USED, weight)
         catch.update(lean, rate, off, 0.0, cos(lean), vehicle.mass_kg)
-        assert catch.caught is caught, (given, lean, rate, off)
+        assert catch.is_complete is caught, (given, lean, rate, off)
 
 
 def test_lift_never_asks_for_less_than_roll_can_be_had_beside() -> None:
     vehicle, _ = load_vehicle("hexjet-p220")
     curve = StaticCurve("straight", (0.0, 1.0), (10.0, 210.0))
-    catch = Catch(vehicle, ThrustMap(curve, [curve] * 6), LEAD, 0.0, 0.004)
+    catch = Recovery(vehicle, ThrustMap(curve, [curve] * 6), LEAD, 0.0, 0.004)
     catch.reset((0.0, 0.0, *[150.0] * 4), USED, 600.0)
     _, collective = catch.update(0.0, 0.0, 50.0, 0.0, 1.0, vehicle.mass_kg)
-    assert collective == catch.least == pytest.approx((0.7 * 600.0 - 60.0) / 1200.0)
+    assert collective == catch.least_collective == pytest.approx((0.7 * 600.0 - 60.0) / 1200.0)
 
 
 def test_an_engine_of_another_form_is_refused() -> None:
     vehicle, _ = load_vehicle("hexjet-p220")
     curve = StaticCurve("straight", (0.0, 1.0), (0.0, 200.0))
     with pytest.raises(ValueError, match="second order"):
-        Catch(vehicle, ThrustMap(curve, [curve] * 6), EngineLead(natural_rad_s=2.0, pole_rad_s=8.0), 0.0, 0.004)
+        Recovery(vehicle, ThrustMap(curve, [curve] * 6), EngineLead(natural_rad_s=2.0, pole_rad_s=8.0), 0.0, 0.004)
