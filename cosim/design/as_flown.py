@@ -82,14 +82,14 @@ class FlownPair:
         """Return the measures that are worse as designed, by key, with the factor; infinite where there was none."""
         if self.shipped.lost or self.designed.lost:
             return {}
-        found = {}
+        factors = {}
         for key, measure in MEASURES.items():
             before, after = self.shipped.values.get(key), self.designed.values.get(key)
             if before is not None and after is not None and measure.is_worse(before, after):
-                found[key] = after / before if before else inf
+                factors[key] = after / before if before else inf
         if self.shipped.values.get("settling_s") is not None and self.designed.cell("settling_s") == "never":
-            found["settling_s"] = inf
-        return found
+            factors["settling_s"] = inf
+        return factors
 
 
 def measure_flight(run: Run) -> FlownMeasures:
@@ -116,11 +116,11 @@ def _degrees(value: float | None) -> float | None:
 
 def worse_lines(pairs: Sequence[FlownPair]) -> list[str]:
     """Return a sentence for each flight that is lost as designed alone, and each measure that is worse in the worst."""
-    gone = [pair for pair in pairs if pair.designed.lost and not pair.shipped.lost]
-    lines = [f"{WORSE}: {pair.flight} {pair.designed.lost}, which the gains that ship fly" for pair in gone]
-    found = [(pair, pair.worse()) for pair in pairs]
+    newly_lost = [pair for pair in pairs if pair.designed.lost and not pair.shipped.lost]
+    lines = [f"{WORSE}: {pair.flight} {pair.designed.lost}, which the gains that ship fly" for pair in newly_lost]
+    factors_of_pairs = [(pair, pair.worse()) for pair in pairs]
     for key, measure in MEASURES.items():
-        hit = [(factors[key], pair) for pair, factors in found if key in factors]
+        hit = [(factors[key], pair) for pair, factors in factors_of_pairs if key in factors]
         if not hit:
             continue
         factor, worst = max(hit, key=lambda entry: entry[0])
@@ -138,12 +138,12 @@ def comparison_lines(pairs: Sequence[FlownPair]) -> list[str]:
     """Return what a reader has to know first of the comparison: what is worse, or that nothing is."""
     if not pairs:
         return []
-    lost = [f"{pair.flight} {pair.shipped.lost}" for pair in pairs if pair.shipped.lost]
-    said = [f"the gains that ship do not fly this engine: {', '.join(lost)}"] if lost else []
+    lost_flights = [f"{pair.flight} {pair.shipped.lost}" for pair in pairs if pair.shipped.lost]
+    shipped_losses = [f"the gains that ship do not fly this engine: {', '.join(lost_flights)}"] if lost_flights else []
     worse = worse_lines(pairs)
-    if worse or len(lost) == len(pairs):
-        return [*worse, *said]
-    return [*said, f"as flown nothing is worse than what ships: {', '.join(pair.flight for pair in pairs)}"]
+    if worse or len(lost_flights) == len(pairs):
+        return [*worse, *shipped_losses]
+    return [*shipped_losses, f"as flown nothing is worse than what ships: {', '.join(pair.flight for pair in pairs)}"]
 
 
 def comparison_columns(pairs: Sequence[FlownPair]) -> list[str]:
@@ -155,11 +155,11 @@ def comparison_rows(pairs: Sequence[FlownPair]) -> list[list[str]]:
     """Return one row of texts for each measure, shipped and designed of every flight; none that no flight tells."""
     rows = []
     for key, measure in MEASURES.items():
-        flights = [flown for pair in pairs for flown in (pair.shipped, pair.designed)]
-        if any(flown.values.get(key) is not None for flown in flights):
-            rows.append([f"{measure.label}, {measure.unit}", *(_cell(flown, key) for flown in flights)])
+        flights = [measures for pair in pairs for measures in (pair.shipped, pair.designed)]
+        if any(measures.values.get(key) is not None for measures in flights):
+            rows.append([f"{measure.label}, {measure.unit}", *(_cell(measures, key) for measures in flights)])
     return rows
 
 
-def _cell(flown: FlownMeasures, key: str) -> str:
-    return "–" if key in STEPPED and not flown.steps else flown.cell(key)
+def _cell(measures: FlownMeasures, key: str) -> str:
+    return "–" if key in STEPPED and not measures.steps else measures.cell(key)

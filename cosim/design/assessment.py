@@ -9,9 +9,9 @@ from math import isfinite
 from cosim.base.signals import AXES
 from cosim.control.predictors.registry import BASELINE, SMITH
 from cosim.design.loop.channel import Channel
-from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from cosim.design.loop.closed_loop import ClosedLoop
 from cosim.design.loop.tuning import Tuning
-from cosim.design.tune import FINE
+from cosim.design.tune import fine_loop
 from cosim.engine import EngineSpec
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.vehicle import RateGains, RateModel, Vehicle
@@ -65,11 +65,10 @@ def shipped(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
     control = vehicle.control
     lead = getattr(control.lead, channel.name, None) or None
     if channel.name == "altitude":
-        own = control.altitude
-        gains = RateGains(
-            p=own.velocity_1_s, i=own.integral_1_s2, d=0.0, d_filter_s=1.0, integral_limit=own.integral_limit_m_s2
-        )
-        return Tuning(BASELINE.name, own.position_1_s, gains, control.predictor, channel.model("none"), lead)
+        height = control.altitude
+        limit = height.integral_limit_m_s2
+        gains = RateGains(p=height.velocity_1_s, i=height.integral_1_s2, d=0.0, d_filter_s=1.0, integral_limit=limit)
+        return Tuning(BASELINE.name, height.position_1_s, gains, control.predictor, channel.model("none"), lead)
     gains = getattr(control.rate, channel.name)
     angle = control.attitude.gain_1_s[AXES.index(channel.name)]
     model = vehicle.identified.get(spec.family, {}).get(channel.name)  # type: ignore[call-overload]
@@ -81,13 +80,13 @@ def shipped(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
 
 def predictor_model(channel: Channel, source: str) -> RateModel:
     """Return a channel's model as its predictor has it in flight, with the delay that the controller adds itself."""
-    own = channel.model(source)
-    return own.model_copy(update={"delay_samples": own.delay_samples + channel.added_delay})
+    model = channel.model(source)
+    return model.model_copy(update={"delay_samples": model.delay_samples + channel.added_delay})
 
 
 def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
     """Compute everything that is reported of a tuning, at more frequencies than the search takes."""
-    closed = ClosedLoop(FrequencyGrid(channel, close=FINE), tuning)
+    closed = fine_loop(channel, tuning)
     if closed.unstable_poles:
         return Assessment(tuning.controller, tuning, False, *[None] * 10)
     settled = bool(tuning.gains.i) and not closed.load_left
@@ -110,7 +109,7 @@ def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
 
 def margins(closed: ClosedLoop) -> LeastMargins:
     """Return what is kept of a loop's margins: of lag and lead the less, lead with a minus."""
-    found = closed.margins
-    lag, lead = found.phase_deg, found.phase_lead_deg
+    loop = closed.margins
+    lag, lead = loop.phase_deg, loop.phase_lead_deg
     turns = [turn for turn in (lag, None if lead is None else -lead) if turn is not None]
-    return LeastMargins(found.gain_db, found.gain_down_db, min(turns, key=abs, default=None), found.delay_s)
+    return LeastMargins(loop.gain_db, loop.gain_down_db, min(turns, key=abs, default=None), loop.delay_s)

@@ -13,6 +13,7 @@ from cosim.design.as_flown import FlownMeasures, worse_lines
 from cosim.design.assessment import Assessment
 from cosim.design.design import Design
 from cosim.design.loop.channel import Channel
+from cosim.design.loop.tuning import round_gain
 from cosim.design.proof import Proof
 from cosim.simulation.controllers.controller_file import AxisRecord, FlownRecord, LevelRecord, ProofRecord, Purpose
 from cosim.spec.vehicle import RateModel
@@ -26,25 +27,21 @@ def controller_table(design: Design) -> dict[str, Any]:
     roll, altitude = chosen["roll"].tuning, chosen["altitude"].tuning
     vehicle: dict[str, Any] = {
         "control": {
-            "attitude": {"gain_1_s": [_rounded(chosen[axis].tuning.angle_gain) for axis in AXES]},
-            "rate": {
-                axis: {key: _rounded(value) for key, value in chosen[axis].tuning.gains.model_dump().items()}
-                for axis in AXES
-            },
+            "attitude": {"gain_1_s": [round_gain(chosen[axis].tuning.angle_gain) for axis in AXES]},
+            "rate": {axis: _round_all(chosen[axis].tuning.gains.model_dump()) for axis in AXES},
             "altitude": {
-                "position_1_s": _rounded(altitude.angle_gain),
-                "velocity_1_s": _rounded(altitude.gains.p),
-                "integral_1_s2": _rounded(altitude.gains.i),
+                "position_1_s": round_gain(altitude.angle_gain),
+                "velocity_1_s": round_gain(altitude.gains.p),
+                "integral_1_s2": round_gain(altitude.gains.i),
             },
-            "predictor": _all_rounded(roll.predictor.model_dump()),
+            "predictor": _round_all(roll.predictor.model_dump()),
         }
     }
     leads = {axis: axis_design.tuning.lead for axis, axis_design in chosen.items()}
     if any(leads.values()) or design.vehicle.control.lead is not None:
         # false overrules a lead that the aircraft states
         vehicle["control"]["lead"] = {
-            axis: {key: _rounded(value) for key, value in lead.model_dump(exclude_none=True).items()} if lead else False
-            for axis, lead in leads.items()
+            axis: _round_all(lead.model_dump(exclude_none=True)) if lead else False for axis, lead in leads.items()
         }
     if design.schedule is not None:
         vehicle["control"]["schedule"] = design.schedule.model_dump(mode="json", exclude_none=True)
@@ -72,8 +69,8 @@ def controller_table(design: Design) -> dict[str, Any]:
         added_delay_samples=scenario.added_delay_samples,
         bank_inertia_kg_m2=design.vehicle.servo.bank_inertia_kg_m2 if design.vehicle.servo else None,
         model=design.model_source,
-        misfit=_rounded(dynamics.misfit) if dynamics.unsure else None,
-        unsure=[(_rounded(at), _rounded(share)) for at, share in dynamics.unsure] or None,
+        misfit=round_gain(dynamics.misfit) if dynamics.unsure else None,
+        unsure=[(round_gain(at), round_gain(misfit)) for at, misfit in dynamics.unsure] or None,
         requirements=design.need,
         axes={
             axis: _record(axis_design.after, axis_design.candidates)
@@ -83,8 +80,8 @@ def controller_table(design: Design) -> dict[str, Any]:
         levels=[
             LevelRecord(
                 fuel=level.level.fuel,
-                mass_kg=_rounded(level.level.mass_kg),
-                share=_rounded(level.level.share),
+                mass_kg=round_gain(level.level.mass_kg),
+                share=round_gain(level.level.share),
                 designed=level.designed,
                 held={axis: state.peak_sensitivity for axis, state in level.held.items() if state.peak_sensitivity},
                 axes={axis: _record(state) for axis, state in level.after.items() if state.stable},
@@ -105,54 +102,45 @@ def proof_record(proof: Proof) -> ProofRecord:
     return ProofRecord(
         flights=len(proof.flights),
         failed=proof.reason or None,
-        lean_deg=_rounded(proof.lean_deg),
+        lean_deg=round_gain(proof.lean_deg),
         worse=worse_lines(proof.compared),
         flown=[
             FlownRecord(
                 flight=pair.flight,
                 shipped_lost=pair.shipped.lost,
-                shipped=_measured(pair.shipped),
-                designed=_measured(pair.designed),
+                shipped=_rounded_measures(pair.shipped),
+                designed=_rounded_measures(pair.designed),
             )
             for pair in proof.compared
         ],
     )
 
 
-def _measured(flown: FlownMeasures) -> dict[str, float]:
-    return {key: _rounded(value) for key, value in flown.values.items() if value is not None}
+def _rounded_measures(measures: FlownMeasures) -> dict[str, float]:
+    return {key: round_gain(value) for key, value in measures.values.items() if value is not None}
 
 
-def _all_rounded(table: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: _all_rounded(value) if isinstance(value, dict) else _rounded(value) for key, value in table.items()}
-
-
-def _rounded(value: float) -> float:
-    """Round to six significant digits, which is as exact as a gain is meant."""
-    return float(f"{value:.6g}")
+def _round_all(table: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: _round_all(value) if isinstance(value, dict) else round_gain(value) for key, value in table.items()}
 
 
 def _model(channel: Channel, chosen: Assessment, design: Design) -> RateModel:
     """Return the predictor's model without the delay that the controller adds, which the flight adds to it."""
-    own = chosen.tuning.model
-    known = {"source": design.model_source, "engine_sha256": design.engine.fingerprint}
-    return own.model_copy(update={"delay_samples": own.delay_samples - channel.added_delay, **known})
+    model = chosen.tuning.model
+    origin = {"source": design.model_source, "engine_sha256": design.engine.fingerprint}
+    return model.model_copy(update={"delay_samples": model.delay_samples - channel.added_delay, **origin})
 
 
 def _record(after: Assessment, candidates: Mapping[str, float] | None = None) -> AxisRecord:
     assert after.margins is not None
+    same = ("controller", "peak_sensitivity", "bandwidth_hz", "tolerated", "overshoot", "settling_s")
     return AxisRecord.model_validate(
         {
-            "controller": after.controller,
-            "peak_sensitivity": after.peak_sensitivity,
+            **{name: getattr(after, name) for name in same},
             "gain_margin_db": after.margins.gain_db,
             "gain_margin_down_db": after.margins.gain_down_db,
             "phase_margin_deg": after.margins.phase_deg,
             "delay_margin_s": after.margins.delay_s,
-            "bandwidth_hz": after.bandwidth_hz,
-            "tolerated": after.tolerated,
-            "overshoot": after.overshoot,
-            "settling_s": after.settling_s,
             "candidates": {name: value for name, value in (candidates or {}).items() if isfinite(value)},
         }
     )

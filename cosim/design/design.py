@@ -12,11 +12,7 @@ import numpy as np
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
-from cosim.base.storage.toml import (
-    merge,
-    parse_setting,
-    set_path,
-)
+from cosim.base.storage.toml import merge, parse_setting, set_path
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.design.assessment import Assessment, AxisDesign, assess, predictor_model, shipped
 from cosim.design.levels import (
@@ -33,12 +29,11 @@ from cosim.design.levels import (
 from cosim.design.limits import Say, bandwidths_without_limits, find_allowances, tolerance_checks, why_not
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, engine_lead, hover_share
-from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import Dynamics, fit_dynamics, lags, with_misfit
 from cosim.design.loop.firmware import Firmware
 from cosim.design.loop.tuning import Tuning, candidates, designable
 from cosim.design.proof import Proof
-from cosim.design.tune import FINE, TuningResult, near, objective, settle, tune
+from cosim.design.tune import TuningResult, fine_loop, near, objective, settle, tune
 from cosim.engine import EngineSpec, load_engine
 from cosim.identify.sweep import Identification, identify_engine
 from cosim.simulation.controllers.controller_file import Requirements, read_controller
@@ -146,21 +141,21 @@ def design(
     scenario, vehicle = _scenario(engine, aircraft, settings)
     engine, unchecked, apart = scenario.engine, scenario.engine_unchecked, scenario.engine_isolated
     spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, apart=apart)
-    share = hover_share(vehicle, spec)
+    level = hover_share(vehicle, spec)
     limits = vehicle.control.allocation
-    if not limits.throttle_min < share < limits.throttle_max:
+    if not limits.throttle_min < level < limits.throttle_max:
         raise InputError(
-            f"engine {spec.name}: {vehicle.name} ({vehicle.mass_kg:g} kg) would hover at {share:.2f} of its range, "
+            f"engine {spec.name}: {vehicle.name} ({vehicle.mass_kg:g} kg) would hover at {level:.2f} of its range, "
             f"outside {limits.throttle_min:g} to {limits.throttle_max:g}: it cannot be controlled, whatever the gains"
         )
     say(f"identifying {spec.name}")
     identified = identify_there(scenario, vehicle, spec, amplitude)
     dynamics = Actuator.of(spec.name, dynamics_of(identified, unsure))
     plants = channels(scenario, vehicle, spec, dynamics)
-    given = read_models(model).get(spec.family, {}) if model else {}
-    if model and not given:
+    models = read_models(model).get(spec.family, {}) if model else {}
+    if model and not models:
         raise InputError(f"{model}: holds no model of {vehicle.name} with engine {spec.family!r}")
-    for axis, table in given.items():
+    for axis, table in models.items():
         if not spec.owns(table.get("engine_sha256", "")):
             raise InputError(f"{model}: its model of {axis} is of another {spec.family}: its hash is another")
         plants[axis] = replace(plants[axis], identified=RateModel(**table))
@@ -168,15 +163,15 @@ def design(
         names = (BASELINE.name,)  # a predictor is for engines that answer late
     source = f"{identified.source}; with the airframe of {vehicle.name}"
     begin = None if start is None else _read_start(start, plants, scenario.aircraft, vehicle, spec)
-    asked = _AxisInputs(vehicle, spec, names, need, source, lead, firmware, say)
+    inputs = _AxisInputs(vehicle, spec, names, need, source, lead, firmware, say)
     axes: dict[str, AxisDesign] = {}
     for axis in CHANNELS:
         roll = axes["roll"].after if axes else None
         chosen = roll.tuning if roll else None
         if begin is None:
-            axes[axis] = _axis(plants[axis], asked, chosen)
+            axes[axis] = _axis(plants[axis], inputs, chosen)
         else:
-            axes[axis] = _resume_axis(plants[axis], asked, chosen, begin[axis][1.0])
+            axes[axis] = _resume_axis(plants[axis], inputs, chosen, begin[axis][1.0])
     reason = why_not(axes, need)
     allowing = (
         find_allowances(axes["roll"], names, need, say, lead) if reason and start is None and not firmware else {}
@@ -230,29 +225,29 @@ def _design_levels(
     }
     step = axes["roll"].channel.step
     fits = all(keeps(level.channels[axis], full[axis], needed(axis, need)) for level in levels for axis in THRUST_AXES)
-    held = [
+    unscheduled = [
         {axis: assess(level.channels[axis], full[axis], needed(axis, need)) for axis in THRUST_AXES} for level in levels
     ]
-    known = {axis: dict((begin or {}).get(axis, {})) for axis in THRUST_AXES}
-    designed = {*DESIGNED, *(fuel for of in known.values() for fuel in of)}
+    level_tunings = {axis: dict((begin or {}).get(axis, {})) for axis in THRUST_AXES}
+    designed = {*DESIGNED, *(fuel for of in level_tunings.values() for fuel in of)}
     while True:
         plan: Schedule | None = None
         if scheduled and not fits:
             for axis in THRUST_AXES:
                 say(f"{axis}: with less fuel")
-                own = follow(axis, levels, full[axis], needed(axis, need), known[axis], designed)
-                if own is None:
+                followed = follow(axis, levels, full[axis], needed(axis, need), level_tunings[axis], designed)
+                if followed is None:
                     return None, [], f"{axis}: no gains keep the requirements with less fuel"
-                known[axis] = own
-            plan = schedule(levels, known)
+                level_tunings[axis] = followed
+            plan = schedule(levels, level_tunings)
         burning = []
-        for level, before in zip(levels, held, strict=True):
+        for level, before in zip(levels, unscheduled, strict=True):
             acting, after = full, before
             if plan:
                 acting = at_share(plan, full, level.share, step)
                 after = {axis: assess(level.channels[axis], acting[axis], needed(axis, need)) for axis in THRUST_AXES}
-            kept = {axis: keeps(level.channels[axis], acting[axis], needed(axis, need)) for axis in THRUST_AXES}
-            burning.append(LevelDesign(level, level.fuel in designed, before, after, kept))
+            is_kept = {axis: keeps(level.channels[axis], acting[axis], needed(axis, need)) for axis in THRUST_AXES}
+            burning.append(LevelDesign(level, level.fuel in designed, before, after, is_kept))
         missed = {level.level.fuel for level in burning if plan and not all(level.kept.values())}
         if missed <= designed:
             where = ", ".join(f"{fuel:.0%} of the fuel" for fuel in sorted(missed))
@@ -265,12 +260,12 @@ def _read_start(
 ) -> dict[str, dict[float, Tuning]]:
     """Return the tunings of a controller file from which a search goes on: by axis, then by fraction of fuel."""
     file = read_controller(start, aircraft)
-    stated = merge(file.vehicle, {"mass_kg": vehicle.mass_kg})
-    designed, _ = load_vehicle(aircraft, stated, f"{start}: vehicle")
+    changes = merge(file.vehicle, {"mass_kg": vehicle.mass_kg})
+    designed, _ = load_vehicle(aircraft, changes, f"{start}: vehicle")
     tunings: dict[str, dict[float, Tuning]] = {}
     for axis, channel in plants.items():
-        own = shipped(channel, designed, spec)
-        tunings[axis] = {1.0: replace(own, controller=file.design.axes[axis].controller)}
+        tuning = shipped(channel, designed, spec)
+        tunings[axis] = {1.0: replace(tuning, controller=file.design.axes[axis].controller)}
     plan = designed.control.schedule
     if plan and designed.fuel:
         step = plants["roll"].step
@@ -283,19 +278,19 @@ def _read_start(
     return tunings
 
 
-def _resume_axis(channel: Channel, asked: _AxisInputs, roll: Tuning | None, start: Tuning) -> AxisDesign:
+def _resume_axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None, start: Tuning) -> AxisDesign:
     """Design an axis by a search that begins at ``start``, with the candidate that ``start`` has."""
-    axis, vehicle, need = channel.name, asked.vehicle, needed(channel.name, asked.need)
-    asked.say(f"{axis}: {start.controller}")
-    model, predictor = predictor_model(channel, asked.source), roll.predictor if roll else start.predictor
+    axis, vehicle, need = channel.name, inputs.vehicle, needed(channel.name, inputs.need)
+    inputs.say(f"{axis}: {start.controller}")
+    model, predictor = predictor_model(channel, inputs.source), roll.predictor if roll else start.predictor
     start = replace(start, model=model, lead=lead_there(start.lead, channel), predictor=predictor)
     tuned = near(channel, start, need, not _follows_roll(axis, vehicle))
-    before = assess(channel, shipped(channel, vehicle, asked.spec), need)
+    before = assess(channel, shipped(channel, vehicle, inputs.spec), need)
     key = start.controller + (WITH_LEAD if start.lead else "")
     if tuned is None:
         return AxisDesign(channel, before, {key: inf}, None, {}, {})
     after = assess(channel, tuned, need)
-    value = objective(ClosedLoop(FrequencyGrid(channel, close=FINE), tuned))
+    value = objective(fine_loop(channel, tuned))
     return AxisDesign(channel, before, {key: value}, after, {}, tolerance_checks(channel, tuned, need))
 
 
@@ -319,8 +314,8 @@ def identify_there(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, ampli
     throttle = throttle_for(spec, vehicle)
     if amplitude is None:
         # an engine that never stands still has to be moved by more than it moves by itself
-        own = ABOVE_REST * spec.archive.starting.rest_n / (spec.curve.thrust[-1] - spec.curve.thrust[0])
-        amplitude = min(max(SWING, own), 0.4 * min(throttle, 1.0 - throttle))
+        rest_swing = ABOVE_REST * spec.archive.starting.rest_n / (spec.curve.thrust[-1] - spec.curve.thrust[0])
+        amplitude = min(max(SWING, rest_swing), 0.4 * min(throttle, 1.0 - throttle))
     return identify_engine(spec, step=scenario.step_s, throttle=throttle, amplitude=amplitude)
 
 
@@ -372,18 +367,18 @@ def _firmware_on_axis(firmware: Firmware | None, axis: str, roll: Tuning | None)
     return replace(firmware, axis=axis, d_filter_s=smooth, angle_gain=angle)
 
 
-def _axis(channel: Channel, asked: _AxisInputs, roll: Tuning | None) -> AxisDesign:
+def _axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None) -> AxisDesign:
     """Tune all candidates on an axis and take the best; ``roll`` is the tuning of roll, None for roll itself."""
-    axis, vehicle, say, need = channel.name, asked.vehicle, asked.say, needed(channel.name, asked.need)
+    axis, vehicle, say, need = channel.name, inputs.vehicle, inputs.say, needed(channel.name, inputs.need)
     predicted = roll is not None and _follows_roll(axis, vehicle)
-    names = asked.names if axis == "roll" else (roll.controller if predicted and roll else BASELINE.name,)
-    firmware = asked.firmware if axis == "roll" else _firmware_on_axis(asked.firmware, axis, roll)
-    lead = engine_lead(channel) if asked.lead else None
-    fixed = shipped(channel, vehicle, asked.spec)
+    names = inputs.names if axis == "roll" else (roll.controller if predicted and roll else BASELINE.name,)
+    firmware = inputs.firmware if axis == "roll" else _firmware_on_axis(inputs.firmware, axis, roll)
+    lead = engine_lead(channel) if inputs.lead else None
+    fixed = shipped(channel, vehicle, inputs.spec)
     if firmware is not None:
         fixed = replace(fixed, controller=BASELINE.name, lead=None, firmware=firmware)
     before = assess(channel, fixed, need)
-    model = predictor_model(channel, asked.source)
+    model = predictor_model(channel, inputs.source)
     start = replace(fixed, predictor=roll.predictor if roll else vehicle.control.predictor)
     tried: dict[str, TuningResult] = {}
     for with_lead in (None,) if lead is None else (None, lead):

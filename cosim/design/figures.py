@@ -12,7 +12,7 @@ from cosim.design.loop.tuning import Tuning
 from cosim.results.report.plot import BLUE, GREY, ORANGE, RED, Figure, panels, trace
 
 POINTS = 1500
-DRAWN = 1500  # points in time
+TIME_POINTS = 1500  # points in time
 FAR = 3.0  # of Nyquist's plane
 TIMES = 25.0  # delays of the channel that are drawn in time
 
@@ -94,7 +94,7 @@ def _step(loops: list[tuple[str, str, ClosedLoop, bool]], axis_design: AxisDesig
         if not stable:
             continue
         # every millisecond of a long response is more than a page shows
-        every = max(1, round(end / DRAWN / axis_design.channel.step))
+        every = max(1, round(end / TIME_POINTS / axis_design.channel.step))
         angle, load = loop.steps.angle[::every], loop.steps.load[::every]
         time = np.arange(len(angle), dtype=np.float64) * every * axis_design.channel.step
         keep = time <= end

@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 from cosim.control.schedule import Factors, GainSchedule
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, hover_share
-from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from cosim.design.loop.tuning import Tuning
-from cosim.design.tune import FINE, acceptable, near
+from cosim.design.loop.tuning import Tuning, round_gain
+from cosim.design.tune import acceptable, fine_loop, near
 from cosim.engine import EngineSpec
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.scenario import Scenario
@@ -55,16 +54,16 @@ def levels(
     designed: list[Level] = []
     for fuel in PROVED:
         there = vehicle.with_fuel(fuel)
-        own = channels(scenario, there, spec, dynamics(there))
-        full = designed[0].channels if designed else own
-        kept = {axis: full[axis] if full[axis].by_servo else own[axis] for axis in THRUST_AXES}
-        designed.append(Level(fuel, there.mass_kg, hover_share(there, spec), kept))
+        level_channels = channels(scenario, there, spec, dynamics(there))
+        full = designed[0].channels if designed else level_channels
+        thrust_channels = {axis: full[axis] if full[axis].by_servo else level_channels[axis] for axis in THRUST_AXES}
+        designed.append(Level(fuel, there.mass_kg, hover_share(there, spec), thrust_channels))
     return designed
 
 
 def keeps(channel: Channel, tuning: Tuning, need: Requirements) -> bool:
     """Return whether a tuning keeps the requirements on a channel."""
-    return acceptable(ClosedLoop(FrequencyGrid(channel, close=FINE), tuning), need)
+    return acceptable(fine_loop(channel, tuning), need)
 
 
 def lead_there(lead: EngineLead | None, channel: Channel) -> EngineLead | None:
@@ -99,8 +98,8 @@ def follow(
         start = begin.get(level.fuel, last)
         # the derivative's filter, predictor and model stay those of a full tank
         gains = start.gains.model_copy(update={"d_filter_s": full.gains.d_filter_s})
-        own = replace(full, angle_gain=start.angle_gain, gains=gains, lead=lead_there(start.lead, channel))
-        tuned = near(channel, own, need, level=True)
+        begun = replace(full, angle_gain=start.angle_gain, gains=gains, lead=lead_there(start.lead, channel))
+        tuned = near(channel, begun, need, level=True)
         if tuned is None:
             return None
         tunings[level.fuel] = last = tuned
@@ -114,7 +113,7 @@ def schedule(levels: Sequence[Level], tunings: Mapping[str, Mapping[float, Tunin
         filter_s=FILTER_S,
         level=[
             ThrustLevel(
-                share=_rounded(level.share),
+                share=round_gain(level.share),
                 **{axis: _factors(of[level.fuel], of[1.0]) for axis, of in tunings.items()},
             )
             for level in rows
@@ -124,20 +123,20 @@ def schedule(levels: Sequence[Level], tunings: Mapping[str, Mapping[float, Tunin
 
 def _factors(here: Tuning, full: Tuning) -> ScheduledGains:
     lead = here.lead
-    stated = {
-        "angle": _rounded(here.angle_gain / full.angle_gain),
-        "p": _rounded(here.gains.p / full.gains.p),
-        "i": _rounded(here.gains.i / full.gains.i) if full.gains.i else 1.0,
-        "d": _rounded(here.gains.d / full.gains.d) if full.gains.d else 1.0,
+    factors = {
+        "angle": round_gain(here.angle_gain / full.angle_gain),
+        "p": round_gain(here.gains.p / full.gains.p),
+        "i": round_gain(here.gains.i / full.gains.i) if full.gains.i else 1.0,
+        "d": round_gain(here.gains.d / full.gains.d) if full.gains.d else 1.0,
     }
     if lead is not None:
-        stated |= {key: _rounded(value) for key, value in lead.model_dump(exclude_none=True).items()}
-    return ScheduledGains.model_validate(stated)
+        factors |= {key: round_gain(value) for key, value in lead.model_dump(exclude_none=True).items()}
+    return ScheduledGains.model_validate(factors)
 
 
-def at_share(stated: Schedule, full: Mapping[str, Tuning], share: float, step: float) -> dict[str, Tuning]:
+def at_share(plan: Schedule, full: Mapping[str, Tuning], thrust_fraction: float, step: float) -> dict[str, Tuning]:
     """Return the tunings that act in flight at a collective, a fraction of the engines' range."""
-    there = GainSchedule(stated, Leads(**{axis: tuning.lead for axis, tuning in full.items()}), step).at(share)
+    there = GainSchedule(plan, Leads(**{axis: tuning.lead for axis, tuning in full.items()}), step).at(thrust_fraction)
     return {"roll": scaled(full["roll"], there.roll), "altitude": scaled(full["altitude"], there.altitude)}
 
 
@@ -151,7 +150,3 @@ def scaled(full: Tuning, factors: Factors) -> Tuning:
         gains=gains.model_copy(update=changed),
         lead=factors.lead or full.lead,
     )
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.6g}")

@@ -13,7 +13,7 @@ from cosim.design.loop.actuator import SERVO
 from cosim.design.loop.channel import Channel, engine_lead
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.tuning import Tuning
-from cosim.design.tune import FINE, tune
+from cosim.design.tune import fine_loop, tune
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.vehicle import EngineLead
 
@@ -28,25 +28,25 @@ def bandwidths_without_limits(
 ) -> dict[str, float]:
     """Compute the bandwidth, Hz, that the same controller would reach without each limit, by the limit's name."""
     free = need.model_copy(update={"min_bandwidth_hz": 0.0})
-    kept = lead if after.tuning.lead else None
+    chosen_lead = lead if after.tuning.lead else None
     cases: dict[str, tuple[Channel, Requirements]] = {"delay": (channel.with_delay(0.0), free)}
     if channel.identified is None:
         cases["lag"] = (channel.with_lags(0.0), free)
     cases["noise and saturation"] = (channel, free.model_copy(update={"noise_share": 1e6, "step_rad": 0.0}))
     limits = {}
-    for what, (changed, needed) in cases.items():
-        led = None if what == "lag" else kept
+    for limit, (changed, needed) in cases.items():
+        led = None if limit == "lag" else chosen_lead
         tuned = tune(changed, after.controller, changed.model("without"), after.tuning, needed, lead=led)
         if isfinite(tuned.objective):
-            limits[what] = ClosedLoop(FrequencyGrid(changed, close=FINE), tuned.tuning).bandwidth
+            limits[limit] = fine_loop(changed, tuned.tuning).bandwidth
     return limits
 
 
 def tolerance_checks(channel: Channel, tuning: Tuning, need: Requirements) -> dict[str, bool]:
     """Check that a loop is stable at all tolerated whole samples of delay and gains, and with lags 30 % off."""
     wide = need.delay_samples(channel.transport_samples)
-    own = channel.actuator_delay
-    delays = sorted({max(0.0, own - wide), own, own + wide, *_whole(own - wide, own + wide)})
+    middle = channel.actuator_delay
+    delays = sorted({max(0.0, middle - wide), middle, middle + wide, *_whole_numbers(middle - wide, middle + wide)})
     gains = np.linspace(1.0 - need.gain_tolerance, 1.0 + need.gain_tolerance, GAINS)
     checks = {}
     checks[f"gain {gains[0]:.2f} to {gains[-1]:.2f} times delay {delays[0]:g} to {delays[-1]:g} samples"] = all(
@@ -55,17 +55,17 @@ def tolerance_checks(channel: Channel, tuning: Tuning, need: Requirements) -> di
         for gain in (gains if channel.identified is None else gains[GAINS // 2 : GAINS // 2 + 1])
     )
     if channel.identified is None:
-        checks[f"lags of the {_what(channel)} 0.7 and 1.3 times"] = all(
+        checks[f"lags of the {_actuator_name(channel)} 0.7 and 1.3 times"] = all(
             _stable(channel.with_lags(factor), tuning) for factor in (0.7, 1.3)
         )
     return checks
 
 
-def _what(channel: Channel) -> str:
+def _actuator_name(channel: Channel) -> str:
     return SERVO if channel.by_servo else "engine"
 
 
-def _whole(low: float, high: float) -> list[float]:
+def _whole_numbers(low: float, high: float) -> list[float]:
     return [float(n) for n in range(max(0, ceil(low)), floor(high) + 1)]
 
 
@@ -78,9 +78,10 @@ def why_not(axes: Mapping[str, AxisDesign], need: Requirements) -> str:
         if axis_design.after is None:
             bandwidth = f", {need.min_bandwidth_hz:g} Hz included" if axis in ("roll", "pitch") else ""
             unsure = axis_design.channel.actuator.dynamics.unsure_words()
-            beside = f"whatever others and what its hinges turn add to it, {unsure.removeprefix('what was measured, ')}"
             misfit = f", for every engine that differs from the model by {unsure}" if unsure else ""
-            misfit = f", {beside}" if unsure and axis_design.channel.by_servo else misfit
+            if unsure and axis_design.channel.by_servo:
+                left = unsure.removeprefix("what was measured, ")
+                misfit = f", whatever others and what its hinges turn add to it, {left}"
             return f"{axis}: no gains keep the requirements{bandwidth}{misfit}"
     return ""
 
@@ -94,7 +95,7 @@ def find_allowances(
         return {}
     tried = dict.fromkeys((names[0], names[-1]))  # what takes least, and what takes most
     allowances = {}
-    whole = channel.actuator_delay
+    delay = channel.actuator_delay
 
     def works(changed: Channel) -> bool:
         fixed = roll.before.tuning
@@ -102,12 +103,12 @@ def find_allowances(
         return any(isfinite(tune(changed, name, model, fixed, need, lead=lead).objective) for name in tried)
 
     say("which delay would allow one")
-    if whole > 0.0 and (share := _largest(lambda part: works(channel.with_delay(round(part * whole))))) is not None:
-        allowances["delay_s"] = round(share * whole) * channel.step
+    if delay > 0.0 and (fraction := _largest(lambda part: works(channel.with_delay(round(part * delay))))) is not None:
+        allowances["delay_s"] = round(fraction * delay) * channel.step
     if channel.identified is None:
         say("which lag would allow one")
-        if (share := _largest(lambda part: works(channel.with_lags(part)))) is not None:
-            allowances["lag_factor"] = share
+        if (fraction := _largest(lambda part: works(channel.with_lags(part)))) is not None:
+            allowances["lag_factor"] = fraction
     return allowances
 
 

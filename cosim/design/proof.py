@@ -52,20 +52,20 @@ class Proof:
 
     def lines(self) -> list[str]:
         """Describe the proof by measured response and the one by flights, in a sentence each."""
-        said = []
+        lines = []
         if isfinite(self.measured_hz):
-            said.append(
+            lines.append(
                 f"measured to {self.measured_hz:.3g} Hz: the engine's own response takes {100.0 * self.share:.0f} % of "
                 f"what stability leaves it, peak |S| {self.sensitivity:.2f}; beyond, the loop's gain is at most "
                 f"{self.above:.2g}"
             )
         if self.flights:
-            kept = sum(not flight.fault for flight in self.flights)
-            said.append(
-                f"flown in six degrees of freedom with noise and the engine itself: {kept} of {len(self.flights)} "
+            passed = sum(not flight.fault for flight in self.flights)
+            lines.append(
+                f"flown in six degrees of freedom with noise and the engine itself: {passed} of {len(self.flights)} "
                 f"flights kept what was promised ({self._flown_words()})"
             )
-        return said
+        return lines
 
     def _flown_words(self) -> str:
         names = ", ".join(dict.fromkeys(flight.scenario for flight in self.flights if not flight.engine))

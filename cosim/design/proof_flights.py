@@ -7,7 +7,7 @@ and slower than the others, and with one stronger and slower, because engines of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from math import ceil, degrees, floor, pi
 from typing import Any
 
@@ -18,6 +18,7 @@ from cosim.base.storage.toml import merge, read_toml
 from cosim.design.as_flown import FlownMeasures, FlownPair, measure_flight
 from cosim.design.controller_table import controller_table
 from cosim.design.design import Design
+from cosim.design.limits import Say
 from cosim.design.proof import ProofFlight
 from cosim.flight import fly
 from cosim.results.run import Run
@@ -38,8 +39,6 @@ ONSET_STEPS = 6  # in which that comes about: such an engine is off from the gro
 STATIONS_WITH_FACTOR = 6  # that have a thrust factor of their own
 
 HOVER, DOUBLET, GUST = "hover", "doublet", "gust"
-
-Say = Callable[[str], None]
 
 
 def fly_all(design: Design, say: Say) -> list[ProofFlight]:
@@ -86,8 +85,8 @@ def lean_of(vehicle: Vehicle) -> float:
     control = vehicle.control
     leans = [control.pilot.stick_lean_rad] if control.pilot else []
     leans += [control.position.lean_rad] if control.position else []
-    own = float(read_toml(find_scenario("roll-doublet"))["command"][0]["amplitude"])
-    return max(own, round(degrees(max(leans, default=0.0)), 6))
+    amplitude = float(read_toml(find_scenario("roll-doublet"))["command"][0]["amplitude"])
+    return max(amplitude, round(degrees(max(leans, default=0.0)), 6))
 
 
 def flight_tables(design: Design) -> dict[str, dict[str, Any]]:
@@ -99,13 +98,13 @@ def flight_tables(design: Design) -> dict[str, dict[str, Any]]:
     width = max(3.0, ceil(20.0 / (2.0 * pi * roll.bandwidth_hz)))
     doublet = read_toml(find_scenario("roll-doublet"))
     doublet = merge(doublet, {"duration_s": 1.0 + 4.0 * width})
-    own = {**doublet["command"][0], "width_s": width}
-    doublet["command"] = [own]
+    doublet_command = {**doublet["command"][0], "width_s": width}
+    doublet["command"] = [doublet_command]
     hover = merge(read_toml(find_scenario("hover")), {"duration_s": max(HOVER_S, 2.0 * width)})
     gust = read_toml(find_scenario("gust" if design.vehicle.mass_kg < LARGE_KG else "full-scale-gust"))
     lean = lean_of(design.vehicle)
-    wide = {f"{DOUBLET} to {lean:.3g} deg": merge(doublet, {"command": [{**own, "amplitude": lean}]})}
-    return {HOVER: hover, DOUBLET: doublet, **(wide if lean > own["amplitude"] else {}), GUST: gust}
+    wide = {f"{DOUBLET} to {lean:.3g} deg": merge(doublet, {"command": [{**doublet_command, "amplitude": lean}]})}
+    return {HOVER: hover, DOUBLET: doublet, **(wide if lean > doublet_command["amplitude"] else {}), GUST: gust}
 
 
 def fly_corner(design: Design, name: str, table: Mapping[str, Any], gain: float, later: int) -> ProofFlight:
@@ -123,14 +122,14 @@ def fly_with_odd_engine(design: Design, tables: Mapping[str, dict[str, Any]], fa
     The thrust comes to that in steps over one side of the doublet, and one more side lets the controller trim it.
     The lag is a further one before the engine, which any engine can be given.
     """
-    name = [each for each in tables if each.startswith(DOUBLET)][-1]
+    name = [key for key in tables if key.startswith(DOUBLET)][-1]
     table = tables[name]
     command = table["command"][0]
     step, width = design.scenario.step_s, command["width_s"]
     jet, spread = _strongest_lever(design.vehicle), abs(factor - 1.0)
-    share = 1.0 - min(factor, 1.0 / factor) ** (1.0 / ONSET_STEPS)
+    onset = 1.0 - min(factor, 1.0 / factor) ** (1.0 / ONSET_STEPS)
     times = [round(k * width / ONSET_STEPS / step) * step for k in range(ONSET_STEPS + 1)]
-    loss = {"kind": "thrust_loss", "jet": jet, "share": share}
+    loss = {"kind": "thrust_loss", "jet": jet, "share": onset}
     faults = [
         {**loss, "start_s": times[k]} if factor < 1.0 else {**loss, "start_s": 0.0, "duration_s": times[k + 1]}
         for k in range(ONSET_STEPS)
@@ -168,10 +167,10 @@ def _engine_lag(design: Design) -> float:
 
 
 def _fly_designed(design: Design, name: str, table: Mapping[str, Any], changes: Mapping[str, Any]) -> Run:
-    made = controller_table(design)
-    vehicle = merge(merge(table.get("vehicle", {}), design.scenario.vehicle), made["vehicle"])
+    controller = controller_table(design)
+    vehicle = merge(merge(table.get("vehicle", {}), design.scenario.vehicle), controller["vehicle"])
     changes = {**changes, "vehicle": merge(vehicle, changes.get("vehicle", {}))}
-    return fly(_scenario(design, name, table, made["controller"], changes), report=False)
+    return fly(_scenario(design, name, table, controller["controller"], changes), report=False)
 
 
 def _fly_shipped(design: Design, name: str, table: Mapping[str, Any]) -> FlownMeasures:
@@ -188,23 +187,23 @@ def _fly_shipped(design: Design, name: str, table: Mapping[str, Any]) -> FlownMe
 def _scenario(
     design: Design, name: str, table: Mapping[str, Any], controller: str, changes: Mapping[str, Any]
 ) -> Scenario:
-    given = design.scenario
+    scenario = design.scenario
     flown = {
         "name": f"proof-{name.replace(' ', '-')}",
-        "aircraft": given.aircraft,
-        "engine": given.engine,
-        "engine_parameters": dict(given.engine_parameters),
+        "aircraft": scenario.aircraft,
+        "engine": scenario.engine,
+        "engine_parameters": dict(scenario.engine_parameters),
         "engine_unchecked": True,  # it was measured already
         "engine_isolated": not design.engine.library,  # a crash or a hang is a reason, not an end
-        "step_s": given.step_s,
-        "substeps": given.substeps,
-        "added_delay_samples": given.added_delay_samples,
+        "step_s": scenario.step_s,
+        "substeps": scenario.substeps,
+        "added_delay_samples": scenario.added_delay_samples,
         "controller": controller,
         "expect": [],
         "limits": {},
         **changes,
     }
-    return Scenario.from_table({**table, **flown}, given.folder, f"proof: {name}")
+    return Scenario.from_table({**table, **flown}, scenario.folder, f"proof: {name}")
 
 
 def fault_of(name: str, run: Run, promised: float, wider: float) -> str:
@@ -229,9 +228,9 @@ def fault_of(name: str, run: Run, promised: float, wider: float) -> str:
 
 def _doublet_fault(run: Run, promised: float, wider: float) -> str:
     roll = run.metrics["roll"]
-    over, most = (roll.overshoot_percent or 0.0) / 100.0, wider * (promised + OVERSHOOT)
-    if over > most:
-        return f"overshoot of {100.0 * over:.0f} %, {100.0 * promised:.0f} % promised"
+    overshoot, most = (roll.overshoot_percent or 0.0) / 100.0, wider * (promised + OVERSHOOT)
+    if overshoot > most:
+        return f"overshoot of {100.0 * overshoot:.0f} %, {100.0 * promised:.0f} % promised"
     swing = degrees(roll.oscillation_rad or 0.0)
     if swing > wider * STILL_DEG:
         return f"roll still swings by {swing:.1f} deg at its end, {wider * STILL_DEG:g} at most"

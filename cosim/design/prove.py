@@ -30,6 +30,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import EngineError, InputError
 from cosim.design.design import Design, throttle_for
+from cosim.design.limits import Say
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import Dynamics, bounds
 from cosim.design.proof import Proof
@@ -48,7 +49,7 @@ ABOVE = 0.5  # loop gain where nothing was measured, at most: the engine may ans
 Again = Callable[[tuple[tuple[float, float], ...]], Design]
 
 
-def add_proof(design: Design, say: Callable[[str], None] = lambda text: None, again: Again | None = None) -> Design:
+def add_proof(design: Design, say: Say = lambda text: None, again: Again | None = None) -> Design:
     """Check a design against the engine's own response and fly it; it is not acceptable where one of these fails.
 
     ``again`` makes another one for an engine that differs from its model by shares at frequencies
@@ -70,7 +71,7 @@ def add_proof(design: Design, say: Callable[[str], None] = lambda text: None, ag
     return replace(other, proof=proof, reason=proof.reason)
 
 
-def prove(design: Design, say: Callable[[str], None] = lambda text: None) -> Proof:
+def prove(design: Design, say: Say = lambda text: None) -> Proof:
     """Check a design against the engine's measured response and fly it.
 
     Raises InputError if a flight cannot be set up at all.
@@ -134,32 +135,32 @@ def _measured(design: Design, dynamics: Dynamics) -> Proof:
     good = np.abs(swept.value) > 0.0
     gain = float(np.exp(np.mean(np.log(np.abs(swept.value[good] / dynamics.held(swept.hertz[good]))))))
     ratio = value / (gain * dynamics.held(hertz))
-    share, peak, above, worst = 0.0, 0.0, 0.0, ("", 0.0)
+    largest, peak, above, worst = 0.0, 0.0, 0.0, ("", 0.0)
     for axis, (channel, tuning) in loops.items():
         own = ClosedLoop(FrequencyGrid(channel, z=np.exp(2j * pi * hertz * step)), tuning)
         loop = own.open_loop
         off = np.abs(loop / (1.0 + loop) * (ratio - 1.0))
-        if float(off.max()) > share:
-            share, worst = float(off.max()), (axis, float(hertz[int(off.argmax())]))
+        if float(off.max()) > largest:
+            largest, worst = float(off.max()), (axis, float(hertz[int(off.argmax())]))
         peak = max(peak, float(np.max(1.0 / np.abs(1.0 + ratio * loop))))
         beyond = wide[axis].points.theta / (2.0 * pi * step) > end
         if beyond.any():
             above = max(above, float(np.abs(wide[axis].open_loop[beyond]).max()))
     reason = ""
     unsure = bounds(hertz, np.asarray(np.abs(ratio - 1.0)))
-    if share > SHARE_LEFT:
+    if largest > SHARE_LEFT:
         reason = (
             f"{worst[0]}: around {worst[1]:.2g} Hz the engine's own response is so far from its model that the "
-            f"loop may be unstable ({share:.2f} of what the small gain theorem allows, {SHARE_LEFT:g} at most)"
+            f"loop may be unstable ({largest:.2f} of what the small gain theorem allows, {SHARE_LEFT:g} at most)"
         )
     elif peak > WORSE * design.need.max_sensitivity:
         reason = f"with the engine's own response peak |S| is {peak:.2f}, {design.need.max_sensitivity:g} was asked for"
     elif above > ABOVE:
         reason = f"beyond {end:.3g} Hz, where nothing is measured, the loop's gain is up to {above:.2g}"
-    return Proof(reason, end, share, peak, above, (), unsure if reason else ())
+    return Proof(reason, end, largest, peak, above, (), unsure if reason else ())
 
 
 def _crossover(closed: ClosedLoop, gain: float = 1.0) -> float:
     """Return the highest frequency, Hz, at which the loop has this gain."""
-    over = np.flatnonzero(np.abs(closed.open_loop) >= gain)
-    return float(closed.points.theta[over[-1]] / (2.0 * pi * closed.points.channel.step)) if len(over) else 0.0
+    above = np.flatnonzero(np.abs(closed.open_loop) >= gain)
+    return float(closed.points.theta[above[-1]] / (2.0 * pi * closed.points.channel.step)) if len(above) else 0.0

@@ -175,17 +175,17 @@ def detail_lines(design: Design) -> list[str]:
     lines.append(_reach(design))
     lines += _level_lines(design)
     checks = [
-        (axis, f"{'stable' if fine else 'NOT stable'} for {what}")
+        (axis, f"{'stable' if fine else 'NOT stable'} for {check}")
         for axis, axis_design in design.axes.items()
-        for what, fine in axis_design.checks.items()
+        for check, fine in axis_design.checks.items()
     ]
-    return [*lines, *_same_said_once(checks)]
+    return [*lines, *_merge_same_values(checks)]
 
 
-def _same_said_once(said: Iterable[tuple[str, str]]) -> list[str]:
+def _merge_same_values(entries: Iterable[tuple[str, str]]) -> list[str]:
     """Return a line for each text, with the axes that it is said of before it."""
     axes: dict[str, list[str]] = {}
-    for axis, text in said:
+    for axis, text in entries:
         axes.setdefault(text, []).append(axis)
     return [f"{', '.join(names)}: {text}" for text, names in axes.items()]
 
@@ -257,20 +257,20 @@ def _model_lines(design: Design) -> list[str]:
             at, most = max(dynamics.unsure, key=lambda point: point[1])
             line += f"; designed for what others and all that turns add, up to {100.0 * most:.2g} % at {at:.2g} Hz"
             if most > 1.0:
-                first = next(hertz for hertz, share in dynamics.unsure if share > 1.0)
+                first = next(hertz for hertz, misfit in dynamics.unsure if misfit > 1.0)
                 line += f", more than itself from {first:.2g} Hz on"
         said.append((axis, line))
-    return [*lines, *_same_said_once(said)]
+    return [*lines, *_merge_same_values(said)]
 
 
 def _compared(roll: AxisDesign) -> str:
     """Compare the candidates' speed of response in words, the best as 100 %."""
     best = min(roll.candidates.values())
-    parts = []
+    changes = []
     for name, value in sorted(roll.candidates.items(), key=lambda item: item[1]):
         # the objective counts a bandwidth twice, in the answer to the set-point and in that to the load
-        parts.append(f"{name} {100.0 * exp(0.5 * (best - value)):.0f} %" if isfinite(value) else f"{name} none")
-    return "speed of response reached: " + ", ".join(parts)
+        changes.append(f"{name} {100.0 * exp(0.5 * (best - value)):.0f} %" if isfinite(value) else f"{name} none")
+    return "speed of response reached: " + ", ".join(changes)
 
 
 def _lead_words(lead: EngineLead) -> str:
@@ -292,12 +292,12 @@ def _limit_lines(roll: AxisDesign) -> list[str]:
     if not roll.limits:
         return [reached]
     most = max(roll.limits, key=lambda name: roll.limits[name])
-    parts = []
-    for what, value in roll.limits.items():
+    limits = []
+    for limit, value in roll.limits.items():
         gain = 100.0 * (value / after.bandwidth_hz - 1.0)
         more = f"{value:.2f} Hz ({gain:+.0f} %)" if gain > NOTHING else "the same"
-        parts.append(f"without {what} {more}")
-    return [f"{reached}, limited most by {most}: {', '.join(parts)}"]
+        limits.append(f"without {limit} {more}")
+    return [f"{reached}, limited most by {most}: {', '.join(limits)}"]
 
 
 def _level_lines(design: Design) -> list[str]:
@@ -305,27 +305,22 @@ def _level_lines(design: Design) -> list[str]:
     if not design.levels:
         return []
     least = design.levels[-1]
-    held = ", ".join(
+    peaks = ", ".join(
         f"{axis} {state.peak_sensitivity:.2f}" if state.peak_sensitivity else f"{axis} unstable"
         for axis, state in least.held.items()
     )
-    said = (
-        f"with an empty tank ({least.level.mass_kg:.4g} kg) the gains of a full one have a peak sensitivity of {held}"
+    text = (
+        f"with an empty tank ({least.level.mass_kg:.4g} kg) the gains of a full one have a peak sensitivity of {peaks}"
     )
     if design.schedule is None:
-        return [f"{said}; they are kept"]
-    shares = " to ".join(f"{level.share:.3f}" for level in (design.schedule.level[0], design.schedule.level[-1]))
+        return [f"{text}; they are kept"]
+    fractions = " to ".join(f"{level.share:.3f}" for level in (design.schedule.level[0], design.schedule.level[-1]))
     between = [
         state.peak_sensitivity or inf for level in design.levels if not level.designed for state in level.after.values()
     ]
-    return [
-        f"{said}: gains and leads follow the collective from {shares} of the engines' range"
-        + (
-            f"; between the levels that are designed the peak sensitivity is at most {max(between):.2f}"
-            if between
-            else ""
-        )
-    ]
+    most = max(between, default=0.0)
+    worst = f"; between the levels that are designed the peak sensitivity is at most {most:.2f}" if between else ""
+    return [f"{text}: gains and leads follow the collective from {fractions} of the engines' range{worst}"]
 
 
 def _reach(design: Design) -> str:

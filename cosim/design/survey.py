@@ -71,31 +71,40 @@ def rows_of(page: Path) -> dict[str, str]:
 
 
 def _one(path: Path, controller: str, limit: float, folder: Path) -> tuple[str, str, str, str]:
-    status, report, said = _run(["fmu", "check", str(path), "--json", "--out", str(folder / "check")], limit)
+    status, report, message = _run(["fmu", "check", str(path), "--json", "--out", str(folder / "check")], limit)
     if status == 2:
-        return said, "", "", REFUSED
+        return message, "", "", REFUSED
     if report is None:
-        return said, "", "", FAULT
+        return message, "", "", FAULT
     if not report["ok"]:
         return report["problems"][0], "", "", UNFIT
-    asked = ["design", "--engine", str(path), "--controller", controller, "--json", "--out", str(folder / "made.toml")]
-    status, made, said = _run(asked, limit)
+    arguments = [
+        "design",
+        "--engine",
+        str(path),
+        "--controller",
+        controller,
+        "--json",
+        "--out",
+        str(folder / "made.toml"),
+    ]
+    status, designed, message = _run(arguments, limit)
     if status == 2:
-        return "fit", said, "", REFUSED
-    if made is None:
-        return "fit", said, "", FAULT
-    return "fit", *describe_design(made)
+        return "fit", message, "", REFUSED
+    if designed is None:
+        return "fit", message, "", FAULT
+    return "fit", *describe_design(designed)
 
 
-def describe_design(made: dict[str, Any]) -> tuple[str, str, str]:
+def describe_design(designed: dict[str, Any]) -> tuple[str, str, str]:
     """Describe a design that ``--json`` printed: the design, the flights that kept it, and the verdict."""
-    proof, roll = made["proof"], made["axes"]["roll"]["after"]
+    proof, roll = designed["proof"], designed["axes"]["roll"]["after"]
     flights = proof["flights"] if proof else []
-    kept = f"{sum(not flight['fault'] for flight in flights)} of {len(flights)}" if flights else ""
-    if not made["ok"]:
-        return made["reason"], kept, NONE
-    design = f"{made['controller']}, {roll['bandwidth_hz']:.2g} Hz, peak |S| {roll['peak_sensitivity']:.2f}"
-    return design, kept, FLIES if flights and all(not flight["fault"] for flight in flights) else NONE
+    passed = f"{sum(not flight['fault'] for flight in flights)} of {len(flights)}" if flights else ""
+    if not designed["ok"]:
+        return designed["reason"], passed, NONE
+    design = f"{designed['controller']}, {roll['bandwidth_hz']:.2g} Hz, peak |S| {roll['peak_sensitivity']:.2f}"
+    return design, passed, FLIES if flights and all(not flight["fault"] for flight in flights) else NONE
 
 
 def _run(arguments: Sequence[str], limit: float) -> tuple[int, dict[str, Any] | None, str]:
@@ -105,11 +114,11 @@ def _run(arguments: Sequence[str], limit: float) -> tuple[int, dict[str, Any] | 
     except subprocess.TimeoutExpired:
         return -1, None, f"not done within {limit:g} s"
     complaints = [line for line in done.stderr.splitlines() if line.startswith("hexjet: ") and "warning:" not in line]
-    said = one_line((complaints or done.stderr.splitlines() or ["nothing was said"])[-1]).removeprefix("hexjet: ")
+    message = one_line((complaints or done.stderr.splitlines() or ["nothing was said"])[-1]).removeprefix("hexjet: ")
     if done.returncode not in (0, 1) or "Traceback" in done.stderr:
         fault = done.returncode == 2 and "Traceback" not in done.stderr
-        return (2 if fault else -1), None, said if fault else f"status {done.returncode}: {said}"
+        return (2 if fault else -1), None, message if fault else f"status {done.returncode}: {message}"
     try:
-        return done.returncode, json.loads(done.stdout), said
+        return done.returncode, json.loads(done.stdout), message
     except ValueError:
-        return -1, None, f"status {done.returncode}: {said}"
+        return -1, None, f"status {done.returncode}: {message}"

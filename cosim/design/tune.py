@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import inf, log, log1p
 
@@ -28,7 +28,7 @@ FASTEST_LEAD = 10.0  # times the poles of the engine: more adds no phase, only n
 FINE = 4000  # points of the circle with which a tuning is checked
 CLOSE = 0.02  # relative, by which the requirements may be missed where a search begins at its own answer
 WRITTEN = 1500  # points of the circle while digits are changed
-TOLD = 0.003  # of the objective: a search finds as much again when it is begun from its own answer
+NEGLIGIBLE_GAIN = 0.003  # of the objective: a search finds as much again when it is begun from its own answer
 LEAST_GAIN = 1e-6  # of the objective, for which a digit is changed
 SPARE = 0.004  # by which the search stays inside the requirements, for what lies between its points
 PREDICTOR = "predictor."  # before the names of a predictor's own parameters
@@ -61,7 +61,7 @@ def excess(closed: ClosedLoop, need: Requirements, spare: float = 0.0) -> float:
     step = STEP_M if channel.name == "altitude" else need.step_rad
     tolerated = closed.tolerated(need.delay_samples(channel.transport_samples), need.gain_tolerance)
     largest = need.max_sensitivity * (1.0 - spare)
-    parts = (
+    excesses = (
         # far from robust against a misfit there is no sensitivity, and a search still needs a slope
         closed.peak_sensitivity / largest - 1.0
         if closed.points.unsure is None
@@ -72,7 +72,7 @@ def excess(closed: ClosedLoop, need: Requirements, spare: float = 0.0) -> float:
         closed.step_peak * step / (channel.room * (1.0 - spare)) - 1.0,
         1.0 + spare - closed.bandwidth / need.min_bandwidth_hz if need.min_bandwidth_hz else 0.0,
     )
-    return sum(max(part, 0.0) for part in parts)
+    return sum(max(part, 0.0) for part in excesses)
 
 
 def acceptable(closed: ClosedLoop, need: Requirements) -> bool:
@@ -125,8 +125,10 @@ class TuningBounds:
             tau = max(tau, 1.0 / lead.pole_rad_s)
         k, p, i, d = value[:4] * np.array([1.0 / tau, 1.0 / (self._gain * tau), 1.0 / tau, tau])
         firmware = self._fixed.firmware
-        own = {knob.name: float(x) * knob.scale(tau) for knob, x in zip(self._own, value[4:], strict=False)}
-        predictor = self._spec.tuned(self._fixed.predictor, own)
+        predictor_values = {
+            knob.name: float(x) * knob.scale(tau) for knob, x in zip(self._own, value[4:], strict=False)
+        }
+        predictor = self._spec.tuned(self._fixed.predictor, predictor_values)
         smooth = _smooth(float(d), self._channel.step) if d else self._fixed.gains.d_filter_s
         if firmware is not None:
             smooth, k = firmware.smooth(smooth), firmware.angle_gain or k
@@ -158,7 +160,7 @@ def tune(
     what is missed added to the objective.  ``fixed`` holds what is not searched: without ``predictor``, its tuning too.
     With ``lead`` there is one, whose own poles are searched.
     """
-    from scipy.optimize import differential_evolution, minimize
+    from scipy.optimize import differential_evolution
 
     bounds = TuningBounds(channel, controller, model, fixed, predictor, lead)
     points = FrequencyGrid(channel)
@@ -190,13 +192,7 @@ def tune(
         polish=False,
         tol=1e-4,
     )
-    x, value = searched.x, float(searched.fun)
-    for size in (0.1, 0.03):  # a simplex that has shrunk on an edge starts again
-        simplex = np.vstack([x, x + size * np.eye(len(x))])
-        options = {"maxfev": ROUNDS, "xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
-        optimum = minimize(cost, x, method="Nelder-Mead", options=options)
-        if optimum.fun < value:
-            x, value = optimum.x, float(optimum.fun)
+    x = _descend(cost, searched.x, float(searched.fun))
     fine = FrequencyGrid(channel, close=FINE)
     for point in (x, feasible[1]):
         if point is not None:
@@ -204,6 +200,29 @@ def tune(
             if acceptable(closed, need):
                 return TuningResult(closed.tuning, objective(closed), count)
     return TuningResult(bounds.tuning(x), inf, count)
+
+
+def _descend(cost: Callable[[Array], float], x: Array, value: float) -> Array:
+    """Return the best point of Nelder and Mead's simplex from ``x``, whose cost is ``value``."""
+    from scipy.optimize import minimize
+
+    for size in (0.1, 0.03):  # a simplex that has shrunk on an edge starts again
+        simplex = np.vstack([x, x + size * np.eye(len(x))])
+        options = {"maxfev": ROUNDS, "xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
+        optimum = minimize(cost, x, method="Nelder-Mead", options=options)
+        if optimum.fun < value:
+            x, value = optimum.x, float(optimum.fun)
+    return x
+
+
+def _cost(closed: ClosedLoop, need: Requirements) -> float:
+    """Return the objective of a loop with a penalty for what it misses of the requirements."""
+    return objective(closed) + PENALTY * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
+
+
+def fine_loop(channel: Channel, tuning: Tuning) -> ClosedLoop:
+    """Return a channel closed with a tuning, at the :data:`FINE` points with which a tuning is checked."""
+    return ClosedLoop(FrequencyGrid(channel, close=FINE), tuning)
 
 
 def settle(
@@ -218,11 +237,10 @@ def settle(
     points = FrequencyGrid(channel, close=WRITTEN)
     firmware = start.firmware
     if firmware is not None and firmware.units is not None:
-        return _settle_whole(channel, start, need)
+        return _settle_in_whole_numbers(channel, start, need)
 
     def cost(values: Mapping[str, Digits]) -> float:
-        closed = ClosedLoop(points, _written(start, values, channel.step, level))
-        return objective(closed) + PENALTY * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
+        return _cost(ClosedLoop(points, _written(start, values, channel.step, level)), need)
 
     values = {name: digits(value) for name, value in _searched(start, predictor and not level).items()}
     best, moved = cost(values), True
@@ -234,10 +252,10 @@ def settle(
                 if (value := cost(trial)) < best - LEAST_GAIN:
                     values, best, moved = trial, value, True
     tuning = _written(start, values, channel.step, level)
-    return tuning if acceptable(ClosedLoop(FrequencyGrid(channel, close=FINE), tuning), need) else None
+    return tuning if acceptable(fine_loop(channel, tuning), need) else None
 
 
-def _settle_whole(channel: Channel, start: Tuning, need: Requirements) -> Tuning | None:
+def _settle_in_whole_numbers(channel: Channel, start: Tuning, need: Requirements) -> Tuning | None:
     """Settle in an autopilot's whole numbers, as :func:`settle`: by one more or less of one, or of two of them.
 
     They are coarse for a slow vehicle, so the nearest ones may miss what was searched: what is missed comes first.
@@ -247,18 +265,17 @@ def _settle_whole(channel: Channel, start: Tuning, need: Requirements) -> Tuning
     names = [name for name in ("angle_gain", "p", "i", "d") if not (name == "angle_gain" and firmware.angle_gain)]
     units = {name: firmware.unit(name) or 1.0 for name in names}
     gains = start.gains
-    stated = {"angle_gain": start.angle_gain, "p": gains.p, "i": gains.i, "d": gains.d}
+    gain_values = {"angle_gain": start.angle_gain, "p": gains.p, "i": gains.i, "d": gains.d}
 
     def at(values: Mapping[str, int]) -> Tuning:
-        told = {name: values[name] * units[name] for name in names}
-        angle = told.pop("angle_gain", start.angle_gain)
-        return replace(start, angle_gain=angle, gains=gains.model_copy(update=told))
+        scaled = {name: values[name] * units[name] for name in names}
+        angle = scaled.pop("angle_gain", start.angle_gain)
+        return replace(start, angle_gain=angle, gains=gains.model_copy(update=scaled))
 
     def cost(values: Mapping[str, int]) -> float:
-        closed = ClosedLoop(points, at(values))
-        return objective(closed) + PENALTY * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
+        return _cost(ClosedLoop(points, at(values)), need)
 
-    values = {name: min(max(1, round(stated[name] / units[name])), firmware.most) for name in names}
+    values = {name: min(max(1, round(gain_values[name] / units[name])), firmware.most) for name in names}
     ways = [{name: way} for name in names for way in (1, -1)]
     ways += [{a: x, b: y} for k, a in enumerate(names) for b in names[k + 1 :] for x in (1, -1) for y in (1, -1)]
     best, moved = cost(values), True
@@ -269,7 +286,7 @@ def _settle_whole(channel: Channel, start: Tuning, need: Requirements) -> Tuning
             if all(1 <= trial[name] <= firmware.most for name in way) and (value := cost(trial)) < best - LEAST_GAIN:
                 values, best, moved = trial, value, True
     tuning = at(values)
-    return tuning if acceptable(ClosedLoop(FrequencyGrid(channel, close=FINE), tuning), need) else None
+    return tuning if acceptable(fine_loop(channel, tuning), need) else None
 
 
 def near(
@@ -279,8 +296,6 @@ def near(
 
     So a second call finds what the first one did.  None where nothing near ``start`` keeps the requirements.
     """
-    from scipy.optimize import minimize
-
     points = FrequencyGrid(channel)
     names = list(_searched(start, predictor and not level))
 
@@ -289,24 +304,17 @@ def near(
         return _with(start, {name: float(number) for name, number in value.items()}, channel.step, level)
 
     def cost(x: Array) -> float:
-        closed = ClosedLoop(points, at(x))
-        return objective(closed) + PENALTY * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
+        return _cost(ClosedLoop(points, at(x)), need)
 
     x = np.log([_searched(start, True)[name] for name in names])
-    value = cost(x)
-    for size in (0.1, 0.03):
-        simplex = np.vstack([x, x + size * np.eye(len(x))])
-        options = {"maxfev": ROUNDS, "xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
-        optimum = minimize(cost, x, method="Nelder-Mead", options=options)
-        if optimum.fun < value:
-            x, value = optimum.x, float(optimum.fun)
+    x = _descend(cost, x, cost(x))
     there = settle(channel, at(x), need, predictor, level)
     # from far off the requirements, digit by digit would be a long way
     fine = FrequencyGrid(channel, close=FINE)
     here = settle(channel, start, need, predictor, level) if excess(ClosedLoop(fine, start), need) < CLOSE else None
     if here is None or there is None:
         return here or there
-    return there if objective(ClosedLoop(fine, there)) < objective(ClosedLoop(fine, here)) - TOLD else here
+    return there if objective(ClosedLoop(fine, there)) < objective(ClosedLoop(fine, here)) - NEGLIGIBLE_GAIN else here
 
 
 def digits(value: float) -> Digits:
@@ -334,8 +342,8 @@ def _searched(tuning: Tuning, predictor: bool) -> dict[str, float]:
     if tuning.firmware is not None and tuning.firmware.angle_gain is not None:
         del values["angle_gain"]  # another axis has chosen it
     if predictor:
-        own = PREDICTORS[tuning.controller].own(tuning.predictor)
-        values |= {PREDICTOR + name: value for name, value in own.items()}
+        parameters = PREDICTORS[tuning.controller].own(tuning.predictor)
+        values |= {PREDICTOR + name: value for name, value in parameters.items()}
     if tuning.lead is not None:
         values["pole_rad_s"] = tuning.lead.pole_rad_s
     return {name: value for name, value in values.items() if value > 0.0}
@@ -357,8 +365,10 @@ def _with(start: Tuning, value: Mapping[str, float], step: float, level: bool) -
         gains["d_filter_s"] = _smooth(gains["d"] / gains["p"], step)
         if start.firmware is not None:
             gains["d_filter_s"] = start.firmware.smooth(gains["d_filter_s"])
-    own = {name.removeprefix(PREDICTOR): value_of for name, value_of in value.items() if name.startswith(PREDICTOR)}
-    predictor, lead = PREDICTORS[start.controller].tuned(start.predictor, own), start.lead
+    predictor_values = {
+        name.removeprefix(PREDICTOR): value_of for name, value_of in value.items() if name.startswith(PREDICTOR)
+    }
+    predictor, lead = PREDICTORS[start.controller].tuned(start.predictor, predictor_values), start.lead
     if lead is not None and "pole_rad_s" in value:
         lead = lead.model_copy(update={"pole_rad_s": value["pole_rad_s"]})
     return replace(

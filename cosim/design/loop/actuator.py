@@ -55,10 +55,10 @@ def by_hinges(parts: Sequence[AxisPart], step: float, slower: float = 1.0) -> tu
     poles = [exp(step * servo.dynamics.poles[0].real) for servo in servos]
     shape = np.zeros(1)
     for k, part in enumerate(parts):
-        own = np.array(part.shape(step))
+        answer = np.array(part.shape(step))
         for pole in poles[:k] + poles[k + 1 :]:
-            own = np.convolve(own, [1.0 / (1.0 - pole), -pole / (1.0 - pole)])
-        shape = shape + own if k else own
+            answer = np.convolve(answer, [1.0 / (1.0 - pole), -pole / (1.0 - pole)])
+        shape = shape + answer if k else answer
     main = servos[max(range(len(parts)), key=lambda k: parts[k].share)]
     if len(poles) > 1:
         gain = prod([1.0 - pole for pole in poles])

@@ -54,7 +54,7 @@ from cosim.spec.vehicle import (
     Vehicle,
 )
 
-BESIDE = 160  # frequencies at which what others add to an axis is computed: 4 % apart, more counts below than is
+OTHERS_POINTS = 160  # frequencies at which what others add to an axis is computed: 4 % apart, more counts below than is
 MET = 0.5  # of all delay at low frequency or of the pace: as far may the two be apart; one lag alone has 0.64
 SECOND_POLE_WITHIN = 5.0  # times the slowest pole: up to here a lead takes the second one with it
 LED_WITHIN = 3.0  # times the channel's pace: slower poles of an engine with a zero beside one are not led
@@ -184,12 +184,12 @@ class Channel:
         if self.identified is not None:
             return self.identified
         body = self.actuator.model
-        shares, pole = self.turning
-        first = next(share for share in shares if share)
+        weights, pole = self.turning
+        first = next(weight for weight in weights if weight)
         gain = body.gain * self.gain * self.step * (1.0 - self.gyro_pole) * first
         zeros, poles, pairs = [*body.zeros], [*body.poles, pole], [*body.zero_pairs]
-        if any(shares[1:]):
-            acting = np.trim_zeros(shares, "b")
+        if any(weights[1:]):
+            acting = np.trim_zeros(weights, "b")
             poles += [0.0] * (len(acting) - 2)
             roots = np.roots(acting)
             zeros += [float(root.real) for root in roots if not root.imag]
@@ -220,8 +220,8 @@ class Channel:
         if self.identified is not None:
             rate = delayed_response(self.identified, z) * late
             return rate, rate * integral * z**-self.angle_latency, rate * integral
-        shares, pole = self.turning
-        body = rate_response(z, shares, pole)
+        weights, pole = self.turning
+        body = rate_response(z, weights, pole)
         rate = self.gain * self.step * delayed_response(self.actuator.model, z) * body * late
         return (
             np.asarray(rate * self.measuring(z)),
@@ -310,7 +310,7 @@ def _by_effectiveness(
 ) -> Channel:
     """Return the channel of an angular acceleration, rad/s^2, by what gives most of it in hover: thrusts or hinges.
 
-    What the other gives of it is carried as an uncertainty: :func:`_beside`.
+    What the other gives of it is carried as an uncertainty: :func:`_with_others`.
     """
     index = AXES.index(axis)
     allocator, step = effectiveness_of(scenario, vehicle, engine), scenario.step_s
@@ -332,7 +332,7 @@ def _by_effectiveness(
     return Channel(
         axis,
         "rad/s^2",
-        _beside(main, shape, others, dynamics, step),
+        _with_others(main, shape, others, dynamics, step),
         1.0,
         vehicle.aero.damping_n_m_s[index] / vehicle.inertia_kg_m2[index],
         step,
@@ -345,7 +345,7 @@ def _by_effectiveness(
     )
 
 
-def _beside(
+def _with_others(
     main: Actuator, shape: Sequence[float], others: Sequence[AxisPart], engine: Actuator, step: float
 ) -> Actuator:
     """Return the actuator that gives most of an axis; what others do beside it is carried as an uncertainty.
@@ -354,20 +354,20 @@ def _beside(
     ``(1 - sum w_i) W A + sum W_i A_i``: at every frequency that is known, and so is how far ``W A`` alone is off it.  A
     design that stands all that are as far off stands this one.  ``engine`` answers where another has no servos.
     """
-    hertz = np.geomspace(1e-3, 0.49, BESIDE) / step
+    hertz = np.geomspace(1e-3, 0.49, OTHERS_POINTS) / step
     z = np.exp(2j * np.pi * hertz * step)
-    own = np.polyval(shape[::-1], 1.0 / z) * delayed_response(main.model, z)
-    whole = np.full(len(z), -sum([part.share for part in others]), complex)
+    main_response = np.polyval(shape[::-1], 1.0 / z) * delayed_response(main.model, z)
+    deviation = np.full(len(z), -sum([part.share for part in others]), complex)
     for part in others:
         answer = servo_actuator(part.servos[0], step) if part.servos else engine
-        whole += np.polyval(part.shape(step)[::-1], 1.0 / z) * delayed_response(answer.model, z) / own
-    off = np.abs(whole)
+        deviation += np.polyval(part.shape(step)[::-1], 1.0 / z) * delayed_response(answer.model, z) / main_response
+    off = np.abs(deviation)
     if float(off.max()) < CARRIED:
         return main
     if main.dynamics.unsure:  # what its own model leaves comes on top
-        at, left = np.array(main.dynamics.unsure).T
-        off += np.interp(np.log(hertz), np.log(at), left)
-    unsure = tuple((float(f), float(share)) for f, share in zip(hertz, off, strict=True))
+        at, gap = np.array(main.dynamics.unsure).T
+        off += np.interp(np.log(hertz), np.log(at), gap)
+    unsure = tuple((float(f), float(gap_there)) for f, gap_there in zip(hertz, off, strict=True))
     return replace(main, dynamics=replace(main.dynamics, unsure=unsure))
 
 
@@ -383,8 +383,8 @@ def _gyro(sensors: Sensors) -> dict[str, float | int]:
 
 
 def _room(vehicle: Vehicle, engine: EngineSpec) -> float:
-    limits, share = vehicle.control.allocation, hover_share(vehicle, engine)
-    return min(share - limits.throttle_min, limits.throttle_max - share)
+    limits, thrust_fraction = vehicle.control.allocation, hover_share(vehicle, engine)
+    return min(thrust_fraction - limits.throttle_min, limits.throttle_max - thrust_fraction)
 
 
 def _servo_room(servo: Servo | Hinge | None) -> float:
@@ -453,10 +453,10 @@ def without_instant(poles: Sequence[float], zeros: Sequence[float]) -> tuple[lis
     ``1 / (z - p)`` with ``p`` below :data:`INSTANT` is a delay of a sample to rounding, which a zero at 0 takes back.
     An observer would have such a state corrected by ``1 / p``, and double precision does not place its poles.
     """
-    kept, left, delay = [pole for pole in poles if not 0.0 < pole < INSTANT], [*zeros], 0
-    for _ in range(len(poles) - len(kept)):
-        if 0.0 in left:
-            left.remove(0.0)
+    acting, remaining, delay = [pole for pole in poles if not 0.0 < pole < INSTANT], [*zeros], 0
+    for _ in range(len(poles) - len(acting)):
+        if 0.0 in remaining:
+            remaining.remove(0.0)
         else:
             delay += 1
-    return kept, left, delay
+    return acting, remaining, delay

@@ -34,7 +34,7 @@ from cosim.design.loop.frequency import (
 from cosim.design.loop.state_space import Space, Steps
 from cosim.design.loop.tuning import Tuning
 
-LEFT = 1e-3  # of the largest response to a load: less at almost no frequency is nothing
+NEGLIGIBLE_LOAD = 1e-3  # of the largest response to a load: less at almost no frequency is nothing
 WINDOW = 50.0  # times the channel's pace, over which responses in time are looked at
 LONGEST = 3.0  # times the longest time in which it answers, the same: of a slow part 5 % are left then
 FADED = 1e-10  # what a response in time is wrong by, as a part of what comes a period later; rounding is as small
@@ -52,9 +52,9 @@ class FrequencyGrid:
         self.channel = channel
         lowest = min(1e-3 * channel.step / channel.longest_s, 1e-3)
         closely = np.union1d(np.geomspace(lowest, pi, close - close // 4), np.linspace(pi / close, pi, close // 4))
-        stated = channel.actuator.dynamics.unsure if channel.identified is None else ()
-        if stated:
-            at = 2.0 * pi * channel.step * np.array([hertz for hertz, _ in stated])
+        misfit = channel.actuator.dynamics.unsure if channel.identified is None else ()
+        if misfit:
+            at = 2.0 * pi * channel.step * np.array([hertz for hertz, _ in misfit])
             closely = np.union1d(closely, at[(at > lowest) & (at < pi)])
         self.z: Complex = np.exp(1j * closely) if z is None else z
         self.theta: Array = angles(self.z)
@@ -82,8 +82,8 @@ class ClosedLoop:
         else:
             self._error, slope = pid_response(tuning.gains, channel.step, z)
         if tuning.lead is not None:
-            over, under = lead_polynomials(tuning.lead, channel.step)
-            lead = np.polyval(over, z) / np.polyval(under, z)
+            numerator, denominator = lead_polynomials(tuning.lead, channel.step)
+            lead = np.polyval(numerator, z) / np.polyval(denominator, z)
             self._error, slope = self._error * lead, slope * lead
         self._both = self._error + slope
         self.inner: Complex = 1.0 + self._both * of_command
@@ -124,8 +124,8 @@ class ClosedLoop:
     def distance(self) -> float:
         """Least distance of the loops that the misfit allows from the critical point; below 0 where it lies in them."""
         unsure = 0.0 if self.points.unsure is None else self.points.unsure
-        left = np.abs(self.characteristic) - unsure * np.abs(self.outer)
-        return float(np.min(left / np.abs(self.inner)))
+        characteristic = np.abs(self.characteristic) - unsure * np.abs(self.outer)
+        return float(np.min(characteristic / np.abs(self.inner)))
 
     @property
     def beyond_stability(self) -> float:
@@ -205,8 +205,8 @@ class ClosedLoop:
 
         A state predictor whose observer knows of no disturbance takes one for a rate, and no integral removes that.
         """
-        left = float(self.load_response[0].real)
-        return left if abs(left) > LEFT * float(np.abs(self.load_response).max()) else 0.0
+        at_rest = float(self.load_response[0].real)
+        return at_rest if abs(at_rest) > NEGLIGIBLE_LOAD * float(np.abs(self.load_response).max()) else 0.0
 
     @cached_property
     def load_response(self) -> Complex:
@@ -237,8 +237,8 @@ class ClosedLoop:
             return 0.0 if len(below) else inf
         k = int(below[0])
         theta = self.points.theta
-        share = (10.0 ** (-3.0 / 20.0) - size[k - 1]) / (size[k] - size[k - 1])
-        at = np.log(theta[k - 1]) + share * np.log(theta[k] / theta[k - 1])
+        fraction = (10.0 ** (-3.0 / 20.0) - size[k - 1]) / (size[k] - size[k - 1])
+        at = np.log(theta[k - 1]) + fraction * np.log(theta[k] / theta[k - 1])
         return float(np.exp(at) / (2.0 * pi * self.points.channel.step))
 
 
@@ -270,8 +270,8 @@ def _nearest(x: Array, y: Array, angle: Array) -> float:
     # where it can be least: at the ends, where one of the two is 0, and where they are equal
     pairs = ((-x[:-1], dx), (-y[:-1], dy), (y[:-1] - x[:-1], dx - dy), (-(x[:-1] + y[:-1]), dx + dy))
     least = float(np.min(np.maximum(np.abs(x), np.abs(y))))
-    for over, under in pairs:
-        at = np.clip(over / np.where(under == 0.0, 1.0, under), 0.0, 1.0)
+    for numerator, denominator in pairs:
+        at = np.clip(numerator / np.where(denominator == 0.0, 1.0, denominator), 0.0, 1.0)
         along = np.maximum(np.abs(x[:-1] + at * dx), np.abs(y[:-1] + at * dy))
         least = min(least, float(np.min(along[joined], initial=least)))
     return least

@@ -73,8 +73,8 @@ class Dynamics:
         """
         if not self.unsure:
             return None
-        at, share = np.array(self.unsure).T
-        return np.asarray(np.interp(np.log(np.maximum(hertz, 1e-9)), np.log(at), share))
+        at, misfit = np.array(self.unsure).T
+        return np.asarray(np.interp(np.log(np.maximum(hertz, 1e-9)), np.log(at), misfit))
 
     def unsure_words(self) -> str:
         """Describe how far the engine may be off these dynamics; "" where it follows them."""
@@ -85,17 +85,17 @@ class Dynamics:
 
     def words(self) -> str:
         """Describe the lags, poles and zeros in words."""
-        said = [f"lag {-1e3 / p.real:.4g} ms" for p in self.poles if not p.imag]
-        said += [
+        descriptions = [f"lag {-1e3 / p.real:.4g} ms" for p in self.poles if not p.imag]
+        descriptions += [
             f"two poles at {abs(p):.4g} rad/s with damping {-p.real / abs(p):.2f}" for p in self.poles if p.imag > 0.0
         ]
-        said += [f"zero at {z.real:.4g} rad/s" for z in self.zeros if z.real < 0.0]
-        said += [
+        descriptions += [f"zero at {z.real:.4g} rad/s" for z in self.zeros if z.real < 0.0]
+        descriptions += [
             f"zero in the right half plane at {z.real:.4g} rad/s (thrust first goes the wrong way)"
             for z in self.zeros
             if z.real > 0.0
         ]
-        return ", ".join(said)
+        return ", ".join(descriptions)
 
     def discrete(self, source: str) -> RateModel:
         """Return the transfer function in z behind a zero-order hold."""
@@ -104,13 +104,13 @@ class Dynamics:
         gain = np.prod([-p for p in self.poles]) / np.prod([-z for z in self.zeros] or [1.0])
         ss = zpk2ss(list(self.zeros), list(self.poles), float(np.real(gain)))
         A, B, C, _, _ = cont2discrete(ss, self.step)
-        under = np.real(np.poly(A))
-        over = np.real(np.poly(A - B @ C)) - under  # C adj(zI - A) B
-        over = over[1:]
-        zeros = np.roots(over)
+        denominator = np.real(np.poly(A))
+        numerator = np.real(np.poly(A - B @ C)) - denominator  # C adj(zI - A) B
+        numerator = numerator[1:]
+        zeros = np.roots(numerator)
         real, pairs = _in_z(self.poles, self.step)
         return RateModel(
-            gain=float(over[0]),
+            gain=float(numerator[0]),
             zeros=sorted(float(z.real) for z in zeros if not z.imag),
             zero_pairs=[(float(z.real), float(z.imag)) for z in zeros if z.imag > 0.0],
             poles=sorted(real, reverse=True),
@@ -173,7 +173,7 @@ def with_misfit(dynamics: Dynamics, response: FrequencyResponse) -> Dynamics:
     hertz, ratio = response.hertz[use], response.value[use] / dynamics.held(response.hertz[use])
     off = np.abs(ratio / np.exp(np.mean(np.log(np.abs(ratio)))) - 1.0)
     wide = np.maximum(off, np.maximum(np.append(off[1:], off[-1]), np.append(off[0], off[:-1])))
-    return replace(dynamics, unsure=tuple((float(f), float(share)) for f, share in zip(hertz, wide, strict=True)))
+    return replace(dynamics, unsure=tuple((float(f), float(misfit)) for f, misfit in zip(hertz, wide, strict=True)))
 
 
 def bounds(hertz: Array, off: Array) -> tuple[tuple[float, float], ...]:
@@ -185,8 +185,8 @@ def bounds(hertz: Array, off: Array) -> tuple[tuple[float, float], ...]:
     part = np.clip(np.searchsorted(ends, hertz, side="right") - 1, 0, BANDS - 1)
     most = np.zeros(BANDS)
     np.maximum.at(most, part, off)
-    share = np.maximum(np.append(most, most[-1]), np.append(most[0], most))
-    return tuple((float(f), float(x)) for f, x in zip(ends, share, strict=True))
+    widest = np.maximum(np.append(most, most[-1]), np.append(most[0], most))
+    return tuple((float(f), float(x)) for f, x in zip(ends, widest, strict=True))
 
 
 def _runs(dynamics: Dynamics) -> bool:
@@ -280,14 +280,14 @@ class _FormFit:
         """Return cost and solution of the least squares from ``start`` over the entries ``free``, the others fixed."""
         from scipy.optimize import least_squares
 
-        def put(part: Array) -> Array:
+        def scatter(part: Array) -> Array:
             x = start.copy()
             x[free] = part
             return x
 
         bounds = self._low[free], self._high[free]
-        solution = least_squares(lambda part: self._residuals(put(part)), start[free], bounds=bounds)
-        return float(solution.cost), put(solution.x)
+        solution = least_squares(lambda part: self._residuals(scatter(part)), start[free], bounds=bounds)
+        return float(solution.cost), scatter(solution.x)
 
 
 def _fit(response: FrequencyResponse, form: Sequence[str], delay: float, lag: float) -> Dynamics:

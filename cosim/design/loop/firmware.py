@@ -70,17 +70,17 @@ def _betaflight(levels: bool, yaw: bool) -> Loop:
 
 
 def _px4(s: list[float], r: float, y: float, period: float, hertz: float) -> tuple[list[float], float, float, float]:
-    asked, last, slope, integral = s  # the rate set-point is the attitude loop's of the step before
+    setpoint, last, slope, integral = s  # the rate set-point is the attitude loop's of the step before
     slope += share(hertz, period) * ((last - y) / period - slope)
-    error = asked - y
+    error = setpoint - y
     return [r, y, slope, integral + period * error], error, integral, slope  # this error is integrated for the next
 
 
 def _ardupilot(
     s: list[float], r: float, y: float, period: float, hertz: float
 ) -> tuple[list[float], float, float, float]:
-    asked, last, slope, integral = s  # the rate loop comes first in a loop of its tasks, the attitude loop behind it
-    error = asked - y
+    setpoint, last, slope, integral = s  # the rate loop comes first in a loop of its tasks, the attitude loop behind it
+    error = setpoint - y
     slope += share(hertz, period) * ((error - last) / period - slope)  # of the error, set-point and all
     integral += period * error
     return [r, error, slope, integral], error, integral, slope
@@ -120,10 +120,10 @@ class Firmware:
     def responses(self, gains: RateGains, step: float, z: Complex) -> tuple[Complex, Complex]:
         """Return the response of the command to the rate set-point, and the negative one to the measured rate."""
         at = z.tobytes()
-        p, i = _parts(self.name, self.axis, step, 0.0, at)[:2]
+        p, i = _loop_parts(self.name, self.axis, step, 0.0, at)[:2]
         of_set, of_rate = gains.p * p[0] + gains.i * i[0], gains.p * p[1] + gains.i * i[1]
         if gains.d:
-            slope = _parts(self.name, self.axis, step, 1.0 / (2.0 * pi * gains.d_filter_s), at)[2]
+            slope = _loop_parts(self.name, self.axis, step, 1.0 / (2.0 * pi * gains.d_filter_s), at)[2]
             of_set, of_rate = of_set + gains.d * slope[0], of_rate + gains.d * slope[1]
         return of_set, -of_rate
 
@@ -141,7 +141,7 @@ class Firmware:
 
 
 @lru_cache(maxsize=64)
-def _parts(name: str, axis: str, step: float, hertz: float, at: bytes) -> Complex:
+def _loop_parts(name: str, axis: str, step: float, hertz: float, at: bytes) -> Complex:
     """Return the response of P, I and D part to set-point and gyro, at points of the unit circle: 3 x 2 x points."""
     z = np.frombuffer(at, np.complex128)
     a, b, c, d = matrices(name, axis, step, hertz or 1.0)
@@ -170,11 +170,11 @@ def matrices(name: str, axis: str, step: float, hertz: float) -> tuple[Array, Ar
     count = max(1, round(step / BETAFLIGHT_LOOP_S)) if name == "betaflight" else 1
     period = step / count
     columns = np.eye(size + 2)
-    answers = [loop(list(column[:size]), column[size], column[size + 1], period, hertz) for column in columns]
-    after = np.array([state for state, *_ in answers]).T
-    parts = np.array([answer[1:] for answer in answers]).T
+    results = [loop(list(column[:size]), column[size], column[size + 1], period, hertz) for column in columns]
+    after = np.array([state for state, *_ in results]).T
+    matrix = np.array([answer[1:] for answer in results]).T
     a, b = after[:, :size], after[:, size:]
     total, power = np.zeros_like(a), np.eye(size)
     for _ in range(count):
         total, power = total + power, power @ a
-    return power, total @ b, parts[:, :size], parts[:, size:]
+    return power, total @ b, matrix[:, :size], matrix[:, size:]

@@ -86,9 +86,9 @@ def _transform(taps: Array, z: Complex) -> Complex:
 
 def pid_response(gains: RateGains, step: float, z: Complex) -> Pair:
     """Return ``C_e`` (set-point and feedback) and ``D`` (feedback alone) of the rate PID at ``z``; ``step`` in s."""
-    share = step / (gains.d_filter_s + step)
+    weight = step / (gains.d_filter_s + step)
     difference = 1.0 - 1.0 / z
-    of_slope = gains.d * share * difference / (step * (1.0 - (1.0 - share) / z))
+    of_slope = gains.d * weight * difference / (step * (1.0 - (1.0 - weight) / z))
     return np.asarray(gains.p + gains.i * step / difference), np.asarray(of_slope)
 
 

@@ -103,8 +103,8 @@ class Space:
             measured = line.sum(axis=0) / channel.rate_hold
         predicted = self._predictor.predicted(measured, x, self._keep)
         error = self.tuning.angle_gain * (self._r - x["angle"][channel.angle_latency]) - predicted
-        share = T / (gains.d_filter_s + T)
-        slope = x["slope"][0] + share * ((predicted - x["before"][0]) / T - x["slope"][0])
+        weight = T / (gains.d_filter_s + T)
+        slope = x["slope"][0] + weight * ((predicted - x["before"][0]) / T - x["slope"][0])
         command = gains.p * error - gains.d * slope
         if gains.i:
             integral = x["integral"][0] + gains.i * T * error
@@ -121,11 +121,11 @@ class Space:
 
     def _led(self, command: Array) -> Array:
         assert self._lead is not None
-        over, under = self._lead
-        A, B, C = companion(over[1:] - over[0] * under[1:], under)
+        numerator, denominator = self._lead
+        A, B, C = companion(numerator[1:] - numerator[0] * denominator[1:], denominator)
         state = self._x["lead"]
         self._keep("lead", A @ state + np.outer(B, command))
-        return np.asarray(C @ state + over[0] * command)
+        return np.asarray(C @ state + numerator[0] * command)
 
     def _fly(self, command: Array) -> None:
         """Move the plant over the step by the commands that reach it."""
@@ -141,8 +141,8 @@ class Space:
         if channel.identified is None:
             (now, *late), pole = channel.turning
             acting = now * force
-            for k, share in enumerate(late):
-                acting = acting + share * x["force"][k]
+            for k, weight in enumerate(late):
+                acting = acting + weight * x["force"][k]
             rate = pole * before + channel.gain * T * acting
             self._shift("force", force)
             c = channel.gyro_pole

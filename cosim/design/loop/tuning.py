@@ -27,7 +27,7 @@ def designable(name: str, where: str, others: Iterable[str] = ()) -> PredictorSp
 
     Raises InputError for an unknown one, and for one that states no frequency response.
     """
-    allowed = [*others, *(known for known, spec in PREDICTORS.items() if spec.response)]
+    allowed = [*others, *(name_of for name_of, spec in PREDICTORS.items() if spec.response)]
     if name in PREDICTORS and name not in allowed:
         raise InputError(f"{where}: states no frequency response, which a design needs; {nearest(name, allowed)}")
     if name not in allowed:
@@ -57,3 +57,8 @@ class Tuning:
         """Return the predictor in state space; None for one that states its frequency response alone."""
         spec = designable(self.controller, f"controller {self.controller!r}")
         return None if spec.space is None else spec.space(self.model, spec.own(self.predictor))
+
+
+def round_gain(value: float) -> float:
+    """Round to six significant digits, which is as exact as a gain is meant."""
+    return float(f"{value:.6g}")

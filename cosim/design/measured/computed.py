@@ -91,11 +91,11 @@ def computed(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[
 
 def _tuning(channel: Channel, scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
     """Return what flies on a channel, its predictor as by :func:`cosim.simulation.controllers.models.predictors`."""
-    own = shipped(channel, vehicle, spec)
+    tuning = shipped(channel, vehicle, spec)
     if channel.name == "altitude":
-        return own
+        return tuning
     chosen = PREDICTORS[scenario.controller]
-    modelled = own.controller != BASELINE.name
+    modelled = tuning.controller != BASELINE.name
     predicted = modelled if chosen.needs_model else channel.name == "roll" or vehicle.allocation == "rotors"
     name = scenario.controller if predicted else BASELINE.name
-    return Tuning(name, own.angle_gain, own.gains, own.predictor, own.model, own.lead)
+    return Tuning(name, tuning.angle_gain, tuning.gains, tuning.predictor, tuning.model, tuning.lead)

@@ -72,11 +72,11 @@ def measured(sensitivity: Complex, hertz: Array, step: float = 0.0, transport_s:
     def margins_of(rows: Complex) -> dict[str, float | None]:
         return vars(loop_margins(*_fine((1.0 / rows.mean(axis=0) - 1.0)[used], hertz[used]), step, transport_s))
 
-    whole = margins_of(sensitivity)
+    estimates = margins_of(sensitivity)
     without = [margins_of(np.delete(sensitivity, number, axis=0)) for number in range(periods)]
     bounded = {
         name: _jackknife(value, [margins[name] for margins in without])
-        for name, value in whole.items()
+        for name, value in estimates.items()
         if value is not None
     }
     coherence = np.abs(mean) ** 2 / (np.abs(mean) ** 2 + scatter / periods)
@@ -97,9 +97,16 @@ def _jackknife(value: float, without: list[float | None]) -> Bounded:
     if any(value is None for value in without):
         return Bounded(value, nan, nan)
     count = len(without)
-    left = np.array(without, np.float64)
-    half = float(stdtrit(count - 1, 0.975)) * sqrt((count - 1) / count * float(np.sum((left - left.mean()) ** 2)))
+    each = np.array(without, np.float64)
+    half = float(stdtrit(count - 1, 0.975)) * sqrt((count - 1) / count * float(np.sum((each - each.mean()) ** 2)))
     return Bounded(value, value - half, value + half)
+
+
+def relative_difference(name: str, value: float, reference: float) -> float:
+    """Return by how much a margin is off a reference, relative; of a gain in dB by its factor, NaN of a 0."""
+    if name.endswith("_db"):
+        return float(10.0 ** ((value - reference) / 20.0) - 1.0)
+    return float((value - reference) / reference) if reference else nan
 
 
 def relative_differences(one: Mapping[str, Bounded], other: Mapping[str, Bounded]) -> dict[str, float]:
@@ -108,5 +115,5 @@ def relative_differences(one: Mapping[str, Bounded], other: Mapping[str, Bounded
     for name in one.keys() & other.keys():
         a, b = one[name].value, other[name].value
         if isfinite(a) and isfinite(b):
-            margins[name] = 10.0 ** ((a - b) / 20.0) - 1.0 if name.endswith("_db") else (a - b) / b if b else nan
+            margins[name] = relative_difference(name, a, b)
     return margins

@@ -76,11 +76,11 @@ def multisine(period_s: float, step: float, low: float, high: float) -> Multisin
     bins = np.unique(np.round(np.geomspace(first, last, count))).astype(np.float64)
     size = np.maximum(1.0, 10.0 * first / bins) ** RISE
     turn = 2.0 * np.pi * np.outer(np.arange(period), bins) / period
-    over, under = np.cos(turn) * size, np.sin(turn) * size
+    cosines, sines = np.cos(turn) * size, np.sin(turn) * size
     phases = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, (DRAWS, len(bins)))
     if 2 * last == period:  # at half the sampling rate a sine has two phases
         phases[:, -1] = np.pi * np.round(phases[:, -1] / (2.0 * np.pi))
-    waves = over @ np.cos(phases.T) - under @ np.sin(phases.T)
+    waves = cosines @ np.cos(phases.T) - sines @ np.sin(phases.T)
     peaks = np.abs(waves).max(axis=0)
     best = int(peaks.argmin())
     return Multisine(period, step, bins, np.asarray(waves[:, best] / peaks[best], np.float64))
@@ -100,49 +100,49 @@ class Tap:
             return
         self._sides = (1.0, 1.0) if axis == "pitch" else (1.0, -1.0)
         arms = levers(vehicle, index)
-        whole = sum(abs(lever) for lever in arms)
-        if not self.tilts and not whole:
+        arm_sum = sum(abs(lever) for lever in arms)
+        if not self.tilts and not arm_sum:
             raise InputError(f"{vehicle.name}: its engines give no {axis} moment")
         slopes = [_slope(spec, vehicle.mass_kg * GRAVITY / len(vehicle.jets)) for spec in stations]
         if not self.tilts:
-            self._weights = [lever * slope / whole for lever, slope in zip(arms, slopes, strict=True)]
+            self._weights = [lever * slope / arm_sum for lever, slope in zip(arms, slopes, strict=True)]
             self._adds = [float(np.sign(lever)) / slope for lever, slope in zip(arms, slopes, strict=True)]
 
     def _by_effectiveness(
         self, axis: str, scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]
     ) -> None:
         """Set the tap as the allocation splits a small angular acceleration in hover, with the effect of each part."""
-        shares, effects = effectiveness_of(scenario, vehicle, stations[0]).split(AXES.index(axis))
+        fractions, effects = effectiveness_of(scenario, vehicle, stations[0]).split(AXES.index(axis))
         jets, weight = len(vehicle.jets), vehicle.mass_kg * GRAVITY
-        if not any(shares):
+        if not any(fractions):
             raise InputError(f"{vehicle.name}: its engines give no {axis} moment")
         spans = [spec.curve.thrust[-1] - spec.curve.thrust[0] for spec in stations]
         newtons = [_slope(spec, weight / jets) * span for spec, span in zip(stations, spans, strict=True)]  # a throttle
         self.unit = "rad/s^2"
         self._weights = [effect * newton for effect, newton in zip(effects, newtons, strict=False)]
-        self._adds = [share / newton for share, newton in zip(shares, newtons, strict=False)]
-        self._turns, self._moves = effects[jets:], shares[jets:]
-        parts = [abs(add) / USUAL_SHARE for add in self._adds] + [abs(move) / USUAL_TILT for move in self._moves]
-        self.usual = float(f"{1.0 / max(parts):.2g}")
+        self._adds = [fraction / newton for fraction, newton in zip(fractions, newtons, strict=False)]
+        self._turns, self._moves = effects[jets:], fractions[jets:]
+        limits = [abs(add) / USUAL_SHARE for add in self._adds] + [abs(move) / USUAL_TILT for move in self._moves]
+        self.usual = float(f"{1.0 / max(limits):.2g}")
 
-    def read(self, given: Actuation) -> float:
+    def read(self, actuation: Actuation) -> float:
         """Return the command of the axis: a fraction of thrust, rad of tilt, or rad/s^2."""
         if self.tilts:
-            left, right = given.tilt
+            left, right = actuation.tilt
             return 0.5 * (self._sides[0] * left + self._sides[1] * right)
-        turned = sum([turn * angle for turn, angle in zip(self._turns, given.tilt, strict=False)])
-        return turned + sum([weight * throttle for weight, throttle in zip(self._weights, given.throttle, strict=True)])
+        turned = sum([turn * angle for turn, angle in zip(self._turns, actuation.tilt, strict=False)])
+        return turned + sum([w * throttle for w, throttle in zip(self._weights, actuation.throttle, strict=True)])
 
-    def add(self, given: Actuation, value: float) -> Actuation:
+    def add(self, actuation: Actuation, value: float) -> Actuation:
         """Return the actuation with ``value`` more on the axis, throttles limited to 0 to 1."""
         if self.tilts:
-            left, right = given.tilt
-            return given._replace(tilt=(left + self._sides[0] * value, right + self._sides[1] * value))
-        throttle = [command + value * share for command, share in zip(given.throttle, self._adds, strict=True)]
+            left, right = actuation.tilt
+            return actuation._replace(tilt=(left + self._sides[0] * value, right + self._sides[1] * value))
+        throttle = [command + value * gain for command, gain in zip(actuation.throttle, self._adds, strict=True)]
         if self._moves:
-            moved = [angle + value * move for angle, move in zip(given.tilt, self._moves, strict=True)]
-            given = given._replace(tilt=tuple(moved))
-        return given._replace(throttle=tuple([min(max(command, 0.0), 1.0) for command in throttle]))
+            moved = [angle + value * move for angle, move in zip(actuation.tilt, self._moves, strict=True)]
+            actuation = actuation._replace(tilt=tuple(moved))
+        return actuation._replace(throttle=tuple([min(max(command, 0.0), 1.0) for command in throttle]))
 
 
 def _slope(spec: EngineSpec, thrust: float) -> float:
@@ -169,11 +169,11 @@ class Tapped:
 
     def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
         """Return the controller's command and the multisine: see :class:`cosim.base.protocols.Controller`."""
-        given = self._inner.update(command, measured, injected, engines)
-        sent = self._tap.add(given, self._wave(len(self.before)))
-        self.before.append(self._tap.read(given))
+        actuation = self._inner.update(command, measured, injected, engines)
+        sent = self._tap.add(actuation, self._wave(len(self.before)))
+        self.before.append(self._tap.read(actuation))
         self.behind.append(self._tap.read(sent))
-        self.refused += any(given.unallocated)
+        self.refused += any(actuation.unallocated)
         return sent
 
 
@@ -228,15 +228,15 @@ def still(scenario: Scenario) -> Scenario:
 
 
 def fly_with(
-    scenario: Scenario, axis: str, sine: Multisine, amplitude: float, periods: int, own: Source | None = None
+    scenario: Scenario, axis: str, sine: Multisine, amplitude: float, periods: int, source: Source | None = None
 ) -> Record:
     """Fly one period for the loop to come to swing, and ``periods`` that are kept.  Fuel does not burn meanwhile.
 
     Raises FlightError where the flight ends before.
     """
     steps = sine.period * (periods + 1)
-    flown = scenario.replace(duration_s=steps * scenario.step_s)
-    with build(flown, own) as simulation:
+    flight = scenario.replace(duration_s=steps * scenario.step_s)
+    with build(flight, source) as simulation:
         tapped = _tapped(simulation, axis, sine, amplitude)
         ending = simulation.run()
     if ending.outcome != "completed":

@@ -37,7 +37,7 @@ class _Loop(NamedTuple):
     """Stability and margins of one loop."""
 
     stable: bool
-    share: float  # of the least margin that is not told, 1 at the bound; infinite where nothing is crossed
+    bound_ratio: float  # of the least margin that is not told, 1 at the bound; infinite where nothing is crossed
     text: str  # its margins that are less, or why it is not stable
 
 
@@ -79,14 +79,14 @@ class LoopJudge:
                 old, new = self._loops(before, axes), self._loops(after, axes)
             except (InputError, ValueError, ArithmeticError):
                 return []
-        said = []
+        cautions = []
         for axis, now in new.items():
             then = old.get(axis, _UNKNOWN)
             if not now.stable:
-                said.append(Caution(axis, True, then.stable, f"{axis}: {now.text}"))
-            elif now.share < min(1.0, then.share):
-                said.append(Caution(axis, False, False, f"{axis}: {now.text}"))
-        return said
+                cautions.append(Caution(axis, True, then.stable, f"{axis}: {now.text}"))
+            elif now.bound_ratio < min(1.0, then.bound_ratio):
+                cautions.append(Caution(axis, False, False, f"{axis}: {now.text}"))
+        return cautions
 
     def _loops(self, values: Mapping[str, float], axes: list[str]) -> dict[str, _Loop]:
         """Return the loops of the axes, but not of those whose predictor states no frequency response."""
@@ -132,13 +132,14 @@ class LoopJudge:
             return _Loop(False, 0.0, "the loop is unstable")
         if not tuning.angle_gain:  # its pole stays at 1
             return _Loop(False, 0.0, "a gain of 0: nothing brings it back")
-        found = margins(closed)
+        loop = margins(closed)
+        up, down, phase = loop.gain_db, loop.gain_down_db, loop.phase_deg
         sizes = [
-            (_fraction_of_bound(found.gain_db, LEAST_DB), f"gain margin {_size(found.gain_db)} dB"),
-            (_fraction_of_bound(found.gain_down_db, LEAST_DB), f"gain margin {_size(found.gain_down_db)} dB downwards"),
-            (_fraction_of_bound(found.phase_deg, LEAST_DEG), f"phase margin {_size(found.phase_deg)} deg"),
+            (_fraction_of_bound(up, LEAST_DB), f"gain margin {_size(up)} dB"),
+            (_fraction_of_bound(down, LEAST_DB), f"gain margin {_size(down)} dB downwards"),
+            (_fraction_of_bound(phase, LEAST_DEG), f"phase margin {_size(phase)} deg"),
         ]
-        return _Loop(True, min(sizes)[0], ", ".join(text for share, text in sizes if share < 1.0))
+        return _Loop(True, min(sizes)[0], ", ".join(text for ratio, text in sizes if ratio < 1.0))
 
 
 def _fraction_of_bound(margin: float | None, least: float) -> float:

@@ -11,7 +11,7 @@ from typing import Any
 from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.signals import AXES
 from cosim.design.measured.computed import Computed, computed
-from cosim.design.measured.estimate import QUANTITIES, Response, measured, relative_differences
+from cosim.design.measured.estimate import QUANTITIES, Response, measured, relative_difference, relative_differences
 from cosim.design.measured.excitation import Multisine, Record, Tap, fly_with, multisine, still
 from cosim.simulation.build import build
 from cosim.simulation.controllers.plugged import find_controller
@@ -65,10 +65,8 @@ class AxisMargins:
         """Return how far the measured number is off the computed, relative (of gains by factors); None without both."""
         if self.computed is None or name not in self.response.margins:
             return None
-        ours, theirs = self.response.margins[name].value, getattr(self.computed.margins, name)
-        if not theirs:
-            return None
-        return float(10.0 ** ((ours - theirs) / 20.0) - 1.0 if name.endswith("_db") else (ours - theirs) / theirs)
+        value, reference = self.response.margins[name].value, getattr(self.computed.margins, name)
+        return relative_difference(name, value, reference) if reference else None
 
 
 @dataclass(frozen=True)
@@ -101,8 +99,8 @@ class MeasuredMargins:
             "controller_sha256": own.sha256 if own else None,
             "controller_parameters": dict(scenario.controller_parameters),
             "parameter_files": [
-                {"kind": each.kind, "file": Path(each.file).name, "sha256": each.sha256, "changed": each.changed}
-                for each in flown_parameters(scenario)
+                {"kind": p.kind, "file": Path(p.file).name, "sha256": p.sha256, "changed": p.changed}
+                for p in flown_parameters(scenario)
             ],
             "seed": scenario.seed,
             "step_s": scenario.step_s,
@@ -209,11 +207,11 @@ def measure_margins(
         taps = {axis: Tap(axis, scenario, vehicle, simulation.stations) for axis in axes}
         ledger = simulation.ledger
     say("computing")
-    known = computed(scenario, vehicle, spec, list(axes))
+    computed_margins = computed(scenario, vehicle, spec, list(axes))
     by_axis = {}
     for axis in axes:
         late = transport_samples(ledger, axis)
-        asked = _Asked(
+        request = _MarginRequest(
             scenario,
             own,
             axis,
@@ -226,12 +224,12 @@ def measure_margins(
             None if late is None else late * scenario.step_s,
             say,
         )
-        by_axis[axis] = asked.measure(None if isinstance(known, str) else known[axis])
-    return MeasuredMargins(scenario, own, by_axis, known if isinstance(known, str) else "")
+        by_axis[axis] = request.measure(None if isinstance(computed_margins, str) else computed_margins[axis])
+    return MeasuredMargins(scenario, own, by_axis, computed_margins if isinstance(computed_margins, str) else "")
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _MarginRequest:
     """A measurement on one axis, as it was asked for."""
 
     scenario: Scenario
@@ -246,7 +244,7 @@ class _Asked:
     transport_s: float | None  # that the vehicle has from command to measured rate; None: not known
     say: Say
 
-    def measure(self, known: Computed | None) -> AxisMargins:
+    def measure(self, computed: Computed | None) -> AxisMargins:
         period, to_hz = self.period_s or PERIOD_S, self.to_hz or TO_HZ / self.scenario.step_s
         sine, size, response = self._measured(period, to_hz, self.amplitude or self.tap.usual)
         if self.period_s is None and _slow(response):
@@ -258,7 +256,7 @@ class _Asked:
         half = fly_with(self.scenario, self.axis, sine, 0.5 * size, LEAST_PERIODS, self.own)
         other = self._of(half, sine)
         notes = _notes(response, other)
-        return AxisMargins(self.axis, self.tap.unit, sine, size, self.periods, response, other, known, notes)
+        return AxisMargins(self.axis, self.tap.unit, sine, size, self.periods, response, other, computed, notes)
 
     def _measured(self, period_s: float, to_hz: float, size: float) -> tuple[Multisine, float, Response]:
         step = self.scenario.step_s
@@ -311,14 +309,14 @@ def _notes(response: Response, half: Response) -> tuple[str, ...]:
     if hidden:
         lines = f"{hidden} of {len(response.used)} lines"
         notes.append(f"{lines} are hidden in noise and left out; --set sensor_noise=false flies without it")
-    for name, share in relative_differences(half.margins, response.margins).items():
+    for name, difference in relative_differences(half.margins, response.margins).items():
         if name not in JUDGED:
             continue
         one, two = response.margins[name], half.margins[name]
         wide = sum(0.5 * (bounded.high - bounded.low) for bounded in (one, two) if isfinite(bounded.high))
-        if abs(share) > LINEAR and abs(one.value - two.value) > wide:
+        if abs(difference) > LINEAR and abs(one.value - two.value) > wide:
             notes.append(
-                f"{name} is {100.0 * share:+.0f} % off at half the amplitude: the loop is not linear at this one"
+                f"{name} is {100.0 * difference:+.0f} % off at half the amplitude: the loop is not linear at this one"
             )
     crossing = response.margins.get("crossover_hz")
     if crossing is None:

@@ -19,7 +19,7 @@ from cosim.results.report.plot import BLUE, GREY, ORANGE, RED, Figure, beneath, 
 
 TEMPLATE = Path(__file__).parent / "templates" / "margins.html"
 COLUMNS = ("quantity", "measured", "95 % bounds", "computed", "off")
-SHOWN = (  # quantity, what it is called, and its numbers
+QUANTITIES = (  # quantity, what it is called, and its numbers
     ("gain_db", "gain up", "{:+.2f} dB"),
     ("gain_down_db", "gain down", "{:+.2f} dB"),
     ("phase_deg", "phase, lag", "{:.1f} deg"),
@@ -34,16 +34,17 @@ SHOWN = (  # quantity, what it is called, and its numbers
 def rows(measured: AxisMargins) -> list[list[str]]:
     """Return a row of cells for each quantity, as :data:`COLUMNS` head them."""
     lines = []
-    for name, title, form in SHOWN:
-        ours = measured.response.margins.get(name)
-        theirs = None if measured.computed is None else getattr(measured.computed.margins, name)
+    for name, title, form in QUANTITIES:
+        estimate = measured.response.margins.get(name)
+        computed = None if measured.computed is None else getattr(measured.computed.margins, name)
         value, bounds = _none(name, measured), ""
-        if ours is not None:
-            value = form.format(ours.value)
-            bounds = f"{form.split(' ')[0].format(ours.low)} to {form.format(ours.high)}" if isfinite(ours.low) else "-"
-        share = measured.off(name)
-        off = "" if share is None else f"{100.0 * share:+.1f} %"
-        other = "none" if theirs is None else form.format(theirs)
+        if estimate is not None:
+            value = form.format(estimate.value)
+            low, high = form.split(" ")[0].format(estimate.low), form.format(estimate.high)
+            bounds = f"{low} to {high}" if isfinite(estimate.low) else "-"
+        difference = measured.off(name)
+        off = "" if difference is None else f"{100.0 * difference:+.1f} %"
+        other = "none" if computed is None else form.format(computed)
         lines.append([title, value, bounds, "-" if measured.computed is None else other, off])
     return lines
 
