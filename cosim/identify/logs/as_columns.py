@@ -19,7 +19,7 @@ from cosim.results.log.tables import TIME
 
 _TRUTH = "_groundtruth"  # of a simulation, PX4's or ours, behind the name of a topic
 _ATTITUDE = "vehicle_attitude{}.q[{}]"  # of PX4: w first, body to NED
-_PLACE = "vehicle_local_position{}.{}"
+_LOCAL = "vehicle_local_position{}.{}"
 _NED = "LOCAL_POSITION_NED."  # of MAVLink
 _AXES = tuple(zip(RATES, AXES, strict=True))
 _SUMS = {  # ours: where it may stand, the nearest to it first; down is up, degrees are radians
@@ -27,13 +27,13 @@ _SUMS = {  # ours: where it may stand, the nearest to it first; down is up, degr
     # of the Crazyflie: nose up, other than its gyro
     "pitch_rad": ("deg(ATT.Pitch)", "deg(stateEstimate.pitch)", "ATTITUDE.pitch"),
     "yaw_rad": ("deg(ATT.Yaw)", "-1*deg(stateEstimate.yaw)", "ATTITUDE.yaw"),
-    "altitude_m": ("-1*" + _PLACE.format(_TRUTH, "z"), "-1*vehicle_local_position.z", "-1*XKF1[0].PD", "BARO[0].Alt",
+    "altitude_m": ("-1*" + _LOCAL.format(_TRUTH, "z"), "-1*vehicle_local_position.z", "-1*XKF1[0].PD", "BARO[0].Alt",
                    "stateEstimate.z", "-1*" + _NED + "z"),
-    "north_m": (_PLACE.format(_TRUTH, "x"), "vehicle_local_position.x", "XKF1[0].PN", _NED + "x"),
-    "east_m": (_PLACE.format(_TRUTH, "y"), "vehicle_local_position.y", "XKF1[0].PE", _NED + "y"),
-    "velocity_north_m_s": (_PLACE.format(_TRUTH, "vx"), "vehicle_local_position.vx", "XKF1[0].VN", _NED + "vx"),
-    "velocity_east_m_s": (_PLACE.format(_TRUTH, "vy"), "vehicle_local_position.vy", "XKF1[0].VE", _NED + "vy"),
-    "velocity_down_m_s": (_PLACE.format(_TRUTH, "vz"), "vehicle_local_position.vz", "XKF1[0].VD", _NED + "vz"),
+    "north_m": (_LOCAL.format(_TRUTH, "x"), "vehicle_local_position.x", "XKF1[0].PN", _NED + "x"),
+    "east_m": (_LOCAL.format(_TRUTH, "y"), "vehicle_local_position.y", "XKF1[0].PE", _NED + "y"),
+    "velocity_north_m_s": (_LOCAL.format(_TRUTH, "vx"), "vehicle_local_position.vx", "XKF1[0].VN", _NED + "vx"),
+    "velocity_east_m_s": (_LOCAL.format(_TRUTH, "vy"), "vehicle_local_position.vy", "XKF1[0].VE", _NED + "vy"),
+    "velocity_down_m_s": (_LOCAL.format(_TRUTH, "vz"), "vehicle_local_position.vz", "XKF1[0].VD", _NED + "vz"),
     **{f"rate_{rate}_measured_rad_s": (f"ATTITUDE.{axis}speed",) for rate, axis in _AXES},
     **{f"rate_{rate}_setpoint_rad_s": (f"ATTITUDE_TARGET.body_{axis}_rate",) for rate, axis in _AXES},
 }  # fmt: skip
@@ -98,9 +98,9 @@ def _match_columns(log: FlightLog) -> dict[str, Channel]:
     true, estimated = (log.has(_ATTITUDE.format(suffix, 3)) for suffix in (_TRUTH, ""))
     for there, suffix, name in ((true, _TRUTH, "{}_rad"), (estimated, "", "{}_measured_rad" if true else "{}_rad")):
         if there:
-            parts = [log.channels[_ATTITUDE.format(suffix, n)] for n in range(4)]
-            for axis, values in zip(AXES, _euler(*(part.values for part in parts)), strict=True):
-                columns[name.format(axis)] = Channel(parts[0].times, values)
+            components = [log.channels[_ATTITUDE.format(suffix, n)] for n in range(4)]
+            for axis, values in zip(AXES, _euler(*(part.values for part in components)), strict=True):
+                columns[name.format(axis)] = Channel(components[0].times, values)
     for name, choices in _SUMS.items():
         text = next((choice for choice in choices if log.has(choice)), None)
         if text is not None and name not in columns:
@@ -117,10 +117,10 @@ def _rates(log: FlightLog) -> dict[str, Channel]:
         except InputError:
             continue
         sign = -1.0 if log.kind in LEFT_AND_UP and axis != "roll" else 1.0
-        for what, signal in (("measured", signals.output), ("setpoint", signals.setpoint)):
+        for kind, signal in (("measured", signals.output), ("setpoint", signals.setpoint)):
             if signal:
                 channel = log.signal(signal)
-                columns[f"rate_{rate}_{what}_rad_s"] = channel._replace(values=sign * channel.values)
+                columns[f"rate_{rate}_{kind}_rad_s"] = channel._replace(values=sign * channel.values)
     return columns
 
 

@@ -99,59 +99,59 @@ class Head:
             return default
         return float(value) if isfinite(value) else default
 
-    def whole(self, name: str, default: int) -> int:
+    def integer(self, name: str, default: int) -> int:
         """Return the first number of a line of the head as a whole one of 32 bits, or the default."""
         value = self.number(name, default)
         return int(value) if abs(value) < 2**31 else default
 
     @property
-    def share(self) -> tuple[int, int]:
+    def frame_ratio(self) -> tuple[int, int]:
         """How many of how many main frames are logged: ``P interval``, as 1/2, or as 2 alone."""
-        share, _, of = self.stated.get("P interval", "1").partition("/")
-        said = (share, of) if of else ("1", share)
-        numbers = [int(text) if text.strip().isdecimal() and len(text) < 9 else 1 for text in said]
+        numerator, _, of = self.stated.get("P interval", "1").partition("/")
+        ratio = (numerator, of) if of else ("1", numerator)
+        numbers = [int(text) if text.strip().isdecimal() and len(text) < 9 else 1 for text in ratio]
         return max(numbers[0], 1), max(numbers[1], 1)
 
 
 def _head(path: Path, data: bytes, at: int, end: int) -> tuple[Head, int]:
-    stated: dict[str, str] = {}
+    headers: dict[str, str] = {}
     while data.startswith(b"H ", at) and at < end:
         after = data.find(b"\n", at, end)
         if after < 0:
             break
         name, _, value = data[at + 2 : after].decode("ascii", "replace").partition(":")
-        stated[name.strip()] = value
+        headers[name.strip()] = value
         at = after + 1
     layouts = {}
     for kind in "IPGHS":
-        names = stated.get(f"Field {'I' if kind == 'P' else kind} name")
-        if names is not None and f"Field {kind} encoding" in stated:
-            layouts[kind] = _layout(path, stated, kind, names.split(","))
+        names = headers.get(f"Field {'I' if kind == 'P' else kind} name")
+        if names is not None and f"Field {kind} encoding" in headers:
+            layouts[kind] = _layout(path, headers, kind, names.split(","))
     if "I" not in layouts:
         raise InputError(f"{path}: the head of the blackbox log is damaged or cut short: it names no fields")
-    if Head({}, stated).whole("Data version", 1) < 2:
+    if Head({}, headers).integer("Data version", 1) < 2:
         raise InputError(f"{path}: a blackbox log of data version 1; allowed: 2, which is written since 2015")
-    return Head(layouts, stated), at
+    return Head(layouts, headers), at
 
 
-def _layout(path: Path, stated: dict[str, str], kind: str, names: Sequence[str]) -> Layout:
-    def numbers(what: str, of: str = kind) -> list[int]:
+def _layout(path: Path, headers: dict[str, str], kind: str, names: Sequence[str]) -> Layout:
+    def numbers(key: str, of: str = kind) -> list[int]:
         try:
-            codes = [int(text) for text in stated.get(f"Field {of} {what}", "").split(",")]
+            codes = [int(text) for text in headers.get(f"Field {of} {key}", "").split(",")]
         except ValueError:
             codes = []
         if len(codes) != len(names):
-            raise InputError(f"{path}: the head of the blackbox log is damaged: {kind} frames have no {what} each")
+            raise InputError(f"{path}: the head of the blackbox log is damaged: {kind} frames have no {key} each")
         return codes
 
     encodings = numbers("encoding")
     unknown = sorted({code for code in encodings if code != TAG8 and code not in WIDTH})
     predictors = numbers("predictor")
-    known = set(range(LEAST_MOTOR + 1)) - (set() if kind == "P" else DIFFERENCES)
-    unknown_predictors = sorted(set(predictors) - known)
+    known_predictors = set(range(LEAST_MOTOR + 1)) - (set() if kind == "P" else DIFFERENCES)
+    unknown_predictors = sorted(set(predictors) - known_predictors)
     if unknown or unknown_predictors:
-        what = f"encoding {unknown[0]}" if unknown else f"predictor {unknown_predictors[0]}"
-        raise InputError(f"{path}: {what} of {kind} frames is not known")
+        problem = f"encoding {unknown[0]}" if unknown else f"predictor {unknown_predictors[0]}"
+        raise InputError(f"{path}: {problem} of {kind} frames is not known")
     groups, n = [], 0
     while n < len(encodings):
         code = encodings[n]
@@ -165,7 +165,7 @@ def _layout(path: Path, stated: dict[str, str], kind: str, names: Sequence[str])
         groups.append((code, size))
         n += size
     of = "I" if kind == "P" else kind
-    signed = numbers("signed", of) if f"Field {of} signed" in stated else [1] * len(names)
+    signed = numbers("signed", of) if f"Field {of} signed" in headers else [1] * len(names)
     return Layout(tuple(map(str.strip, names)), tuple(map(bool, signed)), tuple(predictors), tuple(groups))
 
 
@@ -193,16 +193,16 @@ class _Frames:
     home: list[int] | None = None
 
     def __post_init__(self) -> None:
-        stated = self.head.whole
+        number = self.head.integer
         self.data = self.data[: self.end]
-        self.every = max(1, stated("I interval", 32))
-        self.share, self.of = self.head.share
-        least = stated("minthrottle", 1150)
+        self.every = max(1, number("I interval", 32))
+        self.numerator, self.of = self.head.frame_ratio
+        least = number("minthrottle", 1150)
         self.added = {
             LEAST_THROTTLE: least,
             CENTRE: 1500,
-            BATTERY: stated("vbatref", 0),
-            LEAST_MOTOR: stated("motorOutput", least),
+            BATTERY: number("vbatref", 0),
+            LEAST_MOTOR: number("motorOutput", least),
         }
         names = self.head.layouts["I"].names
         self.counted = names.index("loopIteration") if "loopIteration" in names else None
@@ -244,8 +244,8 @@ class _Frames:
                 self._take(kind, layout, values)
 
         ended = kind == "E" and self.data[at + 1] == ENDEVENT
-        whole = ended or after == len(self.data) or (after < len(self.data) and self.data[after] in KINDS)
-        return after, done if whole else None
+        is_whole = ended or after == len(self.data) or (after < len(self.data) and self.data[after] in KINDS)
+        return after, done if is_whole else None
 
     def _values(self, layout: Layout, at: int) -> tuple[list[int], int]:
         data = self.data
@@ -320,8 +320,8 @@ class _Frames:
     def _next(self, count: int) -> int:
         """Return the first count from this one on of which a main frame is logged, an I frame at the latest."""
         phase = count % self.every
-        late = (phase + self.share - 1) % self.of
-        return count + min(self.of - late, self.every - phase) if late >= self.share else count
+        late = (phase + self.numerator - 1) % self.of
+        return count + min(self.of - late, self.every - phase) if late >= self.numerator else count
 
     def _follows(self, kind: str, values: list[int]) -> bool:
         """Return whether count and time go on from the last main frame.
@@ -413,8 +413,8 @@ def _channels(head: Head, frames: _Frames) -> dict[str, Channel]:
             totals.setdefault(number, []).append(values)
         if name != "time":
             channels[name] = Channel(times, values, unit)
-    for number, parts in totals.items():
-        channels[f"axisSum[{number}]"] = Channel(times, np.sum(parts, axis=0))
+    for number, columns_of_kind in totals.items():
+        channels[f"axisSum[{number}]"] = Channel(times, np.sum(columns_of_kind, axis=0))
     for kind, rows in frames.others.items():
         names = head.layouts[kind].names
         when = 1e-6 * np.array([at for at, _ in rows], np.float64)

@@ -43,18 +43,18 @@ def read(path: Path) -> FlightLog:
             kinds[number] = name, np.dtype(layout)
     except (struct.error, ValueError, KeyError, IndexError) as error:
         raise InputError(f"{path}: the head of the Crazyflie log is damaged or cut short") from error
-    whole = len(data) >= 4 and crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0]
-    end = len(data) - 4 if whole else len(data)
-    rows, left = _rows(data, at, end, kinds)
+    is_intact = len(data) >= 4 and crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0]
+    end = len(data) - 4 if is_intact else len(data)
+    rows, remainder = _rows(data, at, end, kinds)
     remarks = []
-    if not whole:
+    if not is_intact:
         remarks.append("the file's checksum is wrong: it was cut short, or is damaged")
-    if left:
-        remarks.append(f"{left} bytes at the end are no events that the head describes; left out")
+    if remainder:
+        remarks.append(f"{remainder} bytes at the end are no events that the head describes; left out")
     channels = {}
-    for number, parts in rows.items():
+    for number, columns_of_kind in rows.items():
         name, _ = kinds[number]
-        table = np.concatenate(parts)
+        table = np.concatenate(columns_of_kind)
         for field in table.dtype.names[2:] if table.dtype.names else ():
             label = field if len(kinds) == 1 else f"{name}/{field}"
             times = unit * table["time"].astype(np.float64)

@@ -31,7 +31,7 @@ INSTANCES = ("I", "Instance")  # what a field of whole numbers is called that te
 INSTANCE_UNIT = "#"  # and its unit since, in FMTU
 MOST_INSTANCES = 256  # that one message may have: more values are no instances
 DESCRIPTIONS = ("FMT", "FMTU", "UNIT", "MULT")  # messages about messages
-_WHOLE = "bBhHiIqQM"  # format characters of whole numbers
+_INTEGER_FORMATS = "bBhHiIqQM"  # format characters of whole numbers
 
 
 def recognises(head: bytes) -> bool:
@@ -46,12 +46,12 @@ def read(path: Path) -> FlightLog:
     """
     data = path.read_bytes()
     data = data[max(data.find(MARK, 0, SEARCHED), 0) :]
-    formats, places, passed, cut = _places(data)
+    formats, offsets, passed, cut = _index_messages(data)
     raw = np.frombuffer(data, np.uint8)
     tables = {
         kind: rows
         for kind, (name, length, columns, labels) in formats.items()
-        if name != "FMT" and (rows := _rows(raw, places.get(kind, ()), length, columns, labels)) is not None
+        if name != "FMT" and (rows := _rows(raw, offsets.get(kind, ()), length, columns, labels)) is not None
     }
     units = _units(formats, tables)
     channels: dict[str, Channel] = {}
@@ -83,9 +83,9 @@ def parameter_names(path: Path) -> frozenset[str] | None:
     It logs them one after the other when a log begins, and then its version (VER).
     """
     data = path.read_bytes()
-    formats, places, _, _ = _places(data)
+    formats, offsets, _, _ = _index_messages(data)
     kinds = {name: kind for kind, (name, _, _, _) in formats.items()}
-    listed, version = (places.get(kinds.get(name, -1), []) for name in ("PARM", "VER"))
+    listed, version = (offsets.get(kinds.get(name, -1), []) for name in ("PARM", "VER"))
     if not listed or not version or version[0] < listed[0]:
         return None
     _, length, columns, labels = formats[kinds["PARM"]]
@@ -94,10 +94,10 @@ def parameter_names(path: Path) -> frozenset[str] | None:
 
 
 def _rows(
-    raw: NDArray[np.uint8], places: Sequence[int], length: int, columns: str, labels: Sequence[str]
+    raw: NDArray[np.uint8], offsets: Sequence[int], length: int, columns: str, labels: Sequence[str]
 ) -> np.ndarray | None:
     """Return the messages of one kind as a table; None where there are none, or the format cannot be read."""
-    at = np.array(places, np.int64)
+    at = np.array(offsets, np.int64)
     if not at.size or not columns or any(column not in TYPES for column in columns):
         return None
     layout = np.dtype([(label, TYPES[c][0]) for label, c in zip(labels, columns, strict=True)])
@@ -108,12 +108,12 @@ def _rows(
 
 def _units(formats: Mapping[int, _Format], tables: Mapping[int, np.ndarray]) -> dict[int, str]:
     """Return the units that FMTU gives each kind of message, a character a field."""
-    said: dict[int, str] = {}
+    names: dict[int, str] = {}
     for kind, rows in tables.items():
         if formats[kind][0] == "FMTU" and {"FmtType", "UnitIds"} <= set(formats[kind][3]):
             numbered = zip(rows["FmtType"].tolist(), rows["UnitIds"].tolist(), strict=True)
-            said |= {number: _text(bytes(ids)) for number, ids in numbered if isinstance(ids, bytes)}
-    return said
+            names |= {number: _text(bytes(ids)) for number, ids in numbered if isinstance(ids, bytes)}
+    return names
 
 
 def _instance(columns: str, labels: Sequence[str], units: str | None) -> str:
@@ -121,10 +121,10 @@ def _instance(columns: str, labels: Sequence[str], units: str | None) -> str:
 
     The integrator of a PID message is called I too.
     """
-    whole = [label for label, c in zip(labels, columns, strict=True) if c in _WHOLE]
+    integers = [label for label, c in zip(labels, columns, strict=True) if c in _INTEGER_FORMATS]
     if units is not None and len(units) == len(labels):
-        return next((x for x, unit in zip(labels, units, strict=True) if unit == INSTANCE_UNIT and x in whole), "")
-    return next((label for label in INSTANCES if label in whole), "")
+        return next((x for x, unit in zip(labels, units, strict=True) if unit == INSTANCE_UNIT and x in integers), "")
+    return next((label for label in INSTANCES if label in integers), "")
 
 
 def _instances(name: str, rows: np.ndarray, field: str) -> list[tuple[str, NDArray[np.int64]]]:
@@ -137,11 +137,11 @@ def _instances(name: str, rows: np.ndarray, field: str) -> list[tuple[str, NDArr
         return everything
     order = np.argsort(which, kind="stable")
     ends = np.cumsum(np.bincount(which, minlength=len(values)))
-    parts = np.split(order, ends[:-1])
-    return [(f"{name}[{value}]", part) for value, part in zip(values.tolist(), parts, strict=True)]
+    row_groups = np.split(order, ends[:-1])
+    return [(f"{name}[{value}]", part) for value, part in zip(values.tolist(), row_groups, strict=True)]
 
 
-def _places(data: bytes) -> tuple[dict[int, _Format], dict[int, list[int]], int, int]:
+def _index_messages(data: bytes) -> tuple[dict[int, _Format], dict[int, list[int]], int, int]:
     """Find the messages of each type.
 
     Return the formats by type, where messages begin, and how many bytes were skipped and are cut at the end.
@@ -149,7 +149,7 @@ def _places(data: bytes) -> tuple[dict[int, _Format], dict[int, list[int]], int,
     formats: dict[int, _Format] = {FMT: ("FMT", FMT_LENGTH, "BBnNZ", ["Type", "Length", "Name", "Format", "Columns"])}
     lengths = [0] * 256
     lengths[FMT] = FMT_LENGTH
-    places: dict[int, list[int]] = {}
+    offsets: dict[int, list[int]] = {}
     at, passed, end = 0, 0, len(data)
     while at + 3 <= end:
         kind = data[at + 2]
@@ -157,7 +157,7 @@ def _places(data: bytes) -> tuple[dict[int, _Format], dict[int, list[int]], int,
         if data[at] != 0xA3 or data[at + 1] != 0x95 or not length or at + length > end:
             after = data.find(HEAD, at + 1)
             if after < 0 and data.startswith(HEAD, at) and length:
-                return _whole(formats), places, passed, end - at
+                return _complete_formats(formats), offsets, passed, end - at
             after = end if after < 0 else after
             passed += after - at
             at = after
@@ -167,12 +167,12 @@ def _places(data: bytes) -> tuple[dict[int, _Format], dict[int, list[int]], int,
             if size >= 3:
                 formats[number] = (_text(name), size, _text(columns), [x for x in _text(labels).split(",") if x])
                 lengths[number] = size
-        places.setdefault(kind, []).append(at)
+        offsets.setdefault(kind, []).append(at)
         at += length
-    return _whole(formats), places, passed + end - at if at < end else passed, 0
+    return _complete_formats(formats), offsets, passed + end - at if at < end else passed, 0
 
 
-def _whole(formats: Mapping[int, _Format]) -> dict[int, _Format]:
+def _complete_formats(formats: Mapping[int, _Format]) -> dict[int, _Format]:
     """Return the formats with a label for each character, and no label twice."""
     return {
         kind: (name, size, columns, labels)

@@ -98,8 +98,8 @@ class FlightLog:
             total = total._replace(values=total.values + term.values)
         assert total is not None
         if notes is not None and len(total.times) < longest:
-            lost = longest - len(total.times)
-            notes.append(f"{text}: {lost} of {longest} rows have a time that not all of its channels have; left out")
+            missing = longest - len(total.times)
+            notes.append(f"{text}: {missing} of {longest} rows have a time that not all of its channels have; left out")
         return total
 
     def to_dict(self) -> dict[str, Any]:
@@ -126,12 +126,12 @@ def _shared(first: Channel, second: Channel) -> tuple[Channel, Channel]:
     times, rows = np.unique(second.times, return_index=True)
     alone = np.zeros(len(first.times), bool)
     alone[np.unique(first.times, return_index=True)[1]] = True
-    place = np.minimum(np.searchsorted(times, first.times), max(len(times) - 1, 0))
-    use = alone & (times[place] == first.times) if len(times) else alone & False
-    kept = rows[place[use]] if len(times) else rows[:0]
+    index = np.minimum(np.searchsorted(times, first.times), max(len(times) - 1, 0))
+    use = alone & (times[index] == first.times) if len(times) else alone & False
+    matched = rows[index[use]] if len(times) else rows[:0]
     return (
         first._replace(times=first.times[use], values=first.values[use]),
-        second._replace(times=second.times[kept], values=second.values[kept]),
+        second._replace(times=second.times[matched], values=second.values[matched]),
     )
 
 
@@ -144,9 +144,9 @@ _TAKEN: dict[str, Callable[[Array], Array]] = {
 
 def _inner(name: str) -> tuple[str, str]:
     """Split a term such as ``deg(NAME)`` into the function, "" for none, and the channel's name without quotes."""
-    taken, bracket, rest = name.partition("(")
-    if bracket and taken in _TAKEN and rest.endswith(")"):
-        return taken, _unquoted(rest[:-1].strip())
+    taken, bracket, tail = name.partition("(")
+    if bracket and taken in _TAKEN and tail.endswith(")"):
+        return taken, _unquoted(tail[:-1].strip())
     return "", _unquoted(name)
 
 
@@ -157,8 +157,8 @@ def _unquoted(name: str) -> str:
 def numbers(values: Any) -> Array:
     """Return values as floats; damaged bytes may be any number, or a NaN, which is made a quiet one."""
     with np.errstate(invalid="ignore"):
-        made = np.asarray(values).astype(np.float64)
-    return np.where(np.isnan(made), np.nan, made)
+        numeric = np.asarray(values).astype(np.float64)
+    return np.where(np.isnan(numeric), np.nan, numeric)
 
 
 def terms(text: str) -> list[tuple[float, str]]:

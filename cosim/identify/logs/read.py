@@ -99,11 +99,11 @@ def read_flight_log(path: Path, time: str | None = None, time_unit: str | None =
         if blackbox.MARKER in head:
             return blackbox.read(path, number)
         raise InputError(f"{path}: holds one log; {path}:{number} is for a blackbox file of several")
-    if (found := _reader(head)) is not None:
-        read, before = found
+    if (reader := _reader(head)) is not None:
+        read, before = reader
         log = read(path)
-        said = (f"{before} bytes before the head of the log are passed over",) if before else ()
-        return replace(log, remarks=(*said, *log.remarks))
+        notes = (f"{before} bytes before the head of the log are passed over",) if before else ()
+        return replace(log, remarks=(*notes, *log.remarks))
     return _table_or_refusal(path, head, time, time_unit)
 
 
@@ -122,21 +122,21 @@ def _table_or_refusal(path: Path, head: bytes, time: str | None, time_unit: str 
     return table.read_table(path, time, time_unit)
 
 
-def signals_of(log: FlightLog, what: str) -> LogSignals:
+def signals_of(log: FlightLog, key: str) -> LogSignals:
     """Return the signals of ``roll``, ``pitch``, ``yaw`` or ``engine:N`` by the names of the log's kind.
 
     Raises InputError where it does not.
     """
-    axis = AXES.index(what) if what in AXES else None
-    number = what.removeprefix("engine:") if what.startswith("engine:") else ""
+    axis = AXES.index(key) if key in AXES else None
+    number = key.removeprefix("engine:") if key.startswith("engine:") else ""
     if axis is None and not number.isdigit():
-        raise InputError(f"{what!r}: allowed: {', '.join(AXES)}, engine:N")
+        raise InputError(f"{key!r}: allowed: {', '.join(AXES)}, engine:N")
     choices = _axis(axis) if axis is not None else _engine(int(number))
     for choice in choices:
         if log.has(choice.command) and log.has(choice.output):
             return choice if log.has(choice.setpoint) else choice._replace(setpoint="")
     needed = " or ".join(f"{choice.command} with {choice.output}" for choice in choices)
-    raise InputError(f"{log.path}: it has no {what}; say --command and --output, or log one of: {needed}")
+    raise InputError(f"{log.path}: it has no {key}; say --command and --output, or log one of: {needed}")
 
 
 def _axis(n: int) -> list[LogSignals]:

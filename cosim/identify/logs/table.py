@@ -79,25 +79,25 @@ def columns_with_time(path: Path, name: str | None = None, unit: str | None = No
     if unit is not None and unit not in SECONDS:
         raise InputError(f"time in {unit!r}: allowed: {', '.join(SECONDS)}")
     with path.open("rb") as file:
-        held = _of_parquet(path) if is_parquet(file.read(len(PARQUET))) else _of_text(path)
-    time = _time(path, held, name)
-    taken = unit or ("s" if time in held.dates else _unit(time, held.units.get(time, "")))
-    times = SECONDS[taken] * held.numbers.pop(time)
-    remarks = list(held.remarks)
-    if time in held.dates and len(times):
+        columns = _of_parquet(path) if is_parquet(file.read(len(PARQUET))) else _of_text(path)
+    time = _time(path, columns, name)
+    taken = unit or ("s" if time in columns.dates else _unit(time, columns.units.get(time, "")))
+    times = SECONDS[taken] * columns.numbers.pop(time)
+    remarks = list(columns.remarks)
+    if time in columns.dates and len(times):
         times, remark = _since_first(times)
         remarks.append(f"{time}: {remark}")
     elif taken != "s" and unit is None:
         remarks.append(f"{time} is taken for the time, in {taken}")
-    return Table(held.numbers, times, time, taken, held.units, held.left_out, remarks)
+    return Table(columns.numbers, times, time, taken, columns.units, columns.left_out, remarks)
 
 
 def _of_parquet(path: Path) -> _Columns:
     read = read_numbers(path)
     numbers = {name.strip(): values for name, values in read.numbers.items()}
-    held = _Columns(numbers, {name.strip() for name in read.times})
-    _add_texts(held, read.texts)
-    return held
+    columns = _Columns(numbers, {name.strip() for name in read.times})
+    _add_texts(columns, read.texts)
+    return columns
 
 
 def _of_text(path: Path) -> _Columns:
@@ -108,24 +108,24 @@ def _of_text(path: Path) -> _Columns:
     if odd:
         remarks.append(f"{odd} rows have not a cell for each column, the last one perhaps cut short; left out")
     named = {name: values for name, values in read.numbers.items() if name in text.names}
-    held = _Columns(named, read.times, text.units, (), remarks)
-    _add_texts(held, {name: values for name, values in read.texts.items() if name in text.names})
-    return held
+    columns = _Columns(named, read.times, text.units, (), remarks)
+    _add_texts(columns, {name: values for name, values in read.texts.items() if name in text.names})
+    return columns
 
 
-def _add_texts(held: _Columns, texts: dict[str, list[str | None]]) -> None:
+def _add_texts(columns: _Columns, texts: dict[str, list[str | None]]) -> None:
     """Add the columns of texts that are numbers but for some cells, or dates."""
     left_out = []
     for name, values in texts.items():
-        if (made := _numbers(values)) is not None:
-            held.numbers[name], lost = made
-            held.remarks += [f"{name}: {lost} of {len(values)} cells are no numbers; left out"] if lost else []
+        if (numeric := _numbers(values)) is not None:
+            columns.numbers[name], missing = numeric
+            columns.remarks += [f"{name}: {missing} of {len(values)} cells are no numbers; left out"] if missing else []
         elif (dates := seconds(values)) is not None:
-            held.numbers[name] = np.array(dates)
-            held.dates.add(name)
+            columns.numbers[name] = np.array(dates)
+            columns.dates.add(name)
         else:
             left_out.append(name)
-    held.left_out = tuple(left_out)
+    columns.left_out = tuple(left_out)
 
 
 def _numbers(values: list[str | None]) -> tuple[Array, int] | None:
@@ -134,8 +134,8 @@ def _numbers(values: list[str | None]) -> tuple[Array, int] | None:
     good = [text for text in texts if text and is_number(text)]
     if len(good) < max(LEAST_NUMBERS * sum(map(bool, texts)), 1):
         return None
-    made = np.array([_number(text) for text in texts])
-    return made, sum(bool(text) and not is_number(text) for text in texts)
+    numeric = np.array([_number(text) for text in texts])
+    return numeric, sum(bool(text) and not is_number(text) for text in texts)
 
 
 def _number(text: str) -> float:
@@ -151,10 +151,10 @@ def _number(text: str) -> float:
 def _time(path: Path, held: _Columns, name: str | None) -> str:
     columns = held.numbers
     if name is not None:
-        found = next((column for column in (name, name.strip()) if column in columns), None)
-        if found is None:
+        stripped = next((column for column in (name, name.strip()) if column in columns), None)
+        if stripped is None:
             raise InputError(f"{path}: no column {name!r} of numbers; {nearest(name, columns)}"[:600])
-        return found
+        return stripped
     plain = {column: _plain(column) for column in columns}
     called = [column for column in TIMES if column in columns]
     called += [column for other in OTHER_TIMES for column in columns if plain[column] == other]
@@ -173,11 +173,11 @@ def _plain(name: str) -> str:
     return (match.group(1) if match else name).strip().lower()
 
 
-def _unit(name: str, stated: str) -> str:
+def _unit(name: str, unit_given: str) -> str:
     """Return the unit of a time, by the line of units or by its name; seconds where neither says one."""
     match = _UNIT.fullmatch(name)
     texts = [
-        stated,
+        unit_given,
         *((match.group(2), match.group(3)) if match else ()),
         name[4:] if name in ("TimeUS", "TimeMS") else "",
     ]

@@ -16,7 +16,7 @@ from cosim.base.errors import InputError
 SEPARATORS = (";", "\t", "|", ",")  # of two that fit alike the first is taken: a comma may be a decimal mark
 SAMPLE = 200  # lines looked at
 HEAD = 2**18  # characters in which they, and all that comes before, have to be
-LEAST_SHARE = 0.5  # of them that must have as many cells as most have
+LEAST_REGULAR = 0.5  # of them that must have as many cells as most have
 BOMS = (
     (codecs.BOM_UTF8, "utf-8"),
     (codecs.BOM_UTF32_LE, "utf-32-le"),
@@ -68,20 +68,20 @@ def _without_mark(data: bytes) -> tuple[str, str]:
 
 def read_text(path: Path) -> TextTable:
     """Read a table of text.  Raises InputError for a file that is none."""
-    found = decoded(path.read_bytes())
-    if found is None:
+    decoding = decoded(path.read_bytes())
+    if decoding is None:
         raise InputError(f"{path}: neither a log that is known nor text: it holds bytes that no table has")
-    text, codec = found
+    text, codec = decoding
     remarks = [] if codec == "utf-8" else [f"read as {codec}"]
     if "\n" not in text[:HEAD]:
         text = text.replace("\r", "\n")
     lines = [line.rstrip("\r") for line in text[:HEAD].split("\n")[: -1 if len(text) > HEAD else None]]
     first = next((n for n, line in enumerate(lines) if line.strip()), len(lines))
-    stated = re.fullmatch(r'"?sep=(.)"?', lines[first].strip()) if first < len(lines) else None
-    first += stated is not None
+    separator_line = re.fullmatch(r'"?sep=(.)"?', lines[first].strip()) if first < len(lines) else None
+    first += separator_line is not None
     if not any(line.strip() for line in lines[first:]):
         raise InputError(f"{path}: the table has no rows")
-    separator, width = _separator(lines[first : first + SAMPLE], stated.group(1) if stated else "")
+    separator, width = _separator(lines[first : first + SAMPLE], separator_line.group(1) if separator_line else "")
     if not separator:
         raise InputError(f"{path}: neither a log that is known nor a table: no separator cuts its lines alike")
     head, names = _names(lines, first, separator, width)
@@ -116,18 +116,18 @@ def _is_value(cell: str) -> bool:
     return bool(_NUMBER.fullmatch(cell) or _DATE.fullmatch(cell))
 
 
-def _separator(lines: Sequence[str], stated: str) -> tuple[str, int]:
+def _separator(lines: Sequence[str], nominal: str) -> tuple[str, int]:
     """Return the separator and how many cells it makes of a line; "" where nothing cuts the lines alike."""
     best, chosen = 0.0, ("", 0)
-    for separator in (stated,) if stated else (*SEPARATORS, " "):
+    for separator in (nominal,) if nominal else (*SEPARATORS, " "):
         rows = [cells(line, separator) for line in lines if line.strip()]
         width, count = Counter(map(len, rows)).most_common(1)[0]
-        held = [cell for row in rows if len(row) == width for cell in row]
-        score = count / len(rows) * sum(map(_is_value, held)) / max(len(held), 1)
-        if width > 1 and count > LEAST_SHARE * len(rows) and score > best + 1e-9:
+        full_cells = [cell for row in rows if len(row) == width for cell in row]
+        score = count / len(rows) * sum(map(_is_value, full_cells)) / max(len(full_cells), 1)
+        if width > 1 and count > LEAST_REGULAR * len(rows) and score > best + 1e-9:
             best, chosen = score, (separator, width)
     alone = [line.strip() for line in lines if line.strip()]
-    if not chosen[0] and sum(map(_is_value, alone)) > LEAST_SHARE * len(alone):
+    if not chosen[0] and sum(map(_is_value, alone)) > LEAST_REGULAR * len(alone):
         return SEPARATORS[-1], 1
     return chosen
 
@@ -177,11 +177,11 @@ def _moment(text: str, layout: str) -> float | None:
     text = text.strip()
     try:
         if not layout:
-            made = datetime.fromisoformat(text.replace(",", "."))
-            return (made if made.tzinfo else made.replace(tzinfo=UTC)).timestamp()
+            moment = datetime.fromisoformat(text.replace(",", "."))
+            return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
         fraction = _FRACTION.search(text)
-        whole = datetime.strptime(_FRACTION.sub(r"\1", text), layout).replace(tzinfo=UTC)
+        seconds = datetime.strptime(_FRACTION.sub(r"\1", text), layout).replace(tzinfo=UTC)
         start = datetime(1900, 1, 1, tzinfo=UTC) if layout == DATES[-1] else datetime(1970, 1, 1, tzinfo=UTC)
-        return (whole - start).total_seconds() + (float(f"0.{fraction.group(2)}") if fraction else 0.0)
+        return (seconds - start).total_seconds() + (float(f"0.{fraction.group(2)}") if fraction else 0.0)
     except (ValueError, OverflowError):
         return None

@@ -76,12 +76,12 @@ def read(path: Path) -> FlightLog:
     measured, and else when the frame was received.  Raises InputError.
     """
     data = path.read_bytes()
-    found = _places(data)
-    if not found.messages:
+    index = _index_messages(data)
+    if not index.messages:
         raise InputError(f"{path}: the telemetry log holds no frame of a message that is known")
-    begin = min(frames[0].stamp for frames in found.messages.values())
-    tables = {key: _table(data, _kinds()[key[0]][key[1]], frames) for key, frames in found.messages.items()}
-    taken = {key: 1e-6 * np.array([f.stamp - begin for f in frames]) for key, frames in found.messages.items()}
+    begin = min(frames[0].stamp for frames in index.messages.values())
+    tables = {key: _table(data, _kinds()[key[0]][key[1]], frames) for key, frames in index.messages.items()}
+    taken = {key: 1e-6 * np.array([f.stamp - begin for f in frames]) for key, frames in index.messages.items()}
     clocks = _clocks(tables, taken)
     senders: dict[str, set[Sender]] = {}
     for number, which, sender in tables:
@@ -98,7 +98,7 @@ def read(path: Path) -> FlightLog:
             events += [
                 (float(t), text.decode("utf-8", "replace")) for t, text in zip(times, table["text"], strict=True)
             ]
-    return FlightLog(path, "MAVLink telemetry log", channels, found.remarks(begin), sorted(events))
+    return FlightLog(path, "MAVLink telemetry log", channels, index.remarks(begin), sorted(events))
 
 
 # ---- frames
@@ -107,17 +107,17 @@ def read(path: Path) -> FlightLog:
 @cache
 def _kinds() -> dict[int, list[Kind]]:
     """Return what a message of each number may be: of several dialects the checksum tells which."""
-    made: dict[int, list[Kind]] = {}
+    kinds: dict[int, list[Kind]] = {}
     for name in DIALECTS:
         try:
-            known = import_module(name).mavlink_map
+            message_table = import_module(name).mavlink_map
         except ImportError:
             continue
-        for number, message in known.items():
+        for number, message in message_table.items():
             extra = bytes([message.crc_extra])
-            if all(kind.extra != extra for kind in made.get(number, ())):
-                made.setdefault(number, []).append(_kind(message, extra))
-    return made
+            if all(kind.extra != extra for kind in kinds.get(number, ())):
+                kinds.setdefault(number, []).append(_kind(message, extra))
+    return kinds
 
 
 def _kind(message: Any, extra: bytes) -> Kind:
@@ -151,7 +151,7 @@ def _frame(data: bytes, at: int) -> Frame | None:
     return Frame(stamp, message, sender, payload, payload.stop + CHECKSUM + signature)
 
 
-def _whole(data: bytes, at: int) -> tuple[Frame, int | None] | None:
+def _read_frame(data: bytes, at: int) -> tuple[Frame, int | None] | None:
     """Return the frame at ``at`` and which kind of its number it is, None for an unknown number.
 
     None alone where there is no frame, or a damaged one.
@@ -161,19 +161,19 @@ def _whole(data: bytes, at: int) -> tuple[Frame, int | None] | None:
     frame = _frame(data, at)
     if frame is None or frame.after > len(data):
         return None
-    known = _kinds().get(frame.message)
-    if known is None:  # no checksum can be tried: another frame behind it has to do
+    kinds = _kinds().get(frame.message)
+    if kinds is None:  # no checksum can be tried: another frame behind it has to do
         behind = data[frame.after + STAMP : frame.after + STAMP + 1]
         follows = frame.after == len(data) or behind in (b"\xfe", b"\xfd")
         return (frame, None) if follows and EARLIEST_US < frame.stamp < LATEST_US else None
     crc = mcrf4xx(data[at + STAMP + 1 : frame.payload.stop])
-    stated = data[frame.payload.stop] | data[frame.payload.stop + 1] << 8
-    which = next((n for n, kind in enumerate(known) if mcrf4xx(kind.extra, crc) == stated), None)
+    checksum = data[frame.payload.stop] | data[frame.payload.stop + 1] << 8
+    which = next((n for n, kind in enumerate(kinds) if mcrf4xx(kind.extra, crc) == checksum), None)
     return None if which is None else (frame, which)
 
 
 @dataclass
-class _Found:
+class _MessageIndex:
     """The frames by number, which kind of that number, and sender; and how many bytes were no frame."""
 
     messages: dict[Key, list[Frame]] = field(default_factory=dict)
@@ -196,32 +196,32 @@ class _Found:
         return tuple(remarks)
 
 
-def _places(data: bytes) -> _Found:
-    found = _Found()
+def _index_messages(data: bytes) -> _MessageIndex:
+    index = _MessageIndex()
     at, end = 0, len(data)
     while at < end:
-        whole = _whole(data, at)
-        if whole is None:
+        frame_read = _read_frame(data, at)
+        if frame_read is None:
             after = _next(data, at + 1)
             if after == end and (_frame(data, at) or end - at < STAMP + SHORTEST):
-                found.cut = end - at
+                index.cut = end - at
             else:
-                found.passed += after - at
+                index.passed += after - at
             at = after
             continue
-        frame, which = whole
+        frame, which = frame_read
         at = frame.after
         if which is None:
-            found.unknown.add(frame.message)
+            index.unknown.add(frame.message)
         else:
-            found.messages.setdefault((frame.message, which, frame.sender), []).append(frame)
-    return found
+            index.messages.setdefault((frame.message, which, frame.sender), []).append(frame)
+    return index
 
 
 def _next(data: bytes, at: int) -> int:
     """Return where the time of the next frame may be, from ``at`` on: eight bytes before a magic byte."""
-    places = [place for magic in (MAGIC_1, MAGIC_2) if (place := data.find(magic, at + STAMP)) >= 0]
-    return min(places) - STAMP if places else len(data)
+    candidates = [candidate for magic in (MAGIC_1, MAGIC_2) if (candidate := data.find(magic, at + STAMP)) >= 0]
+    return min(candidates) - STAMP if candidates else len(data)
 
 
 # ---- tables
@@ -247,9 +247,9 @@ def _times(table: np.ndarray, taken: Array, zero: float | None) -> Array:
     """Return the sender's own times, s, where they agree with those at which its frames were received, or these."""
     for name, unit in OWN_CLOCKS.items():
         if zero is not None and name in (table.dtype.names or ()):
-            own = zero + unit * table[name].astype(np.float64)
-            if np.all(np.abs(taken - own) < MOST_LATE_S):
-                return own
+            boot_times = zero + unit * table[name].astype(np.float64)
+            if np.all(np.abs(taken - boot_times) < MOST_LATE_S):
+                return boot_times
     return taken
 
 
@@ -262,13 +262,13 @@ def _instances(name: str, kind: Kind, table: np.ndarray) -> list[tuple[str, NDAr
 
 
 def _fields(name: str, kind: Kind, table: np.ndarray, times: Array) -> dict[str, Channel]:
-    made = {}
+    columns = {}
     for label in kind.layout.names or ():
         column, unit = table[label], kind.units.get(label, "")
         if column.dtype.kind == "S" or label in OWN_CLOCKS:
             continue
         if column.ndim == 1:
-            made[f"{name}.{label}"] = Channel(times, numbers(column), unit)
+            columns[f"{name}.{label}"] = Channel(times, numbers(column), unit)
         elif column.shape[1] <= LONGEST_ARRAY:
-            made |= {f"{name}.{label}[{n}]": Channel(times, numbers(part), unit) for n, part in enumerate(column.T)}
-    return made
+            columns |= {f"{name}.{label}[{n}]": Channel(times, numbers(part), unit) for n, part in enumerate(column.T)}
+    return columns

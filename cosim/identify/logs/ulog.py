@@ -45,20 +45,20 @@ def read(path: Path) -> FlightLog:
     if end:
         raise InputError(f"{path}: cannot be read as ULog: it is damaged; the reader {end}")
     head, _, doubles = answer.partition(b"\n")
-    said = json.loads(head)
-    if "error" in said:
-        raise InputError(f"{path}: cannot be read as ULog: {said['error']}")
-    channels = _channels(said, numbers(np.frombuffer(doubles, "<f8")))
+    header = json.loads(head)
+    if "error" in header:
+        raise InputError(f"{path}: cannot be read as ULog: {header['error']}")
+    channels = _channels(header, numbers(np.frombuffer(doubles, "<f8")))
     if not channels:
         raise InputError(f"{path}: the ULog holds no data: it was cut short before the first message, or damaged")
-    remarks = [f"left out, having no time: {', '.join(said['untimed'])}"] if said["untimed"] else []
-    if said["damaged"]:
+    remarks = [f"left out, having no time: {', '.join(header['untimed'])}"] if header["untimed"] else []
+    if header["damaged"]:
         remarks.append("parts of the file are damaged and were passed over")
     elif not _ends(data, begin):
         remarks.append("the log was cut short, or the power went: it ends within a message")
-    if lost := said["lost"]:
-        remarks.append(f"{len(lost)} times the logger lost data, {1e-3 * sum(lost):.1f} s together")
-    events = [(1e-6 * at, text) for at, text in said["events"]]
+    if missing := header["lost"]:
+        remarks.append(f"{len(missing)} times the logger lost data, {1e-3 * sum(missing):.1f} s together")
+    events = [(1e-6 * at, text) for at, text in header["events"]]
     return FlightLog(path, "ULog", channels, tuple(remarks), events)
 
 
@@ -83,27 +83,27 @@ def _read_apart(path: Path, begin: int, seconds: float, megabytes: float) -> tup
     return answer, f"ended its process (status {child.returncode})" if child.returncode else ""
 
 
-def _channels(said: dict[str, Any], columns: Array) -> dict[str, Channel]:
+def _channels(header: dict[str, Any], columns: Array) -> dict[str, Channel]:
     channels = {}
     at = 0
-    for topic in said["topics"]:
+    for topic in header["topics"]:
         fields, rows = topic["fields"], topic["rows"]
         count = (1 + len(fields)) * rows
         table = columns[at : at + count].reshape(1 + len(fields), rows)
         at += count
         times = 1e-6 * table[0]
         if topic["name"] == "hexjet_thrust":  # ours: what the engine has at the end of the step that the message is of
-            times = times + _step(said["step"], times)
+            times = times + _step(header["step"], times)
         name = topic["name"] + (f"#{topic['instance']}" if topic["instance"] else "")
         for field, values in zip(fields, table[1:], strict=True):
             channels[f"{name}.{field}"] = Channel(times, values)
     return channels
 
 
-def _step(stated: float | None, times: Array) -> float:
+def _step(nominal: float | None, times: Array) -> float:
     """Return the control step of a log of ours, s: as stated in the log, or else that of its rows, the default."""
-    if stated is not None or times.size < 2:
-        return stated or 0.0
+    if nominal is not None or times.size < 2:
+        return nominal or 0.0
     return float(np.median(np.diff(times)))
 
 

@@ -23,7 +23,7 @@ class DamagedError(Exception):
     """A log that cannot be read; the message says why."""
 
 
-class _Rest(io.BytesIO):
+class _Remainder(io.BytesIO):
     """The rest of a file, which refuses as a file does to go back to before its beginning; BytesIO stops there.
 
     pyulog goes back by what a damaged message says, and would come to it again for ever.
@@ -40,7 +40,7 @@ def _load(file: IO[bytes], begin: int) -> Any:
     from pyulog import ULog
     from pyulog.core import ULogException
 
-    source = _Rest(file.read()[begin:]) if begin else file
+    source = _Remainder(file.read()[begin:]) if begin else file
     try:
         return ULog(source)
     except ULogException as error:
@@ -69,7 +69,7 @@ def read(path: Path, begin: int) -> tuple[dict[str, Any], list[Columns]]:
         topics.append({"name": topic.name, "instance": topic.multi_id, "fields": fields, "rows": len(stamp)})
         columns.append(np.stack([_doubles(stamp), *(_doubles(topic.data[field]) for field in fields)]))
     step = log.initial_parameters.get("step_s")
-    said = {
+    header = {
         "topics": topics,
         "untimed": untimed,
         "step": None if step is None else float(step),
@@ -77,7 +77,7 @@ def read(path: Path, begin: int) -> tuple[dict[str, Any], list[Columns]]:
         "lost": [int(dropout.duration) for dropout in log.dropouts],
         "events": [[int(message.timestamp), str(message.message)] for message in log.logged_messages],
     }
-    return said, columns
+    return header, columns
 
 
 def _doubles(values: Any) -> Columns:
@@ -89,14 +89,14 @@ def main(path: Path, begin: int) -> None:
     """Write on standard output what is in the log, or why it cannot be read."""
     columns: list[Columns] = []
     try:
-        said, columns = read(path, begin)
+        header, columns = read(path, begin)
     except DamagedError as error:
-        said = {"error": " ".join(str(error).split())}
+        header = {"error": " ".join(str(error).split())}
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
-        said = {"error": f"it is damaged: what it says of itself does not fit together ({reason})"}
+        header = {"error": f"it is damaged: what it says of itself does not fit together ({reason})"}
     out = sys.stdout.buffer
-    out.write(json.dumps(said).encode() + b"\n")
+    out.write(json.dumps(header).encode() + b"\n")
     for table in columns:
         out.write(np.ascontiguousarray(table).data)
     out.flush()

@@ -99,9 +99,9 @@ def robust(problem: Problem, estimate: Estimate) -> Estimate:
     point = evaluate(problem, estimate.form, estimate.x, estimate.linear, estimate.ar)
     jacobian = jacobian_at(problem, estimate.form, point, free)
     indices = [*free, *range(len(estimate.x), len(estimate.covariance))]
-    kept = [n for n, index in enumerate(indices) if estimate.covariance[index, index] > 0.0]
-    rows = [indices[n] for n in kept]
-    jacobian = jacobian[:, kept]
+    determined = [n for n, index in enumerate(indices) if estimate.covariance[index, index] > 0.0]
+    rows = [indices[n] for n in determined]
+    jacobian = jacobian[:, determined]
     count, parameters = jacobian.shape
     block = max(1, round(estimate.all_delay[0] / problem.working_step))
     starts = np.arange(0, count, block)

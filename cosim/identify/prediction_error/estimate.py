@@ -11,7 +11,7 @@ import numpy as np
 from cosim.base.arrays import Array
 
 ORDERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 52, 64, 80, 100, 128, 160)  # of A, tried
-EACH = 20  # terms of A that are each estimated; those beyond are linear between the orders above; chosen by us
+SEPARATE = 20  # terms of A that are each estimated; those beyond are linear between the orders above; chosen by us
 
 
 @dataclass(frozen=True)
@@ -99,10 +99,10 @@ class Estimate:
 
 @cache
 def spread(order: int) -> Array:
-    """Return the matrix from estimated terms to coefficients of A, (order, terms): the first ``EACH`` have their own.
+    """Return the matrix from estimated terms to coefficients of A, (order, terms): the first ``SEPARATE`` alone.
 
     Those beyond are linear between ``ORDERS``, because noise that goes through an airframe fades slowly and smoothly.
     """
-    knots = [*range(1, min(order, EACH) + 1), *(n for n in ORDERS if EACH < n < order), order]
+    knots = [*range(1, min(order, SEPARATE) + 1), *(n for n in ORDERS if SEPARATE < n < order), order]
     at = np.unique(knots)
     return np.asarray([np.interp(np.arange(1, order + 1), at, row) for row in np.eye(len(at))]).T

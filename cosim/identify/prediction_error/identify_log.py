@@ -14,7 +14,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import NotIdentifiedError
 from cosim.identify.logs import Channel, FlightLog, LogSignals
 from cosim.identify.prediction_error.confidence import identify, robust, with_delay_bounds
-from cosim.identify.prediction_error.estimate import EACH, Estimate, Form
+from cosim.identify.prediction_error.estimate import SEPARATE, Estimate, Form
 from cosim.identify.prediction_error.problem import Problem
 from cosim.identify.prediction_error.search import fit, solve
 from cosim.identify.prediction_error.stretches import Prepared, halves, prepare
@@ -152,7 +152,7 @@ def estimate_dict(estimate: Estimate, sample: float) -> dict[str, Any]:
 
 def identify_log(
     log: FlightLog,
-    what: str,
+    signal: str,
     signals: LogSignals,
     *,
     longest_delay: float = LONGEST_DELAY_S,
@@ -162,7 +162,7 @@ def identify_log(
     hold: Mapping[str, float] | None = None,
     lags: int | None = None,
 ) -> LogIdentification:
-    """Identify command to output of a log; ``what`` is an axis or begins with ``engine``.
+    """Identify command to output of a log; ``signal`` is an axis or begins with ``engine``.
 
     ``lags`` is the number of lags beside the pole (an axis: 1 or more); the better of two forms by Akaike's criterion
     where it is None.  Raises NotIdentifiedError where the log does not tell, which says
@@ -171,7 +171,7 @@ def identify_log(
     of_sums: list[str] = []
     command, output = log.signal(signals.command, of_sums), log.signal(signals.output, of_sums)
     prepared = prepare(command, output, longest_delay, step, begin, end)
-    engine = what.startswith("engine")
+    engine = signal.startswith("engine")
     problem, estimates, clock = _estimate(prepared, engine, dict(hold or {}), lags)
     chosen = estimates[0]
     where = f"{log.path}: {signals.command} to {signals.output}"
@@ -187,7 +187,7 @@ def identify_log(
     return LogIdentification(
         log.path,
         log.kind,
-        what,
+        signal,
         signals,
         prepared,
         problem,
@@ -260,20 +260,20 @@ def _refuse(problem: Problem, estimates: Sequence[Estimate], prepared: Prepared,
 def _not_determined(chosen: Estimate) -> str:
     """Name gain, or the sum of delay and lags, where its bounds exceed it; their split may be unknown."""
     total, wide = chosen.all_delay
-    known = {"the gain": (chosen.gain, chosen.gain_deviation), "delay and lags together": (total, wide)}
-    return " and ".join(name for name, (value, one) in known.items() if not DEVIATIONS_95 * one <= abs(value))
+    bounds = {"the gain": (chosen.gain, chosen.gain_deviation), "delay and lags together": (total, wide)}
+    return " and ".join(name for name, (value, one) in bounds.items() if not DEVIATIONS_95 * one <= abs(value))
 
 
 def _doubts(chosen: Estimate, problem: Problem) -> list[str]:
     doubts = []
     if chosen.gain < 0.0:
         doubts.append("the gain is negative: the output moves against the command")
-    parts = halves(problem.stretches)
-    if parts is not None and "delay_s" not in chosen.held:
+    half_stretches = halves(problem.stretches)
+    if half_stretches is not None and "delay_s" not in chosen.held:
         try:
             ends = [
                 solve(half, chosen.form, chosen.x.copy(), chosen.ar.copy(), _fixed(chosen), chosen.order)
-                for half in (Problem(part, problem.working_step, problem.longest_delay) for part in parts)
+                for half in (Problem(part, problem.working_step, problem.longest_delay) for part in half_stretches)
             ]
         except (np.linalg.LinAlgError, ValueError):
             return doubts
@@ -306,7 +306,7 @@ def _checks(problem: Problem, estimate: Estimate, setpoint: Channel | None) -> l
     value = np.where(use, white, 0.0)
     power = float(value @ value)
     count, total = len(rows), 0.0
-    first = min(estimate.order, EACH) + 1  # up to there each term of the noise's model made it white
+    first = min(estimate.order, SEPARATE) + 1  # up to there each term of the noise's model made it white
     for lag in range(first, first + lags):
         together = use[lag:] & use[:-lag]
         if together.any():
@@ -325,7 +325,7 @@ def _checks(problem: Problem, estimate: Estimate, setpoint: Channel | None) -> l
 
 def _on_blocks(problem: Problem, channel: Channel | None) -> Array:
     """Return the command, or a channel, less its mean at the working samples, 0 between stretches."""
-    parts = []
+    blocks = []
     for stretch in problem.stretches:
         first = stretch.averaged(stretch.times)
         at = np.where(stretch.present, first, np.arange(stretch.blocks) * problem.working_step + first[0])
@@ -333,11 +333,11 @@ def _on_blocks(problem: Problem, channel: Channel | None) -> Array:
             values = stretch.commanded(at)
         else:
             good = np.isfinite(channel.values) & np.isfinite(channel.times)
-            times, held = channel.times[good], channel.values[good]
+            times, good_values = channel.times[good], channel.values[good]
             row = np.clip(np.searchsorted(times, stretch.start + at, side="right") - 1, 0, None)
-            values = held[row] if held.size else np.zeros(len(at))
-        parts += [values - values.mean(), np.zeros(problem.gap)]
-    return np.concatenate(parts)
+            values = good_values[row] if good_values.size else np.zeros(len(at))
+        blocks += [values - values.mean(), np.zeros(problem.gap)]
+    return np.concatenate(blocks)
 
 
 def _noisy(problem: Problem, chosen: Estimate) -> bool:
@@ -371,10 +371,10 @@ def _why_refused(problem: Problem, chosen: Estimate, checks: Sequence[Check]) ->
     by_setpoint = any(check.failed for check in checks[2:])
     weak = explained <= ENOUGH * chosen.loss and together.share * chosen.loss > FED_BACK * explained
     if weak and not by_setpoint and _residuals_follow(problem, chosen, together):
-        share = max(explained / chosen.loss, 1e-4)
-        larger = max(2.0, (ENOUGH / share) ** 0.5)
+        part = max(explained / chosen.loss, 1e-4)
+        larger = max(2.0, (ENOUGH / part) ** 0.5)
         return (
-            f"the disturbance is too large beside what the command does, which explains {100.0 * share:.1g} % as much "
+            f"the disturbance is too large beside what the command does, which explains {100.0 * part:.1g} % as much "
             f"as is left over; the loop feeds it back into the command ({100.0 * together.share:.0f} % of what is left "
             f"over is in the command of that time); a stronger manoeuvre is needed: doublets or a sweep about "
             f"{larger:.0f} times as large, or calmer air"
@@ -406,8 +406,8 @@ def _test_against(name: str, white: Array, use: NDArray[np.bool_], signal: Array
     size[size == 0.0] = 1.0
     solution, _, rank, _ = np.linalg.lstsq(matrix / size, residual, rcond=1e-8)
     power = float(residual @ residual)
-    left = residual - matrix @ (solution / size)
-    explained = max(power - float(left @ left), 0.0)
+    unexplained = residual - matrix @ (solution / size)
+    explained = max(power - float(unexplained @ unexplained), 0.0)
     freedom = len(residual) - int(rank)
     if not power > 0.0 or freedom < 10 or rank < 1:
         return Check(name, 1.0, 0.0)
@@ -485,8 +485,8 @@ def _coherence(problem: Problem) -> tuple[Array, Array]:
     command = _on_blocks(problem, None)
     rows = np.flatnonzero(problem.present)
     output = np.interp(np.arange(len(problem.output)), rows, problem.output[rows])
-    whole = np.concatenate([command, output])
-    if not np.all(np.isfinite(whole)):
+    moving = np.concatenate([command, output])
+    if not np.all(np.isfinite(moving)):
         return np.empty(0), np.empty(0)
     per = min(len(output) - 1, max(64, round(4.0 / problem.working_step)))
     hertz, value = coherence(

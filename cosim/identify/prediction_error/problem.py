@@ -32,11 +32,11 @@ class Problem:
     gap: int = field(default=max(ORDERS) + 1)
 
     def __post_init__(self) -> None:
-        parts, marks = [], []
+        outputs, marks = [], []
         for stretch in self.stretches:
-            parts += [np.where(stretch.present, stretch.averaged(stretch.output), 0.0), np.zeros(self.gap)]
+            outputs += [np.where(stretch.present, stretch.averaged(stretch.output), 0.0), np.zeros(self.gap)]
             marks += [stretch.present, np.zeros(self.gap, bool)]
-        self.output = np.concatenate(parts)
+        self.output = np.concatenate(outputs)
         self.present = np.concatenate(marks)
         self.samples = int(self.present.sum())
 
@@ -47,20 +47,20 @@ class Problem:
         rate, lags, delay = float(x[0]), x[1:-1], float(x[-1])
         poles = separate_equal([rate, *(1.0 / lag for lag in lags)])
         scale = (rate if form.engine else 1.0) / prod(lags)
-        shares = [scale / prod(other - pole for other in poles if other != pole) for pole in poles]
-        made = np.zeros((len(self.output), 1 + 2 * len(self.stretches)))
+        weights = [scale / prod(other - pole for other in poles if other != pole) for pole in poles]
+        matrix = np.zeros((len(self.output), 1 + 2 * len(self.stretches)))
         row = 0
         for n, stretch in enumerate(self.stretches):
             rows = slice(row, row + stretch.blocks)
             answer = np.zeros(len(stretch.times))
-            for share, pole in zip(shares, poles, strict=True):
-                answer += share * stretch.answer(pole, delay)
-            made[rows, 0] = stretch.averaged(answer)
-            made[rows, 1 + 2 * n] = stretch.present
-            under_way = np.exp(-rate * stretch.times) if form.engine else hold_response(rate, stretch.times)
-            made[rows, 2 + 2 * n] = stretch.averaged(under_way)
+            for weight, pole in zip(weights, poles, strict=True):
+                answer += weight * stretch.answer(pole, delay)
+            matrix[rows, 0] = stretch.averaged(answer)
+            matrix[rows, 1 + 2 * n] = stretch.present
+            initial = np.exp(-rate * stretch.times) if form.engine else hold_response(rate, stretch.times)
+            matrix[rows, 2 + 2 * n] = stretch.averaged(initial)
             row += stretch.blocks + self.gap
-        return made
+        return matrix
 
     def equations(self, order: int) -> NDArray[np.bool_]:
         """Return the mask of the rows whose ``order`` predecessors are all there."""
@@ -96,9 +96,9 @@ class Problem:
         best: tuple[float, int] = (float("inf"), 1)
         for order in orders:
             terms = spread(order)
-            known = terms.T @ right[:order]
-            part = np.linalg.lstsq(terms.T @ gram[:order, :order] @ terms, known, rcond=None)[0]
-            loss = max(power - float(known @ part), 1e-12 * power)
+            projected = terms.T @ right[:order]
+            part = np.linalg.lstsq(terms.T @ gram[:order, :order] @ terms, projected, rcond=None)[0]
+            loss = max(power - float(projected @ part), 1e-12 * power)
             best = min(best, (int(use.sum()) * log(loss) + 2.0 * terms.shape[1], order))
         return best[1]
 

@@ -96,16 +96,16 @@ def summary(result: LogIdentification) -> str:
 
 def rows(result: LogIdentification) -> list[list[str]]:
     """Return the table of the forms side by side, one row a quantity, each with its 95 % bounds."""
-    made: list[list[str]] = []
+    lines: list[list[str]] = []
     unit = f"{result.signals.output_unit} per {result.signals.command_unit}"
     gain = (
         f"gain at rest, {unit}"
         if result.engine
         else f"gain, {result.signals.output_unit}/s per {result.signals.command_unit}"
     )
-    made.append([gain, *(_about(estimate.gain, estimate.gain_deviation) for estimate in result.estimates)])
+    lines.append([gain, *(_about(estimate.gain, estimate.gain_deviation) for estimate in result.estimates)])
     names = sorted(
-        {name for estimate in result.estimates for name in estimate.form.names if name != "delay_s"}, key=_place
+        {name for estimate in result.estimates for name in estimate.form.names if name != "delay_s"}, key=_order
     )
     for name in names:
         cells = []
@@ -124,27 +124,27 @@ def rows(result: LogIdentification) -> list[list[str]]:
         titles = {"rate_1_s": "time constant, ms" if result.engine else "slow pole, 1/s", "lag_s": "lag, ms"}
         if result.engine:
             titles["lag_s"] = "second lag, ms"
-        made.append([titles.get(name, "further lag, ms"), *cells])
-    made.append(["delay, ms", *(_delay(estimate) for estimate in result.estimates)])
+        lines.append([titles.get(name, "further lag, ms"), *cells])
+    lines.append(["delay, ms", *(_delay(estimate) for estimate in result.estimates)])
     low, high = result.delay_bounds
     if len(result.estimates) > 1:
         allowing = f"{1e3 * low:.4g} to {1e3 * high:.4g}"
-        made.append(["its bounds, by the richest form, ms", allowing, *[""] * (len(result.estimates) - 1)])
-    made.append(
+        lines.append(["its bounds, by the richest form, ms", allowing, *[""] * (len(result.estimates) - 1)])
+    lines.append(
         [
             "delay and lags together, ms",
             *(_about(1e3 * v, 1e3 * s) for v, s in (e.all_delay for e in result.estimates)),
         ]
     )
     best = min(estimate.aic for estimate in result.estimates)
-    made.append(
+    lines.append(
         ["Akaike's criterion, above the best", *(f"{estimate.aic - best:.1f}" for estimate in result.estimates)]
     )
-    made.append(["order of the noise", *(f"{estimate.order}" for estimate in result.estimates)])
-    return made
+    lines.append(["order of the noise", *(f"{estimate.order}" for estimate in result.estimates)])
+    return lines
 
 
-def _place(name: str) -> int:
+def _order(name: str) -> int:
     return ["rate_1_s", "lag_s", "lag_2_s", "lag_3_s"].index(name)
 
 
@@ -183,7 +183,7 @@ def _delay(estimate: Estimate) -> str:
 def _draw_signals(result: LogIdentification) -> dict[str, Any]:
     """Draw command, measured output, the model's output from the command alone, and the residuals over time."""
     problem, estimate = result.problem, result.chosen
-    whole = problem.simulated(estimate)
+    simulated = problem.simulated(estimate)
     white, use = problem.residuals(estimate)
     data: list[dict[str, Any]] = []
     row = 0
@@ -192,15 +192,15 @@ def _draw_signals(result: LogIdentification) -> dict[str, Any]:
         keep = np.flatnonzero(stretch.present)[:: max(1, stretch.blocks // _MOST)]
         times = stretch.start + stretch.averaged(stretch.times)[keep]
         cells = np.arange(len(stretch.command))[:: max(1, len(stretch.command) // _MOST)]
-        measured, model = problem.output[rows_][keep], whole[rows_][keep]
-        left = np.where(use[rows_], white[rows_], np.nan)[keep]
+        measured, model = problem.output[rows_][keep], simulated[rows_][keep]
+        residual = np.where(use[rows_], white[rows_], np.nan)[keep]
         named = {"showlegend": n == 0}
         dots = {"mode": "markers", "marker": {"size": 3, "color": MAGENTA}}
         data += [
             trace("command", GREY, stretch.start + cells * stretch.step, stretch.command[cells], 0, **named),
             trace("measured", ORANGE, times, measured, 1, **named, **beneath(ORANGE)),
             trace("model, of the command alone", BLUE, times, model, 1, **named),
-            trace("residuals, made white", MAGENTA, times, left, 2, **named, **dots),
+            trace("residuals, made white", MAGENTA, times, residual, 2, **named, **dots),
         ]
         row += stretch.blocks + problem.gap
     titles = (result.signals.command_unit, result.signals.output_unit, result.signals.output_unit)

@@ -71,15 +71,15 @@ def jacobian_at(problem: Problem, form: Form, point: Point, free: Sequence[int])
     x, ar, use = point.x, point.ar, problem.equations(len(point.ar))
     high = problem.limits(form)[1]
     scale = _difference_steps(problem, x)
-    parts = []
+    blocks = []
     for i in free:
         aside = x.copy()
         aside[i] += scale[i] if x[i] + scale[i] <= high[i] else -scale[i]
         slope = (problem.columns(form, aside) - point.columns) @ point.linear / (aside[i] - x[i])
-        parts.append(-whiten(slope, ar)[use])
+        blocks.append(-whiten(slope, ar)[use])
     by_linear = -whiten(point.columns, ar)[use]
     late = np.stack([shift(point.error, i) for i in range(1, len(ar) + 1)], axis=1)[use]
-    return np.column_stack([*parts, by_linear, late @ spread(len(ar))])
+    return np.column_stack([*blocks, by_linear, late @ spread(len(ar))])
 
 
 def fit(
@@ -95,8 +95,8 @@ def fit(
             raise InputError(f"--hold {name}: not a parameter of this form; allowed: {', '.join(form.names)}")
     fixed = [form.names.index(name) for name in keep]
     tried = []
-    held = dict(zip(fixed, keep.values(), strict=True))
-    for x, ar in _starts(problem, form, held) if near is None else _starts_with_a_lag(near):
+    fixed_values = dict(zip(fixed, keep.values(), strict=True))
+    for x, ar in _starts(problem, form, fixed_values) if near is None else _starts_with_a_lag(near):
         x[fixed] = list(keep.values())
         tried.append(solve(problem, form, x, ar, fixed, len(ar)))
     best = min(tried, key=lambda estimate: estimate.loss)
@@ -126,7 +126,7 @@ def solve(
 # ---- the start
 
 
-def _starts(problem: Problem, form: Form, held: Mapping[int, float]) -> list[tuple[Array, Array]]:
+def _starts(problem: Problem, form: Form, fixed: Mapping[int, float]) -> list[tuple[Array, Array]]:
     """Return where the search begins, x and A: the best of the lags that are tried.
 
     A is that of a long ARX model, which is consistent in a loop too, and a plain difference, where there is so little
@@ -138,8 +138,8 @@ def _starts(problem: Problem, form: Form, held: Mapping[int, float]) -> list[tup
     starts = [(x, arx) for x in _best_delays(problem, form, arx)[:_STARTS_FOLLOWED]]
     solved = []
     for x in _best_delays(problem, form, plain):
-        x[list(held)] = list(held.values())
-        solved.append(_newton(problem, form, (x, problem.linear(form, x, plain), plain), list(held), noise=False))
+        x[list(fixed)] = list(fixed.values())
+        solved.append(_newton(problem, form, (x, problem.linear(form, x, plain), plain), list(fixed), noise=False))
     solved.sort(key=lambda estimate: estimate.loss)
     return starts + [(estimate.x, plain) for estimate in solved[:_STARTS_FOLLOWED]]
 
@@ -159,11 +159,11 @@ def _best_delays(problem: Problem, form: Form, ar: Array) -> list[Array]:
             columns = problem.columns(form, np.array([rate, *lags, delay]))
             if frame is None:  # what is not the answer does not depend on the delay
                 frame = np.linalg.qr(whiten(columns[:, 1:], ar)[use])[0]
-                left = output - frame @ (frame.T @ output)
+                residual = output - frame @ (frame.T @ output)
             answer = whiten(columns[:, 0], ar)[use]
             answer = answer - frame @ (frame.T @ answer)
             power = float(answer @ answer)
-            won.append(float(answer @ left) ** 2 / power if power > 0.0 else 0.0)
+            won.append(float(answer @ residual) ** 2 / power if power > 0.0 else 0.0)
         best = int(np.argmax(won))
         starts.append((won[best], np.array([rate, *lags, delays[best]])))
     starts.sort(key=lambda start: -start[0])
@@ -277,14 +277,14 @@ def _estimate(problem: Problem, form: Form, point: Point, free: list[int]) -> Es
     # A slow pole that ended at 0 is uncertain as any other, and the gain with it: kept there both look surer than
     # they are.
     within = [n for n, i in enumerate(free) if low[i] < x[i] < high[i] or (i == 0 and not form.engine)]
-    kept = [*within, *range(len(free), jacobian.shape[1])]
+    determined = [*within, *range(len(free), jacobian.shape[1])]
     size = _column_sizes(jacobian)
-    scaled = (jacobian / size)[:, kept]
-    variance = point.loss / max(count - len(kept), 1)
+    scaled = (jacobian / size)[:, determined]
+    variance = point.loss / max(count - len(determined), 1)
     inverse = variance * np.linalg.pinv(scaled.T @ scaled, rcond=1e-13)
-    rest = jacobian.shape[1] - len(free)
-    rows = [free[n] for n in within] + [len(x) + n for n in range(rest)]
-    covariance = np.zeros((len(x) + rest,) * 2)
-    covariance[np.ix_(rows, rows)] = inverse / np.outer(size[kept], size[kept])
+    linear_count = jacobian.shape[1] - len(free)
+    rows = [free[n] for n in within] + [len(x) + n for n in range(linear_count)]
+    covariance = np.zeros((len(x) + linear_count,) * 2)
+    covariance[np.ix_(rows, rows)] = inverse / np.outer(size[determined], size[determined])
     gain, order = float(point.linear[0]), len(point.ar)
     return Estimate(form, x, gain, order, point.ar, point.linear, point.loss, count, covariance, tuple(free))

@@ -62,35 +62,35 @@ class Stretch:
         states = self._states(pole)
         cell, within, begun = self._late(delay)
         fade = np.exp(-pole * within)
-        held = (1.0 - fade) / pole if pole > 1e-6 else within
-        return np.asarray((states[cell] * fade + held * self.command[cell]) * begun)
+        input_gain = (1.0 - fade) / pole if pole > 1e-6 else within
+        return np.asarray((states[cell] * fade + input_gain * self.command[cell]) * begun)
 
     @cached_property
-    def _kept(self) -> tuple[dict[float, Array], dict[float, tuple[Ints, Array, Array]]]:
+    def _caches(self) -> tuple[dict[float, Array], dict[float, tuple[Ints, Array, Array]]]:
         """Cache of recent results: a derivative changes one parameter at a time."""
         return {}, {}
 
     def _states(self, pole: float) -> Array:
         from scipy.signal import lfilter
 
-        kept = self._kept[0]
-        if pole not in kept:
-            if len(kept) >= _CACHE_SIZE:
-                kept.pop(next(iter(kept)))
+        cache = self._caches[0]
+        if pole not in cache:
+            if len(cache) >= _CACHE_SIZE:
+                cache.pop(next(iter(cache)))
             states = lfilter([float(hold_response(pole, self.step))], [1.0, -exp(-pole * self.step)], self.command)
-            kept[pole] = np.concatenate([[0.0], states])
-        return kept[pole]
+            cache[pole] = np.concatenate([[0.0], states])
+        return cache[pole]
 
     def _late(self, delay: float) -> tuple[Ints, Array, Array]:
         """Return the cell of each delayed sample, the time within it, s, and 0 before the stretch or else 1."""
-        kept = self._kept[1]
-        if delay not in kept:
-            if len(kept) >= _CACHE_SIZE:
-                kept.pop(next(iter(kept)))
+        cache = self._caches[1]
+        if delay not in cache:
+            if len(cache) >= _CACHE_SIZE:
+                cache.pop(next(iter(cache)))
             late = self.times - delay
             cell = self._cell(late)
-            kept[delay] = cell, late - cell * self.step, (late > 0.0).astype(np.float64)
-        return kept[delay]
+            cache[delay] = cell, late - cell * self.step, (late > 0.0).astype(np.float64)
+        return cache[delay]
 
 
 def hold_response(pole: float, seconds: float | Array) -> Array:

@@ -20,9 +20,9 @@ SETTLE_S = 0.3  # beside the longest delay, before the first output that counts:
 SHORTEST_S = 3.0  # that a stretch must have beyond that, and all of them together
 IDLE_S = 0.5  # windows in which a command moves or does not
 PAUSE_S = 2.0  # for which it may stand still in flight
-IDLE_SHARE = 1e-3  # of the command's standard deviation: less is no movement
+IDLE_FRACTION = 1e-3  # of the command's standard deviation: less is no movement
 EDGE_S = 1.0  # cut off where the command begins or ceases to move: on the ground a vehicle answers otherwise
-LOSSY_SHARE = 0.005  # share of lost samples from which two are averaged: an equation needs all its predecessors
+LOSSY_FRACTION = 0.005  # share of lost samples from which two are averaged: an equation needs all its predecessors
 LEAST_JITTER = 0.02  # of a sample: less jitter is none
 _LOST_STEPS = 1.75  # steps between two samples from which some are lost between them
 _JITTER_RUN = 4  # samples in a row that jitter may bring nearer to another tick
@@ -87,7 +87,7 @@ def prepare(
                 "looked for (--longest-delay): no log of so fast a thing, or of another unit of time"
             )
     factor = max(1, round((WORKING_STEP_S if step is None else step) / sample))
-    if step is None and clocks[1].lost > LOSSY_SHARE:
+    if step is None and clocks[1].lost > LOSSY_FRACTION:
         factor = max(factor, 2)
     working = factor * sample
     lead = longest_delay + SETTLE_S
@@ -132,29 +132,29 @@ def clock_of(times: Array) -> Clock:
 # ---- pieces
 
 
-def _clean(channel: Channel, what: str, notes: list[str]) -> Channel:
+def _clean(channel: Channel, signal: str, notes: list[str]) -> Channel:
     """Return a channel without what is no number, in the order of time; of a clock that went back, the longest part."""
     times, values = channel.times, channel.values
     good = np.isfinite(times) & np.isfinite(values)
     if good.sum() < 2:
-        raise InputError(f"{what} has {int(good.sum())} values that are numbers; at least two are needed")
+        raise InputError(f"{signal} has {int(good.sum())} values that are numbers; at least two are needed")
     if not good.all():
-        notes.append(f"{what}: {int((~good).sum())} of {len(good)} values are no numbers; left out")
+        notes.append(f"{signal}: {int((~good).sum())} of {len(good)} values are no numbers; left out")
         times, values = times[good], values[good]
     back = np.flatnonzero(np.diff(times) < 0.0) + 1
     if back.size:
-        parts = list(zip([0, *back], [*back, len(times)], strict=True))
-        first, last = max(parts, key=lambda part: times[part[1] - 1] - times[part[0]])
+        pieces = list(zip([0, *back], [*back, len(times)], strict=True))
+        first, last = max(pieces, key=lambda part: times[part[1] - 1] - times[part[0]])
         notes.append(
-            f"{what}: its clock goes back {back.size} times (first after {times[back[0] - 1]:.3f} s, by "
+            f"{signal}: its clock goes back {back.size} times (first after {times[back[0] - 1]:.3f} s, by "
             f"{times[back[0] - 1] - times[back[0]]:.3g} s); the longest part alone is used, {_span(times[first:last])}"
         )
         times, values = times[first:last], values[first:last]
     new = np.concatenate([[True], np.diff(times) > 0.0])
     if not new.all():
-        notes.append(f"{what}: {int((~new).sum())} values have the time of the one before; left out")
+        notes.append(f"{signal}: {int((~new).sum())} values have the time of the one before; left out")
     if new.sum() < 2:
-        raise InputError(f"{what}: its time does not run")
+        raise InputError(f"{signal}: its time does not run")
     return Channel(times[new], values[new], channel.unit)
 
 
@@ -164,8 +164,8 @@ def _index(times: Array) -> tuple[NDArray[np.int64], Array | None]:
 
     step, ticks = float(np.median(np.diff(times))), np.arange(len(times))
     apart = np.diff(times) / step
-    lost = np.concatenate([[0.0], np.cumsum(np.where(apart > _LOST_STEPS, np.rint(apart) - 1.0, 0.0))])
-    index = ticks + lost.astype(np.int64)
+    missing = np.concatenate([[0.0], np.cumsum(np.where(apart > _LOST_STEPS, np.rint(apart) - 1.0, 0.0))])
+    index = ticks + missing.astype(np.int64)
     even = times
     for _ in range(5):
         slope, offset = np.polyfit(index, times - times[0], 1)
@@ -219,7 +219,7 @@ def _find_movement(command: Channel, spans: Sequence[tuple[float, float]]) -> li
         moving = []
         for at in edges:
             part = command.values[(command.times >= at) & (command.times < at + IDLE_S)]
-            moving.append(bool(part.size) and float(np.ptp(part)) > IDLE_SHARE * size)
+            moving.append(bool(part.size) and float(np.ptp(part)) > IDLE_FRACTION * size)
         first = None
         moving = _bridge_pauses(moving, round(PAUSE_S / IDLE_S))
         for n, yes in enumerate([*moving, False]):
@@ -235,13 +235,13 @@ def _find_movement(command: Channel, spans: Sequence[tuple[float, float]]) -> li
 
 def _bridge_pauses(moving: list[bool], most: int) -> list[bool]:
     """Count pauses of at most so many windows between movement as movement."""
-    made, last = list(moving), -1
+    bridged, last = list(moving), -1
     for n, yes in enumerate(moving):
         if yes:
             if last >= 0 and n - last - 1 <= most:
-                made[last:n] = [True] * (n - last)
+                bridged[last:n] = [True] * (n - last)
             last = n
-    return made
+    return bridged
 
 
 def _interpolate_lost(command: Channel) -> Channel:
@@ -250,10 +250,10 @@ def _interpolate_lost(command: Channel) -> Channel:
     if even is None:
         return command
     gaps = np.diff(index)
-    lost = [np.arange(1, gap) + index[n] for n, gap in enumerate(gaps) if 1 < gap <= MOST_MISSING]
-    if not lost:
+    gap_rows = [np.arange(1, gap) + index[n] for n, gap in enumerate(gaps) if 1 < gap <= MOST_MISSING]
+    if not gap_rows:
         return command
-    missing = np.concatenate(lost)
+    missing = np.concatenate(gap_rows)
     times = np.interp(missing, index, command.times)
     values = np.interp(missing, index, command.values)
     order = np.argsort(np.concatenate([command.times, times]), kind="stable")
@@ -276,21 +276,21 @@ def _stretch(
     begin, end = span
     count = int((end - begin) / cell + 1e-6) + 1
     edges = begin + np.arange(count + 1) * cell
-    held = np.diff(_integral(command, np.asarray(edges, np.float64))) / cell
+    cell_means = np.diff(_integral(command, np.asarray(edges, np.float64))) / cell
     use = (output.times >= begin + lead) & (output.times <= end)
     times, values = (output.times if steady is None else steady)[use], output.values[use]
     index, even = _index(times)
     if even is None:
         index = np.rint((times - times[0]) / sample).astype(np.int64)
     block = (index - index[0]) // factor
-    return Stretch(begin, cell, held, times - begin, values, block.astype(np.int64), int(block[-1]) + 1)
+    return Stretch(begin, cell, cell_means, times - begin, values, block.astype(np.int64), int(block[-1]) + 1)
 
 
 def _integral(command: Channel, at: Array) -> Array:
     """Return the integral, at these times, of a command that holds from each of its times to the next."""
-    whole = np.concatenate([[0.0], np.cumsum(command.values[:-1] * np.diff(command.times))])
+    integral = np.concatenate([[0.0], np.cumsum(command.values[:-1] * np.diff(command.times))])
     row = np.clip(np.searchsorted(command.times, at, side="right") - 1, 0, None)
-    return np.asarray(whole[row] + command.values[row] * (at - command.times[row]))
+    return np.asarray(integral[row] + command.values[row] * (at - command.times[row]))
 
 
 def _span(times: Array) -> str:

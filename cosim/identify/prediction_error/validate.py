@@ -102,29 +102,29 @@ def read_model(path: Path, axis: str | None = None) -> StatedModel:
 
 def _of_model_file(file: Path, axis: str | None) -> StatedModel:
     """Read a model file, from z back to the continuous form; it does not say which channels of a log it is of."""
-    stated = [
+    candidates = [
         (name, RateModel.model_validate(model))
         for models in read_models(file).values()
         for name, model in models.items()
         if axis in (None, name)
     ]
-    if len(stated) != 1:
+    if len(candidates) != 1:
         of = f" of {axis}" if axis else ""
-        raise InputError(f"{file}: {len(stated)} models{of}; say --axis of one that is there")
-    what, model = stated[0]
+        raise InputError(f"{file}: {len(candidates)} models{of}; say --axis of one that is there")
+    label, model = candidates[0]
     step = model.sample_time_s
     if model.pole_pairs or model.zero_pairs or not all(0.0 < pole <= 1.0 for pole in model.poles):
-        raise InputError(f"{file}: {what}: {OTHER_FORM}")
+        raise InputError(f"{file}: {label}: {OTHER_FORM}")
     rate, *fast = sorted(-np.log(pole) / step for pole in model.poles)
     if not all(pole > 0.0 for pole in fast) or not fast:
-        raise InputError(f"{file}: {what}: {OTHER_FORM}")
+        raise InputError(f"{file}: {label}: {OTHER_FORM}")
     lags = tuple(float(1.0 / pole) for pole in fast)
     unit = Continuous(1.0, float(rate), lags, model.delay_samples, step).discrete("")
     gain = model.gain / unit.gain
     if len(unit.zeros) != len(model.zeros) or not np.allclose(unit.zeros, sorted(model.zeros), rtol=1e-3, atol=1e-3):
-        raise InputError(f"{file}: {what}: {OTHER_FORM}")
+        raise InputError(f"{file}: {label}: {OTHER_FORM}")
     x = np.array([rate, *lags, model.delay_samples * step])
-    return StatedModel(file, what, LogSignals("", ""), Form(False, len(lags)), x, float(gain))
+    return StatedModel(file, label, LogSignals("", ""), Form(False, len(lags)), x, float(gain))
 
 
 def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end: float | None = None) -> Validation:
@@ -179,8 +179,8 @@ def _simulate(problem: Problem, model: StatedModel, x: Array) -> Array:
     columns = problem.columns(model.form, x)
     answer, others = model.gain * columns[:, 0], columns[:, 1:]
     use = problem.present
-    rest = np.linalg.lstsq(others[use], (problem.output - answer)[use], rcond=1e-12)[0]
-    return np.asarray(answer + others @ rest)
+    offset = np.linalg.lstsq(others[use], (problem.output - answer)[use], rcond=1e-12)[0]
+    return np.asarray(answer + others @ offset)
 
 
 def _better_delay(problems: Sequence[Problem], model: StatedModel, longest: float) -> float:
@@ -208,16 +208,16 @@ def _correlation(errors: Sequence[Array], lag: int) -> float:
 
 def rows(validation: Validation) -> list[tuple[str, str]]:
     """Return the rows of the table: what was measured, and its value as text."""
-    made = [
+    lines = [
         ("fit of the simulation (1: perfect, 0: no better than its mean)", f"{validation.fit:.3f}"),
         ("NRMSE, over the output's standard deviation", f"{validation.nrmse:.3f}"),
         ("Theil's U (0: perfect, 1: useless)", f"{validation.theil:.3f}"),
         (f"fit of the change over {AHEAD_S:g} s", f"{validation.ahead:.3f}"),
     ]
     if np.isfinite(validation.autocorrelation):
-        made.append((f"autocorrelation of the error after {AHEAD_S:g} s", f"{validation.autocorrelation:.2f}"))
-    made.append(("a delay that fits better by, ms", f"{1e3 * validation.delay_off:+.1f}"))
-    return made
+        lines.append((f"autocorrelation of the error after {AHEAD_S:g} s", f"{validation.autocorrelation:.2f}"))
+    lines.append(("a delay that fits better by, ms", f"{1e3 * validation.delay_off:+.1f}"))
+    return lines
 
 
 def write(validation: Validation, folder: Path) -> dict[str, Path]:

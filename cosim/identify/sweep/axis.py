@@ -93,12 +93,12 @@ def identify_axis(
     low, high = _band(base, vehicle, axis, from_hz, to_hz)
     check_band(low, high, duration, base.step_s)
     seconds = suitable_duration(low) if duration is None else duration
-    asked, what = Sweep(low, high, size, seconds), f"{base.aircraft_name} {axis}"
-    flight, response, notes = _fly_until_clear(base, axis, asked, amplitude is None, what, lags)
+    requested, subject = Sweep(low, high, size, seconds), f"{base.aircraft_name} {axis}"
+    flight, response, notes = _fly_until_clear(base, axis, requested, amplitude is None, subject, lags)
     sweep, family = flight.sweep, flight.engine.family
     # pitch and yaw turn the jets, they do not throttle them; what hinges and engines share has no one engine's delay
-    own = flight.engine.delay if axis == "roll" and not accelerates else None
-    fits = _fits(response, lags, hold, None if own is None else own / base.step_s)
+    own_delay = flight.engine.delay if axis == "roll" and not accelerates else None
+    fits = _fits(response, lags, hold, None if own_delay is None else own_delay / base.step_s)
     return Identification(
         kind="axis",
         subject=base.aircraft_name,
@@ -143,34 +143,34 @@ def _band(
 def _turned_by_engines(base: Scenario, vehicle: Vehicle, engine: EngineSpec, index: int) -> bool:
     if vehicle.allocation != "effectiveness":
         return by_throttle(vehicle, index)
-    parts = hinged_parts(vehicle, effectiveness_of(base, vehicle, engine), index, engine, base.step_s)
-    return abs(parts[0].share) > PARTAKES
+    hinged = hinged_parts(vehicle, effectiveness_of(base, vehicle, engine), index, engine, base.step_s)
+    return abs(hinged[0].share) > PARTAKES
 
 
 def _fly_until_clear(
-    base: Scenario, axis: str, sweep: Sweep, automatic: bool, what: str, lags: int
+    base: Scenario, axis: str, sweep: Sweep, automatic: bool, subject: str, lags: int
 ) -> tuple[_Flight, FrequencyResponse, list[str]]:
     """Fly the sweep and estimate the response; an automatic amplitude grows while points or the fit are lost in noise.
 
     Raises NotIdentifiedError where it stays lost.
     """
     flight = _sweep(base, axis, sweep, automatic)
-    made: tuple[_Flight, FrequencyResponse, list[str]] | None = None
-    lost: NotIdentifiedError | None = None
+    best: tuple[_Flight, FrequencyResponse, list[str]] | None = None
+    refusal: NotIdentifiedError | None = None
     for _ in range(LOUDER if automatic else 1):
         try:
-            made = (flight, *_response(flight.record(), flight.sweep, what, lags))
+            best = (flight, *_response(flight.record(), flight.sweep, subject, lags))
         except NotIdentifiedError as error:
-            lost = error
-        if not automatic or (made and not made[2] and not why_refused(fit(made[1], lags, "first"), engine=False)):
+            refusal = error
+        if not automatic or (best and not best[2] and not why_refused(fit(best[1], lags, "first"), engine=False)):
             break
         flight = _fly(base, axis, replace(sweep, amplitude=_two_digits(MORE * flight.sweep.amplitude)))
         if not flight.fine:
             break
-    if made is None:
-        assert lost is not None
-        raise lost
-    return made
+    if best is None:
+        assert refusal is not None
+        raise refusal
+    return best
 
 
 @dataclass(frozen=True)
@@ -255,25 +255,25 @@ def _sweep(base: Scenario, axis: str, sweep: Sweep, automatic: bool) -> _Flight:
     where = f"{base.aircraft_name} {axis} with {flight.engine.name}, controller {base.controller}"
     smaller = flight
     for tries in range(TRIES):
-        lost = smaller.ending.outcome != "completed"
-        share = LESS if lost else max(LESS, (MARGIN if tries < GENTLY else MARGIN**3) * smaller.fits_in)
-        smaller = _fly(base, axis, replace(sweep, amplitude=_two_digits(share * smaller.sweep.amplitude)))
+        is_lost = smaller.ending.outcome != "completed"
+        factor = LESS if is_lost else max(LESS, (MARGIN if tries < GENTLY else MARGIN**3) * smaller.fits_in)
+        smaller = _fly(base, axis, replace(sweep, amplitude=_two_digits(factor * smaller.sweep.amplitude)))
         if smaller.fine or smaller.ending.outcome == "failed":
             break
     if smaller.ending.outcome == "failed":
         raise InputError(f"{where}: {smaller.ending.reason}")
     if not smaller.fine:
-        lost = smaller.ending.outcome != "completed"
-        how = smaller.ending.reason if lost else "it swings between its limits"
+        is_lost = smaller.ending.outcome != "completed"
+        how = smaller.ending.reason if is_lost else "it swings between its limits"
         raise InputError(
             f"{where}: the loop is not stable ({how}, swept with {smaller.sweep.amplitude:g}); choose another "
             f"--controller or less gain: --set vehicle.control.rate.{axis}.p=..., vehicle.control.attitude.gain_1_s=..."
         )
     if automatic:
         return smaller
-    lost = flight.ending.outcome != "completed"
-    what = f"loses the vehicle ({flight.ending.reason})" if lost else "saturates"
-    raise InputError(f"{where}: --amplitude {sweep.amplitude:g} {what}; {smaller.sweep.amplitude:g} fits")
+    is_lost = flight.ending.outcome != "completed"
+    trouble = f"loses the vehicle ({flight.ending.reason})" if is_lost else "saturates"
+    raise InputError(f"{where}: --amplitude {sweep.amplitude:g} {trouble}; {smaller.sweep.amplitude:g} fits")
 
 
 def _two_digits(value: float) -> float:
@@ -284,7 +284,7 @@ def _fly(base: Scenario, axis: str, sweep: Sweep) -> _Flight:
     step = base.step_s
     low, high = sweep.chirp_hz(step)
     length = round(sweep.duration_s / step)
-    lead, rest = round(LEAD_S / step), round(REST_S / step)
+    lead, settling = round(LEAD_S / step), round(REST_S / step)
     table = {
         "kind": "torque_command",
         "axis": axis,
@@ -296,22 +296,22 @@ def _fly(base: Scenario, axis: str, sweep: Sweep) -> _Flight:
         "to_hz": high,
     }
     before = [entry.model_dump(mode="json", exclude_none=True) for entry in base.disturbance]
-    scenario = base.replace(duration_s=(lead + length + rest) * step, disturbance=[*before, table])
+    scenario = base.replace(duration_s=(lead + length + settling) * step, disturbance=[*before, table])
     index = AXES.index(axis)
     watch = _Watch(index)
     with build(scenario) as simulation:
         ending = simulation.run([watch])
         vehicle, engine = simulation.vehicle, simulation.engine
         ledger, no_ledger = total_samples(simulation.ledger, axis), why_none(simulation.ledger, axis)
-    asked, injected, refused, cut, rate = (np.array(column) for column in zip(*watch.rows, strict=True))
+    requested, injected, refused, cut, rate = (np.array(column) for column in zip(*watch.rows, strict=True))
     late = scenario.added_delay_samples if index == 0 else 0
     if late:
-        asked = np.concatenate([np.zeros(late), asked[:-late]])[: len(asked)]
-    command = asked + injected
+        requested = np.concatenate([np.zeros(late), requested[:-late]])[: len(requested)]
+    command = requested + injected
     if ledger is not None:
         ledger -= late
-    share = _granted_fraction(command, refused, cut)
-    return _Flight(sweep, ending, vehicle, engine, step, injected, command - refused, rate, ledger, no_ledger, share)
+    granted = _granted_fraction(command, refused, cut)
+    return _Flight(sweep, ending, vehicle, engine, step, injected, command - refused, rate, ledger, no_ledger, granted)
 
 
 def _granted_fraction(command: Array, refused: Array, cut: Array) -> float:
@@ -326,28 +326,28 @@ def _granted_fraction(command: Array, refused: Array, cut: Array) -> float:
 # ---- response and fits
 
 
-def _response(record: Record, sweep: Sweep, what: str, lags: int) -> tuple[FrequencyResponse, list[str]]:
+def _response(record: Record, sweep: Sweep, subject: str, lags: int) -> tuple[FrequencyResponse, list[str]]:
     """Estimate the response twice, the second time around a first model; return it with notes."""
     response = estimate(record, sweep.from_hz, sweep.to_hz)
-    need_coherence(response, what, sweep.amplitude)
+    need_coherence(response, subject, sweep.amplitude)
     first = fit(response, lags, "first").model
     response = estimate(record, sweep.from_hz, sweep.to_hz, first.response)
-    return response, need_coherence(response, what, sweep.amplitude)
+    return response, need_coherence(response, subject, sweep.amplitude)
 
 
 def _fits(
     response: FrequencyResponse, lags: int, hold: Mapping[str, float] | None, delay: float | None
 ) -> tuple[Fit, ...]:
     """Fit the chosen form, then those it is worth comparing with."""
-    kept = dict(hold or {})
+    fixed = dict(hold or {})
     name = "1 lag" if lags == 1 else f"{lags} lags"
-    fits = [fit(response, lags, name + _said(kept), kept)]
-    if not kept and delay is not None:
+    fits = [fit(response, lags, name + _describe_fixed(fixed), fixed)]
+    if not fixed and delay is not None:
         fits.append(fit(response, lags, f"{name}, engine's delay", {"delay_samples": delay}))
-    if not kept:
+    if not fixed:
         fits.append(fit(response, lags + 1, f"{lags + 1} lags"))
     return tuple(fits)
 
 
-def _said(kept: Mapping[str, float]) -> str:
-    return "".join(f", {name} held" for name in kept)
+def _describe_fixed(fixed: Mapping[str, float]) -> str:
+    return "".join(f", {name} held" for name in fixed)

@@ -10,7 +10,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import EngineError, InputError
 from cosim.engine import EngineSpec, load_engine, make_bank
-from cosim.identify.sweep.fit import WHOLE, Fit, fit
+from cosim.identify.sweep.fit import NEARLY_WHOLE, Fit, fit
 from cosim.identify.sweep.response import FrequencyResponse, Record, estimate, shortest_record
 from cosim.identify.sweep.result import (
     LONGEST_SWEEP_S,
@@ -89,10 +89,10 @@ def identify_engine(
 def _fits(response: FrequencyResponse, lags: int, hold: Mapping[str, float] | None) -> tuple[Fit, ...]:
     """Fit the form: first with a whole delay, where a free one comes out whole, then with a free one."""
     free = fit(response, lags, "all free" if not hold else ", ".join(hold) + " held", hold)
-    whole = round(free.model.delay_samples)
-    if "delay_samples" in free.held or abs(free.model.delay_samples - whole) > WHOLE:
+    delay = round(free.model.delay_samples)
+    if "delay_samples" in free.held or abs(free.model.delay_samples - delay) > NEARLY_WHOLE:
         return (free,)
-    return (fit(response, lags, "whole delay", {**(hold or {}), "delay_samples": float(whole)}), free)
+    return (fit(response, lags, "whole delay", {**(hold or {}), "delay_samples": float(delay)}), free)
 
 
 def _band(

@@ -21,7 +21,7 @@ from cosim.spec.vehicle import RateModel
 LONGEST_DELAY_S = 10.0
 UNAMBIGUOUS = 0.75  # of the delay after which the phases of the two closest points repeat
 _EXP = 300.0  # whose exponential still is a number
-WHOLE = 0.05  # samples: nearer than this to a whole number, a delay may be taken as whole
+NEARLY_WHOLE = 0.05  # samples: nearer than this to a whole number, a delay may be taken as whole
 LEAST_COHERENCE = 0.6  # below it a point does not count (Tischler and Remple's bound)
 
 
@@ -52,20 +52,20 @@ class Model:
         for i, pole in enumerate(poles):
             between = prod(other - pole for j, other in enumerate(poles) if j != i)
             residue = self.gain / prod(self.lags) / between
-            held = -np.expm1(-pole * self.step) / pole if pole * self.step > 1e-12 else self.step
-            modes.append((float(residue * held), pole))
+            gains = -np.expm1(-pole * self.step) / pole if pole * self.step > 1e-12 else self.step
+            modes.append((float(residue * gains), pole))
         return modes
 
     def response(self, hertz: Array) -> Complex:
         """Return the frequency response of the model behind a hold, sampled, with its delay."""
         z = np.exp(2j * np.pi * hertz * self.step)
-        whole = int(self.delay_samples)
-        fraction = self.delay_samples - whole
+        samples = int(self.delay_samples)
+        fraction = self.delay_samples - samples
         total = np.zeros(len(hertz), complex)
         for c, pole in self.modes():
-            share = _input_fraction(pole * self.step, fraction)
-            total += c * (share + (1.0 - share) / z) / (z - exp(-pole * self.step))
-        return np.asarray(total * z**-whole)
+            weight = _input_fraction(pole * self.step, fraction)
+            total += c * (weight + (1.0 - weight) / z) / (z - exp(-pole * self.step))
+        return np.asarray(total * z**-samples)
 
     def discrete(self, source: str) -> RateModel:
         """Return the form that a predictor reads: gain, zeros and poles in z, and the delay in samples."""
@@ -86,11 +86,11 @@ class Model:
 
 def separate_equal(poles: Iterable[float]) -> list[float]:
     """Move equal poles apart a little: partial fractions need different ones."""
-    made = list(poles)
-    for i in range(1, len(made)):
-        while any(abs(made[i] - other) <= 1e-6 * made[i] for other in made[:i]):
-            made[i] *= 1.0 + 1e-5
-    return made
+    separated = list(poles)
+    for i in range(1, len(separated)):
+        while any(abs(separated[i] - other) <= 1e-6 * separated[i] for other in separated[:i]):
+            separated[i] *= 1.0 + 1e-5
+    return separated
 
 
 def _input_fraction(decay: float, fraction: float) -> float:
@@ -138,15 +138,15 @@ def fit(response: FrequencyResponse, lags: int, label: str, hold: Mapping[str, f
     pinned down, not that the form is right.  Raises InputError for an unknown name in ``hold`` or too few points.
     """
     hold = dict(hold or {})
-    known = names(lags)
+    names_known = names(lags)
     for name in hold:
-        if name not in known:
-            raise InputError(f"--hold {name}: not a parameter of this form; allowed: {', '.join(known)}")
+        if name not in names_known:
+            raise InputError(f"--hold {name}: not a parameter of this form; allowed: {', '.join(names_known)}")
     weight = counts(response)
     use = weight > 0.0
-    if int(use.sum()) < len(known):
+    if int(use.sum()) < len(names_known):
         raise InputError(
-            f"only {int(use.sum())} points of the response count, too few for {len(known)} parameters; "
+            f"only {int(use.sum())} points of the response count, too few for {len(names_known)} parameters; "
             "widen the band or sweep longer"
         )
     problem = _Problem(response.hertz[use], response.value[use], np.sqrt(weight[use]), response.step, lags, hold)
@@ -173,13 +173,13 @@ class _Problem:
         self.low = np.array([-60.0, 0.0, *[log(1e-3 * step)] * lags, 0.0])
         self.high = np.array([60.0, 20.0 * fastest, *[log(1e3)] * lags, longest])
         self.full = np.zeros(len(self.names))
-        for name, held in hold.items():
+        for name, fixed in hold.items():
             i = self.names.index(name)
-            if _logarithmic(name) and not held > 0.0:
-                raise InputError(f"--hold {name}={held:g}: must be above 0")
-            self.full[i] = log(held) if _logarithmic(name) else held
+            if _logarithmic(name) and not fixed > 0.0:
+                raise InputError(f"--hold {name}={fixed:g}: must be above 0")
+            self.full[i] = log(fixed) if _logarithmic(name) else fixed
             if not self.low[i] <= self.full[i] <= self.high[i]:
-                raise InputError(f"--hold {name}={held:g}: out of range")
+                raise InputError(f"--hold {name}={fixed:g}: out of range")
 
     def model(self, x: Array) -> Model:
         full = self.full.copy()

@@ -84,13 +84,13 @@ def estimate(
     hertz = np.asarray(np.fft.rfftfreq(count, record.step), np.float64)
     injected, command, output = (np.fft.rfft(x) for x in (record.injected, record.command, record.output))
     guess = model(hertz[1:]) if model is not None else np.ones(len(hertz) - 1, complex)
-    known = np.concatenate(([1.0], guess))
+    coefficients = np.concatenate(([1.0], guess))
     rows = []
     for first, last in _groups(seconds, low, high, len(hertz)):
         part = slice(first, last)
         centre = float(hertz[part].mean())
         value, coherence, spread = _local(
-            hertz[part] - centre, injected[part] * known[part], command[part] * known[part], output[part]
+            hertz[part] - centre, injected[part] * coefficients[part], command[part] * coefficients[part], output[part]
         )
         at_centre = complex(model(np.array([centre]))[0]) if model is not None else 1.0
         rows.append((centre, value * at_centre, coherence, spread))
@@ -123,7 +123,7 @@ def _local(offset: Array, injected: Complex, command: Complex, output: Complex) 
     except np.linalg.LinAlgError:
         return complex("nan"), 0.0, float("inf")
     solution = inverse @ (instruments.conj().T @ output)
-    noise = _left(output, regressors, solution)
+    noise = _residual(output, regressors, solution)
     variance = noise * np.real((inverse @ (instruments.conj().T @ instruments) @ inverse.conj().T)[0, 0])
     value = complex(solution[0])
     if value == 0.0:
@@ -138,9 +138,9 @@ def _explained(signal: Complex, instruments: Complex) -> float:
     if power == 0.0:
         return 0.0
     solution = np.asarray(np.linalg.lstsq(instruments, signal, rcond=None)[0], np.complex128)
-    return max(0.0, 1.0 - _left(signal, instruments, solution) / power)
+    return max(0.0, 1.0 - _residual(signal, instruments, solution) / power)
 
 
-def _left(signal: Complex, regressors: Complex, solution: Complex) -> float:
+def _residual(signal: Complex, regressors: Complex, solution: Complex) -> float:
     """Return the power per bin that three complex unknowns leave."""
     return float(np.sum(np.abs(signal - regressors @ solution) ** 2)) / (len(signal) - 3)

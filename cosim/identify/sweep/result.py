@@ -144,9 +144,9 @@ def fit_dict(fit: Fit, source: str, engine: bool) -> dict[str, Any]:
 def rate_response(model: RateModel, hertz: Array) -> Complex:
     """Return a discrete model's frequency response, the fraction of a sample in its delay taken as pure phase."""
     z = np.exp(2j * np.pi * hertz * model.sample_time_s)
-    over = np.prod([z - zero for zero in model.all_zeros], axis=0) if model.all_zeros else np.ones(len(hertz))
-    under = np.prod([z - pole for pole in model.all_poles], axis=0)
-    return np.asarray(model.gain * over / under * z**-model.delay_samples)
+    numerator = np.prod([z - zero for zero in model.all_zeros], axis=0) if model.all_zeros else np.ones(len(hertz))
+    denominator = np.prod([z - pole for pole in model.all_poles], axis=0)
+    return np.asarray(model.gain * numerator / denominator * z**-model.delay_samples)
 
 
 def check_band(low: float, high: float, duration: float | None, step: float) -> None:
@@ -174,12 +174,12 @@ def suitable_duration(low: float) -> float:
     return min(float(ceil(CYCLES / low)), LONGEST_SWEEP_S)
 
 
-def need_coherence(response: FrequencyResponse, what: str, amplitude: float) -> list[str]:
+def need_coherence(response: FrequencyResponse, subject: str, amplitude: float) -> list[str]:
     """Say how many points are left out as noise.  Raises NotIdentifiedError where most are."""
     good = response.coherence >= LEAST_COHERENCE
     if np.mean(good) < USABLE:
         raise NotIdentifiedError(
-            f"{what} does not answer the sweep: coherence is at least {LEAST_COHERENCE:g} at {int(good.sum())} of "
+            f"{subject} does not answer the sweep: coherence is at least {LEAST_COHERENCE:g} at {int(good.sum())} of "
             f"{len(good)} points (median {np.median(response.coherence):.2f}); "
             f"raise --amplitude (now {amplitude:g}), sweep longer, or narrow the band"
         )
@@ -246,13 +246,13 @@ def _with_bounds(fit: Fit, name: str, scale: float, invert: bool) -> str:
     if name not in fit.values:
         return ""
 
-    def shown(value: float) -> str:
+    def number(value: float) -> str:
         inverted = (1.0 / value if value else float("inf")) if invert else value
         return f"{scale * inverted:.4g}" if abs(inverted) > 1e-9 else "0"
 
     value = fit.values[name]
     if name in fit.held:
-        return f"{shown(value)} held"
+        return f"{number(value)} held"
     if is_none(fit, name):
         return "none"
     low, high = fit.bounds[name]
@@ -263,7 +263,7 @@ def _with_bounds(fit: Fit, name: str, scale: float, invert: bool) -> str:
         return f"below {high:.2g}"
     ends = (scale * (1.0 / end if invert and end else end) for end in (low, high))
     half = max(abs(end - scale * (1.0 / value if invert and value else value)) for end in ends)
-    return f"{shown(value)} ±{float(f'{half:.1g}'):g}"
+    return f"{number(value)} ±{float(f'{half:.1g}'):g}"
 
 
 def _all_delay(fit: Fit) -> str:
@@ -277,11 +277,11 @@ def low_frequency_delay(fit: Fit) -> float:
 
 def equation(model: RateModel, unit: float = 1.0) -> str:
     """Format the discrete form: ``gain (z - zero) / ((z - pole) (z - pole)) z^-delay``."""
-    over = " ".join([f"{model.gain / unit:.4g}", *(_factor(zero) for zero in model.zeros)])
+    numerator = " ".join([f"{model.gain / unit:.4g}", *(_factor(zero) for zero in model.zeros)])
     factors = [_factor(pole) for pole in model.poles]
-    under = factors[0] if len(factors) == 1 else f"({' '.join(factors)})"
+    denominator = factors[0] if len(factors) == 1 else f"({' '.join(factors)})"
     delay = f" z^-{model.delay_samples:.4g}" if model.delay_samples else ""
-    return f"{over} / {under}{delay}"
+    return f"{numerator} / {denominator}{delay}"
 
 
 def _factor(root: float) -> str:
