@@ -67,7 +67,7 @@ def time_on_target(flight: Stepper, sample: Sample, command: Command) -> float:
         At the end of the step: ``state``, ``measured``, ``ending``, ``scenario``.
     sample : Sample
         All that there is to see of the step.
-    wanted : Command
+    command : Command
         What the scenario asks for in it, whatever the action was.
 
     Returns
@@ -139,13 +139,13 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         self._act, self._reward, self._hold, self._vary = act, reward, hold, vary
         self._scenario = scenario if isinstance(scenario, Scenario) else Scenario.load(scenario)
         self.flight = Stepper(self._scenario, actuators=act == "actuators", log=False)
-        _check(self.flight)
+        _need_attitude_commands(self.flight)
         self.metadata = {**self.metadata, "render_fps": 1.0 / (hold * self._scenario.step_s)}
         self.acted, self.observed = self._actions(), self._observations(memory)
         self._scale = np.array([signal.scale for signal in self.acted])
         self.action_space, self.observation_space = _box(self.acted), _box(self.observed)
         self._low, self._high = np.array([[s.low, s.high] for s in self.observed]).T
-        self._told: deque[tuple[float, ...]] = deque(maxlen=memory)
+        self._actuators: deque[tuple[float, ...]] = deque(maxlen=memory)
 
     def _actions(self) -> tuple[Signal, ...]:
         vehicle = self.flight.simulation.vehicle
@@ -163,7 +163,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
             ]
             return (*angles, Signal("height_above_start", "m", "up", -1.0, 1.0, CLIMB))
         throttles = [Signal(f"throttle_{jet}", "throttle", "", 0.0, 1.0) for jet in range(1, len(vehicle.jets) + 1)]
-        return (*throttles, *_moved(vehicle, ""))
+        return (*throttles, *_servo_signals(vehicle, ""))
 
     def _observations(self, memory: int) -> tuple[Signal, ...]:
         vehicle = self.flight.simulation.vehicle
@@ -179,10 +179,10 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         for back in range(1, memory + 1):
             jets = range(1, len(vehicle.jets) + 1)
             signals += [Signal(f"throttle_{jet}_before_{back}", "throttle", "", 0.0, 1.0) for jet in jets]
-            moved = _moved(vehicle, f"_before_{back}")
+            servos = _servo_signals(vehicle, f"_before_{back}")
             signals += [
                 signal._replace(low=signal.low * signal.scale, high=signal.high * signal.scale, scale=1.0)
-                for signal in moved
+                for signal in servos
             ]
         return tuple(signals)
 
@@ -197,23 +197,23 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
                     f"vary: {key} = {getattr(scenario, key)!r}: must stay {getattr(self._scenario, key)!r}"
                 )
         self.flight.reset(noise, scenario)
-        _check(self.flight)
+        _need_attitude_commands(self.flight)
         simulation = self.flight.simulation
-        standing = simulation.standing + (simulation.vehicle.rest if simulation.vehicle.ranges else ())
-        self._told.extend([standing] * (self._told.maxlen or 0))
+        initial = simulation.initial_throttle + (simulation.vehicle.rest if simulation.vehicle.ranges else ())
+        self._actuators.extend([initial] * (self._actuators.maxlen or 0))
         self._start = self.flight.state.altitude
-        self._seen = self._observation()
-        return self._seen.copy(), {"time_s": 0.0}
+        self._last_observation = self._observation()
+        return self._last_observation.copy(), {"time_s": 0.0}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Hold an action; of what is beyond its bounds the bound.
 
         Raises InputError for one that is not finite, FlightError where the episode is over.
         """
-        given = np.asarray(action, dtype=float)
-        if given.shape != self._scale.shape or not np.isfinite(given).all():
-            raise InputError(f"action = {given.tolist()}: must be {len(self._scale)} finite numbers")
-        values = np.clip(given, self.action_space.low, self.action_space.high) * self._scale
+        numbers = np.asarray(action, dtype=float)
+        if numbers.shape != self._scale.shape or not np.isfinite(numbers).all():
+            raise InputError(f"action = {numbers.tolist()}: must be {len(self._scale)} finite numbers")
+        values = np.clip(numbers, self.action_space.low, self.action_space.high) * self._scale
         flight, total = self.flight, 0.0
         if flight.ending is not None:
             raise FlightError(f"the episode is over ({flight.ending.outcome}): reset begins another")
@@ -221,21 +221,21 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
             command = flight.command
             try:
                 sample = self._fly(values.tolist(), command)
-            except FlightError:  # an engine or a controller failed, and nothing of this step is to be seen
+            except FlightError:  # an engine or a controller failed, and this step has no sample
                 break
-            told = sample.actuation.throttle + (sample.actuation.tilt if flight.simulation.vehicle.ranges else ())
-            self._told.appendleft(told)
+            positions = sample.actuation.throttle + (sample.actuation.tilt if flight.simulation.vehicle.ranges else ())
+            self._actuators.appendleft(positions)
             total += self._reward(flight, sample, command)
             if flight.ending is not None:
                 break
         if flight.ending is None or flight.ending.outcome != "failed":
-            self._seen = self._observation()
+            self._last_observation = self._observation()
         info: dict[str, Any] = {"time_s": flight.time}
         if flight.ending is not None:
             info |= {"outcome": flight.ending.outcome, "reason": flight.ending.reason}
         over = flight.ending is not None
-        done = over and info["outcome"] == "completed"
-        return self._seen.copy(), total, over and not done, done, info
+        truncated = over and info["outcome"] == "completed"
+        return self._last_observation.copy(), total, over and not truncated, truncated, info
 
     def _fly(self, values: list[float], command: Command) -> Sample:
         flight = self.flight
@@ -250,7 +250,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
     def _observation(self) -> Array:
         flight = self.flight
         measured, command = flight.measured, flight.command
-        seen = [
+        values = [
             *measured.rate,
             *measured.attitude,
             *measured.velocity,
@@ -258,9 +258,9 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
             *command.attitude,
             command.altitude,
         ]
-        for told in self._told:
-            seen += told
-        bounded: Array = np.clip(np.array(seen), self._low, self._high)
+        for positions in self._actuators:
+            values += positions
+        bounded: Array = np.clip(np.array(values), self._low, self._high)
         return bounded
 
     def render(self) -> str | None:
@@ -270,7 +270,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         state = self.flight.state
         angles = ", ".join(f"{axis} {degrees(angle):z.1f}" for axis, angle in zip(AXES, state.euler, strict=True))
         jets = len(self.flight.simulation.vehicle.jets)
-        throttles = " ".join(f"{value:.2f}" for value in self._told[0][:jets]) if self._told else "-"
+        throttles = " ".join(f"{value:.2f}" for value in self._actuators[0][:jets]) if self._actuators else "-"
         return f"{self.flight.time:.3f} s: {angles} deg, height {state.altitude:.2f} m, throttles {throttles}"
 
     def close(self) -> None:
@@ -278,7 +278,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         self.flight.close()
 
 
-def _moved(vehicle: Vehicle, ending: str) -> list[Signal]:
+def _servo_signals(vehicle: Vehicle, ending: str) -> list[Signal]:
     """Return the signals of what servos move, each normalised by the farther end of its range."""
     turning = len(vehicle.actuators) - len(vehicle.surfaces)
     signals = []
@@ -289,7 +289,7 @@ def _moved(vehicle: Vehicle, ending: str) -> list[Signal]:
     return signals
 
 
-def _check(flight: Stepper) -> None:
+def _need_attitude_commands(flight: Stepper) -> None:
     """Refuse a scenario that asks for something else than attitude and height (InputError); it is closed then."""
     simulation = flight.simulation
     others = [name for name in simulation.commander.signals if name == "collective" or name.startswith("rate_")]

@@ -1,11 +1,11 @@
-"""A flight that a program steps: one control step at a time, back to its start, and back to a place on its way.
+"""A flight that a program steps: one control step at a time, back to its start, and back to an earlier step.
 
-What is on the way of a flight cannot be copied out of it: JSBSim has no way to set the derivatives that its
-integrators remember, the filters and the generator of its turbulence, nor the friction forces of its contacts; many
-FMUs cannot be asked for their state; and a block of somebody else's keeps what it likes, where it likes.  But a flight
-is a function of its scenario and of what it was given, to the last bit.  So a snapshot is what was given, and going
-back to it is flying there again.  That costs the time of the steps up to it, needs nothing of any block that the flight
-does not need already, and is checked: what is there at the end must be what was there, bit for bit.
+The state of a flight cannot be copied: JSBSim has no way to set the derivatives that its integrators remember, the
+filters and the generator of its turbulence, nor the friction forces of its contacts; many FMUs do not give their state;
+and a user-supplied block may keep its own anywhere.  But a flight is a function of its scenario and of its inputs, to
+the last bit.  So a snapshot is the inputs, and going back to it is flying there again.  That costs the time of the
+steps up to it, needs nothing of any block that the flight does not need already, and is checked: the state at the end
+must be that of the snapshot, bit for bit.
 """
 
 from __future__ import annotations
@@ -28,8 +28,6 @@ from cosim.simulation.controllers.source import OBJECT, Source
 from cosim.simulation.ending import Ending
 from cosim.spec.scenario import Scenario
 
-Tilts = PerServo
-
 
 class Given(NamedTuple):
     """What a program gave from a step on, until the next."""
@@ -37,12 +35,12 @@ class Given(NamedTuple):
     k: int
     command: Command | None  # None: the scenario's
     throttle: PerJet | None = None  # None: not by hand, or those at which the engines stood
-    tilt: Tilts | None = None
+    tilt: PerServo | None = None
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A place on the way of a flight: a value that can be pickled, and restored in another process too.
+    """One step of a flight, to return to: a value that can be pickled, and restored in another process too.
 
     Attributes
     ----------
@@ -53,9 +51,9 @@ class Snapshot:
     k : int
         The step that comes next.
     given : tuple of Given
-        What was given on the way, in order.
+        The commands and actuator values that a program gave up to there, in order.
     there : str
-        SHA-256 of the motion, the measurement and the engines' reports at that place.
+        SHA-256 of the motion, the measurement and the engines' reports at that step.
     """
 
     flight: str
@@ -65,8 +63,8 @@ class Snapshot:
     there: str
 
 
-class _Hand:
-    """A whole controller that holds what it is told to."""
+class _ManualController:
+    """A whole controller that repeats the throttles and tilts that a program sets."""
 
     level = "controller"
 
@@ -74,9 +72,9 @@ class _Hand:
         self.reset()
 
     def reset(self) -> None:
-        """Clear what a program holds."""
+        """Forget what a program set."""
         self.throttle: PerJet | None = None
-        self.tilt: Tilts | None = None
+        self.tilt: PerServo | None = None
 
     def update(self, command: Command, measured: Measured, applied: Applied) -> Actuation:
         return Actuation(self.throttle or applied.throttle, self.tilt or applied.tilt, Unallocated())
@@ -120,27 +118,27 @@ class Stepper:
         actuators: bool = False,
         log: bool = True,
     ) -> None:
-        self._hand = _Hand() if actuators else None
+        self._manual = _ManualController() if actuators else None
         if actuators and controller is not None:
             raise InputError(
                 "actuators = True: throttles and tilts are given by hand, so there is no controller to name"
             )
-        opened_scenario, self._own = opened(scenario, controller)
-        _refuse_autopilot(opened_scenario)
-        if self._hand is not None:
-            hand, name = self._hand, f"{OBJECT}by hand"
-            self._own = Source(name, "controller", lambda: hand, {}, copied=False)
-            opened_scenario = opened_scenario.replace(controller=name)
-        self._scenario, self._log = opened_scenario, log
-        self.simulation = build(opened_scenario, self._own)
+        scenario, self._source = opened(scenario, controller)
+        _refuse_autopilot(scenario)
+        if self._manual is not None:
+            manual, name = self._manual, f"{OBJECT}by hand"
+            self._source = Source(name, "controller", lambda: manual, {}, copied=False)
+            scenario = scenario.replace(controller=name)
+        self._scenario, self._log = scenario, log
+        self.simulation = build(scenario, self._source)
         self._begin()
 
     def _begin(self) -> None:
         """Begin the bookkeeping of a flight that is built already."""
         self.ending: Ending | None = None
         self._given: list[Given] = []
-        self._by_hand = 0
-        self._watching = self.simulation.plugins.observers
+        self._steps_by_hand = 0
+        self._observers = self.simulation.plugins.observers
         self._recording = record(self.simulation, None) if self._log else None
 
     @property
@@ -208,45 +206,42 @@ class Stepper:
         if command is not None:
             command = _checked(command)
         if throttle is not None or tilt is not None:
-            self._hold(throttle, tilt)
-        hand = self._hand
-        given = Given(self.k, command) if hand is None else Given(self.k, command, hand.throttle, hand.tilt)
+            self._set_actuators(throttle, tilt)
+        manual = self._manual
+        given = Given(self.k, command) if manual is None else Given(self.k, command, manual.throttle, manual.tilt)
         if given[1:] != (self._given[-1][1:] if self._given else (None, None, None)):
             self._given.append(given)
-        return self._fly(command)
+        return self._advance(command)
 
-    def _hold(self, throttle: Sequence[float] | None, tilt: Sequence[float] | None) -> None:
-        if self._hand is None:
+    def _set_actuators(self, throttle: Sequence[float] | None, tilt: Sequence[float] | None) -> None:
+        if self._manual is None:
             raise InputError("throttle, tilt: a controller flies; Stepper(..., actuators=True) gives them by hand")
         if throttle is not None:
             throttles = _numbers(throttle, len(self.simulation.vehicle.jets), "throttle")
             for number, value in enumerate(throttles, 1):
                 if not 0.0 <= value <= 1.0:
                     raise InputError(f"throttle {number} = {value:g}: must be from 0 to 1")
-            self._hand.throttle = throttles
+            self._manual.throttle = throttles
         if tilt is not None:
-            self._hand.tilt = _numbers(tilt, len(self.simulation.vehicle.actuators), "tilt")
+            self._manual.tilt = _numbers(tilt, len(self.simulation.vehicle.actuators), "tilt")
 
-    def _fly(self, command: Command | None) -> Sample:
+    def _advance(self, command: Command | None) -> Sample:
         simulation = self.simulation
         try:
             sample = simulation.step(command)
-        except EngineError as error:
-            self.ending = Ending("failed", str(error))
-            raise
         except FlightError as error:
-            self.ending = Ending("failed", f"{error} at step {self.k} ({self.time:.3f} s)")
+            self.ending = simulation.failure(error)
+            if isinstance(error, EngineError):
+                raise
             raise FlightError(self.ending.reason) from error
-        self._by_hand += command is not None or self._hand is not None
-        self._show(sample)
-        self.ending = simulation.judge.look(simulation.state, self.time)
-        if self.ending is not None:  # as at the end of a flight that fly flew
-            self._show(sample._replace(k=self.k, time=self.time, state=simulation.state, measured=simulation.measured))
+        self._steps_by_hand += command is not None or self._manual is not None
+        self._observe(sample)
+        self.ending = simulation.end(sample, [self._observe])
         if self.ending is None and self.k >= self._scenario.steps:
             self.ending = Ending("completed", f"flew {self.k} steps")
         return sample
 
-    def _show(self, sample: Sample) -> None:
+    def _observe(self, sample: Sample) -> None:
         """Pass a step to the log, and to the observers that the scenario brings."""
         if self._recording is not None:
             self._recording.observe(sample)
@@ -257,11 +252,11 @@ class Stepper:
             self.ending = Ending("failed", str(error))
             raise
 
-    def _let_go(self) -> None:
-        """Close a flight that goes on no more, and what watched it."""
-        watching, self._watching = self._watching, ()
+    def _close_flight(self) -> None:
+        """Close the flight and its observers."""
+        observers, self._observers = self._observers, ()
         try:
-            for observer in watching:
+            for observer in observers:
                 if hasattr(observer, "close"):
                     observer.close()
         finally:
@@ -292,9 +287,9 @@ class Stepper:
             next_scenario = next_scenario.replace(seed=seed)
         _refuse_autopilot(next_scenario)
         broken = self.ending is not None and self.ending.outcome == "failed"
-        if next_scenario is not self._scenario or broken or self._watching:  # observers are for one flight
-            simulation = build(next_scenario, self._own)
-            self._let_go()
+        if next_scenario is not self._scenario or broken or self._observers:  # observers are for one flight
+            simulation = build(next_scenario, self._source)
+            self._close_flight()
             self.simulation, self._scenario = simulation, next_scenario
         else:
             self.simulation.reset()
@@ -316,10 +311,10 @@ class Stepper:
         """
         if self.ending is not None:
             raise FlightError(f"the flight is over ({self.ending.outcome}); a snapshot is of one that is under way")
-        return Snapshot(self._identity(), self._scenario.seed, self.k, tuple(self._given), self._there())
+        return Snapshot(self._identity(), self._scenario.seed, self.k, tuple(self._given), self._state_hash())
 
     def restore(self, snapshot: Snapshot) -> Measured:
-        """Fly from the start to the place of a snapshot, with what was given on the way.
+        """Fly from the start to the step of a snapshot, with what was given on the way.
 
         Parameters
         ----------
@@ -350,29 +345,29 @@ class Stepper:
         while self.k < snapshot.k and self.ending is None:
             if self.k in changes:
                 _, command, throttle, tilt = changes[self.k]
-                if self._hand is not None:
-                    self._hand.throttle, self._hand.tilt = throttle, tilt
-            self._fly(command)
+                if self._manual is not None:
+                    self._manual.throttle, self._manual.tilt = throttle, tilt
+            self._advance(command)
         self._given = list(snapshot.given)
-        if self.k != snapshot.k or self._there() != snapshot.there:
+        if self.k != snapshot.k or self._state_hash() != snapshot.there:
             self.ending = Ending("failed", f"this flight does not repeat: at step {snapshot.k} it is at another place")
             why = "an engine or a controller answers otherwise when it is asked the same"
             raise FlightError(f"{self.ending.reason} than it was; {why}")
         return self.measured
 
-    def _there(self) -> str:
+    def _state_hash(self) -> str:
         simulation = self.simulation
-        seen = simulation.state, simulation.measured, simulation.propulsion.output, simulation.controller.signals
-        return sha256(repr(seen).encode()).hexdigest()
+        values = simulation.state, simulation.measured, simulation.propulsion.output, simulation.controller.signals
+        return sha256(repr(values).encode()).hexdigest()
 
     def _identity(self) -> str:
-        simulation, own = self.simulation, self._own or self.simulation.own
+        simulation, source = self.simulation, self._source or self.simulation.controller_source
         parts = (
             self._scenario.model_copy(update={"seed": 0}).model_dump_json(),
             simulation.airframe.sha256,
             *[spec.sha256 for spec in simulation.stations],
-            "" if own is None else own.sha256,
-            *[source.sha256 for sources in simulation.plugins.sources.values() for source in sources],
+            "" if source is None else source.sha256,
+            *[plugin.sha256 for plugins in simulation.plugins.sources.values() for plugin in plugins],
         )
         return sha256("\n".join(parts).encode()).hexdigest()
 
@@ -391,13 +386,13 @@ class Stepper:
         """
         if self._recording is None:
             raise InputError("log = False: nothing was recorded")
-        self._recording.stepped(self.k, self._by_hand)
+        self._recording.stepped(self.k, self._steps_by_hand)
         ending = self.ending or Ending("completed", f"stepped by a program to {self.time:.3f} s")
         return self._recording.finish(ending.outcome, ending.reason)
 
     def close(self) -> None:
         """Free engines, airframe, controller and observers; may be called twice."""
-        self._let_go()
+        self._close_flight()
 
     def __enter__(self) -> Stepper:
         return self

@@ -172,11 +172,11 @@ class Replay:
 
     def _plant(self) -> list[Block]:
         simulation, samples, states = self._simulation, self._samples, self._states
-        propulsion, airframe, sensors, judge = (
+        propulsion, airframe, sensors, termination = (
             simulation.propulsion,
             simulation.airframe,
             simulation.sensors,
-            simulation.judge,
+            simulation.termination,
         )
         engines = propulsion.engines
         left, right = propulsion.servos
@@ -216,8 +216,8 @@ class Replay:
             ),
             Block(
                 JUDGE,
-                partial(judge.reset, initial.on_ground),
-                judge.look,
+                partial(termination.reset, initial.on_ground),
+                termination.check,
                 [(state, k * simulation.dt) for k, state in enumerate(states, 1)],
                 [None] * len(states),
             ),
@@ -262,7 +262,7 @@ class Clocks:
             (FORCES, propulsion, "forces"),
             (AIRFRAME, simulation.airframe, "step"),
             (SENSORS, simulation.sensors, "sample"),
-            (JUDGE, simulation.judge, "look"),
+            (JUDGE, simulation.termination, "check"),
             (ROWS, self._recorder, "observe"),
         ]
         self._calls = {name: sum(owner[0] == name for owner in owners) for name, _, _ in owners}

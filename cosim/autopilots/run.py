@@ -77,7 +77,7 @@ class _Writer:
 def outside_rates(scenario: Scenario, gain: Vector3, hears: bool = False) -> OutsideRates:
     """Return the rate loop of a scenario's controller.  Raises InputError for a user-supplied controller."""
     with build(scenario) as simulation:
-        if simulation.own is not None:
+        if simulation.controller_source is not None:
             raise InputError(
                 f"--rates {scenario.controller}: its rate loop is its own; allowed are built-in controllers"
             )

@@ -41,9 +41,11 @@ def form_of(simulation: Simulation) -> Form:
 
     Raises InputError for a controller, predictor or allocator that has no C form.
     """
-    if simulation.own is not None:
+    if simulation.controller_source is not None:
         allowed = ", ".join(PREDICTORS)
-        raise InputError(f"controller {simulation.own.label} has no C form; allowed: {allowed}, or a design's file")
+        raise InputError(
+            f"controller {simulation.controller_source.label} has no C form; allowed: {allowed}, or a design's file"
+        )
     cascade, vehicle, step = simulation.cascade, simulation.vehicle, simulation.dt
     for loop, ours in ((cascade.attitude, AttitudeController), (cascade.rate, RateController)):
         if type(loop) is not ours:

@@ -144,7 +144,7 @@ class _Server:
                 simulation.step()
             except FlightError as error:
                 raise FlightError(f"{error} at step {simulation.k} ({simulation.k * simulation.dt:.3f} s)") from error
-            ending = simulation.judge.look(simulation.state, simulation.k * simulation.dt)
+            ending = simulation.termination.check(simulation.state, simulation.k * simulation.dt)
             if ending:
                 raise FlightError(f"the flight is over: {ending.outcome}, {ending.reason}")
 

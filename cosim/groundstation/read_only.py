@@ -100,7 +100,7 @@ def _list_parameters(simulation: Simulation) -> Parameters:
     control = simulation.vehicle.control
     if control.position is None or control.pilot is None:
         return Parameters([])
-    own = simulation.own
+    own = simulation.controller_source
     controller = simulation.scenario.controller if own is None else own.label
     level = "" if own is None else own.level
     return Parameters(table(control, control.pilot, controller, None, level, simulation.vehicle.jets))

@@ -33,7 +33,7 @@ from cosim.vehicle.model_file import read_model
 
 def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
     """Return the scenario as it flies, with all numbers of vehicle and engines, and the files to go beside it."""
-    scenario = simulation.flown
+    scenario = simulation.flown_scenario
     files: dict[str, Path | bytes] = {}
     if scenario.requests is not None:
         files[REQUESTS] = scenario.folder / scenario.requests
@@ -46,7 +46,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
             entry = entry.model_copy(update={"file": name})
         commands.append(entry)
     parameters = flown_parameters(simulation.scenario)
-    own = simulation.own
+    own = simulation.controller_source
     controller: dict[str, Any] = _plugin_names(simulation.plugins, files)
     if own is not None:
         controller |= {"controller": copied_controller(own, files), "controller_sha256": own.sha256 or None}
@@ -88,7 +88,7 @@ def copied_aircraft(
 
     Raises InputError where another file has the name of one of its own.
     """
-    scenario, specs = simulation.flown, [simulation.engine, *simulation.stations]
+    scenario, specs = simulation.flown_scenario, [simulation.engine, *simulation.stations]
     stated = simulation.vehicle.model_dump(mode="json", exclude_none=True)
     if not is_own(scenario.aircraft):
         return scenario.aircraft, stated, engine_files(specs, files)

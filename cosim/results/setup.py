@@ -87,7 +87,7 @@ def setup_of(simulation: Simulation, resolved: Scenario) -> Setup:
             f"{model} as flown": simulation.airframe.sha256,
             **_engine_hashes([engine, *simulation.stations]),
             **{file.file: file.sha256 for file in resolved.parameter_files},
-            **(simulation.own.hashes if simulation.own is not None else {}),
+            **(simulation.controller_source.hashes if simulation.controller_source is not None else {}),
             **{
                 n: h
                 for sources in simulation.plugins.sources.values()
@@ -99,7 +99,7 @@ def setup_of(simulation: Simulation, resolved: Scenario) -> Setup:
 
 
 def _own_controller(simulation: Simulation) -> OwnController | None:
-    own, scenario = simulation.own, simulation.scenario
+    own, scenario = simulation.controller_source, simulation.scenario
     if own is None:
         return None
     named = file_name(own.name)

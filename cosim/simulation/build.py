@@ -15,7 +15,7 @@ from cosim.simulation.controllers.built_in import make_cascade
 from cosim.simulation.controllers.plugged import Plugged, find_controller, own_parameters
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.delay_ledger import delay_ledger
-from cosim.simulation.ending import Judge
+from cosim.simulation.ending import TerminationCheck
 from cosim.simulation.engines import engines_of, make_engines
 from cosim.simulation.plugins import load_plugins
 from cosim.simulation.script.commander import Commander
@@ -92,7 +92,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
                     vehicle.actuators,
                     len(vehicle.surfaces),
                 ),
-                judge=Judge(vehicle.limits),
+                termination=TerminationCheck(vehicle.limits),
                 plugged=plugged,
                 plugins=plugins,
                 wind=None if plugins.wind is None else plugins.wind(flown, step, height),

@@ -18,13 +18,13 @@ class Ending:
     reason: str
 
 
-class Judge:
+class TerminationCheck:
     """Decides when a flight is over before its time."""
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self._least_upright = cos(radians(limits.tilt_deg))
-        self._most_rate = radians(limits.rate_deg_s)
+        self._rate_limit = radians(limits.rate_deg_s)
         self.reset(on_ground=False)
 
     def reset(self, on_ground: bool) -> None:
@@ -32,11 +32,11 @@ class Judge:
         self._was_on_ground = on_ground
         self._descent = 0.0
 
-    def look(self, state: State, now: float) -> Ending | None:
+    def check(self, state: State, now: float) -> Ending | None:
         """Return the ending, if ``state`` at ``now`` [s] is one."""
         _, x, y, _ = state.attitude
         p, q, r = state.rate
-        most = self._most_rate
+        limit = self._rate_limit
         if state.hull_contact:
             return Ending("crashed", f"the hull touched the ground at {now:.3f} s ({_lean(state)})")
         limits = self._limits
@@ -46,7 +46,7 @@ class Judge:
         self._descent = state.velocity[2]
         if 1.0 - 2.0 * (x * x + y * y) < self._least_upright:
             return Ending("diverged", f"leaned past {limits.tilt_deg:g} deg at {now:.3f} s ({_lean(state)})")
-        if not (-most < p < most and -most < q < most and -most < r < most):
+        if not (-limit < p < limit and -limit < q < limit and -limit < r < limit):
             return Ending("diverged", f"turned faster than {limits.rate_deg_s:g} deg/s at {now:.3f} s ({_lean(state)})")
         return None
 

@@ -23,7 +23,7 @@ from cosim.engine import EngineSpec
 from cosim.simulation.controllers.plugged import Plugged
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.delay_ledger import LedgerRow
-from cosim.simulation.ending import Ending, Judge
+from cosim.simulation.ending import Ending, TerminationCheck
 from cosim.simulation.pacing import Pace
 from cosim.simulation.plugins import Plugins
 from cosim.simulation.script.commander import Commander
@@ -64,7 +64,7 @@ class Blocks(NamedTuple):
     airframe: Airframe
     sensors: FaultySensors
     faults: FaultSchedule
-    judge: Judge
+    termination: TerminationCheck
     plugged: Plugged | None
     plugins: Plugins
     wind: FieldWind | None
@@ -79,10 +79,10 @@ class Simulation:
     def __init__(self, blocks: Blocks) -> None:
         plugged = self._plugged = blocks.plugged
         whole: Controller | None = None if plugged is None else plugged.whole
-        self.own: Source | None = None if plugged is None else plugged.source
-        # ours among those that may stand here are named, because compiled code calls what it knows directly
+        self.controller_source: Source | None = None if plugged is None else plugged.source
+        # The annotations name the built-in blocks, because compiled code calls a class that it knows directly.
         self.controller: Cascade | Controller = blocks.cascade if whole is None else whole
-        self.beside = None if whole is None else blocks.cascade  # the built-in one that a whole controller replaces
+        self.replaced_cascade = None if whole is None else blocks.cascade  # by a whole controller
         self.disturber: Disturber | Disturbances = blocks.disturber
         self.plugins, self._field = blocks.plugins, blocks.wind
         self.scenario, self.vehicle, self.ledger = blocks.scenario, blocks.vehicle, blocks.ledger
@@ -90,8 +90,8 @@ class Simulation:
         self.dt = blocks.scenario.step_s
         self.commander, self.pilot, self.propulsion = blocks.commander, blocks.pilot, blocks.propulsion
         self.airframe, self.sensors, self.faults = blocks.airframe, blocks.sensors, blocks.faults
-        self.judge = blocks.judge
-        self._every_engine = tuple(range(1, len(blocks.vehicle.jets) + 1))
+        self.termination = blocks.termination
+        self._all_engines = tuple(range(1, len(blocks.vehicle.jets) + 1))
         self.reset()
 
     def reset(self) -> None:
@@ -107,31 +107,30 @@ class Simulation:
             wind = self._field.reset(wind)
             propulsion.gusts = []
         propulsion.refuel()
-        self.standing = throttle = self.controller.reset(initial.on_ground, propulsion.burnt)  # before the first step
-        # the air at the start is known once the airframe stands there, the thrust only in that air
+        self.initial_throttle = throttle = self.controller.reset(initial.on_ground, propulsion.burnt)
+        # The thrust depends on the air at the start, which is known once the airframe is there: it is reset twice.
         at_rest = airframe.reset(initial, [ZERO3] * len(throttle), wind) if propulsion.wants_ambient else None
-        self._cold = initial.engines == "off"  # until the autopilot is armed
-        self._were_off = self._cold
-        forces = propulsion.reset(throttle, at_rest, wind, self._cold)
+        self._starts_cold = self._engines_were_off = initial.engines == "off"  # until the autopilot is armed
+        forces = propulsion.reset(throttle, at_rest, wind, self._starts_cold)
         self.state = airframe.reset(initial, forces, wind, propulsion.momentum, propulsion.burnt)
         self.measured = self.sensors.reset(self.state)
-        self.judge.reset(initial.on_ground)
+        self.termination.reset(initial.on_ground)
         if self.pilot is not None:
             self.pilot.reset(self.measured)
-        # what is shown of a flight is settled here: the blocks that show, and how many numbers each
+        # The blocks with columns of their own in the log are settled here for the whole flight.
         blocks = (self.pilot, self.disturber, self.controller, propulsion.engines.bank, self.sensors.inner)
-        self.starting = self._yet_to_start() if self.scenario.engine_start == "in flight" else ()
+        self.starting = self._engines_to_start() if self.scenario.engine_start == "in flight" else ()
         self.started = 0  # the step from which on all engines run
-        self._showing = [(cast(Shows, block), columns_of(block)) for block in blocks if columns_of(block)]
+        self._logged_blocks = [(cast(Shows, block), columns_of(block)) for block in blocks if columns_of(block)]
 
-    def step(self, given: Command | None = None) -> Sample:
+    def step(self, command: Command | None = None) -> Sample:
         """One control step over ``[t_k, t_k+1)``, every input held; see docs/design.md.
 
-        ``given``: in place of what the script asks for, or the pilot, who is not asked in this step.
+        ``command``: in place of that of the script, or of the pilot, who is not asked in this step.
         """
         k, state, measured, propulsion = self.k, self.state, self.measured, self.propulsion
         self.faults.update(k, measured)
-        command, seen, engines = self._command(k, given)
+        command, seen, engines = self._command(k, command)
         disturbance = self._disturbance(k)
         actuation = self.controller.update(command, seen, disturbance, engines)
         forces, moment = propulsion.step(k, actuation, state)
@@ -142,16 +141,16 @@ class Simulation:
         self._count()
         return self._sample(k, command, state, measured, actuation, disturbance, health)
 
-    def _command(self, k: int, given: Command | None) -> tuple[Command, Measured, EngineState]:
+    def _command(self, k: int, override: Command | None) -> tuple[Command, Measured, EngineState]:
         """Return what the pilot or the script asks for, what it is flown with, and what the engines do meanwhile."""
         pilot, measured, engines = self.pilot, self.measured, _FLY
-        if given is not None:
-            command = given
+        if override is not None:
+            command = override
         elif pilot is None:
             command = self.commander.at(k)
         else:
             controller = self.controller
-            starting = self._restarting(pilot) if self._cold else self.starting
+            starting = self._restarting(pilot) if self._starts_cold else self.starting
             report = Report(
                 self.state.on_ground,
                 controller.signals.allocated,
@@ -169,10 +168,10 @@ class Simulation:
 
     def _restarting(self, pilot: Pilot) -> tuple[int, ...]:
         """Return the engines, counted from 1, that the pilot wants to run and that have yet to come up."""
-        off, self._were_off = self._were_off, pilot.engines is _OFF
-        if self._were_off:
+        off, self._engines_were_off = self._engines_were_off, pilot.engines is _OFF
+        if self._engines_were_off:
             return ()
-        return self._every_engine if off else self.propulsion.engines.restarting
+        return self._all_engines if off else self.propulsion.engines.restarting
 
     def _disturbance(self, k: int) -> Disturbance:
         """Return what acts from outside, a field's wind in it, and what is added to the controller's own signals."""
@@ -186,7 +185,7 @@ class Simulation:
         """Count the step as done, and note up to which step engines were starting."""
         self.k += 1
         if self.starting:
-            self.starting = self._yet_to_start()
+            self.starting = self._engines_to_start()
             self.started = self.k
 
     def _sample(
@@ -216,27 +215,27 @@ class Simulation:
             propulsion.spool_moment,
             self.faults.flags,
             health,
-            self._own() if self._showing else _NOTHING,
+            self._block_signals() if self._logged_blocks else _NOTHING,
         )
 
-    def _yet_to_start(self) -> tuple[int, ...]:
+    def _engines_to_start(self) -> tuple[int, ...]:
         starting: tuple[int, ...] = getattr(self.propulsion.engines.bank, "starting", ())
         return starting
 
-    def _own(self) -> tuple[float, ...]:
+    def _block_signals(self) -> tuple[float, ...]:
         """Return the blocks' own signals.  Raises FlightError for a block that shows more or less than it said."""
-        own: list[float] = []
-        for block, columns in self._showing:
+        signals: list[float] = []
+        for block, columns in self._logged_blocks:
             shown = block.shown
             if len(shown) != len(columns):
                 raise FlightError(f"{type(block).__name__} shows {len(shown)} numbers for {len(columns)} columns")
-            own.extend(shown)
-        return tuple(own)
+            signals.extend(shown)
+        return tuple(signals)
 
     @property
     def columns(self) -> tuple[Column, ...]:
         """What the blocks show of their own, in the order of :attr:`Sample.own`; settled by the last reset."""
-        return tuple([column for _, columns in self._showing for column in columns])
+        return tuple([column for _, columns in self._logged_blocks for column in columns])
 
     @property
     def cascade(self) -> Cascade:
@@ -246,15 +245,15 @@ class Simulation:
         return self.controller
 
     @property
-    def flown(self) -> Scenario:
+    def flown_scenario(self) -> Scenario:
         """The scenario with the faults as they did act so far, those given by command too: it can be flown again."""
         if not self.faults.commanded:
             return self.scenario
-        stated = [fault.model_dump(mode="json", exclude_none=True) for fault in self.faults.flown]
-        return self.scenario.replace(fault=stated, monitor=self.scenario.monitored)
+        faults = [fault.model_dump(mode="json", exclude_none=True) for fault in self.faults.flown]
+        return self.scenario.replace(fault=faults, monitor=self.scenario.monitored)
 
     def inject(self, fault: Fault) -> None:
-        """Let ``fault`` begin at the next step, whatever its ``start_s``; :attr:`flown` states it from there on.
+        """Let ``fault`` begin at the next step, whatever its ``start_s``; :attr:`flown_scenario` has it from there on.
 
         Whether engines are watched was settled before the flight: see ``monitor`` of the scenario.  Raises InputError
         as for a scenario's fault.
@@ -278,35 +277,46 @@ class Simulation:
         asked things, and the flight ended.
         """
         observe = [observer.observe for observer in observers]
-        judge = self.judge
         if pace:
             pace.start(self.k)
         for _ in range(self.scenario.steps - self.k):
             if between:
-                asked = between(self.k)
-                if asked:
-                    return asked
+                ending = between(self.k)
+                if ending:
+                    return ending
             try:
                 sample = self.step()
-            except (EngineError, FlightError) as error:  # that of an engine says itself when
-                when = "" if isinstance(error, EngineError) else f" at step {self.k} ({self.k * self.dt:.3f} s)"
-                return Ending("failed", f"{error}{when}")
+            except FlightError as error:
+                return self.failure(error)
             for look in observe:
                 look(sample)
-            ending = judge.look(self.state, self.k * self.dt)
+            ending = self.end(sample, observe)
             if ending:
-                # the log ends with the state that ended the flight, beside what acted until then
-                last = sample._replace(k=self.k, time=self.k * self.dt, state=self.state, measured=self.measured)
-                for look in observe:
-                    look(last)
                 return ending
             if pace:
                 pace.wait(self.k)
         late = f", {pace.missed} of them late" if pace and pace.missed else ""
-        return Ending("completed", f"flew {self.k} steps{late}{self._told_of_the_start()}")
+        return Ending("completed", f"flew {self.k} steps{late}{self._describe_engine_start()}")
 
-    def _told_of_the_start(self) -> str:
-        """Say what became of starts that were flown, and of the script meanwhile, in words after those of an ending."""
+    def failure(self, error: FlightError) -> Ending:
+        """Return the ending for an error of the present step; that of an engine says itself when it was."""
+        when = "" if isinstance(error, EngineError) else f" at step {self.k} ({self.k * self.dt:.3f} s)"
+        return Ending("failed", f"{error}{when}")
+
+    def end(self, sample: Sample, observe: Iterable[Callable[[Sample], None]]) -> Ending | None:
+        """Return the ending, if the flight is over after the step of ``sample``.
+
+        The observers then get one more sample, of the state that ended the flight and what acted until then.
+        """
+        ending = self.termination.check(self.state, self.k * self.dt)
+        if ending:
+            last = sample._replace(k=self.k, time=self.k * self.dt, state=self.state, measured=self.measured)
+            for look in observe:
+                look(last)
+        return ending
+
+    def _describe_engine_start(self) -> str:
+        """Return what became of engine starts in flight, to follow an ending's reason; or an empty string."""
         if self.starting:
             return f"; engine {', '.join(map(str, self.starting))} had not started at the end, and nothing was flown"
         if not self.started:

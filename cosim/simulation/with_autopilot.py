@@ -37,7 +37,7 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
     program flies in place of the controller.
     """
     scenario, vehicle, engine = simulation.scenario, simulation.vehicle, simulation.engine
-    cascade, own = simulation.beside or simulation.cascade, simulation.own
+    cascade, own = simulation.replaced_cascade or simulation.cascade, simulation.controller_source
     roll = vehicle.identified.get(engine.family, {}).get("roll")
     delay = None if roll is None else roll.delay_samples + scenario.added_delay_samples
 
@@ -86,7 +86,7 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
 
 def _burn_in_hover(simulation: Simulation) -> float | None:
     """Return the share of a full tank that the engines take in a second of hover; None: no tank, or nobody says."""
-    tank, cascade = simulation.propulsion.tank, simulation.beside or simulation.cascade
+    tank, cascade = simulation.propulsion.tank, simulation.replaced_cascade or simulation.cascade
     if tank is None:
         return None
     allocator = cascade.allocator

@@ -70,7 +70,7 @@ class Flight(Asked):
             if self._digest is not None:
                 self._recorder.observe(sample)
             thrust = sum(sample.engines.thrust)
-            assert self.simulation.judge.look(self.simulation.state, 0.0) is None
+            assert self.simulation.termination.check(self.simulation.state, 0.0) is None
             if until is not None and until():
                 return thrust
         assert until is None, f"not within {seconds} s: {self.pilot.status}"

@@ -67,7 +67,7 @@ class Flight(Asked):
             if every is not None and n % round(0.1 / simulation.dt) == 0:
                 self.ok(every)
             self.samples.append(simulation.step())
-            self.ending = simulation.judge.look(simulation.state, self.now)
+            self.ending = simulation.termination.check(simulation.state, self.now)
             if self.ending or (until and until()):
                 return
         assert until is None, f"not within {seconds} s: {self.pilot.status}"

@@ -245,10 +245,7 @@ class _Flight:
             self._touchdown = max(down, 0.0 if isnan(self._touchdown) else self._touchdown)
             self._sideways = max(hypot(north, east), 0.0 if isnan(self._sideways) else self._sideways)
             self._touched = k if isnan(self._touched) else self._touched
-        self._ending = simulation.judge.look(state, k * simulation.dt)
-        if self._ending is not None:
-            seen = simulation.measured
-            self._recorder.observe(sample._replace(k=k, time=k * simulation.dt, state=state, measured=seen))
+        self._ending = simulation.end(sample, [self._recorder.observe])
         return sample
 
     def _verdict(self, disarmed: bool, place: HoldTarget) -> Verdict:

@@ -229,8 +229,8 @@ def _custom_controllers(flights: Sequence[_Flight]) -> dict[str, Source]:
     own: dict[str, Source] = {}
     for flight in flights:
         with build(flight.scenario) as simulation:
-            if simulation.own is not None:
-                own[flight.controller] = simulation.own
+            if simulation.controller_source is not None:
+                own[flight.controller] = simulation.controller_source
     return own
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from cosim.base.protocols import Allocator
+from cosim.base.protocols import Allocator, AttitudeLoop
 from cosim.base.signals import (
     NO_JETS,
     UNKNOWN3,
@@ -29,7 +29,7 @@ FULLY_ALLOCATED = Unallocated(0.0, 0.0, 0.0, 0.0)
 
 
 class CustomRate(Protocol):
-    """A user's rate loop, in place of the built-in one."""
+    """A user's rate loop as the laws use it, like the built-in one: it learns what allocation left out."""
 
     predicted: Vector3
 
@@ -38,14 +38,6 @@ class CustomRate(Protocol):
     def update(self, setpoint: Vector3, measured: Vector3, unallocated: Unallocated) -> Vector3: ...
 
     def tell(self, added: Vector3) -> None: ...
-
-
-class CustomAttitude(Protocol):
-    """A user's attitude loop, in place of the built-in one."""
-
-    def reset(self) -> None: ...
-
-    def update(self, command: Command, measured: Measured) -> Vector3: ...
 
 
 class Demand:
@@ -86,7 +78,7 @@ class Loops:
         altitude: AltitudeController,
         allocator: Allocator,
         added_delay: int = 0,
-        custom_attitude: CustomAttitude | None = None,
+        custom_attitude: AttitudeLoop | None = None,
         custom_rate: CustomRate | None = None,
     ) -> None:
         self.attitude, self.rate, self.altitude = attitude, rate, altitude

@@ -174,7 +174,7 @@ class GuardedRate:
 
 
 class GuardedAttitude:
-    """An attitude loop of the user's: see :class:`cosim.control.phases.law.CustomAttitude`."""
+    """An attitude loop of the user's: see :class:`cosim.base.protocols.AttitudeLoop`."""
 
     def __init__(self, block: Any, named: Named) -> None:
         self._block, self._named = block, named

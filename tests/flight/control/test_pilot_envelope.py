@@ -76,7 +76,7 @@ def with_sticks(flight: Flight, seconds: float, sticks: Callable[[float], rq.Sti
         if n % every == 0:
             flight.ok(sticks(n * simulation.dt))
         flight.samples.append(simulation.step())
-        flight.ending = simulation.judge.look(simulation.state, flight.now)
+        flight.ending = simulation.termination.check(simulation.state, flight.now)
         if flight.ending:
             break
     return flight.samples[begun:]

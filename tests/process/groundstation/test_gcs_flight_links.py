@@ -99,7 +99,7 @@ class Airborne:
             for waiting in exchange.take(100):
                 waiting.answer(pilot.handle(waiting.request, simulation.k))
             sample = simulation.step()
-            assert simulation.judge.look(simulation.state, 0.0) is None
+            assert simulation.termination.check(simulation.state, 0.0) is None
             if simulation.k % LOOK_STEPS:
                 continue
             self.told = pass_on(pilot, exchange, self.told)
