@@ -90,21 +90,19 @@ def output_names(level: str, jets: int, servos: Sequence[str], extras: Sequence[
 
 def answer_whole(values: Sequence[float], jets: int, servos: int, extras: Sequence[str]) -> WholeAnswer:
     """Return the actuation and signals that the numbers of :func:`output_names` stand for."""
-    left = list(values)
-
-    def take(count: int) -> tuple[float, ...]:
-        taken = tuple(left[:count])
-        del left[:count]
-        return taken
-
-    throttle = take(jets)
-    tilt = take(servos) or (0.0, 0.0)
-    roll, pitch, yaw, collective = take(4) if "unallocated" in extras else (0.0, 0.0, 0.0, 0.0)
-    off = frozenset([jet for jet, value in enumerate(take(jets)) if value]) if "off" in extras else NO_JETS
-    actuation = Actuation(throttle, tilt, Unallocated(roll, pitch, yaw, collective), off)
+    throttle, end = tuple(values[:jets]), jets + servos
+    tilt = tuple(values[jets:end]) or (0.0, 0.0)
+    unallocated, off = Unallocated(0.0, 0.0, 0.0, 0.0), NO_JETS
+    if "unallocated" in extras:
+        unallocated = Unallocated(*values[end : end + 4])
+        end += 4
+    if "off" in extras:
+        off = frozenset([jet for jet, value in enumerate(values[end : end + jets]) if value])
+        end += jets
+    actuation = Actuation(throttle, tilt, unallocated, off)
     if "shown" not in extras:
         return actuation, None
-    (a, b, c), (d, e, f), (g, h, i), (commanded, allocated) = take(3), take(3), take(3), take(2)
+    a, b, c, d, e, f, g, h, i, commanded, allocated = values[end : end + 11]
     return actuation, ControlSignals((a, b, c), (d, e, f), (g, h, i), commanded, allocated)
 
 

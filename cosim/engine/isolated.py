@@ -2,7 +2,7 @@
 
 A crash, a hang, a library's own threads or run time, a flood on standard output: the flight ends as failed, with
 engine, step and time, and its log is kept.  The numbers that go to and fro are the same doubles, so a flight is the one
-that it is without, bit for bit; what it costs is two passages through a socket a step.
+that it is without, bit for bit; what it costs is one exchange through two pipes a step.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ import os
 import pickle
 import struct
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import chain
-from multiprocessing.connection import Connection
 from typing import Any
 
 from cosim.base.errors import EngineError, InputError
 from cosim.base.protocols import Column
+from cosim.base.runtime.pipes import Pipes
 from cosim.base.runtime.processes import Child, die_with_parent, measure_megabytes
 from cosim.base.signals import Ambient, EngineOutput, PerJet
 from cosim.engine.bank import EngineBank, logged_columns
@@ -30,7 +31,8 @@ CLOSE_S = 2.0  # to be freed
 MOST_MB = 1024.0  # resident, of the engines' process: as a check allows (cosim.engine.qualify.supervisor.Limits)
 MOST_ANSWERED = 2**20  # bytes
 LOOKED_AT = 250  # steps between two looks at that: a second
-_SERVE = "from cosim.engine.isolated import serve; serve(int(sys.argv[1]))"
+_ANY = 2**32  # bytes of a question, which is ours
+_SERVE = "from cosim.engine.isolated import serve; serve(*map(int, sys.argv[1:]))"
 
 
 class IsolatedBank:
@@ -47,7 +49,8 @@ class IsolatedBank:
         self._in_flight = in_flight
         self.starting: tuple[int, ...] = ()  # as the bank's; asked for as long as there are any
         self._row, self._answer = _frames(self._count)
-        self._child, self._pipe = Child.connect(_SERVE)
+        self._no_air = (0.0,) * (3 + self._count)
+        self._child, self._pipes = Child.open_pipes(_SERVE)
         try:
             self._ask(("make", tuple(specs), step, in_flight), START_S, "when it was loaded")
         except BaseException:
@@ -62,7 +65,7 @@ class IsolatedBank:
         self._look(self._in_flight, "before the flight")
         return output
 
-    def _look(self, ask: bool, moment: str) -> None:
+    def _look(self, ask: bool, moment: str | int) -> None:
         if ask:
             starting = self._ask(("starting",), HANG_S, moment)
             if not isinstance(starting, list) or any(number not in range(1, self._count + 1) for number in starting):
@@ -71,12 +74,13 @@ class IsolatedBank:
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
         """As the bank's."""
-        n = self._count
-        air = (0.0, 0.0, 0.0, *[0.0] * n) if ambient is None else (1.0, ambient[0], ambient[1], *ambient[2])
-        moment = f"at step {k} ({k * self._step:g} s)"
-        data = self._exchange(b"s" + struct.pack("<q", k) + self._row.pack(*throttle, *air), HANG_S, moment)
-        output = self._output(data)
-        self._look(bool(self.starting), moment)
+        if ambient is None:
+            row = self._row.pack(b"s", k, *throttle, *self._no_air)
+        else:
+            row = self._row.pack(b"s", k, *throttle, 1.0, ambient[0], ambient[1], *ambient[2])
+        output = self._output(self._exchange(row, HANG_S, k))
+        if self.starting:
+            self._look(True, k)
         return output
 
     @property
@@ -100,7 +104,7 @@ class IsolatedBank:
 
     def close(self) -> None:
         """End the child, by force if it takes long.  May be called again."""
-        self._pipe.close()
+        self._child.close_pipes()
         self._child.end(CLOSE_S)
 
     def __enter__(self) -> IsolatedBank:
@@ -109,10 +113,10 @@ class IsolatedBank:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _ask(self, question: tuple[Any, ...], limit: float, moment: str) -> Any:
+    def _ask(self, question: tuple[Any, ...], limit: float, moment: str | int) -> Any:
         return self._read(self._asked(question, limit, moment))
 
-    def _asked(self, question: tuple[Any, ...], limit: float, moment: str) -> bytes:
+    def _asked(self, question: tuple[Any, ...], limit: float, moment: str | int) -> bytes:
         return self._exchange(b"p" + pickle.dumps(question), limit, moment)
 
     def _read(self, data: bytes) -> Any:
@@ -135,7 +139,7 @@ class IsolatedBank:
             self._read(data)
         if data[:1] != b"s" or len(data) != 1 + form.size:
             raise self._unknown()
-        return form.unpack(data[1:])
+        return form.unpack_from(data, 1)
 
     def _output(self, data: bytes) -> EngineOutput:
         values, n = self._doubles(data, self._answer), self._count
@@ -144,17 +148,24 @@ class IsolatedBank:
     def _unknown(self) -> EngineError:
         return EngineError(f"engines ({self._names}): their process answered what is no answer")
 
-    def _exchange(self, data: bytes, limit: float, moment: str) -> bytes:
+    def _exchange(self, data: bytes, limit: float, moment: str | int) -> bytes:
+        """Send a request and return the answer; ``moment`` is when, for an error: words, or the step's number."""
         try:
-            self._pipe.send_bytes(data)
-            if self._pipe.poll(limit):
-                return self._pipe.recv_bytes(MOST_ANSWERED)
+            self._pipes.send_message(data)
+            return self._pipes.receive_message(MOST_ANSWERED, limit)
+        except ValueError:
+            raise self._unknown() from None
+        except TimeoutError:
+            self._child.end()
+            end = f"no answer within {limit:g} s {self._describe(moment)}: a call to the FMU hangs"
         except (EOFError, OSError):
             crashed, left = "its process crashed ({})", "its process ended by itself (exit status {})"
             end = self._child.describe_end(CLOSE_S, crashed, left) or "its process no longer answers"
-            raise EngineError(f"engines ({self._names}): {end} {moment}") from None
-        self._child.end()
-        raise EngineError(f"engines ({self._names}): no answer within {limit:g} s {moment}: a call to the FMU hangs")
+            end = f"{end} {self._describe(moment)}"
+        raise EngineError(f"engines ({self._names}): {end}")
+
+    def _describe(self, moment: str | int) -> str:
+        return f"at step {moment} ({moment * self._step:g} s)" if isinstance(moment, int) else moment
 
 
 def make_bank(specs: Sequence[EngineSpec], step: float, in_flight: bool = False) -> EngineBank | IsolatedBank:
@@ -168,23 +179,12 @@ def make_bank(specs: Sequence[EngineSpec], step: float, in_flight: bool = False)
 
 
 def _frames(count: int) -> tuple[struct.Struct, struct.Struct]:
-    """Return the binary formats of a step of ``count`` engines and of its answer.
+    """Return the binary formats of a step of ``count`` engines and of the numbers of its answer.
 
-    Throttles, whether there is air, pressure, temperature and speeds; then what they give, quantity by quantity.
+    Kind, step, throttles, whether there is air, pressure, temperature and speeds; then what they give, quantity by
+    quantity.
     """
-    return struct.Struct(f"<{2 * count + 3}d"), struct.Struct(f"<{len(EngineOutput._fields) * count}d")
-
-
-def _answer(bank: EngineBank, what: str, given: Sequence[Any]) -> bytes:
-    """Return what the bank answers to one of the questions of :class:`IsolatedBank`."""
-    if what == "reset":
-        throttle, air = given
-        return _packed(list(chain(*bank.reset(throttle, Ambient(*air) if air else None))))
-    if what == "run down":
-        return _packed(list(chain(*bank.run_down(*given))))
-    if what == "shown":
-        return _packed(bank.shown)
-    return _said(True, bank.set_run(*given) if what == "run" else bank.starting)
+    return struct.Struct(f"<cq{2 * count + 3}d"), struct.Struct(f"<{len(EngineOutput._fields) * count}d")
 
 
 def _said(good: bool, answer: Any) -> bytes:
@@ -197,42 +197,60 @@ def _packed(values: Sequence[float]) -> bytes:
     return b"s" + struct.pack(f"<{len(values)}d", *values)
 
 
-def serve(number: int) -> None:
-    """Run as the child: make a bank and answer requests until the pipe is closed."""
-    die_with_parent()
-    pipe = Connection(number)
-    bank: EngineBank | None = None
-    row = struct.Struct("")
-    count = 0
-    while True:
-        try:
-            data = pipe.recv_bytes()
-        except (EOFError, OSError):
-            break
+class _Server:
+    """The child's side: the bank that it made, and its answer to each request."""
+
+    def __init__(self) -> None:
+        self.bank: EngineBank | None = None
+        self._row = self._doubles = struct.Struct("")
+        self._count = 0
+
+    def answer(self, data: bytes) -> bytes:
         try:
             if data[:1] == b"s":
-                assert bank is not None
-                values = row.unpack(data[9:])
-                air = values[count:]
-                ambient = Ambient(air[1], air[2], air[3:]) if air[0] else None
-                k = struct.unpack("<q", data[1:9])[0]
-                output = bank.step(k, values[:count], ambient)
-                if k % LOOKED_AT == 0 and (size := measure_megabytes(os.getpid())) > MOST_MB:
-                    much = f"takes {size:.0f} MB of memory at step {k}, {MOST_MB:g} MB at most: it leaks"
-                    raise EngineError(f"engines: their process {much}")
-                pipe.send_bytes(_packed(list(chain(*output))))
-                continue
-            what, *given = pickle.loads(data[1:])
-            if what == "make":
-                specs, step, in_flight = given
-                count = len(specs)
-                row, _ = _frames(count)
-                bank = EngineBank(specs, count, step, in_flight)
-                pipe.send_bytes(_said(True, None))
-            else:
-                assert bank is not None
-                pipe.send_bytes(_answer(bank, what, given))
+                return self._step(data)
+            what, *arguments = pickle.loads(data[1:])
+            return self._make(*arguments) if what == "make" else self._other(what, arguments)
         except Exception as error:
-            pipe.send_bytes(_said(False, (type(error).__name__, str(error))))
-    if bank is not None:
-        bank.close()
+            return _said(False, (type(error).__name__, str(error)))
+
+    def _step(self, data: bytes) -> bytes:
+        assert self.bank is not None
+        count = self._count
+        row = self._row.unpack(data)
+        k, values = row[1], row[2:]
+        ambient = Ambient(values[count + 1], values[count + 2], values[count + 3 :]) if values[count] else None
+        output = self.bank.step(k, values[:count], ambient)
+        if k % LOOKED_AT == 0 and (size := measure_megabytes(os.getpid())) > MOST_MB:
+            much = f"takes {size:.0f} MB of memory at step {k}, {MOST_MB:g} MB at most: it leaks"
+            raise EngineError(f"engines: their process {much}")
+        return b"s" + self._doubles.pack(*chain.from_iterable(output))
+
+    def _make(self, specs: Sequence[EngineSpec], step: float, in_flight: bool) -> bytes:
+        self._count = len(specs)
+        self._row, self._doubles = _frames(self._count)
+        self.bank = EngineBank(specs, self._count, step, in_flight)
+        return _said(True, None)
+
+    def _other(self, what: str, arguments: Sequence[Any]) -> bytes:
+        bank = self.bank
+        assert bank is not None
+        if what == "reset":
+            throttle, air = arguments
+            return _packed(list(chain(*bank.reset(throttle, Ambient(*air) if air else None))))
+        if what == "run down":
+            return _packed(list(chain(*bank.run_down(*arguments))))
+        if what == "shown":
+            return _packed(bank.shown)
+        return _said(True, bank.set_run(*arguments) if what == "run" else bank.starting)
+
+
+def serve(reader: int, writer: int) -> None:
+    """Run as the child: make a bank and answer requests until the pipe is closed."""
+    die_with_parent()
+    pipes, server = Pipes(reader, writer), _Server()
+    with suppress(EOFError, OSError):
+        while True:
+            pipes.send_message(server.answer(pipes.receive_message(_ANY)))
+    if server.bank is not None:
+        server.bank.close()

@@ -18,6 +18,7 @@ from secrets import token_hex
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.compiled import PACKAGE, environment
+from cosim.base.runtime.pipes import Pipes
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -64,6 +65,7 @@ class Child(subprocess.Popen[bytes]):
 
     def __init__(self, command: Sequence[str], environ: Mapping[str, str] | None = None, **how: Any) -> None:
         self._mark = f"{os.environ.get(_MARK, '')}/{token_hex(8)}"
+        self._pipes: tuple[int, ...] = ()
         inherited = environment() if environ is None else environ
         super().__init__(command, env={**inherited, _MARK: self._mark}, process_group=0, **how)
 
@@ -87,6 +89,33 @@ class Child(subprocess.Popen[bytes]):
             except BaseException:
                 ours.close()
                 raise
+
+    @classmethod
+    def open_pipes(cls, code: str) -> tuple[Child, Pipes]:
+        """Start Python code with nothing to read or print; return the process and the pipes to it.
+
+        The code finds the file descriptors of its own ends in ``sys.argv``, that to read from first.  Those of this
+        process are closed by :meth:`close_pipes`.  Raises OSError where it cannot be started.
+        """
+        down, up = os.pipe(), os.pipe()
+        mine, other = (up[0], down[1]), (down[0], up[1])
+        try:
+            child = cls(python_command(code, *map(str, other)), None, pass_fds=other, **_SILENT)
+        except BaseException:
+            for number in mine:
+                os.close(number)
+            raise
+        finally:
+            for number in other:
+                os.close(number)
+        child._pipes = mine
+        return child, Pipes(*mine)
+
+    def close_pipes(self) -> None:
+        """Close the pipes of :meth:`open_pipes`; may be called twice."""
+        numbers, self._pipes = self._pipes, ()
+        for number in numbers:
+            os.close(number)
 
     def finish(self, limit: float) -> tuple[bytes, bytes]:
         """Return what it prints until its end, and leave nothing of it behind.

@@ -21,7 +21,9 @@ import os
 import re
 import sys
 from collections.abc import Mapping, Sequence
+from ctypes import c_double, c_uint32
 from dataclasses import dataclass
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -43,6 +45,7 @@ from cosim.engine.library import platform_folder
 MAPPING = ".fmu.toml"
 _SERVE = "from cosim.engine.make.controller_fmu import serve; serve(sys.argv[1])"
 _ON_GROUND = "on_ground"  # a parameter that is set by us, if there is one
+_DOUBLES = {"Real": "fmi2", "Float64": "fmi3"}  # types of doubles, and what their functions' names begin with
 _KINDS = {*REALS, *INTEGERS, "Boolean"}
 
 
@@ -261,19 +264,54 @@ def serve(path: str) -> None:
                 name, jets = told["vehicle"]["name"], len(told["vehicle"]["jets"])
                 raise RuntimeError(f"is for {fmu.jets} jets and {moved}; {name} has {jets} and {has}")
             instance = _Instance(fmu, folder, told)
-            while len(frame := sys.stdin.buffer.read(asked.size)) == asked.size:
+            read = sys.stdin.buffer.read
+            while len(frame := read(asked.size)) == asked.size:
                 k, *values = asked.unpack(frame)
-                _write(out, answered.pack(k, *instance.step(int(k), dict(zip(told["inputs"], values, strict=True)))))
+                _write(out, answered.pack(k, *instance.step(int(k), values)))
     except Exception as error:
         _write(out, answered.pack(-1.0, *[0.0] * len(told["outputs"])) + f"{one_line(error)}\n".encode())
 
 
-def _by_type(keys: list[Any], variables: Sequence[Any]) -> list[tuple[str, list[Any], list[int]]]:
-    """Return each type with the keys and value references of its variables."""
+class _Group:
+    """Variables of one type, set or got by one call; ``positions`` are those in the numbers that come or go."""
+
+    def __init__(self, instance: Any, kind: str, positions: Sequence[int], references: Sequence[int]) -> None:
+        self.positions = positions
+        self._values: Any = None
+        if kind in _DOUBLES:
+            # Arrays that are made once: FMPy's own setters and getters make two in every call.
+            prefix, count = _DOUBLES[kind], len(references)
+            self._values = (c_double * count)()
+            arguments: tuple[Any, ...] = (instance.component, (c_uint32 * count)(*references), count, self._values)
+            arguments += () if kind == "Real" else (count,)
+            self._set: Any = partial(getattr(instance, f"{prefix}Set{kind}"), *arguments)
+            self._get: Any = partial(getattr(instance, f"{prefix}Get{kind}"), *arguments)
+        else:
+            make: type = float if kind in REALS else bool if kind == "Boolean" else int
+            setter = getattr(instance, f"set{kind}")
+            self._set = lambda values: setter(references, [make(value) for value in values])
+            self._get = partial(getattr(instance, f"get{kind}"), references)
+
+    def set(self, values: Sequence[float]) -> None:
+        if self._values is None:
+            self._set(values)
+        else:
+            self._values[:] = values
+            self._set()
+
+    def get(self) -> Sequence[float]:
+        if self._values is None:
+            return list(map(float, self._get()))
+        self._get()
+        return self._values[:]  # type: ignore[no-any-return]
+
+
+def _by_type(instance: Any, positions: Sequence[int], variables: Sequence[Any]) -> list[_Group]:
+    """Return a group for each type that the variables have."""
     groups = []
     for kind in dict.fromkeys(v.type for v in variables):
-        pairs = [(key, v.valueReference) for key, v in zip(keys, variables, strict=True) if v.type == kind]
-        groups.append((kind, [key for key, _ in pairs], [reference for _, reference in pairs]))
+        pairs = [(i, v.valueReference) for i, v in zip(positions, variables, strict=True) if v.type == kind]
+        groups.append(_Group(instance, kind, [i for i, _ in pairs], [reference for _, reference in pairs]))
     return groups
 
 
@@ -292,11 +330,9 @@ class _Instance:
         self._settings = {v: told["parameters"].get(_word(v)) for v in fmu.parameters}
         ground = [v for v in fmu.description.modelVariables if v.name == _ON_GROUND and v.causality == "parameter"]
         self._settings |= {v: float(told["on_ground"]) for v in ground}
-        # by type, for one call each
-        inputs = {name: v for name, v in fmu.inputs.items() if name in told["inputs"]}
-        self._told = _by_type(list(inputs), list(inputs.values()))
-        answers = [*fmu.outputs.values(), *fmu.shown]
-        self._asked = _by_type(list(range(len(answers))), answers)
+        self._names: list[str] = told["inputs"]
+        self._inputs: list[_Group] = []
+        self._outputs: list[_Group] = []
         self._instance: Any = None
         try:
             with Zip(BytesIO(fmu.data)) as archive:
@@ -304,20 +340,19 @@ class _Instance:
         except DAMAGE as error:
             raise RuntimeError(f"cannot be unpacked: {one_line(error)}") from error
 
-    def step(self, k: int, values: Mapping[str, float]) -> list[float]:
+    def step(self, k: int, values: Sequence[float]) -> list[float]:
         if k == 0:
             self._begin(values)
         else:
             self._set_inputs(values)
         self._instance.doStep(currentCommunicationPoint=k * self._dt, communicationStepSize=self._dt)
-        outputs_by_reference: dict[int, float] = {}
-        for kind, places, references in self._asked:
-            outputs_by_reference |= zip(
-                places, map(float, getattr(self._instance, f"get{kind}")(references)), strict=True
-            )
-        return [outputs_by_reference[place] for place in range(len(outputs_by_reference))]
+        answer = [0.0] * self._count
+        for group in self._outputs:
+            for position, value in zip(group.positions, group.get(), strict=True):
+                answer[position] = value
+        return answer
 
-    def _begin(self, values: Mapping[str, float]) -> None:
+    def _begin(self, values: Sequence[float]) -> None:
         from fmpy.fmi2 import FMU2Slave  # type: ignore[import-untyped]
         from fmpy.fmi3 import FMU3Slave  # type: ignore[import-untyped]
 
@@ -337,6 +372,7 @@ class _Instance:
                 instanceName="controller",
             )
             self._instance.instantiate()
+            self._group_variables()
         instance = self._instance
         if fmu.fmi == 2:
             instance.setupExperiment(startTime=0.0)
@@ -347,13 +383,17 @@ class _Instance:
         self._set_inputs(values)
         instance.exitInitializationMode()
 
-    def _set_inputs(self, values: Mapping[str, float]) -> None:
-        for kind, names, references in self._told:
-            self._call(kind, references, [values[name] for name in names])
+    def _group_variables(self) -> None:
+        fmu = self._fmu
+        inputs = {i: fmu.inputs[name] for i, name in enumerate(self._names) if name in fmu.inputs}
+        self._inputs = _by_type(self._instance, list(inputs), list(inputs.values()))
+        answers = [*fmu.outputs.values(), *fmu.shown]
+        self._count = len(answers)
+        self._outputs = _by_type(self._instance, range(self._count), answers)
+
+    def _set_inputs(self, values: Sequence[float]) -> None:
+        for group in self._inputs:
+            group.set([values[position] for position in group.positions])
 
     def _set(self, v: Any, value: float) -> None:
-        self._call(v.type, [v.valueReference], [value])
-
-    def _call(self, kind: str, references: list[int], values: Sequence[float]) -> None:
-        made: type = float if kind in REALS else bool if kind == "Boolean" else int
-        getattr(self._instance, f"set{kind}")(references, [made(value) for value in values])
+        _Group(self._instance, v.type, (), [v.valueReference]).set([value])

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import select
 import shutil
 import subprocess
 import sys
@@ -17,12 +16,12 @@ import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from time import monotonic
 from typing import IO, Any
 
 from cosim.base import controller_wire as wire
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Column
+from cosim.base.runtime.pipes import Pipes
 from cosim.base.runtime.processes import Child
 from cosim.base.signals import ControlSignals
 from cosim.base.storage.scratch import scratch
@@ -47,45 +46,37 @@ class Connection:
             )
         except OSError as error:
             raise InputError(f"cannot be started: {error.strerror or error}") from error
-        self._rest = b""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._pipes = Pipes(self._process.stdout.fileno(), self._process.stdin.fileno())
 
     def line(self, limit: float) -> bytes:
         """Read one line of its output.  Raises FlightError."""
-        end = monotonic() + limit
-        while b"\n" not in self._rest:
-            if len(self._rest) > _LINE:
-                raise FlightError("its first line does not end")
-            self._rest += self._some(end, limit)
-        line, _, self._rest = self._rest.partition(b"\n")
-        return line
+        try:
+            return self._pipes.receive_line(_LINE, limit)
+        except ValueError:
+            raise FlightError("its first line does not end") from None
+        except (TimeoutError, EOFError) as error:
+            raise self._no_answer(error, limit) from None
 
     def read(self, count: int, limit: float) -> bytes:
         """Read so many bytes of its output.  Raises FlightError."""
-        end = monotonic() + limit
-        while len(self._rest) < count:
-            self._rest += self._some(end, limit)
-        data, self._rest = self._rest[:count], self._rest[count:]
-        return data
+        try:
+            return self._pipes.receive(count, limit)
+        except (TimeoutError, EOFError) as error:
+            raise self._no_answer(error, limit) from None
 
     def send(self, data: bytes) -> None:
         """Write to the process.  Raises FlightError if it has ended."""
-        assert self._process.stdin is not None
         try:
-            view = memoryview(data)
-            while view:
-                view = view[self._process.stdin.write(view) :]
+            self._pipes.send(data)
         except OSError:
             raise FlightError(f"the process {self._how_it_ended()}") from None
 
-    def _some(self, end: float, limit: float) -> bytes:
-        assert self._process.stdout is not None
-        file = self._process.stdout.fileno()
-        if not select.select([file], [], [], max(0.0, end - monotonic()))[0]:
-            raise FlightError(f"the process did not answer within {limit:g} s")
-        data = os.read(file, 65536)
-        if not data:
-            raise FlightError(f"the process {self._how_it_ended()}")
-        return data
+    def _no_answer(self, error: Exception, limit: float) -> FlightError:
+        if isinstance(error, TimeoutError):
+            return FlightError(f"the process did not answer within {limit:g} s")
+        return FlightError(f"the process {self._how_it_ended()}")
 
     def _how_it_ended(self) -> str:
         return self._process.describe_end(END_S, "was ended by {}", "ended with status {}") or "closed its output"

@@ -9,8 +9,8 @@ import shutil
 import struct
 from collections.abc import Callable
 from dataclasses import replace
-from multiprocessing import Pipe
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -21,6 +21,7 @@ from foreign_engines import force, foreign, lever, mapped
 
 from cosim import Scenario, fly
 from cosim.base.errors import EngineError, InputError
+from cosim.base.runtime.pipes import Pipes
 from cosim.base.signals import Ambient
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.flight_row import fly_one
@@ -61,7 +62,7 @@ def test_a_flight_is_the_same_with_its_engines_apart() -> None:
     assert log_digest(one.log) == log_digest(other.log)
 
 
-LITTLE = isolated._SERVE.replace("serve(int", "import cosim.engine.isolated as it; it.MOST_MB = 150.0; serve(int")
+LITTLE = isolated._SERVE.replace("serve(*", "import cosim.engine.isolated as it; it.MOST_MB = 150.0; serve(*")
 
 
 @pytest.mark.parametrize(
@@ -241,10 +242,11 @@ class Evil:
     ],
 )
 def test_what_a_child_answers_runs_nothing_here(head: bytes, answer: Callable[[Path], bytes], tmp_path: Path) -> None:
-    """It is an engine's library that has the socket there, and can send whatever it likes."""
+    """It is an engine's library that has the pipe there, and can send whatever it likes."""
     bank = IsolatedBank([load_engine("turbine-20", {}, STEP)], STEP, in_flight=True)
-    ours, theirs = Pipe()
-    real, bank._pipe = bank._pipe, ours
+    reader, writer = os.pipe()
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    bank._pipes, sender = Pipes(reader, nowhere), Pipes(reader, writer)
     data, calls = (
         head + answer(tmp_path / "ran"),
         (
@@ -256,11 +258,16 @@ def test_what_a_child_answers_runs_nothing_here(head: bytes, answer: Callable[[P
         ),
     )
     for call in calls:
-        theirs.send_bytes(data)
+        thread = Thread(target=sender.send_message, args=(data,))  # more than a pipe holds, once
+        thread.start()
         with pytest.raises(EngineError, match=r"turbine-20.*their process answered what is no answer$"):
             call()
-    real.close()
-    theirs.close()
+        thread.join()
+    sender.send(b"\xff\xff\xff\xff")  # a message of 4 GB
+    with pytest.raises(EngineError, match=r"turbine-20.*their process answered what is no answer$"):
+        bank.step(0, (0.5,))
+    for number in (reader, writer, nowhere):
+        os.close(number)
     bank.close()
     assert not (tmp_path / "ran").exists()
 
