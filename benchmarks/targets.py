@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from benchmarks.measures.browser import Seen
-from benchmarks.measures.own_blocks import CLASSES
+from benchmarks.measures.own_blocks import CLASSES, PROCESSES
 from benchmarks.measures.speed import ENGINES, OUTSIDE, RECORDED
 from benchmarks.suite import Result
 from benchmarks.timing import Spread
@@ -18,6 +18,7 @@ DEAREST_UNITS = 3.5  # of any other flight that is measured
 BY_BARE = {1: 4.5, 4: 2.0}  # whole flight by bare JSBSim, by runs a step
 ENGINE_UNITS = 1.5  # JSBSim runs: six engine FMUs, a control step
 CLASS_UNITS = 1.5  # JSBSim runs more: a controller from outside, as a class
+PROCESS_UNITS = 3.0  # JSBSim runs more, of wall time: what is exchanged with a process
 FIRST_STEP_S = 1.5
 PAGE_MB = {20: 1.5, 600: 12.0}  # by the seconds flown
 CAMPAIGN_PAGE_MB = 2.0
@@ -77,6 +78,10 @@ def _step(result: Result) -> Iterator[TargetResult]:
     if result.own:
         for name in CLASSES:
             yield TargetResult(f"more by {name}", result.own.more[name].units, CLASS_UNITS, RUNS)
+        for name in PROCESSES:
+            if name in result.own.more:
+                wall = result.own.more[name].units_wall
+                yield TargetResult(f"more by {name}, of wall time", wall, PROCESS_UNITS, RUNS)
     if result.time:
         shortest, longest = min(result.time.steps), max(result.time.steps)
         name = f"a step of {longest} s flown by one of {shortest} s"

@@ -28,6 +28,7 @@ PROCESS, FMU, ISOLATED = (
     "engines in a process of their own",
 )
 CLASSES = (PREDICTOR, RATE, CONTROLLER)
+PROCESSES = (PROCESS, ISOLATED, FMU)
 _HERE = "benchmarks.measures.own_blocks"
 
 # the proportional part of the vehicle's rate loop: what a program in Python needs at least
