@@ -37,22 +37,22 @@ def stored_kinds(folder: Path, study: Study, in_rows: Callable[[], Iterable[str]
         names = in_rows() if study.base().metrics else ()
         return kinds(study, [name for name in names if name.startswith(PREFIX)])
     try:
-        said: Any = json.loads(path.read_text(encoding="utf-8"))
+        content: Any = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: not the columns of a campaign: {one_line(error)}") from error
     try:
-        own = [str(name) for name in _list(said["own"])]
-        known = [Key(**{**key, "choices": tuple(_list(key["choices"]))}) for key in _list(said["keys"])]
+        metrics = [str(name) for name in _list(content["own"])]
+        keys = [Key(**{**key, "choices": tuple(_list(key["choices"]))}) for key in _list(content["keys"])]
     except (LookupError, TypeError) as error:
         raise InputError(
             f'{path}: not the columns of a campaign: must be an object with "own", a list of names, and "keys", a list '
             f"of objects with {', '.join(field.name for field in fields(Key))}"
         ) from error
-    study.know({key.path: key for key in known})
-    return kinds(study, own)
+    study.know({key.path: key for key in keys})
+    return kinds(study, metrics)
 
 
-def _list(said: object) -> list[Any]:
-    if not isinstance(said, list):
+def _list(value: object) -> list[Any]:
+    if not isinstance(value, list):
         raise TypeError
-    return said
+    return value

@@ -29,8 +29,9 @@ from cosim.spec.vehicle import is_file, is_own
 
 STUDY, SCENARIO = "study.toml", "scenario.toml"
 FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS = "flights", "flights.jsonl", "report.html", "cases", "columns.json"
-TOLD = ("changed", "parameter_files")  # what a scenario says of where its values are from; older folders do not have it
-OWN_FILES = (STUDY, SCENARIO, FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS)
+# Where the values of a scenario are from; older folders do not say it.
+PROVENANCE = ("changed", "parameter_files")
+CAMPAIGN_FILES = (STUDY, SCENARIO, FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS)
 
 
 @dataclass(frozen=True)
@@ -51,13 +52,13 @@ class Frozen:
     def differences(self, folder: Path) -> Iterator[str]:
         """Yield a line for each difference between this study and the one in ``folder``, the study itself first."""
         defaults = {name: field.default for name, field in Study.model_fields.items() if not field.is_required()}
-        for name, ours, unstated in ((STUDY, self.study, defaults), (SCENARIO, self.scenario, {})):
-            there = read_toml(folder / name)
-            told = {key for key in TOLD if name == SCENARIO and (key == "changed" or key not in there)}
-            for key, theirs, own in _compare_tables("", unstated | there, unstated | ours):
-                if key.partition(".")[0] in told:
+        for name, table, unstated in ((STUDY, self.study, defaults), (SCENARIO, self.scenario, {})):
+            saved = read_toml(folder / name)
+            ignored = {key for key in PROVENANCE if name == SCENARIO and (key == "changed" or key not in saved)}
+            for key, saved_value, value in _compare_tables("", unstated | saved, unstated | table):
+                if key.partition(".")[0] in ignored:
                     continue
-                yield f"{name}: {key} is {_format_value(theirs)} there and {_format_value(own)} here"
+                yield f"{name}: {key} is {_format_value(saved_value)} there and {_format_value(value)} here"
         for name, content in self.files.items():
             if not (folder / name).is_file() or (folder / name).read_bytes() != content:
                 yield f"{name}: is another file there"
@@ -82,9 +83,9 @@ def freeze(study: Study) -> Frozen:
         controllers=controllers,
         vary=[vary.model_copy(update={"values": _values(base, vary, sources)}) for vary in study.vary],
     )
-    own = next((name for name in sources if name in OWN_FILES), None)
-    if own is not None:
-        raise InputError(f"scenario {base.name}: a file named {own!r} cannot be copied into a campaign's folder")
+    reserved = next((name for name in sources if name in CAMPAIGN_FILES), None)
+    if reserved is not None:
+        raise InputError(f"scenario {base.name}: a file named {reserved!r} cannot be copied into a campaign's folder")
     files = {name: source if isinstance(source, bytes) else _read(source) for name, source in sources.items()}
     return Frozen(renamed.table(), scenario, files)
 
@@ -151,8 +152,8 @@ def _controller(name: str, folder: Path, sources: dict[str, Path | bytes]) -> st
     """Return a controller's name in the campaign's folder; add the copies of its files to ``sources``."""
     if is_design(name):
         return _add_copy(folder / name, sources)
-    own = find(name, folder, f"unknown controller {name!r}")
-    return name if own is None else copied_controller(own, sources)
+    source = find(name, folder, f"unknown controller {name!r}")
+    return name if source is None else copied_controller(source, sources)
 
 
 def _add_copy(source: Path, sources: dict[str, Path | bytes]) -> str:
@@ -171,17 +172,17 @@ def _read(path: Path) -> bytes:
         raise InputError(f"{path}: {error.strerror or error}") from error
 
 
-def _compare_tables(where: str, theirs: Any, ours: Any) -> Iterator[tuple[str, Any, Any]]:
+def _compare_tables(where: str, saved: Any, current: Any) -> Iterator[tuple[str, Any, Any]]:
     """Yield the leaves in which two tables differ: dotted key and both values, None where there is none."""
-    theirs, ours = _index_by_key(theirs), _index_by_key(ours)
-    if isinstance(theirs, Mapping) and isinstance(ours, Mapping):
-        for key in dict.fromkeys([*ours, *theirs]):
-            yield from _compare_tables(f"{where}.{key}" if where else key, theirs.get(key), ours.get(key))
-    elif isinstance(theirs, list) and isinstance(ours, list) and len(theirs) == len(ours):
-        for place, (value, own) in enumerate(zip(theirs, ours, strict=True)):
-            yield from _compare_tables(f"{where}.{place}", value, own)
-    elif theirs != ours:
-        yield where, theirs, ours
+    saved, current = _index_by_key(saved), _index_by_key(current)
+    if isinstance(saved, Mapping) and isinstance(current, Mapping):
+        for key in dict.fromkeys([*current, *saved]):
+            yield from _compare_tables(f"{where}.{key}" if where else key, saved.get(key), current.get(key))
+    elif isinstance(saved, list) and isinstance(current, list) and len(saved) == len(current):
+        for index, (saved_value, current_value) in enumerate(zip(saved, current, strict=True)):
+            yield from _compare_tables(f"{where}.{index}", saved_value, current_value)
+    elif saved != current:
+        yield where, saved, current
 
 
 def _index_by_key(value: Any) -> Any:

@@ -57,22 +57,22 @@ def run_campaign(
     written; this and KeyboardInterrupt lose at most the flights under way.
     """
     folder = Path(out)
-    begun = study is None or (resume and folder.is_dir() and any(folder.iterdir()))
+    is_begun = study is None or (resume and folder.is_dir() and any(folder.iterdir()))
     if study is not None and study.autopilot is not None:
         _check_autopilot(study, study.autopilot, workers)
-    with Store.resume(folder, study) if begun else Store.create(folder, study) as store:  # type: ignore[arg-type]
+    with Store.resume(folder, study) if is_begun else Store.create(folder, study) as store:  # type: ignore[arg-type]
         tell = progress or (lambda tally, done, of: None)
-        tell(store.tally, store.kept, len(store.flights))
-        left = (flight for flight in store.flights if flight.number not in store.done)
+        tell(store.tally, store.stored, len(store.flights))
+        remaining = (flight for flight in store.flights if flight.number not in store.done)
         with _open_workers(workers) as flying:
             try:
-                for row in flying.fly(store.study, left):
+                for row in flying.fly(store.study, remaining):
                     store.add(row)
-                    tell(store.tally, store.kept, len(store.flights))
+                    tell(store.tally, store.stored, len(store.flights))
             except FlightError as error:
                 raise FlightError(f"{error}; {describe_progress(store)}") from error
             except KeyboardInterrupt:  # it may have come between keeping a flight and telling of it
-                tell(store.tally, store.kept, len(store.flights))
+                tell(store.tally, store.stored, len(store.flights))
                 raise
     return open_campaign(folder)
 
@@ -91,13 +91,13 @@ def resolve_campaign(name: str, out: Path | None, resume: bool, **options: Any) 
     :func:`cosim.campaign.study.options.open_study`.  A folder that is called as what is shipped is meant where it
     is written as a path (``./hover``), and where there is nothing else to go on with.  Raises InputError.
     """
-    shipped = name in (*study_names(), *scenario_names()) and (out is not None or not resume)
-    if not shipped and is_campaign(Path(name)):
+    is_shipped = name in (*study_names(), *scenario_names()) and (out is not None or not resume)
+    if not is_shipped and is_campaign(Path(name)):
         if not resume:
             raise InputError(f"{name}: already holds a campaign; --resume goes on with it")
-        given = next((option for option, value in options.items() if value not in (None, (), [])), None)
-        if given is not None or out is not None:
-            flag = {None: "out", "controllers": "controller", "settings": "set"}.get(given, given)
+        named = next((option for option, value in options.items() if value not in (None, (), [])), None)
+        if named is not None or out is not None:
+            flag = {None: "out", "controllers": "controller", "settings": "set"}.get(named, named)
             raise InputError(f"{name}: is a campaign and goes on as it began; leave out --{flag}")
         return None, Path(name)
     if resume and out is None:
@@ -132,7 +132,7 @@ def count_processors() -> int:
 
 def describe_progress(store: Store) -> str:
     """Return a line for an interrupted campaign: how many flights are kept, and how to resume it."""
-    return f"{store.kept} of {len(store.flights)} flights are kept: hexjet sweep {store.folder} --resume goes on"
+    return f"{store.stored} of {len(store.flights)} flights are kept: hexjet sweep {store.folder} --resume goes on"
 
 
 @dataclass(frozen=True)
@@ -168,8 +168,10 @@ def fly_again(campaign: Campaign, number: int, out: Path | str | None = None, **
     try:
         scenario = scenario_of(campaign.study, flight_of(campaign.study, row))
         if campaign.study.autopilot is not None:
-            place = Path(out) if out is not None else new_folder(Path("runs"), f"{campaign.study.name}-flight-{number}")
-            _, run = with_autopilot(campaign.study, scenario, place)
+            folder = (
+                Path(out) if out is not None else new_folder(Path("runs"), f"{campaign.study.name}-flight-{number}")
+            )
+            _, run = with_autopilot(campaign.study, scenario, folder)
         else:
             run = fly(scenario, out, **options)
     except InputError as error:

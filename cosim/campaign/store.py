@@ -23,10 +23,10 @@ from cosim.base.storage.files import lock, one_line, own_file
 from cosim.base.trust import looking
 from cosim.campaign.columns import stored_kinds, write_columns
 from cosim.campaign.folder import (
+    CAMPAIGN_FILES,
     COLUMNS,
     FLIGHTS,
     JOURNAL,
-    OWN_FILES,
     SCENARIO,
     STUDY,
     Frozen,
@@ -113,18 +113,18 @@ class Store:
 
         Raises InputError if it holds anything of one, or cannot be written to; nothing is changed then.
         """
-        held = next((name for name in OWN_FILES if (folder / name).exists()), None)
-        if held is not None:
-            what = f"already holds a campaign ({held})" if is_campaign(folder) else f"already holds {held}"
+        existing = next((name for name in CAMPAIGN_FILES if (folder / name).exists()), None)
+        if existing is not None:
+            what = f"already holds a campaign ({existing})" if is_campaign(folder) else f"already holds {existing}"
             more = "; --resume goes on with it" if is_campaign(folder) else "; choose another folder"
             raise InputError(f"{folder}: {what}{more}")
         return cls._begin(folder, freeze(study))
 
     @classmethod
     def _begin(cls, folder: Path, frozen: Frozen) -> Store:
-        used = next((name for name in frozen.files if (folder / name).exists()), None)
-        if used is not None:
-            raise InputError(f"{folder}: already holds {used}; choose another folder")
+        existing = next((name for name in frozen.files if (folder / name).exists()), None)
+        if existing is not None:
+            raise InputError(f"{folder}: already holds {existing}; choose another folder")
         try:
             folder.mkdir(parents=True, exist_ok=True)
             journal = _open_journal(folder, os.O_CREAT | os.O_EXCL)  # first: an empty one tells that it hardly began
@@ -203,7 +203,7 @@ class Store:
             self._last_sync = now
 
     @property
-    def kept(self) -> int:
+    def stored(self) -> int:
         """How many flights the folder has when it is closed; the last may be held and not noted yet, if Ctrl-C came."""
         return len(self.done) + sum(_flight_number(row) not in self.done for row in self._rows[-1:])
 
@@ -243,8 +243,8 @@ class Store:
 
     def _take_up(self) -> None:
         """Find out what is finished, the rows of the journal among it."""
-        for left in (*self.folder.glob(".*.tmp"), *(self.folder / FLIGHTS).glob(".*.tmp")):  # of a killed process
-            left.unlink(missing_ok=True)
+        for leftover in (*self.folder.glob(".*.tmp"), *(self.folder / FLIGHTS).glob(".*.tmp")):  # of a killed process
+            leftover.unlink(missing_ok=True)
         paths = _parts(self.folder)
         for path in paths:
             columns = read_table(path, _TALLIED)
@@ -305,8 +305,8 @@ class Campaign:
             raise InputError(f"{self.folder}: flight {number}: there are 0 to {self.of - 1}")
         if number not in self.columns["flight"]:
             raise InputError(f"{self.folder}: flight {number} is not finished; --resume goes on")
-        place = self.columns["flight"].index(number)
-        return {name: values[place] for name, values in self.columns.items()}
+        index = self.columns["flight"].index(number)
+        return {name: values[index] for name, values in self.columns.items()}
 
 
 def open_campaign(folder: Path | str) -> Campaign:
@@ -322,22 +322,22 @@ def open_campaign(folder: Path | str) -> Campaign:
     with looking():
         study = load(folder)
         of = flight_count(study)
-        known = stored_kinds(folder, study, lambda: _names_in_rows(folder, of))
-    return Campaign(folder, study, _Columns(folder, known, of), of)
+        columns = stored_kinds(folder, study, lambda: _names_in_rows(folder, of))
+    return Campaign(folder, study, _Columns(folder, columns, of), of)
 
 
 class _Columns(Mapping[str, list[Value]]):
     """The columns of all finished flights; each is read when it is asked for."""
 
-    def __init__(self, folder: Path, known: Kinds, of: int) -> None:
-        self._names = tuple(known)
+    def __init__(self, folder: Path, columns: Kinds, of: int) -> None:
+        self._names = tuple(columns)
         # the journal first: what leaves it meanwhile is in a part by then
-        loose = {_flight_number(row): row for row in _journal(folder, of)}
+        journal_rows = {_flight_number(row): row for row in _journal(folder, of)}
         self._parts = [(path, read_table(path, ("flight",))["flight"]) for path in _parts(folder)]
-        numbers = [number for _, held in self._parts for number in held]
-        held_in_parts = set(numbers)
-        self._loose = [row for number, row in loose.items() if number not in held_in_parts]
-        numbers += [row["flight"] for row in self._loose]
+        numbers = [number for _, stored in self._parts for number in stored]
+        stored_numbers = set(numbers)
+        self._journal_rows = [row for number, row in journal_rows.items() if number not in stored_numbers]
+        numbers += [row["flight"] for row in self._journal_rows]
         self._order = sorted(range(len(numbers)), key=numbers.__getitem__)  # type: ignore[arg-type]
         self._read: dict[str, list[Value]] = {}
 
@@ -352,11 +352,11 @@ class _Columns(Mapping[str, list[Value]]):
             raise KeyError(name)
         if name not in self._read:
             values: list[Value] = []
-            for path, held in self._parts:
+            for path, stored in self._parts:
                 # it may have grown at its end, and an older version may have written fewer columns
-                values += read_table(path, (name,), lacking=True)[name][: len(held)]
-            values += [row.get(name) for row in self._loose]
-            self._read[name] = [values[place] for place in self._order]
+                values += read_table(path, (name,), lacking=True)[name][: len(stored)]
+            values += [row.get(name) for row in self._journal_rows]
+            self._read[name] = [values[index] for index in self._order]
         return self._read[name]
 
 
@@ -397,8 +397,8 @@ def _journal(folder: Path, of: int) -> Iterator[Row]:
             row = json.loads(line)
         except ValueError:
             return
-        known = isinstance(row, dict) and row.keys() >= set(_TALLIED)
-        if not known or not isinstance(row["flight"], int) or not 0 <= row["flight"] < of:
+        is_row = isinstance(row, dict) and row.keys() >= set(_TALLIED)
+        if not is_row or not isinstance(row["flight"], int) or not 0 <= row["flight"] < of:
             raise InputError(f"{folder / JOURNAL}: line {number} is no flight of this study")
         yield row
 

@@ -31,7 +31,7 @@ RUN, CAMPAIGN, PAGE, UNFINISHED, LOG = "run", "campaign", "page", "unfinished", 
 SCENARIO = "scenario.toml"
 LOGS = (".ulg", ".bin", ".bbl", ".bfl", ".cfusdlog")  # of other flight controllers, which can be compared
 TAG = re.compile(r"[\w.+-]{1,40}")
-FACTS = ("scenario", "title", "aircraft", "engine", "controller", "started", "outcome", "verdict", "reason")
+SUMMARY_KEYS = ("scenario", "title", "aircraft", "engine", "controller", "started", "outcome", "verdict", "reason")
 
 
 class Entry(NamedTuple):
@@ -55,36 +55,36 @@ class Shelf:
         if not folder.is_dir():
             raise InputError(f"{folder}: is no folder of runs")
         self.folder = folder
-        self._known: dict[str, tuple[list[int], Entry]] = {}
+        self._rows: dict[str, tuple[list[int], Entry]] = {}
         self._load()
 
     def entries(self) -> list[Entry]:
         """Return the entries of the folder now, the newest first; those that have not changed are not read again."""
         entries: dict[str, tuple[list[int], Entry]] = {}
         try:
-            with os.scandir(self.folder) as inside:
-                folders = [item for item in inside if _may_be_one(item)]
+            with os.scandir(self.folder) as items:
+                folders = [item for item in items if _is_candidate(item)]
         except OSError as error:
             raise InputError(f"{self.folder}: {error.strerror or error}") from error
-        changed = len(folders) != len(self._known)
+        changed = len(folders) != len(self._rows)
         for folder in folders:
             stamp = _stamp(folder)
-            known = self._known.get(folder.name)
-            if known is None or known[0] != stamp:
-                changed, known = True, (stamp, read_entry(Path(folder.path)))
-            if known[1].kind:
-                entries[folder.name] = known
-            elif folder.name in self._known:
+            row = self._rows.get(folder.name)
+            if row is None or row[0] != stamp:
+                changed, row = True, (stamp, read_entry(Path(folder.path)))
+            if row[1].kind:
+                entries[folder.name] = row
+            elif folder.name in self._rows:
                 changed = True
-        self._known = entries
+        self._rows = entries
         if changed:
             self._save()
         ordered = sorted(entries.values(), key=lambda pair: pair[0][0], reverse=True)
         return [entry for _, entry in ordered]
 
-    def place(self, name: str) -> Path:
+    def path(self, name: str) -> Path:
         """Return the path of an entry.  Raises InputError for a name that is not in the index."""
-        if name not in self._known:
+        if name not in self._rows:
             raise InputError(f"{name}: is not here")
         return self.folder / name
 
@@ -95,46 +95,46 @@ class Shelf:
             if not TAG.fullmatch(tag):
                 raise InputError(f"{tag!r} is no tag: letters, digits and . _ + -, 40 of them at most")
         for name in names:
-            if self.place(name).is_file():
+            if self.path(name).is_file():
                 raise InputError(f"{name}: is a file; tags are kept in folders")
-            path = self.place(name) / TAGS
-            tags = [tag for tag in dict.fromkeys([*_tags(path), *add]) if tag not in remove]
-            write_whole(path, json.dumps(tags), InputError)
+            file = self.path(name) / TAGS
+            tags = [tag for tag in dict.fromkeys([*_tags(file), *add]) if tag not in remove]
+            write_whole(file, json.dumps(tags), InputError)
 
     def delete(self, name: str) -> None:
         """Delete a folder with all that is in it, or a log.
 
         Raises InputError where it is none of the entries, is a link, may still be written to, or cannot be deleted.
         """
-        folder = self.place(name)
+        folder = self.path(name)
         if folder.is_symlink() or folder.parent.resolve() != self.folder.resolve():
             raise InputError(f"{name}: is a link; nothing was deleted")
-        if self._known[name][1].kind == UNFINISHED:
+        if self._rows[name][1].kind == UNFINISHED:
             raise InputError(f"{name}: has no end yet, and may still be written to; nothing was deleted")
-        gone = self.folder / f".deleted-{name}"
+        trash = self.folder / f".deleted-{name}"
         try:
-            folder.rename(gone)  # whole or not at all, for whoever reads at the same time
-            if gone.is_file():
-                gone.unlink()
+            folder.rename(trash)  # whole or not at all, for whoever reads at the same time
+            if trash.is_file():
+                trash.unlink()
             else:
-                shutil.rmtree(gone)
+                shutil.rmtree(trash)
         except OSError as error:
             raise InputError(f"{name}: {error.strerror or error}") from error
-        self._known.pop(name, None)
+        self._rows.pop(name, None)
 
     def _load(self) -> None:
         with suppress(OSError, ValueError, LookupError, TypeError):
-            kept = json.loads((self.folder / INDEX).read_text(encoding="utf-8"))
-            if kept["form"] == FORM:
-                self._known = {row[1][0]: (row[0], Entry(*row[1])) for row in kept["rows"]}
+            table = json.loads((self.folder / INDEX).read_text(encoding="utf-8"))
+            if table["form"] == FORM:
+                self._rows = {row[1][0]: (row[0], Entry(*row[1])) for row in table["rows"]}
 
     def _save(self) -> None:
-        rows = [[stamp, list(entry)] for stamp, entry in self._known.values()]
+        rows = [[stamp, list(entry)] for stamp, entry in self._rows.values()]
         with suppress(OSError), replacing(self.folder / INDEX) as temporary:  # a folder that is not ours is looked at
             temporary.write_text(json.dumps({"form": FORM, "rows": rows}), encoding="utf-8")
 
 
-def _may_be_one(entry: os.DirEntry[str]) -> bool:
+def _is_candidate(entry: os.DirEntry[str]) -> bool:
     """Return whether a directory entry may be a row: a folder, or a flight controller's log, that is not hidden."""
     if entry.name[:1] == ".":
         return False
@@ -162,7 +162,7 @@ def read_entry(folder: Path) -> Entry:
     with suppress(OSError, ValueError):
         summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
         if isinstance(summary, dict):
-            return Entry(folder.name, RUN, _facts(summary), flat(summary), tags, page)
+            return Entry(folder.name, RUN, _summary_facts(summary), flatten_metrics(summary), tags, page)
     began = {"started": datetime.fromtimestamp(folder.stat().st_mtime, UTC).isoformat(timespec="seconds")}
     if (folder / STUDY).is_file() and (folder / FLIGHTS).is_dir():
         return Entry(folder.name, CAMPAIGN, _study(folder / STUDY) | began, {}, tags, page)
@@ -170,25 +170,25 @@ def read_entry(folder: Path) -> Entry:
     return Entry(folder.name, kind, began, {}, tags, page)
 
 
-def _facts(summary: Mapping[str, Any]) -> dict[str, str]:
-    facts = {name: str(summary[name]) for name in FACTS if isinstance(summary.get(name), str)}
+def _summary_facts(summary: Mapping[str, Any]) -> dict[str, str]:
+    facts = {name: str(summary[name]) for name in SUMMARY_KEYS if isinstance(summary.get(name), str)}
     if "verdict" in facts:
         facts["verdict"] = read_verdict(facts["verdict"], summary.get("expectations_met"))
     with suppress(KeyError, TypeError, ValueError):  # an older summary, or not quite one of ours
-        own = (summary.get("own_controller") or {}).get("sha256") or ""
+        digest = (summary.get("own_controller") or {}).get("sha256") or ""
         files = [ParametersRecord.model_validate(entry) for entry in summary.get("parameter_files") or ()]
-        facts["controller"] = controller_words(facts["controller"], own, files)
+        facts["controller"] = controller_words(facts["controller"], digest, files)
     return facts
 
 
 def _study(path: Path) -> dict[str, str]:
     """Return title and scenario of a campaign; for a scenario file in its own folder, the name that the file states."""
-    facts = _stated(path, "title", "scenario")
+    facts = _read_head(path, "title", "scenario")
     if facts.get("scenario") == SCENARIO:
-        flown = _stated(path.parent / SCENARIO, "title", "name")
+        scenario = _read_head(path.parent / SCENARIO, "title", "name")
         if _is_changed(path.parent / SCENARIO):
-            flown.pop("title", None)
-        facts = flown | facts | {"scenario": flown.pop("name", SCENARIO)}
+            scenario.pop("title", None)
+        facts = scenario | facts | {"scenario": scenario.pop("name", SCENARIO)}
         facts.pop("name", None)
     return facts
 
@@ -200,7 +200,7 @@ def _is_changed(path: Path) -> bool:
     return False
 
 
-def _stated(path: Path, *keys: str) -> dict[str, str]:
+def _read_head(path: Path, *keys: str) -> dict[str, str]:
     """Return the strings of these keys that a TOML file has before its first table."""
     with suppress(OSError, ValueError):
         head = path.read_text(encoding="utf-8").partition("\n[")[0]
@@ -210,7 +210,7 @@ def _stated(path: Path, *keys: str) -> dict[str, str]:
     return {}
 
 
-def flat(summary: Mapping[str, Any]) -> dict[str, float]:
+def flatten_metrics(summary: Mapping[str, Any]) -> dict[str, float]:
     """Return the metrics of a summary as ``group.name``: every number in the groups that have metrics."""
     metrics: dict[str, Any] = {}
     groups: dict[str, Any] = dict(summary.get("metrics") or {})
@@ -218,13 +218,13 @@ def flat(summary: Mapping[str, Any]) -> dict[str, float]:
     for name, group in groups.items():
         for key, value in group.items() if isinstance(group, dict) else ():
             metrics[f"{name}.{key}"] = value
-    own = summary.get("own_metrics") or {}
-    metrics |= {name: summary.get(name) for name in ("touchdown_m_s", "fuel_burnt_kg", "duration_s")} | dict(own)
+    custom = summary.get("own_metrics") or {}
+    metrics |= {name: summary.get(name) for name in ("touchdown_m_s", "fuel_burnt_kg", "duration_s")} | dict(custom)
     return {name: value for name, value in metrics.items() if type(value) in (int, float)}
 
 
 def _tags(path: Path) -> list[str]:
     with suppress(OSError, ValueError):
-        kept = json.loads(path.read_text(encoding="utf-8"))
-        return [tag for tag in kept if isinstance(tag, str) and TAG.fullmatch(tag)] if isinstance(kept, list) else []
+        tags = json.loads(path.read_text(encoding="utf-8"))
+        return [tag for tag in tags if isinstance(tag, str) and TAG.fullmatch(tag)] if isinstance(tags, list) else []
     return []

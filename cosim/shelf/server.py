@@ -221,7 +221,7 @@ class ShelfServer:
                 self._shelf.tag(chosen, _texts(asked.get("add")), _texts(asked.get("remove")))
                 return json.dumps({"said": f"{len(chosen)} tagged"})
             if what == "compare":
-                page = self._compare([self._shelf.place(name) for name in chosen])
+                page = self._compare([self._shelf.path(name) for name in chosen])
                 place = page.resolve().relative_to(self._shelf.folder.resolve()).as_posix()
                 return json.dumps({"said": f"written: {page}", "open": f"/run/{self._key}/{quote(place)}"})
             return json.dumps({"said": ""})

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.campaign.analysis.sensitivity import Ranking
-from cosim.campaign.analysis.statistics import Share, classes, wilson
+from cosim.campaign.analysis.statistics import Proportion, classes, wilson
 from cosim.campaign.analysis.summary import controller_indices
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.results.report.plot import ABOVE, GREEN, GREY, MAGENTA, ORANGE, RED, layout, run_colour
@@ -27,10 +27,13 @@ CURVES = 12  # keys with a curve of their own, and bars: the most influential
 
 
 def campaign_figures(
-    table: FlightTable, shares: Sequence[Share], rankings: Mapping[str, Sequence[Ranking | None]], order: Sequence[int]
+    table: FlightTable,
+    proportions: Sequence[Proportion],
+    rankings: Mapping[str, Sequence[Ranking | None]],
+    order: Sequence[int],
 ) -> dict[str, Figure]:
     """Return every figure of the report by its name; ``order`` are the keys by influence."""
-    figures = {"outcomes": outcomes(table), "probability": probability(table, shares)}
+    figures = {"outcomes": outcomes(table), "probability": probability(table, proportions)}
     figures |= {f"ranking-{name}": ranking_figure(table, ranking) for name, ranking in rankings.items() if any(ranking)}
     figures |= {f"key-{number}": success_over(table, table.keys[key]) for number, key in enumerate(order[:CURVES])}
     return figures | {f"metric-{number}": distribution(table, metric) for number, metric in enumerate(table.metrics)}
@@ -69,18 +72,20 @@ def outcomes(table: FlightTable) -> Figure:
     return {"data": data, "layout": layout}
 
 
-def probability(table: FlightTable, shares: Sequence[Share]) -> Figure:
+def probability(table: FlightTable, proportions: Sequence[Proportion]) -> Figure:
     """Return the figure of each controller's fraction of successes; of draws with Wilson's and the exact interval."""
-    known = [(place, share) for place, share in enumerate(shares) if share.value is not None]
+    flown = [
+        (controller, proportion) for controller, proportion in enumerate(proportions) if proportion.value is not None
+    ]
     data = []
-    for place, share in known:
-        low, high = share.wilson
-        value = 100.0 * share.hits / share.of
-        common: Figure = {"type": "scatter", "y": [table.controllers[place]], "showlegend": False}
-        colour = run_colour(place)
-        text = f"{table.controllers[place]}: {value:.4g} %, {share.hits} of {share.of}"
+    for controller, proportion in flown:
+        low, high = proportion.wilson
+        value = 100.0 * proportion.hits / proportion.of
+        common: Figure = {"type": "scatter", "y": [table.controllers[controller]], "showlegend": False}
+        colour = run_colour(controller)
+        text = f"{table.controllers[controller]}: {value:.4g} %, {proportion.hits} of {proportion.of}"
         if not table.grid:
-            ends = [100.0 * end for end in share.exact]
+            ends = [100.0 * end for end in proportion.exact]
             line = {"x": ends, "y": common["y"] * 2, "mode": "lines", "line": {"color": colour, "width": 1}}
             data.append(common | line | {"hoverinfo": "skip"})
             line = {"x": [100.0 * low, 100.0 * high], "y": common["y"] * 2, "mode": "lines", "hoverinfo": "skip"}
@@ -91,16 +96,19 @@ def probability(table: FlightTable, shares: Sequence[Share]) -> Figure:
             common | {"x": [value], "mode": "markers", "marker": marker, "hovertemplate": f"{text}<extra></extra>"}
         )
     layout = _layout(_rows_height(table)) | {"showlegend": False}
-    layout["xaxis"] = {"title": {"text": "success [%]"}, "range": _percent_range(table, shares)}
+    layout["xaxis"] = {"title": {"text": "success [%]"}, "range": _percent_range(table, proportions)}
     # without a flight there is no point to make the axis from
     layout["yaxis"] = _names_axis() | {"categoryorder": "array", "categoryarray": table.controllers, "type": "category"}
     return {"data": data, "layout": layout}
 
 
-def _percent_range(table: FlightTable, shares: Sequence[Share]) -> list[float]:
+def _percent_range(table: FlightTable, proportions: Sequence[Proportion]) -> list[float]:
     """Return the range of an axis in percent around all bounds, with a margin of at least a tenth of their span."""
     ends = [
-        end for share in shares if share.of for end in ((share.hits / share.of,) * 2 if table.grid else share.exact)
+        end
+        for proportion in proportions
+        if proportion.of
+        for end in ((proportion.hits / proportion.of,) * 2 if table.grid else proportion.exact)
     ]
     low, high = 100.0 * min(ends, default=0.0), 100.0 * max(ends, default=1.0)
     margin = max(0.06 * (high - low), 0.5 * (10.0 - (high - low)), 0.5)
@@ -116,22 +124,22 @@ def _rows_height(table: FlightTable) -> int:
 
 def ranking_figure(table: FlightTable, rankings: Sequence[Ranking | None]) -> Figure:
     """Return the figure of first-order indices, the largest on top; shaded is chance, pale what is not above it."""
-    known = [(place, ranking) for place, ranking in enumerate(rankings) if ranking is not None]
-    by_key = {place: {effect.key: effect for effect in ranking.effects} for place, ranking in known}
+    ranked = [(controller, ranking) for controller, ranking in enumerate(rankings) if ranking is not None]
+    by_key = {controller: {effect.key: effect for effect in ranking.effects} for controller, ranking in ranked}
     labels = {key.path: wrap_label(key.label) for key in table.keys}
-    most = {path: max(effects[path].index for effects in by_key.values()) for path in labels}
-    paths = sorted(labels, key=lambda path: most[path])[-CURVES:]
+    largest = {path: max(effects[path].index for effects in by_key.values()) for path in labels}
+    paths = sorted(labels, key=lambda path: largest[path])[-CURVES:]
     data = []
-    for place, _ in reversed(known):  # the first on top
-        effects = [by_key[place][path] for path in paths]
+    for controller, _ in reversed(ranked):  # the first on top
+        effects = [by_key[controller][path] for path in paths]
         bar: Figure = {
             "type": "bar",
             "orientation": "h",
-            "name": table.controllers[place],
+            "name": table.controllers[controller],
             "y": [labels[path] for path in paths],
             "x": [_percent(effect.index) for effect in effects],
-            "marker": {"color": run_colour(place), "opacity": [1.0 if effect.real else 0.3 for effect in effects]},
-            "hovertemplate": f"%{{y}}, {table.controllers[place]}: %{{x:.1f}} %<extra></extra>",
+            "marker": {"color": run_colour(controller), "opacity": [1.0 if effect.real else 0.3 for effect in effects]},
+            "hovertemplate": f"%{{y}}, {table.controllers[controller]}: %{{x:.1f}} %<extra></extra>",
         }
         if not table.grid:
             bar["error_x"] = {
@@ -144,13 +152,13 @@ def ranking_figure(table: FlightTable, rankings: Sequence[Ranking | None]) -> Fi
                 "color": GREY,
             }
         data.append(bar)
-    floor = _percent(max(ranking.floor for _, ranking in known))
-    layout = _layout(96 + len(paths) * (16 + (14 if len(known) < 3 else 10) * len(known))) | {
+    floor = _percent(max(ranking.floor for _, ranking in ranked))
+    layout = _layout(96 + len(paths) * (16 + (14 if len(ranked) < 3 else 10) * len(ranked))) | {
         "barmode": "group",
         "bargap": 0.25,
     }
     layout["legend"]["traceorder"] = "reversed"
-    layout["showlegend"] = len(known) > 1
+    layout["showlegend"] = len(ranked) > 1
     top = max(
         [*(_percent(effect.interval[1]) for effects in by_key.values() for effect in effects.values()), 2 * floor]
     )
@@ -164,15 +172,15 @@ def ranking_figure(table: FlightTable, rankings: Sequence[Ranking | None]) -> Fi
     return {"data": data, "layout": layout}
 
 
-def _percent(share: float) -> float:
-    return round(100.0 * max(share, 0.0), 3)
+def _percent(fraction: float) -> float:
+    return round(100.0 * max(fraction, 0.0), 3)
 
 
-def wrap_label(label: str, most: int = 24) -> str:
+def wrap_label(label: str, width: int = 24) -> str:
     """Return a label broken into lines at its dots, of at most ``most`` characters where the parts allow it."""
     lines = [""]
     for part in label.replace(".", ".\0").split("\0"):
-        if lines[-1] and len(lines[-1]) + len(part) > most:
+        if lines[-1] and len(lines[-1]) + len(part) > width:
             lines.append("")
         lines[-1] += part
     return "<br>".join(lines)
@@ -181,8 +189,8 @@ def wrap_label(label: str, most: int = 24) -> str:
 def success_over(table: FlightTable, key: KeyColumn) -> Figure:
     """Return the figure of the fraction of successes over one key, with 95 % intervals; other keys vary as drawn."""
     data = []
-    for place in controller_indices(table):
-        rows = table.of(place) & np.isfinite(key.numbers)
+    for controller in controller_indices(table):
+        rows = table.of(controller) & np.isfinite(key.numbers)
         count = int(np.sum(rows))
         if not count:
             continue
@@ -190,17 +198,17 @@ def success_over(table: FlightTable, key: KeyColumn) -> Figure:
         numbered = classes(values, int(np.clip(count // 40, 4, 16)) if not table.grid else count)
         of, hits = np.bincount(numbered), np.bincount(numbered, table.success[rows])
         low, high = wilson(hits, of)
-        share = hits / of
+        fraction = hits / of
         middle = group_medians(numbered, values)
-        name = table.controllers[place]
+        name = table.controllers[controller]
         trace: Figure = {
             "type": "scatter",
             "name": name,
-            "x": _offset(middle, place, table, key),
-            "y": round_digits(100.0 * share),
+            "x": _offset(middle, controller, table, key),
+            "y": round_digits(100.0 * fraction),
             "mode": "markers" if key.levels else "lines+markers",
-            "line": {"color": run_colour(place), "width": 1.6},
-            "marker": {"color": run_colour(place), "size": 6},
+            "line": {"color": run_colour(controller), "width": 1.6},
+            "marker": {"color": run_colour(controller), "size": 6},
             "customdata": [
                 f"{_format_value(value, key)}: {int(k)} of {int(n)}"
                 for value, k, n in zip(middle, hits, of, strict=True)
@@ -211,8 +219,8 @@ def success_over(table: FlightTable, key: KeyColumn) -> Figure:
             trace["error_y"] = {
                 "type": "data",
                 "symmetric": False,
-                "array": round_digits(100.0 * (high - share)),
-                "arrayminus": round_digits(100.0 * (share - low)),
+                "array": round_digits(100.0 * (high - fraction)),
+                "arrayminus": round_digits(100.0 * (fraction - low)),
                 "thickness": 1,
                 "width": 2,
             }
@@ -233,9 +241,9 @@ def group_medians(numbered: NDArray[np.integer[Any]], values: Array) -> Array:
     return np.array(0.5 * (ordered[first + (counts - 1) // 2] + ordered[first + counts // 2]), dtype=np.float64)
 
 
-def _offset(middle: Array, place: int, table: FlightTable, key: KeyColumn) -> list[float]:
+def _offset(middle: Array, controller: int, table: FlightTable, key: KeyColumn) -> list[float]:
     """Return the shift of a controller's marks, so that controllers do not hide each other."""
-    apart = place - 0.5 * (len(table.controllers) - 1)
+    apart = controller - 0.5 * (len(table.controllers) - 1)
     if key.levels:
         return round_digits(middle + 0.12 * apart)
     low, high = np.nanmin(key.numbers), np.nanmax(key.numbers)
@@ -272,23 +280,23 @@ def distribution(table: FlightTable, metric: Metric) -> Figure:
     """
     data = []
     largest: list[float] = []
-    for place in controller_indices(table):
-        rows = table.of(place)
+    for controller in controller_indices(table):
+        rows = table.of(controller)
         values = np.sort(metric.factor * table.values[metric.name][rows])  # NaN comes last
-        known = values[np.isfinite(values)]
-        if not known.size:
+        finite = values[np.isfinite(values)]
+        if not finite.size:
             continue
-        picked = np.unique(np.linspace(0, known.size - 1, CURVE_POINTS).round().astype(np.intp))
-        name = table.controllers[place]
-        largest.append(float(known[-1]))
+        picked = np.unique(np.linspace(0, finite.size - 1, CURVE_POINTS).round().astype(np.intp))
+        name = table.controllers[controller]
+        largest.append(float(finite[-1]))
         data.append(
             {
                 "type": "scatter",
-                "mode": "lines" if known.size > 1 else "markers",
+                "mode": "lines" if finite.size > 1 else "markers",
                 "name": name,
-                "x": round_digits(known[picked]),
+                "x": round_digits(finite[picked]),
                 "y": round_digits(100.0 * (picked + 1) / values.size),
-                "line": {"color": run_colour(place), "width": 1.8, "shape": "hv"},
+                "line": {"color": run_colour(controller), "width": 1.8, "shape": "hv"},
                 "hovertemplate": f"{name}: %{{y:.1f}} % of the flights up to %{{x:.4~g}} {metric.unit}<extra></extra>",
             }
         )
@@ -304,9 +312,9 @@ def distribution(table: FlightTable, metric: Metric) -> Figure:
 def _metric_axis(table: FlightTable, metric: Metric) -> Figure:
     """Return the axis of a metric, logarithmic for values that are spread over decades."""
     values = table.values[metric.name]
-    known = values[np.isfinite(values)]
-    low, high = np.quantile(known, [0.05, 0.95]) if known.size else (0.0, 0.0)
-    return {"type": "log", "dtick": 1} if known.size and known.min() > 0.0 and high > 30.0 * low else {}
+    finite = values[np.isfinite(values)]
+    low, high = np.quantile(finite, [0.05, 0.95]) if finite.size else (0.0, 0.0)
+    return {"type": "log", "dtick": 1} if finite.size and finite.min() > 0.0 and high > 30.0 * low else {}
 
 
 # ---- pieces

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from cosim.campaign.store import Campaign
     from cosim.campaign.study.study import Correlation, Study, Vary
 
-MOST_REASONS = 12
+MAX_REASONS = 12
 DESIGNS = {
     "grid": "a grid of every combination",
     "latin-hypercube": "a Latin hypercube",
@@ -80,26 +80,28 @@ def write_campaign_report(campaign: Campaign) -> Path:
 def page(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the figures of the report and the values for its template; write the scenario files of its cases."""
     table, study = read(campaign), campaign.study
-    successes = success_fractions(table)
+    proportions = success_fractions(table)
     names = [SUCCESS, *(metric.name for metric in table.metrics)]
-    rankings = {name: [rank_keys(table, place, name) for place in controller_indices(table)] for name in names}
+    rankings = {
+        name: [rank_keys(table, controller, name) for controller in controller_indices(table)] for name in names
+    }
     leading = next((name for name in names if any(rankings[name])), SUCCESS)
     order = order_by_influence(table, rankings[leading])
-    figures = campaign_figures(table, successes, rankings, order)
+    figures = campaign_figures(table, proportions, rankings, order)
     if len(table.keys) > 1 and table.flight.size:
-        shown = order[:MAP_KEYS]
+        mapped = order[:MAP_KEYS]
         figures["map-tables"] = map_tables(
-            table, shown, strongest_pair(table, shown, leading, rankings[leading]), leading
+            table, mapped, strongest_pair(table, mapped, leading, rankings[leading]), leading
         )
     return figures, {
         "study": study,
         "controllers": [
-            {"name": name, "colour": run_colour(place), "share": share, "kinds": kinds(table, place)}
-            for place, (name, share) in enumerate(zip(table.controllers, successes, strict=True))
+            {"name": name, "colour": run_colour(controller), "share": proportion, "kinds": kinds(table, controller)}
+            for controller, (name, proportion) in enumerate(zip(table.controllers, proportions, strict=True))
         ],
         "table": table,
         "planned": campaign.of,
-        "facts": facts(campaign, table),
+        "facts": head_rows(campaign, table),
         "success_is": describe_criterion(study.success),
         "interval_note": INTERVALS.get(study.design, ""),
         "kind_colours": KIND_COLOURS,
@@ -120,7 +122,7 @@ def page(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]:
 # ---- the head
 
 
-def facts(campaign: Campaign, table: FlightTable) -> list[tuple[str, str]]:
+def head_rows(campaign: Campaign, table: FlightTable) -> list[tuple[str, str]]:
     """Return name and value of what was flown, without anything of the machine."""
     study = campaign.study
     wall = np.array([seconds or 0.0 for seconds in campaign.columns.get("wall_s", [])], dtype=np.float64)
@@ -178,12 +180,12 @@ def key_rows(study: Study, table: FlightTable) -> list[dict[str, str]]:
 
 
 def _observed_range(key: KeyColumn) -> str:
-    known = key.numbers[np.isfinite(key.numbers)]
-    if not known.size:
+    finite = key.numbers[np.isfinite(key.numbers)]
+    if not finite.size:
         return NONE
     if key.levels:
-        return ", ".join(key.levels[int(place)] for place in np.unique(known))
-    return f"{known.min():.4g} to {known.max():.4g}"
+        return ", ".join(key.levels[int(code)] for code in np.unique(finite))
+    return f"{finite.min():.4g} to {finite.max():.4g}"
 
 
 def describe_draws(vary: Vary) -> str:
@@ -233,10 +235,10 @@ def describe_correlation(correlation: Correlation) -> str:
 def warnings(campaign: Campaign, table: FlightTable) -> list[str]:
     """Return the reasons for which a reader should doubt a number of the report."""
     lines = []
-    done, planned = table.flight.size, campaign.of
-    if done < planned:
+    finished, planned = table.flight.size, campaign.of
+    if finished < planned:
         lines.append(
-            f"The study is not finished: {done:,} of {planned:,} flights ({done / planned:.1%}). "
+            f"The study is not finished: {finished:,} of {planned:,} flights ({finished / planned:.1%}). "
             "Flights that are lost early end early, so that the finished ones may look worse than all will."
             + (" Of a grid only a part is here." if table.grid else "")
         )
@@ -271,11 +273,11 @@ def collect_sources(campaign: Campaign) -> dict[str, list[str]]:
 
 def order_by_influence(table: FlightTable, rankings: Sequence[Ranking | None]) -> list[int]:
     """Return the keys' indices by their largest sensitivity with any controller; unranked keys last, in order."""
-    most = dict.fromkeys((key.path for key in table.keys), -1.0)
+    largest = dict.fromkeys((key.path for key in table.keys), -1.0)
     for ranking in rankings:
         for effect in ranking.effects if ranking else ():
-            most[effect.key] = max(most[effect.key], effect.index)
-    return sorted(range(len(table.keys)), key=lambda place: -most[table.keys[place].path])
+            largest[effect.key] = max(largest[effect.key], effect.index)
+    return sorted(range(len(table.keys)), key=lambda key: -largest[table.keys[key].path])
 
 
 def strongest_pair(
@@ -289,13 +291,17 @@ def strongest_pair(
     together = {}
     for first, second in combinations(keys, 2):
         a, b = table.keys[first].numbers, table.keys[second].numbers
-        known = np.isfinite(values) & np.isfinite(a) & np.isfinite(b)
+        finite = np.isfinite(values) & np.isfinite(a) & np.isfinite(b)
         together[first, second] = sum(
-            _joint(known & table.of(place), a, b, values) for place in controller_indices(table)
+            _joint(finite & table.of(controller), a, b, values) for controller in controller_indices(table)
         )
-    usual = (keys[0], keys[1])
+    default_pair = (keys[0], keys[1])
     best = max(together, key=lambda pair: together[pair])
-    return best if together[best] > together[usual] + sum(ranking.floor for ranking in rankings if ranking) else usual
+    return (
+        best
+        if together[best] > together[default_pair] + sum(ranking.floor for ranking in rankings if ranking)
+        else default_pair
+    )
 
 
 def _joint(rows: Any, first: Array, second: Array, values: Array) -> float:
@@ -312,8 +318,8 @@ def ranking_tables(table: FlightTable, rankings: Mapping[str, Sequence[Ranking |
             "label": labels[name],
             "rankings": [
                 {
-                    "controller": table.controllers[place],
-                    "colour": run_colour(place),
+                    "controller": table.controllers[controller],
+                    "colour": run_colour(controller),
                     "flights": element.flights,
                     "floor": f"{100.0 * element.floor:.1f}",
                     "explained": f"{100.0 * element.explained:.0f}",
@@ -330,7 +336,7 @@ def ranking_tables(table: FlightTable, rankings: Mapping[str, Sequence[Ranking |
                         for effect in element.effects
                     ],
                 }
-                for place, element in enumerate(ranking)
+                for controller, element in enumerate(ranking)
                 if element is not None
             ],
         }
@@ -383,9 +389,9 @@ def _difference(metric: Metric, difference: MedianDifference) -> dict[str, Any]:
     }
 
 
-def format_points(share: float) -> str:
+def format_points(difference: float) -> str:
     """Format a difference of fractions in percentage points, 0 without a sign."""
-    text = f"{100.0 * share:+.1f}"
+    text = f"{100.0 * difference:+.1f}"
     return text[1:] if text[1:] == "0.0" else text
 
 
@@ -404,10 +410,10 @@ def metric_rows(table: FlightTable) -> list[dict[str, Any]]:
     rows = []
     for number, metric in enumerate(table.metrics):
         cells = []
-        for place in controller_indices(table):
-            quartiles = spread(table, place, metric.name)
+        for controller in controller_indices(table):
+            quartiles = spread(table, controller, metric.name)
             cells.append(
-                {"text": NONE, "none": 0, "flights": 0, "of": int(np.sum(table.of(place)))}
+                {"text": NONE, "none": 0, "flights": 0, "of": int(np.sum(table.of(controller)))}
                 if quartiles is None
                 else {
                     "text": f"{metric.factor * quartiles.median:.3g}",
@@ -423,16 +429,16 @@ def metric_rows(table: FlightTable) -> list[dict[str, Any]]:
 
 def reason_rows(campaign: Campaign, table: FlightTable) -> list[dict[str, Any]]:
     """Return the reasons of flights without success, the commonest first, with the count of every controller."""
-    counted = [reasons(table, table.of(place), campaign.study.success) for place in controller_indices(table)]
+    counted = [reasons(table, table.of(controller), campaign.study.success) for controller in controller_indices(table)]
     names = sorted(
         {name for counter in counted for name in counter},
         key=lambda name: (-sum(counter[name] for counter in counted), name),
     )
-    rows = [{"reason": name, "counts": [counter[name] for counter in counted]} for name in names[:MOST_REASONS]]
-    rest = names[MOST_REASONS:]
-    if rest:
-        counts = [sum(counter[name] for name in rest) for counter in counted]
-        rows.append({"reason": f"{len(rest)} other reasons", "counts": counts})
+    rows = [{"reason": name, "counts": [counter[name] for counter in counted]} for name in names[:MAX_REASONS]]
+    others = names[MAX_REASONS:]
+    if others:
+        counts = [sum(counter[name] for name in others) for counter in counted]
+        rows.append({"reason": f"{len(others)} other reasons", "counts": counts})
     return rows
 
 

@@ -64,7 +64,7 @@ def ranking(keys: Mapping[str, Array], choices: Sequence[str], result: Array) ->
     n = result.size
     if n < FEWEST or not keys or np.ptp(result) == 0.0:
         return None
-    classed = {key: classes(values, most_classes(n)) for key, values in keys.items()}
+    classed = {key: classes(values, max_classes(n)) for key, values in keys.items()}
     floor = noise_floor(list(classed.values()), result)
     numbers = [key for key in keys if key not in choices]
     ranks = rank_correlations([keys[key] for key in numbers], result)
@@ -83,7 +83,7 @@ def _effect(
     return KeyEffect(key, index, interval, index > floor, rank, bounds, partial)
 
 
-def most_classes(flights: int) -> int:
+def max_classes(flights: int) -> int:
     """Return the largest number of classes of a key: enough to follow a curve, each large enough for a mean.
 
     Of its index a straight line loses 1 / classes^2 to the classes and a wave of m periods (1.8 m / classes)^2; chance
@@ -138,8 +138,8 @@ def noise_floor(classed: Sequence[Counts], result: Array) -> float:
 
 def joint(first: Array, second: Array, result: Array) -> float:
     """Return the fraction of a result's variance that two keys explain together in cells, corrected for chance."""
-    most = max(2, int(sqrt(most_classes(result.size))) + 1)
-    of_first, of_second = classes(first, most), classes(second, most)
+    count = max(2, int(sqrt(max_classes(result.size))) + 1)
+    of_first, of_second = classes(first, count), classes(second, count)
     _, numbered = np.unique(of_first * (of_second.max() + 1) + of_second, return_inverse=True)
     return first_order(numbered.astype(np.intp), result)[0]
 
@@ -162,7 +162,8 @@ def rank_correlations(numbers: Sequence[Array], result: Array) -> list[tuple[flo
     scale = np.sqrt(np.clip(np.diag(inverse), 1e-12, None))
     partial = -inverse[:-1, -1] / (scale[:-1] * scale[-1])
     return [
-        (float(rank), float(np.clip(held, -1.0, 1.0))) for rank, held in zip(correlation[:-1, -1], partial, strict=True)
+        (float(rank), float(np.clip(value, -1.0, 1.0)))
+        for rank, value in zip(correlation[:-1, -1], partial, strict=True)
     ]
 
 

@@ -19,11 +19,11 @@ from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.results.wording import Metric
 
 FLIGHTS_PER_CELL = 15  # flights in a cell of draws, were they spread evenly
-LEAST_PER_CELL = 5  # flights, before a cell's share is shown: with fewer the interval is wider than 60 points
+MIN_PER_CELL = 5  # flights, before a cell's share is shown: with fewer the interval is wider than 60 points
 MAP_KEYS = 6
 MAP_METRICS = 6
 MAP_CELLS = 6000  # over all pairs of keys, for one controller: what a page can hold
-MOST_POINTS = 400  # of successes and of the others, for one controller
+MAX_POINTS = 400  # of successes and of the others, for one controller
 SEED = 1  # of the sample of single flights
 
 
@@ -37,10 +37,10 @@ def map_tables(table: FlightTable, keys: Sequence[int], pair: tuple[int, int], c
     pairs = list(combinations(range(len(chosen)), 2))
     sides = [_sides(table, key, max(len(pairs), 1)) for key in chosen]
     metrics = table.metrics[:MAP_METRICS]
-    least = 1 if table.grid else LEAST_PER_CELL
+    fewest = 1 if table.grid else MIN_PER_CELL
     return {
         "grid": table.grid,
-        "least": least,
+        "least": fewest,
         "pair": [keys.index(key) for key in pair],
         "colour": colour,
         "controllers": table.controllers,
@@ -57,11 +57,12 @@ def map_tables(table: FlightTable, keys: Sequence[int], pair: tuple[int, int], c
         "metrics": [_metric_table(table, metric) for metric in metrics],
         "cells": {
             f"{x},{y}": [
-                _cells(table, place, sides[x], sides[y], metrics, least) for place in controller_indices(table)
+                _cells(table, controller, sides[x], sides[y], metrics, fewest)
+                for controller in controller_indices(table)
             ]
             for x, y in pairs
         },
-        "points": [_points(table, place, chosen, metrics) for place in controller_indices(table)],
+        "points": [_points(table, controller, chosen, metrics) for controller in controller_indices(table)],
     }
 
 
@@ -78,23 +79,23 @@ def _metric_table(table: FlightTable, metric: Metric) -> Figure:
 
 def _sides(table: FlightTable, key: KeyColumn, pairs: int) -> tuple[Array, Counts]:
     """Return the edges of a key's cells, levels or intervals of equal length, and each row's cell, -1 for none."""
-    known = np.isfinite(key.numbers)
+    finite = np.isfinite(key.numbers)
     if key.levels:
-        return np.arange(-0.5, len(key.levels)), np.where(known, key.numbers, -1).astype(np.intp)
-    flights = max((int(np.sum(table.of(place))) for place in controller_indices(table)), default=0)
-    most = int(np.clip(isqrt(flights // FLIGHTS_PER_CELL), 3, max(16, min(40, isqrt(MAP_CELLS // pairs)))))
-    numbers = np.where(known, key.numbers, key.numbers[known][0] if known.any() else 1.0)
+        return np.arange(-0.5, len(key.levels)), np.where(finite, key.numbers, -1).astype(np.intp)
+    flights = max((int(np.sum(table.of(controller))) for controller in controller_indices(table)), default=0)
+    count = int(np.clip(isqrt(flights // FLIGHTS_PER_CELL), 3, max(16, min(40, isqrt(MAP_CELLS // pairs)))))
+    numbers = np.where(finite, key.numbers, key.numbers[finite][0] if finite.any() else 1.0)
     levels = np.unique(numbers)
     scaled, back = (np.log(numbers), np.exp) if key.log else (numbers, np.array)
-    if table.grid or 2 * levels.size <= 3 * most:
+    if table.grid or 2 * levels.size <= 3 * count:
         edges: Array = _around(np.unique(scaled))
     elif not key.log and np.all(levels % 1.0 == 0.0):  # as many whole numbers in each cell
-        wide = -(-(levels[-1] - levels[0] + 1.0) // most)
+        wide = -(-(levels[-1] - levels[0] + 1.0) // count)
         edges = np.arange(levels[0] - 0.5, levels[-1] + wide, wide)
     else:
-        edges = np.linspace(np.min(scaled), np.max(scaled), most + 1)
+        edges = np.linspace(np.min(scaled), np.max(scaled), count + 1)
     cell = np.clip(np.searchsorted(edges, scaled, side="right") - 1, 0, edges.size - 2)
-    return back(edges), np.where(known, cell, -1).astype(np.intp)
+    return back(edges), np.where(finite, cell, -1).astype(np.intp)
 
 
 def _around(levels: Array) -> Array:
@@ -108,45 +109,45 @@ def _around(levels: Array) -> Array:
 
 def _cells(
     table: FlightTable,
-    place: int,
+    controller: int,
     across: tuple[Array, Counts],
-    up: tuple[Array, Counts],
+    upwards: tuple[Array, Counts],
     metrics: Sequence[Metric],
-    least: int,
+    fewest: int,
 ) -> Figure:
-    width, height = across[0].size - 1, up[0].size - 1
-    rows = table.of(place) & (across[1] >= 0) & (up[1] >= 0)
-    cell = (up[1] * width + across[1])[rows]
+    width, height = across[0].size - 1, upwards[0].size - 1
+    rows = table.of(controller) & (across[1] >= 0) & (upwards[1] >= 0)
+    cell = (upwards[1] * width + across[1])[rows]
     total = width * height
     return {
         "n": np.bincount(cell, minlength=total).tolist(),
         "k": np.bincount(cell, table.success[rows], minlength=total).astype(int).tolist(),
-        "m": [_medians(cell, metric.factor * table.values[metric.name][rows], total, least) for metric in metrics],
+        "m": [_medians(cell, metric.factor * table.values[metric.name][rows], total, fewest) for metric in metrics],
     }
 
 
-def _medians(cell: Counts, values: Array, total: int, least: int) -> list[float | None]:
-    known = np.isfinite(values)
-    cell, values = cell[known], values[known]
+def _medians(cell: Counts, values: Array, total: int, fewest: int) -> list[float | None]:
+    finite = np.isfinite(values)
+    cell, values = cell[finite], values[finite]
     counts = np.bincount(cell, minlength=total)
     present = np.flatnonzero(counts)
     medians = np.full(total, np.nan)
     _, numbered = np.unique(cell, return_inverse=True)
     medians[present] = group_medians(numbered, values)
-    return round_digits(np.where(counts >= least, medians, np.nan))
+    return round_digits(np.where(counts >= fewest, medians, np.nan))
 
 
-def _points(table: FlightTable, place: int, keys: Sequence[KeyColumn], metrics: Sequence[Metric]) -> Figure:
+def _points(table: FlightTable, controller: int, keys: Sequence[KeyColumn], metrics: Sequence[Metric]) -> Figure:
     generator = np.random.default_rng(SEED)
-    mine = table.of(place)
-    parts = []
-    for group in (mine & table.success, mine & ~table.success):
+    flown = table.of(controller)
+    samples = []
+    for group in (flown & table.success, flown & ~table.success):
         rows = np.flatnonzero(group)
-        parts.append(np.sort(generator.choice(rows, MOST_POINTS, replace=False)) if rows.size > MOST_POINTS else rows)
-    rows = np.concatenate(parts)
+        samples.append(np.sort(generator.choice(rows, MAX_POINTS, replace=False)) if rows.size > MAX_POINTS else rows)
+    rows = np.concatenate(samples)
     return {
-        "shown": [int(part.size) for part in parts],
-        "of": [int(np.sum(mine & table.success)), int(np.sum(mine & ~table.success))],
+        "shown": [int(sample.size) for sample in samples],
+        "of": [int(np.sum(flown & table.success)), int(np.sum(flown & ~table.success))],
         "flight": table.flight[rows].tolist(),
         "kind": [KINDS[kind] for kind in table.kind[rows]],
         "keys": [round_digits(key.numbers[rows]) for key in keys],

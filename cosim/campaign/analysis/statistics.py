@@ -22,7 +22,7 @@ LEVEL = 0.95
 Z = float(stats.norm.ppf(0.5 + LEVEL / 2.0))
 
 
-class Share(NamedTuple):
+class Proportion(NamedTuple):
     """A fraction of flights, with the intervals of the probability behind it."""
 
     hits: int
@@ -36,13 +36,13 @@ class Share(NamedTuple):
         return self.hits / self.of if self.of else None
 
 
-def share(hits: int, of: int) -> Share:
+def proportion(hits: int, of: int) -> Proportion:
     """Return a fraction with both of its intervals, which are 0 to 1 where there are no flights."""
     if not of:
-        return Share(hits, of, (0.0, 1.0), (0.0, 1.0))
+        return Proportion(hits, of, (0.0, 1.0), (0.0, 1.0))
     low, high = stats.binomtest(hits, of).proportion_ci(LEVEL, "exact")
     bounds = wilson(np.array([hits]), np.array([of]))
-    return Share(hits, of, (float(bounds[0][0]), float(bounds[1][0])), (float(low), float(high)))
+    return Proportion(hits, of, (float(bounds[0][0]), float(bounds[1][0])), (float(low), float(high)))
 
 
 def wilson(hits: NDArray[np.generic], of: NDArray[np.generic]) -> tuple[Array, Array]:
@@ -129,8 +129,8 @@ def _phi(pairs: Pairs) -> float:
 def holm(values: Sequence[float]) -> list[float]:
     """Return p-values of several comparisons, corrected for their number (S. Holm, Scand. J. Stat. 6 (1979) 65-70)."""
     adjusted, largest = [1.0] * len(values), 0.0
-    for place, index in enumerate(np.argsort(values, kind="stable")):
-        largest = max(largest, min(1.0, (len(values) - place) * values[index]))
+    for rank, index in enumerate(np.argsort(values, kind="stable")):
+        largest = max(largest, min(1.0, (len(values) - rank) * values[index]))
         adjusted[index] = largest
     return adjusted
 
@@ -162,10 +162,10 @@ def median_difference(differences: Array) -> MedianDifference | None:
     return MedianDifference(differences.size, float(np.median(differences)), interval, p)
 
 
-def classes(values: Array, most: int) -> Counts:
+def classes(values: Array, count: int) -> Counts:
     """Return the class of each value, numbered from 0 in order: one per level, or at most ``most`` of equal count."""
     levels, numbers = np.unique(values, return_inverse=True)
-    if levels.size > most:
-        inner = np.quantile(values, np.linspace(0.0, 1.0, most + 1)[1:-1])
+    if levels.size > count:
+        inner = np.quantile(values, np.linspace(0.0, 1.0, count + 1)[1:-1])
         _, numbers = np.unique(np.searchsorted(inner, values, side="right"), return_inverse=True)
     return numbers.astype(np.intp)

@@ -16,13 +16,13 @@ from cosim.campaign.analysis.statistics import (
     Interval,
     MedianDifference,
     Pairs,
-    Share,
+    Proportion,
     holm,
     mcnemar,
     median_difference,
     newcombe,
     pairs,
-    share,
+    proportion,
 )
 from cosim.campaign.analysis.table import (
     KINDS,
@@ -67,10 +67,10 @@ class Spread(NamedTuple):
     high: float  # 5 % lie above
 
 
-def success_fractions(table: FlightTable) -> list[Share]:
+def success_fractions(table: FlightTable) -> list[Proportion]:
     """Return the fraction of successes of every controller; a failed flight counts as no success."""
     return [
-        share(int(np.sum(table.success & table.of(controller))), int(np.sum(table.of(controller))))
+        proportion(int(np.sum(table.success & table.of(controller))), int(np.sum(table.of(controller))))
         for controller in controller_indices(table)
     ]
 
@@ -88,14 +88,14 @@ def kinds(table: FlightTable, controller: int) -> dict[str, int]:
 
 def spread(table: FlightTable, controller: int, name: str) -> Spread | None:
     """Return the spread of a metric of a controller; None if no flight has it."""
-    mine = table.of(controller)
-    values = table.values[name][mine & table.completed]
-    known = values[np.isfinite(values)]
-    if not known.size:
+    flown = table.of(controller)
+    values = table.values[name][flown & table.completed]
+    finite = values[np.isfinite(values)]
+    if not finite.size:
         return None
-    low, median, high = np.quantile(known, [0.05, 0.5, 0.95])
-    of = int(np.count_nonzero(mine))
-    return Spread(known.size, values.size - known.size, of, float(low), float(median), float(high))
+    low, median, high = np.quantile(finite, [0.05, 0.5, 0.95])
+    of = int(np.count_nonzero(flown))
+    return Spread(finite.size, values.size - finite.size, of, float(low), float(median), float(high))
 
 
 def comparisons(table: FlightTable) -> list[Comparison]:
@@ -108,20 +108,22 @@ def comparisons(table: FlightTable) -> list[Comparison]:
 def _compared(table: FlightTable, first: int, second: int) -> Comparison:
     rows, others = common_draws(table, first, second)
     counted = pairs(table.success[rows], table.success[others])
-    done = table.completed[rows] & table.completed[others]
+    completed = table.completed[rows] & table.completed[others]
     metrics = {}
     for name in (metric_spec.name for metric_spec in table.metrics):
-        difference = (table.values[name][others] - table.values[name][rows])[done]
+        difference = (table.values[name][others] - table.values[name][rows])[completed]
         metrics[name] = median_difference(difference[np.isfinite(difference)])
     p = mcnemar(counted)
-    return Comparison(first, second, counted, newcombe(counted), p, p, metrics, int(np.sum(done)))
+    return Comparison(first, second, counted, newcombe(counted), p, p, metrics, int(np.sum(completed)))
 
 
 def common_draws(table: FlightTable, first: int, second: int) -> tuple[Any, Any]:
     """Return the row numbers of two controllers, draw by draw, of the draws that both have flown."""
     rows, others = np.flatnonzero(table.of(first)), np.flatnonzero(table.of(second))
-    _, here, there = np.intersect1d(table.draw[rows], table.draw[others], assume_unique=True, return_indices=True)
-    return rows[here], others[there]
+    _, first_rows, second_rows = np.intersect1d(
+        table.draw[rows], table.draw[others], assume_unique=True, return_indices=True
+    )
+    return rows[first_rows], others[second_rows]
 
 
 def result(table: FlightTable, name: str) -> Array:
@@ -187,26 +189,28 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
         "success_is": describe_criterion(study.success),
         "share_is": "share of the grid" if table.grid else "estimated probability",
         "controllers": {
-            name: _controller(table, place, share)
-            for place, (name, share) in enumerate(zip(table.controllers, success_fractions(table), strict=True))
+            name: _controller(table, controller, proportion)
+            for controller, (name, proportion) in enumerate(
+                zip(table.controllers, success_fractions(table), strict=True)
+            )
         },
         "comparisons": [_comparison(table, comparison) for comparison in comparisons(table)],
         "reasons": {
-            name: dict(reasons(table, table.of(place), study.success).most_common(10))
-            for place, name in enumerate(table.controllers)
+            name: dict(reasons(table, table.of(controller), study.success).most_common(10))
+            for controller, name in enumerate(table.controllers)
         },
         "drives_success": {
-            name: _ranking(rank_keys(table, place, SUCCESS)) for place, name in enumerate(table.controllers)
+            name: _ranking(rank_keys(table, controller, SUCCESS)) for controller, name in enumerate(table.controllers)
         },
         "wall_s": float(np.nansum(np.array(campaign.columns.get("wall_s", []), dtype=np.float64))),
     }
 
 
-def _controller(table: FlightTable, place: int, success: Share) -> dict[str, Any]:
-    spreads = {metric_spec.name: spread(table, place, metric_spec.name) for metric_spec in table.metrics}
+def _controller(table: FlightTable, controller: int, success: Proportion) -> dict[str, Any]:
+    spreads = {metric_spec.name: spread(table, controller, metric_spec.name) for metric_spec in table.metrics}
     return {
         "flights": success.of,
-        "outcomes": kinds(table, place),
+        "outcomes": kinds(table, controller),
         "success": success.value,
         "wilson_95": None if table.grid or not success.of else list(success.wilson),
         "clopper_pearson_95": None if table.grid or not success.of else list(success.exact),
@@ -268,7 +272,7 @@ def success_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     whole = "" if summary["finished"] else f" of {summary['planned']}: not finished"
     yield f"{summary['flights']} flights{whole}; success: {summary['success_is']}"
     for name, entry in summary["controllers"].items():
-        yield f"  {name}: {_probability(entry)}{_others(entry['outcomes'])}"
+        yield f"  {name}: {_probability(entry)}{_describe_losses(entry['outcomes'])}"
 
 
 def spread_table(summary: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
@@ -300,16 +304,16 @@ def comparison_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     Where there are more than three pairs the others are left to the page, and that is said.
     """
     pairs = summary["comparisons"]
-    shown = pairs if len(pairs) <= _PAIRS else [pair for pair in pairs if pair["first"] == pairs[0]["first"]]
-    for pair in shown:
+    listed = pairs if len(pairs) <= _PAIRS else [pair for pair in pairs if pair["first"] == pairs[0]["first"]]
+    for pair in listed:
         yield f"  {_compared_line(pair)}"
-    if len(shown) < len(pairs):
-        yield f"  {len(pairs) - len(shown)} more pairs are in the report; each p is corrected for all {len(pairs)}"
+    if len(listed) < len(pairs):
+        yield f"  {len(pairs) - len(listed)} more pairs are in the report; each p is corrected for all {len(pairs)}"
     for name, entry in summary["drives_success"].items():
         keys = [key for key in (entry or {"keys": []})["keys"] if key["above_noise"]]
         if keys:
-            listed = ", ".join(f"{key['key']} {100.0 * key['first_order']:.0f} %" for key in keys[:4])
-            yield f"  {name}, what drives success: {listed} of its variance"
+            strongest = ", ".join(f"{key['key']} {100.0 * key['first_order']:.0f} %" for key in keys[:4])
+            yield f"  {name}, what drives success: {strongest} of its variance"
 
 
 def _median(name: str, entry: Mapping[str, Any] | None) -> str:
@@ -330,7 +334,7 @@ def _probability(entry: Mapping[str, Any]) -> str:
     return f"{text} ({100.0 * low:.1f} to {100.0 * high:.1f} %)"
 
 
-def _others(outcomes: Mapping[str, int]) -> str:
+def _describe_losses(outcomes: Mapping[str, int]) -> str:
     named = [f"{count} {name}" for name, count in outcomes.items() if count and name != SUCCESS]
     return f"; {', '.join(named)}" if named else ""
 

@@ -27,7 +27,7 @@ Mask = NDArray[np.bool_]
 
 # What a flight came to, best first.  "missed": flew to its end, but not within its own limits and what the study asks.
 KINDS = ("success", "missed", "crashed", "diverged", "failed")
-MOST_METRICS = 8  # on the page; the data set has them all
+MAX_METRICS = 8  # on the page; the data set has them all
 OF_AXES = (
     "overshoot_percent",
     "rmse_rad",
@@ -100,22 +100,22 @@ def read(campaign: Campaign) -> FlightTable:
     outcomes = np.array(columns.get("outcome", []), dtype=str)
     success = np.array(columns.get("success", []), dtype=bool)
     kind = np.full(outcomes.size, KINDS.index("failed"), dtype=np.intp)
-    for place, name in enumerate(KINDS):
-        kind[outcomes == name] = place
+    for code, name in enumerate(KINDS):
+        kind[outcomes == name] = code
     kind[outcomes == "completed"] = KINDS.index("missed")
     kind[success] = KINDS.index("success")
     row_controllers = [str(name) for name in columns.get("controller", [])]
     # a study that states none flies its scenario's own
-    stated = controllers_of(study) if study.controllers else []
-    controllers = list(stated or dict.fromkeys(row_controllers) or study.controller_names)
-    place_of = {name: place for place, name in enumerate(controllers)}
+    named = controllers_of(study) if study.controllers else []
+    controllers = list(named or dict.fromkeys(row_controllers) or study.controller_names)
+    code_of = {name: code for code, name in enumerate(controllers)}
     completed = kind <= KINDS.index("missed")
-    known = [*metric_names(), *(name for name in columns if name.startswith(PREFIX))]
-    values = {name: np.where(completed, numbers(columns[name]), np.nan) for name in known if name in columns}
+    names = [*metric_names(), *(name for name in columns if name.startswith(PREFIX))]
+    values = {name: np.where(completed, numbers(columns[name]), np.nan) for name in names if name in columns}
     return FlightTable(
         flight=np.array(columns.get("flight", []), dtype=np.intp),
         draw=np.array(columns.get("draw", []), dtype=np.intp),
-        controller=np.array([place_of[name] for name in row_controllers], dtype=np.intp),
+        controller=np.array([code_of[name] for name in row_controllers], dtype=np.intp),
         kind=kind,
         reason=[str(reason or "") for reason in columns.get("reason", [])],
         beyond=[str(names or "").split() for names in columns.get("beyond", outcomes.size * [""])],
@@ -144,8 +144,8 @@ def key_columns(campaign: Campaign) -> list[KeyColumn]:
             listed = [choice_text(value) for value in vary.values or []]
             texts = [choice_text(value) for value in column]
             levels = list(dict.fromkeys([*listed, *sorted(set(texts))]))
-            place = {level: number for number, level in enumerate(levels)}
-            coded = np.array([place[text] for text in texts], dtype=np.float64)
+            code_of = {level: number for number, level in enumerate(levels)}
+            coded = np.array([code_of[text] for text in texts], dtype=np.float64)
             columns.append(KeyColumn(vary.key, label, "", coded, levels))
         else:
             values = numbers(column)
@@ -201,9 +201,11 @@ def choose_metrics(values: Mapping[str, Array], required: Sequence[str]) -> list
         "altitude.rmse_m",
         *OF_THE_WHOLE,
     ]
-    known = {name: column[np.isfinite(column)] for name, column in values.items()}
-    moving = [name for name in dict.fromkeys(order) if name in known and known[name].size and np.ptp(known[name]) > 0.0]
-    return list(dict.fromkeys([*moving[:MOST_METRICS], *(name for name in moving if name in OF_THE_WHOLE)]))
+    finite = {name: column[np.isfinite(column)] for name, column in values.items()}
+    moving = [
+        name for name in dict.fromkeys(order) if name in finite and finite[name].size and np.ptp(finite[name]) > 0.0
+    ]
+    return list(dict.fromkeys([*moving[:MAX_METRICS], *(name for name in moving if name in OF_THE_WHOLE)]))
 
 
 def describe_criterion(success: Mapping[str, Range]) -> str:

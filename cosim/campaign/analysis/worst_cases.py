@@ -41,11 +41,11 @@ def case_rows(campaign: Campaign, table: FlightTable) -> list[dict[str, Any]]:
     """Return the worst flights of each controller, each with a scenario file of its own beside the report."""
     return [
         {
-            "controller": table.controllers[place],
-            "colour": run_colour(place),
-            "rows": [_case_row(campaign, table, case) for case in worst_flights(campaign.study, table, place)],
+            "controller": table.controllers[controller],
+            "colour": run_colour(controller),
+            "rows": [_case_row(campaign, table, case) for case in worst_flights(campaign.study, table, controller)],
         }
-        for place in controller_indices(table)
+        for controller in controller_indices(table)
     ]
 
 
@@ -54,21 +54,21 @@ def worst_flights(study: Study, table: FlightTable, controller: int) -> list[Cas
 
     Then the successes with the worst of the first metric; a flight is named once.
     """
-    mine = table.of(controller)
-    lost = mine & np.isin(table.kind, [KINDS.index("crashed"), KINDS.index("diverged")])
-    bad = lost | (mine & (table.kind == KINDS.index("missed")))
+    flown = table.of(controller)
+    lost = flown & np.isin(table.kind, [KINDS.index("crashed"), KINDS.index("diverged")])
+    bad = lost | (flown & (table.kind == KINDS.index("missed")))
     order = [
         ("lost soonest", lost, table.duration),
         ("fails nearest to the middle of the draws", bad, eccentricity(table)),
-        ("failed", mine & (table.kind == KINDS.index("failed")), table.flight.astype(np.float64)),
+        ("failed", flown & (table.kind == KINDS.index("failed")), table.flight.astype(np.float64)),
     ]
     if table.metrics:
         metric = table.metrics[0]
         allowed = study.success.get(metric.name)
-        least = allowed is not None and allowed.max is None
-        values = table.values[metric.name] * (1.0 if least else -1.0)
-        why = f"success with the {'smallest' if least else 'largest'} {metric.label}"
-        order.append((why, mine & table.success & np.isfinite(values), values))
+        is_smallest_worst = allowed is not None and allowed.max is None
+        values = table.values[metric.name] * (1.0 if is_smallest_worst else -1.0)
+        why = f"success with the {'smallest' if is_smallest_worst else 'largest'} {metric.label}"
+        order.append((why, flown & table.success & np.isfinite(values), values))
     cases: dict[int, Case] = {}
     for why, rows, by in order:
         chosen = np.flatnonzero(rows)
@@ -85,8 +85,8 @@ def eccentricity(table: FlightTable) -> Array:
     for key in table.keys:
         if key.levels or not np.all(np.isfinite(key.numbers)):
             continue
-        _, place, counts = np.unique(key.numbers, return_inverse=True, return_counts=True)
-        middle = (np.cumsum(counts) - 0.5 * counts)[place] / size  # of equal ones, the middle rank
+        _, rank, counts = np.unique(key.numbers, return_inverse=True, return_counts=True)
+        middle = (np.cumsum(counts) - 0.5 * counts)[rank] / size  # of equal ones, the middle rank
         squares += (2.0 * middle - 1.0) ** 2
         count += 1
     return np.sqrt(squares / max(count, 1))
@@ -131,12 +131,12 @@ def write_case(campaign: Campaign, row: int) -> tuple[str, str]:
     """
     from cosim.campaign.run import flight_of
 
-    stated = ("flight", "draw", "controller", "seed", *(vary.key for vary in campaign.study.vary))
+    names = ("flight", "draw", "controller", "seed", *(vary.key for vary in campaign.study.vary))
     try:
-        flight = flight_of(campaign.study, {name: campaign.columns[name][row] for name in stated})
+        flight = flight_of(campaign.study, {name: campaign.columns[name][row] for name in names})
         name = f"flight-{flight.number:06d}"
-        if is_looking() and (there := _existing_case(campaign.folder, name)):
-            return there, ""
+        if is_looking() and (existing := _existing_case(campaign.folder, name)):
+            return existing, ""
         scenario = scenario_of(campaign.study, flight)
         return write_flight(scenario, campaign.folder, name), ""
     except CodeRefusedError:
@@ -147,8 +147,8 @@ def write_case(campaign: Campaign, row: int) -> tuple[str, str]:
 
 def _existing_case(folder: Path, name: str) -> str:
     """Return the path of a case's existing scenario file; empty if there is none."""
-    places = [Path(CASES) / name / SCENARIO, Path(CASES) / f"{name}.toml"]
-    return next((place.as_posix() for place in places if (folder / place).is_file()), "")
+    paths = [Path(CASES) / name / SCENARIO, Path(CASES) / f"{name}.toml"]
+    return next((path.as_posix() for path in paths if (folder / path).is_file()), "")
 
 
 def write_flight(scenario: Scenario, folder: Path, name: str) -> str:
@@ -160,12 +160,12 @@ def write_flight(scenario: Scenario, folder: Path, name: str) -> str:
 
     with build(scenario) as simulation:
         resolved, files = resolve(simulation)
-    place = Path(CASES) / name / SCENARIO if files else Path(CASES) / f"{name}.toml"
-    path = folder / place
-    for beside, content in files.items():
-        _write(path.with_name(beside), content)
+    link = Path(CASES) / name / SCENARIO if files else Path(CASES) / f"{name}.toml"
+    path = folder / link
+    for file, content in files.items():
+        _write(path.with_name(file), content)
     _write(path, toml_text(resolved.model_dump(mode="json", exclude_none=True)).encode())
-    return place.as_posix()
+    return link.as_posix()
 
 
 def _write(path: Path, content: Path | bytes) -> None:

@@ -70,16 +70,16 @@ def resolve_search(
     ``seeds`` flights a point have the scenario's seed, or ``seed``, and those that follow it.  Raises InputError.
     """
     varied = [parse_vary(text) for text in vary]
-    second = _over(over)
-    keys = [entry.key for entry in (*varied, *second)]
-    twice = next((key for place, key in enumerate(keys) if key in keys[:place]), None)
-    if twice is not None:
-        raise InputError(f"--vary {twice}: is there twice")
+    over_entries = _parse_over(over)
+    keys = [entry.key for entry in (*varied, *over_entries)]
+    repeated = next((key for position, key in enumerate(keys) if key in keys[:position]), None)
+    if repeated is not None:
+        raise InputError(f"--vary {repeated}: is there twice")
     if not varied:
         raise InputError(f"{name}: nothing is varied; --vary KEY=LO:HI says what")
-    if second and len(varied) > 1:
+    if over_entries and len(varied) > 1:
         raise InputError(f"--over {over}: goes with one --vary, and there are {len(varied)}")
-    plain = [entry.model_copy(update={"levels": None}).text for entry in (*varied, *second)]
+    plain = [entry.model_copy(update={"levels": None}).text for entry in (*varied, *over_entries)]
     study = open_study(name, vary=plain, design="random", runs=1, **options)
     if len(study.vary) > len(keys):
         raise InputError(f"{name}: is a study, which draws; a search takes its scenario, {study.scenario}")
@@ -87,20 +87,20 @@ def resolve_search(
     first = study.base().seed if seed is None else seed
     if not 0 <= first <= 2**53 - seeds:
         raise InputError(f"--seed {first}: must be from 0 to {2**53 - seeds}")
-    over_key = study.key(second[0].key) if second else None
+    over_key = study.key(over_entries[0].key) if over_entries else None
     plan = Plan(
         spans=tuple(span(entry, study.key(entry.key), fine.get(entry.key)) for entry in varied),
-        over=None if over_key is None else SecondKey(over_key, tuple(levels(second[0], over_key))),
+        over=None if over_key is None else SecondKey(over_key, tuple(levels(over_entries[0], over_key))),
         seeds=tuple(range(first, first + seeds)),
         share=share,
         budget=budget,
     )
-    if second:
-        check_vary(second[0], study.key(second[0].key))
+    if over_entries:
+        check_vary(over_entries[0], study.key(over_entries[0].key))
     return study, plan
 
 
-def _over(text: str | None) -> list[Vary]:
+def _parse_over(text: str | None) -> list[Vary]:
     if text is None:
         return []
     second = parse_vary(text)
@@ -164,15 +164,15 @@ def _holds_search(out: Path, frozen: Frozen, plan: Plan, resume: bool) -> bool:
         raise InputError(f"{out}: is not empty and holds no search; choose another folder")
     if not resume:
         raise InputError(f"{out}: already holds a search; choose another folder, or --resume goes on with it")
-    other = next(iter(frozen.differences(out / STUDY)), None)
-    there = read_toml(out / QUESTION)
-    here = question(plan)
-    differing = [key for key in here.keys() | there.keys() if here.get(key) != there.get(key)]
-    if other is None and differing:
+    difference = next(iter(frozen.differences(out / STUDY)), None)
+    saved = read_toml(out / QUESTION)
+    current = question(plan)
+    differing = [key for key in current.keys() | saved.keys() if current.get(key) != saved.get(key)]
+    if difference is None and differing:
         key = min(differing)
-        other = f"{QUESTION}: {key} is {there.get(key)} there and {here.get(key)} here"
-    if other is not None:
-        raise InputError(f"{out}: holds another search; {other}")
+        difference = f"{QUESTION}: {key} is {saved.get(key)} there and {current.get(key)} here"
+    if difference is not None:
+        raise InputError(f"{out}: holds another search; {difference}")
     return True
 
 
@@ -192,12 +192,12 @@ def _cases(result: SearchResult, prober: Prober, folder: Path) -> Iterator[Case]
         try:
             run = fly(scenario_of(prober.study, prober.flight(point, seed)), folder / name)
         except InputError as error:  # it could not be flown the first time either, which is how it failed
-            same = row["reason"] == str(error)
-            yield Case(name, point.controller, breaks, dict(point.values), seed, "failed", str(error), same)
+            is_same = row["reason"] == str(error)
+            yield Case(name, point.controller, breaks, dict(point.values), seed, "failed", str(error), is_same)
             continue
-        same = row["log_sha256"] == log_digest(run.log) and row["outcome"] == run.outcome
-        ended = describe_flight(prober.study, row) if same else f"{run.outcome}, {run.summary.reason}"
-        yield Case(name, point.controller, breaks, dict(point.values), seed, run.outcome, ended, same)
+        is_same = row["log_sha256"] == log_digest(run.log) and row["outcome"] == run.outcome
+        ended = describe_flight(prober.study, row) if is_same else f"{run.outcome}, {run.summary.reason}"
+        yield Case(name, point.controller, breaks, dict(point.values), seed, run.outcome, ended, is_same)
 
 
 def _first_success(result: SearchResult, prober: Prober, point: Point) -> Row:
@@ -220,22 +220,22 @@ def _points_to_record(result: SearchResult) -> Iterator[tuple[str, Point, bool]]
                     point = result.plan.point(controller, {edge.key: value}, edge.level)
                     yield f"{where}-{'breaks' if breaks else 'holds'}", point, breaks
         for joint in result.joints:
-            if joint.controller == controller and _more_than_one(joint):
+            if joint.controller == controller and _is_joint(joint):
                 for breaks, values in ((True, joint.breaks), (False, joint.holds)):
                     point = result.plan.point(controller, values)
                     yield f"{label}-together-{'breaks' if breaks else 'holds'}", point, breaks
 
 
 def _edges(result: SearchResult, controller: str) -> list[Edge]:
-    own = [edge for edge in result.edges if edge.controller == controller]
+    edges = [edge for edge in result.edges if edge.controller == controller]
     if result.plan.over is None:
-        return own
-    broken = [edge for edge in own if edge.deviation is not None]
+        return edges
+    broken = [edge for edge in edges if edge.deviation is not None]
     nearest = {edge.side: edge for edge in sorted(broken, key=lambda edge: abs(edge.deviation or 0.0), reverse=True)}
     return list(nearest.values())
 
 
-def _more_than_one(joint: Joint) -> bool:
+def _is_joint(joint: Joint) -> bool:
     return sum(value != 0.0 for value in joint.deviations.values()) > 1
 
 

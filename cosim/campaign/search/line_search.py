@@ -23,7 +23,7 @@ Name = TypeVar("Name", bound=Hashable)
 class Scan:
     """The result of one walk: every position that it evaluated, from the start, and whether it breaks there."""
 
-    places: tuple[float, ...]
+    positions: tuple[float, ...]
     breaks: tuple[bool, ...]
     change: tuple[float, float] | None  # the last place that is as the start is, and the first that is not
 
@@ -36,37 +36,37 @@ class Scan:
     def bands(self) -> list[tuple[float, float, bool]]:
         """Ranges of positions that are alike: first and last position, and whether it breaks in them."""
         bands: list[tuple[float, float, bool]] = []
-        for place, broken in zip(self.places, self.breaks, strict=True):
+        for position, broken in zip(self.positions, self.breaks, strict=True):
             if bands and bands[-1][2] == broken:
-                bands[-1] = (bands[-1][0], place, broken)
+                bands[-1] = (bands[-1][0], position, broken)
             else:
-                bands.append((place, place, broken))
+                bands.append((position, position, broken))
         return bands
 
 
-def scan_outward(places: Sequence[float], between: Between, at_once: int | None = None) -> Walk:
+def scan_outward(positions: Sequence[float], between: Between, at_once: int | None = None) -> Walk:
     """Evaluate ``places``, the start first, and bisect the first change.
 
     ``between(a, b)`` is the place to look at next between two, None where they are close enough.  ``at_once``: so many
     places at a time, and none beyond the first change; by default all of them, for what comes back further out.
     """
-    known: dict[float, bool] = {}
-    rest = list(places)
-    while rest and (at_once is None or _first_change(known) is None):
+    evaluated: dict[float, bool] = {}
+    rest = list(positions)
+    while rest and (at_once is None or _first_change(evaluated) is None):
         batch, rest = rest[:at_once], rest[at_once:] if at_once else []
-        known.update(zip(batch, (yield batch), strict=True))
-    change = _first_change(known)
+        evaluated.update(zip(batch, (yield batch), strict=True))
+    change = _first_change(evaluated)
     while change is not None and (middle := between(*change)) is not None:
-        (known[middle],) = yield [middle]
-        change = (middle, change[1]) if known[middle] == known[places[0]] else (change[0], middle)
-    ordered = tuple(sorted(known))
-    return Scan(ordered, tuple(known[place] for place in ordered), change)
+        (evaluated[middle],) = yield [middle]
+        change = (middle, change[1]) if evaluated[middle] == evaluated[positions[0]] else (change[0], middle)
+    ordered = tuple(sorted(evaluated))
+    return Scan(ordered, tuple(evaluated[position] for position in ordered), change)
 
 
-def _first_change(known: Mapping[float, bool]) -> tuple[float, float] | None:
-    ordered = sorted(known)
+def _first_change(evaluated: Mapping[float, bool]) -> tuple[float, float] | None:
+    ordered = sorted(evaluated)
     for near, far in pairwise(ordered):
-        if known[near] != known[far]:
+        if evaluated[near] != evaluated[far]:
             return near, far
     return None
 
@@ -78,12 +78,12 @@ def run_walks(
     scans: dict[Name, Scan] = {}
     pending: dict[Name, Sequence[float]] = {name: next(walk) for name, walk in walks.items()}
     while pending:
-        requests = [(name, place) for name, places in pending.items() for place in places]
-        answers = iter(look(requests))
-        for name, places in list(pending.items()):
+        requests = [(name, position) for name, positions in pending.items() for position in positions]
+        results = iter(look(requests))
+        for name, positions in list(pending.items()):
             del pending[name]
             try:
-                pending[name] = walks[name].send([next(answers) for _ in places])
+                pending[name] = walks[name].send([next(results) for _ in positions])
             except StopIteration as end:
                 scans[name] = end.value
     return {name: scans[name] for name in walks}

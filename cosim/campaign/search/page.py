@@ -29,7 +29,7 @@ Figure = dict[str, Any]
 TEMPLATE = Path(__file__).parent / "templates" / "search.html"
 
 ROW_PX = 44
-MOST_POINTS = 1500  # of a controller, in a figure
+MAX_POINTS = 1500  # of a controller, in a figure
 
 
 class Row(NamedTuple):
@@ -83,18 +83,18 @@ def text(value: Value | None, unit: str = "") -> str:
     """Format a value with its unit, in at most six digits."""
     if value is None:
         return "-"
-    shown = f"{value:.6g}" if isinstance(value, float) else str(value)
-    return f"{shown} {unit}".strip()
+    digits = f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{digits} {unit}".strip()
 
 
 def table(result: SearchResult) -> tuple[list[str], list[list[str]]]:
     """Return titles and rows of every edge, without the columns that the request makes the same in all of them."""
     over = result.plan.over
     titles = [over.key.path if title == "at" and over else title for title in COLUMNS]
-    left_out = {1} if len(result.plan.spans) == 1 else set()
-    left_out |= set() if over else {2}
-    kept = [k for k in range(len(COLUMNS)) if k not in left_out]
-    return [titles[k] for k in kept], [[_row(result, edge)[k] for k in kept] for edge in result.edges]
+    omitted = {1} if len(result.plan.spans) == 1 else set()
+    omitted |= set() if over else {2}
+    columns = [k for k in range(len(COLUMNS)) if k not in omitted]
+    return [titles[k] for k in columns], [[_row(result, edge)[k] for k in columns] for edge in result.edges]
 
 
 def _row(result: SearchResult, edge: Edge) -> Row:
@@ -102,11 +102,11 @@ def _row(result: SearchResult, edge: Edge) -> Row:
     level = text(edge.level, over.key.unit) if over else ""
     common = short_name(edge.controller), edge.key, level, text(edge.start, edge.unit)
     if edge.start_breaks:
-        back = "nowhere" if edge.holds is None else f"again at {text(edge.holds)}"
-        return Row(*common, back, text(edge.breaks), "none", _then(edge))
+        holds_to = "nowhere" if edge.holds is None else f"again at {text(edge.holds)}"
+        return Row(*common, holds_to, text(edge.breaks), "none", _describe_break(edge))
     if edge.breaks is None:
         return Row(*common, f"{text(edge.end)}, the end", "-", "-", "")
-    return Row(*common, text(edge.holds), text(edge.breaks), _change(edge), _then(edge))
+    return Row(*common, text(edge.holds), text(edge.breaks), _change(edge), _describe_break(edge))
 
 
 def _change(edge: Edge) -> str:
@@ -114,11 +114,11 @@ def _change(edge: Edge) -> str:
     if not start:
         return f"{breaks - start:+.4g}"
     percent = 100.0 * (breaks - start) / abs(start)
-    share = f"{percent:+.3g} %" if abs(percent) < 1000.0 else f"{breaks / start:.3g} times"
-    return f"{breaks - start:+.4g} ({share})"
+    relative = f"{percent:+.3g} %" if abs(percent) < 1000.0 else f"{breaks / start:.3g} times"
+    return f"{breaks - start:+.4g} ({relative})"
 
 
-def _then(edge: Edge) -> str:
+def _describe_break(edge: Edge) -> str:
     some = f"{edge.broken} of {edge.flown}: " if edge.flown > 1 else ""
     back = "; holds again further out" if edge.comes_back and not edge.start_breaks else ""
     return f"{some}{edge.reason}{back}"
@@ -150,17 +150,17 @@ def _joint(result: SearchResult, joint: Joint) -> str:
         return f"{name}, together: nothing found that breaks it ({effort}), which does not show that nothing does"
     if joint.distance == 0.0:
         return f"{name}, together: breaks where the search starts"
-    moved = [key for key, deviation in joint.deviations.items() if deviation]
-    if len(moved) == 1:
+    keys = [key for key, deviation in joint.deviations.items() if deviation]
+    if len(keys) == 1:
         return (
-            f"{name}, together: nothing nearer found than {moved[0]} alone, {joint.distance:.4g} of its range away "
+            f"{name}, together: nothing nearer found than {keys[0]} alone, {joint.distance:.4g} of its range away "
             f"({effort}); there may be something nearer"
         )
     units = {span.key.path: span.key.unit for span in result.plan.spans}
-    parts = ", ".join(f"{key} = {text(value, units[key])}" for key, value in joint.breaks.items())
+    values = ", ".join(f"{key} = {text(value, units[key])}" for key, value in joint.breaks.items())
     alone = "" if joint.alone is None else f" (a single key alone: {joint.alone:.4g})"
     return (
-        f"{name}, together: breaks at {parts}; {joint.distance:.4g} of the ranges away{alone}.  The smallest found in "
+        f"{name}, together: breaks at {values}; {joint.distance:.4g} of the ranges away{alone}.  The smallest found in "
         f"{effort}: an upper bound, there may be a smaller one"
     )
 
@@ -172,14 +172,14 @@ def figures(result: SearchResult, prober_points: list[tuple[Point, bool]]) -> di
     """Return Plotly figures by name: ``curve`` or ``key0``, ``key1``, ..., and ``pair0``, ... for two keys together."""
     if result.plan.over:
         return {"curve": _curve(result)}
-    made = {f"key{number}": _bands(result, span) for number, span in enumerate(result.plan.spans)}
+    drawn = {f"key{number}": _bands(result, span) for number, span in enumerate(result.plan.spans)}
     if len(result.plan.spans) == 2:
         for number, joint in enumerate(result.joints):
             looked = [entry for entry in prober_points if entry[0].controller == joint.controller]
-            made[f"pair{number}"] = _pair(result.plan, joint, looked)
+            drawn[f"pair{number}"] = _pair(result.plan, joint, looked)
     elif len(result.plan.spans) > 2:
-        made["shares"] = _shares(result)
-    return made
+        drawn["shares"] = _deviations(result)
+    return drawn
 
 
 def _bands(result: SearchResult, span: Span) -> Figure:
@@ -241,7 +241,7 @@ def _curve(result: SearchResult) -> Figure:
 
 
 def _branch(edges: list[Edge], colour: str, name: str, first: bool) -> list[Figure]:
-    known = [e for e in edges if e.breaks is not None]
+    broken = [e for e in edges if e.breaks is not None]
     line = {
         "type": "scatter",
         "mode": "lines+markers",
@@ -261,7 +261,7 @@ def _branch(edges: list[Edge], colour: str, name: str, first: bool) -> list[Figu
         "mode": "markers",
         "name": name,
         "legendgroup": name,
-        "showlegend": first and not known,
+        "showlegend": first and not broken,
         "x": [e.level for e in ends],
         "y": [float(e.end) for e in ends],
         "marker": {
@@ -279,7 +279,7 @@ def _pair(plan: Plan, joint: Joint, looked: list[tuple[Point, bool]]) -> Figure:
     first, second = plan.spans
     data: list[Figure] = []
     for breaks, colour, name in ((False, GREEN, "holds"), (True, RED, "breaks")):
-        chosen = [dict(point.values) for point, broken in looked if broken == breaks][:MOST_POINTS]
+        chosen = [dict(point.values) for point, broken in looked if broken == breaks][:MAX_POINTS]
         data.append(
             {
                 "type": "scatter",
@@ -327,7 +327,7 @@ def _value_at(span: Span, deviation: float) -> float | None:
     return span.exact(deviation)
 
 
-def _shares(result: SearchResult) -> Figure:
+def _deviations(result: SearchResult) -> Figure:
     """Return the figure of each key's deviation, as a fraction of its range, in the nearest point that breaks."""
     data = [
         {

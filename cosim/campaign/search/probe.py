@@ -16,7 +16,7 @@ from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row
 from cosim.campaign.workers.protocol import Workers
 
-Known = dict[tuple["Point", int], Row]
+Rows = dict[tuple["Point", int], Row]
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,11 @@ class Prober:
         self.study = study
         self.seeds = tuple(seeds)
         self.needed = count_needed(share, len(self.seeds))
-        self.left: int | None = None  # flights that are still allowed; None: as many as it takes
+        self.remaining: int | None = None  # flights that are still allowed; None: as many as it takes
         self._workers = workers
         self._journal = journal
         self._say = say
-        self._known: Known = journal.read() if journal else {}
+        self._rows: Rows = journal.read() if journal else {}
         self._requests: dict[tuple[Point, int], None] = {}  # in the order in which they were
 
     @property
@@ -94,13 +94,13 @@ class Prober:
 
     def result(self, point: Point) -> PointResult:
         """Return the outcome of a point that was flown."""
-        rows = [self._known[point, seed] for seed in self.seeds]
+        rows = [self._rows[point, seed] for seed in self.seeds]
         broken = [row for row in rows if not row["success"]]
         return PointResult(len(broken), len(rows), len(broken) >= self.needed, (broken or rows)[0])
 
     def row(self, point: Point, seed: int) -> Row:
         """Return the row of a flown point with a seed."""
-        return self._known[point, seed]
+        return self._rows[point, seed]
 
     def flight(self, point: Point, seed: int, number: int = 0) -> Flight:
         """Return the flight of a point with a seed."""
@@ -108,23 +108,23 @@ class Prober:
 
     def _fly(self, points: Sequence[Point]) -> None:
         new = [(p, seed) for p in dict.fromkeys(points) for seed in self.seeds if (p, seed) not in self._requests]
-        if self.left is not None:
+        if self.remaining is not None:
             # what is known from before counts too: a search that is taken up again goes the way of one that was not
             # interrupted
-            self.left -= len(new)
-            if self.left < 0:
+            self.remaining -= len(new)
+            if self.remaining < 0:
                 raise SpentError
         self._requests.update(dict.fromkeys(new))
-        missing = [key for key in new if key not in self._known]
-        first = len(self._known)
+        missing = [key for key in new if key not in self._rows]
+        first = len(self._rows)
         numbered = {first + number: key for number, key in enumerate(missing)}
         flights = [self.flight(*key, number) for number, key in numbered.items()]
         for row in self._workers.fly(self.study, flights):
             key = numbered.pop(int(row["flight"] or 0))
-            self._known[key] = row
+            self._rows[key] = row
             if self._journal:
                 self._journal.add(*key, row)
-            self._say(len(self._known))
+            self._say(len(self._rows))
         if numbered:
             raise FlightError(f"{len(numbered)} flights were not flown")
 
@@ -135,24 +135,24 @@ class Journal:
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def read(self) -> Known:
+    def read(self) -> Rows:
         """Read every whole row and cut off a torn last line.  Raises FlightError if the file cannot be read."""
-        known: Known = {}
+        rows: Rows = {}
         try:
             if not self.path.exists():
-                return known
+                return rows
             with open(self.path, "rb+", opener=own_file) as file:
                 while line := file.readline():
                     if not line.endswith(b"\n"):
                         file.truncate(file.tell() - len(line))
                         break
                     entry = json.loads(line)
-                    known[Point.of(entry["controller"], entry["values"]), entry["seed"]] = entry["row"]
+                    rows[Point.of(entry["controller"], entry["values"]), entry["seed"]] = entry["row"]
         except OSError as error:
             raise FlightError(f"{self.path}: {one_line(error)}") from error
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise FlightError(f"{self.path}: line {len(known) + 1} is not a flight of a search") from error
-        return known
+            raise FlightError(f"{self.path}: line {len(rows) + 1} is not a flight of a search") from error
+        return rows
 
     def add(self, point: Point, seed: int, row: Row) -> None:
         """Write one row.  Raises FlightError if that fails."""

@@ -67,8 +67,8 @@ def _sha256(base: Scenario, controller: str) -> str | None:
     """Return the hash of a user-supplied controller."""
     if is_design(controller):
         return None
-    own = find_controller(with_values(base, {"controller": controller}))
-    return None if own is None else own.sha256
+    source = find_controller(with_values(base, {"controller": controller}))
+    return None if source is None else source.sha256
 
 
 def question(plan: Plan) -> dict[str, Any]:

@@ -96,7 +96,7 @@ class Edge:
     @property
     def comes_back(self) -> bool:
         """Whether it holds again further out than it breaks."""
-        first = next((place for place, (_, _, breaks) in enumerate(self.bands) if breaks), len(self.bands))
+        first = next((number for number, (_, _, breaks) in enumerate(self.bands) if breaks), len(self.bands))
         return any(not breaks for _, _, breaks in self.bands[first:])
 
 
@@ -142,11 +142,10 @@ class SearchResult:
         count = len(self.plan.seeds)
         if count == 1:
             return f"the flight breaks if {condition}"
-        least = count_needed(self.plan.share, count)
-        some = "any" if least == 1 else "all" if least == count else f"at least {least}"
-        return (
-            f"a flight breaks if {condition}; a point if {some} of its {count} flights {'does' if least == 1 else 'do'}"
-        )
+        needed = count_needed(self.plan.share, count)
+        some = "any" if needed == 1 else "all" if needed == count else f"at least {needed}"
+        do = "does" if needed == 1 else "do"
+        return f"a flight breaks if {condition}; a point if {some} of its {count} flights {do}"
 
     def smallest(self, controller: str) -> Edge | None:
         """Return the edge of a controller with the smallest deviation, over all keys, sides and levels."""
@@ -186,10 +185,10 @@ class _Line:
     side: int
     level: int
 
-    def point(self, plan: Plan, place: float) -> Point:
+    def point(self, plan: Plan, position: float) -> Point:
         span = plan.spans[self.span]
         level = plan.over.levels[self.level] if plan.over else None
-        return plan.point(self.controller, {span.key.path: span.at(self.side * place)}, level)
+        return plan.point(self.controller, {span.key.path: span.at(self.side * position)}, level)
 
 
 def search_singly(plan: Plan, prober: Prober, controllers: Sequence[str]) -> list[Edge]:
@@ -202,22 +201,22 @@ def search_singly(plan: Plan, prober: Prober, controllers: Sequence[str]) -> lis
         for level in range(len(plan.over.levels) if plan.over else 1)
     ]
     walks = {
-        line: scan_outward(plan.spans[line.span].places(line.side), plan.spans[line.span].between(line.side))
+        line: scan_outward(plan.spans[line.span].positions(line.side), plan.spans[line.span].between(line.side))
         for line in lines
     }
-    scans = run_walks(walks, lambda requests: prober.look([line.point(plan, place) for line, place in requests]))
+    scans = run_walks(walks, lambda requests: prober.look([line.point(plan, position) for line, position in requests]))
     return [_edge(plan, prober, line, scan) for line, scan in scans.items()]
 
 
 def _edge(plan: Plan, prober: Prober, line: _Line, scan: Scan) -> Edge:
     span, side = plan.spans[line.span], line.side
     near, far = scan.change or (None, None)
-    broken, held = (0.0, far) if scan.start_breaks else (far, near)
+    broken, holds = (0.0, far) if scan.start_breaks else (far, near)
 
-    def at(place: float | None) -> Value | None:
-        return None if place is None else span.at(side * place)
+    def at(position: float | None) -> Value | None:
+        return None if position is None else span.at(side * position)
 
-    shown = prober.result(line.point(plan, scan.places[-1] if broken is None else broken))
+    flown = prober.result(line.point(plan, scan.positions[-1] if broken is None else broken))
     value = at(broken)
     return Edge(
         controller=line.controller,
@@ -227,15 +226,15 @@ def _edge(plan: Plan, prober: Prober, line: _Line, scan: Scan) -> Edge:
         level=plan.over.levels[line.level] if plan.over else None,
         start=span.at(0.0),
         start_breaks=scan.start_breaks,
-        holds=at(held),
+        holds=at(holds),
         breaks=value,
         end=span.end(side),
         deviation=None if value is None else span.deviation(float(value)),
         bands=tuple((span.at(side * a), span.at(side * b), breaks) for a, b, breaks in scan.bands),
-        flown=shown.flights,
-        broken=shown.broken,
-        outcome=str(shown.worst["outcome"]),
-        reason=describe_flight(prober.study, shown.worst),
+        flown=flown.flights,
+        broken=flown.broken,
+        outcome=str(flown.worst["outcome"]),
+        reason=describe_flight(prober.study, flown.worst),
     )
 
 
@@ -251,16 +250,16 @@ class _Ray:
         self.reach = float(1.0 / np.max(np.abs(unit)))
         self._to_end = unit * self.reach
 
-    def values(self, place: float) -> dict[str, Value]:
+    def values(self, position: float) -> dict[str, Value]:
         return {
-            span.key.path: span.at(place * float(part))
+            span.key.path: span.at(position * float(part))
             for span, part in zip(self._plan.spans, self._to_end, strict=True)
         }
 
-    def point(self, place: float) -> Point:
-        return self._plan.point(self._controller, self.values(place))
+    def point(self, position: float) -> Point:
+        return self._plan.point(self._controller, self.values(position))
 
-    def places(self, ring: float, limit: float) -> list[float]:
+    def positions(self, ring: float, limit: float) -> list[float]:
         """Every ``ring``, up to the first at ``limit`` or beyond it."""
         count = int(np.ceil(min(self.reach, limit) / ring - 1e-9))
         return [min(1.0, number * ring / self.reach) for number in range(count + 1)]
@@ -269,9 +268,9 @@ class _Ray:
         def middle(near: float, far: float) -> float | None:
             if (far - near) * self.reach <= gap * (1.0 + 1e-9):
                 return None
-            place = 0.5 * (near + far)
+            position = 0.5 * (near + far)
             # whole numbers: there may be no other point between
-            return None if self.point(place) in (self.point(near), self.point(far)) else place
+            return None if self.point(position) in (self.point(near), self.point(far)) else position
 
         return middle
 
@@ -302,9 +301,9 @@ class _Rays:
     @property
     def limit(self) -> float:
         """The distance up to which a ray is searched."""
-        known = [self.best.distance] if self.best else []
-        known += [] if self._single is None else [self._single]
-        return FURTHEST_RATIO * min(known, default=sqrt(len(self._plan.spans)) / FURTHEST_RATIO)
+        distances = [self.best.distance] if self.best else []
+        distances += [] if self._single is None else [self._single]
+        return FURTHEST_RATIO * min(distances, default=sqrt(len(self._plan.spans)) / FURTHEST_RATIO)
 
     def distances(self, directions: Array, ring: float = RAY_STEP, gap: float = COARSE_STEP) -> Array:
         """Return the distance at which each direction (a column each) breaks first; the limit where it does not."""
@@ -315,16 +314,17 @@ class _Rays:
             if np.linalg.norm(column) > 1e-9
         }
         walks = {
-            number: scan_outward(ray.places(ring, limit), ray.between(gap), RAY_BATCH) for number, ray in rays.items()
+            number: scan_outward(ray.positions(ring, limit), ray.between(gap), RAY_BATCH)
+            for number, ray in rays.items()
         }
         scans = run_walks(
-            walks, lambda requests: self._prober.look([rays[number].point(place) for number, place in requests])
+            walks, lambda requests: self._prober.look([rays[number].point(position) for number, position in requests])
         )
         distances = np.full(directions.shape[1], limit)
         for number, scan in scans.items():
             self.tried += 1
             if scan.change is not None:
-                near, far = (rays[number].values(place) for place in scan.change)
+                near, far = (rays[number].values(position) for position in scan.change)
                 distances[number] = distance(self._plan, far)
                 if self.best is None or distances[number] < self.best.distance:
                     self.best = _BreakPoint(float(distances[number]), directions[:, number].copy(), far, near)
@@ -338,19 +338,19 @@ class _Rays:
 
 def search_jointly(plan: Plan, prober: Prober, controller: str, edges: Sequence[Edge]) -> Joint:
     """Return the smallest deviation of all keys together that is found within the flights allowed."""
-    before = prober.flights
-    own = [e for e in edges if e.controller == controller and e.breaks is not None]
-    nearest = min(own, key=lambda edge: abs(edge.deviation or 0.0), default=None)
+    flights_before = prober.flights
+    broken = [e for e in edges if e.controller == controller and e.breaks is not None]
+    nearest = min(broken, key=lambda edge: abs(edge.deviation or 0.0), default=None)
     single = None if nearest is None else abs(nearest.deviation or 0.0)
     rays = _Rays(plan, prober, controller, single)
     spent = False
     if nearest is None or not nearest.start_breaks:
-        prober.left = plan.budget
+        prober.remaining = plan.budget
         try:
             _evolve(plan, rays)
         except SpentError:
             spent = True
-        prober.left = None
+        prober.remaining = None
     start = {span.key.path: span.at(0.0) for span in plan.spans}
     breaks: Mapping[str, Value] = {}
     holds: Mapping[str, Value] = {}
@@ -360,7 +360,7 @@ def search_jointly(plan: Plan, prober: Prober, controller: str, edges: Sequence[
     rays.refine()
     if rays.best is not None and (single is None or rays.best.distance < single):
         breaks, holds = rays.best.breaks, rays.best.holds
-    shown = prober.result(plan.point(controller, breaks)).worst if breaks else {}
+    worst = prober.result(plan.point(controller, breaks)).worst if breaks else {}
     return Joint(
         controller=controller,
         distance=distance(plan, breaks) if breaks else None,
@@ -369,10 +369,10 @@ def search_jointly(plan: Plan, prober: Prober, controller: str, edges: Sequence[
         deviations={span.key.path: span.deviation(float(breaks[span.key.path])) for span in plan.spans if breaks},
         alone=single,
         rays=rays.tried,
-        flights=prober.flights - before,
+        flights=prober.flights - flights_before,
         spent=spent,
-        outcome=str(shown.get("outcome", "")),
-        reason=describe_flight(prober.study, shown) if shown else "",
+        outcome=str(worst.get("outcome", "")),
+        reason=describe_flight(prober.study, worst) if worst else "",
     )
 
 

@@ -68,8 +68,8 @@ class Span:
 
     def exact(self, deviation: float) -> float:
         """Return the number at a deviation, whether or not the key accepts it."""
-        there = self._forward(self.start) + deviation * self._reach(1 if deviation >= 0.0 else -1)
-        return exp(there) if self.logarithmic else there
+        number = self._forward(self.start) + deviation * self._reach(1 if deviation >= 0.0 else -1)
+        return exp(number) if self.logarithmic else number
 
     def deviation(self, value: float) -> float:
         """Return the deviation of a value, 1 or -1 at the range's ends."""
@@ -77,18 +77,18 @@ class Span:
         reach = self._reach(1 if off >= 0.0 else -1)
         return off / reach if reach else 0.0
 
-    def places(self, side: int) -> list[float]:
+    def positions(self, side: int) -> list[float]:
         """Return the positions of a scan from the start to the end of a side, 0 to 1, all of different values."""
         whole = self.whole
         reach = self._reach(side)
         step = (self._forward(self.high) - self._forward(self.low)) / (self.points - 1)
         count = max(1, ceil(reach / step - 1e-9))
         if whole is None or self.logarithmic:
-            places = [min(1.0, number * step / reach) for number in range(count + 1)]
+            positions = [min(1.0, number * step / reach) for number in range(count + 1)]
         else:
-            all_of_them = round(reach / whole)
-            places = [min(all_of_them, round(number * step / whole)) / all_of_them for number in range(count + 1)]
-        by_value = {self.at(side * place): place for place in places}
+            steps = round(reach / whole)
+            positions = [min(steps, round(number * step / whole)) / steps for number in range(count + 1)]
+        by_value = {self.at(side * position): position for position in positions}
         return list(by_value.values())
 
     def between(self, side: int) -> Between:
@@ -126,10 +126,10 @@ def span(vary: Vary, key: Key, tolerance: float | None) -> Span:
         raise InputError(f"--vary {vary.text}: a search needs a range of numbers, {key.path}=LO:HI or LO:HI:POINTS")
     check_vary(vary.model_copy(update={"levels": None}), key)
     low, high = absolute_support(vary, key)
-    whole = quantum(key)
-    if whole is not None:
-        first, last = whole_bounds(low, high, whole)
-        low, high = first * whole, last * whole
+    step = quantum(key)
+    if step is not None:
+        first, last = whole_bounds(low, high, step)
+        low, high = first * step, last * step
     nominal = low if key.nominal is None else float(key.nominal)
     if tolerance is not None and not 0.0 < tolerance < high - low:
         raise InputError(f"--tolerance {key.path}={tolerance:g}: must be above 0 and below the range's {high - low:g}")

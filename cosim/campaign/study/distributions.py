@@ -82,11 +82,11 @@ class Vary(Model):
 
     @model_validator(mode="after")
     def _one_form(self) -> Vary:
-        given = [form for form in FORMS if getattr(self, form) is not None]
-        if len(given) != 1:
-            raise ValueError(f"{self.key}: give one of {', '.join(FORMS)}; {' and '.join(given) or 'none'} given")
+        forms = [form for form in FORMS if getattr(self, form) is not None]
+        if len(forms) != 1:
+            raise ValueError(f"{self.key}: give one of {', '.join(FORMS)}; {' and '.join(forms) or 'none'} given")
         if self.range is None and (self.levels is not None or self.scale != "linear"):
-            raise ValueError(f"{self.key}: levels and scale go with a range, not with {given[0]}")
+            raise ValueError(f"{self.key}: levels and scale go with a range, not with {forms[0]}")
         return self
 
     @model_validator(mode="after")
@@ -110,9 +110,9 @@ class Vary(Model):
         kinds = {"text" if isinstance(v, str) else "bool" if isinstance(v, bool) else "number" for v in values}
         if len(kinds) > 1:
             raise ValueError(f"{self.key}: values of different kinds: {', '.join(map(_text, values))}")
-        twice = next((v for n, v in enumerate(values) if v in values[:n]), None)
-        if twice is not None:
-            raise ValueError(f"{self.key}: {_text(twice)} is there twice")
+        repeated = next((v for n, v in enumerate(values) if v in values[:n]), None)
+        if repeated is not None:
+            raise ValueError(f"{self.key}: {_text(repeated)} is there twice")
         if self.relative and kinds - {"number"}:
             raise ValueError(f"{self.key}: a {self.relative} is a number, not {_text(values[0])}")
         return self
@@ -124,8 +124,8 @@ class Vary(Model):
             return self.range
         form = self.normal or self.lognormal or self.triangular
         if form is not None:
-            least = 0.0 if self.lognormal else -inf
-            return (least if form.min is None else form.min, inf if form.max is None else form.max)
+            lowest = 0.0 if self.lognormal else -inf
+            return (lowest if form.min is None else form.min, inf if form.max is None else form.max)
         numbers = [float(v) for v in self.values or [] if not isinstance(v, str)]
         return (min(numbers, default=-inf), max(numbers, default=inf))
 
@@ -138,9 +138,9 @@ class Vary(Model):
     def text(self) -> str:
         """The text of the command line; :func:`parse_vary` makes the same of it."""
         sign = next(sign for sign, relative in RELATIVE.items() if relative == self.relative)
-        return f"{self.key}{sign}{self._drawn_from()}"
+        return f"{self.key}{sign}{self._form_text()}"
 
-    def _drawn_from(self) -> str:
+    def _form_text(self) -> str:
         if self.values is not None:
             return ",".join(_text(value) for value in self.values)
         if self.range is not None:
@@ -179,46 +179,46 @@ def parse_vary(text: str) -> Vary:
     match = re.fullmatch(r"\s*([^=*+\s]+)\s*(\*=|\+=|=)\s*(.+?)\s*", text)
     if match is None:
         raise InputError(f"--vary {text}: {USAGE}")
-    key, sign, what = match.groups()
-    table = {"key": key, "relative": RELATIVE[sign], **_parse_form(what, text)}
+    key, sign, form = match.groups()
+    table = {"key": key, "relative": RELATIVE[sign], **_parse_form(form, text)}
     return validate(Vary, table, f"--vary {text}")
 
 
-def _parse_form(what: str, text: str) -> dict[str, Any]:
+def _parse_form(form: str, text: str) -> dict[str, Any]:
     """Parse the part behind the equals sign into the table that a study's file would have."""
-    called = re.fullmatch(r"([A-Za-z]+)\s*\((.*)\)", what)
-    if called is None:
-        if ":" in what:
-            return _span(what, text)
-        if "," in what:
-            return {"values": [_value(part) for part in what.split(",")]}
+    call = re.fullmatch(r"([A-Za-z]+)\s*\((.*)\)", form)
+    if call is None:
+        if ":" in form:
+            return _span(form, text)
+        if "," in form:
+            return {"values": [_value(part) for part in form.split(",")]}
         raise InputError(f"--vary {text}: one value does not vary; KEY=LO:HI or KEY=A,B do, or --set {text}")
-    name, inside = called.groups()
+    name, argument_text = call.groups()
     if name == "log":
-        return {**_span(inside, text), "scale": "log"}
-    takes = {"normal": ("mean", "sd"), "lognormal": ("median", "sigma"), "triangular": ("min", "mode", "max")}
-    if name not in takes:
-        raise InputError(f"--vary {text}: unknown distribution {name!r}; {nearest(name, [*takes, 'log'])}")
-    parts = [part.strip() for part in inside.split(",")]
-    names = takes[name] if name == "triangular" else (*takes[name], "min", "max")
-    if not len(takes[name]) <= len(parts) <= len(names):
+        return {**_span(argument_text, text), "scale": "log"}
+    parameters = {"normal": ("mean", "sd"), "lognormal": ("median", "sigma"), "triangular": ("min", "mode", "max")}
+    if name not in parameters:
+        raise InputError(f"--vary {text}: unknown distribution {name!r}; {nearest(name, [*parameters, 'log'])}")
+    arguments = [part.strip() for part in argument_text.split(",")]
+    names = parameters[name] if name == "triangular" else (*parameters[name], "min", "max")
+    if not len(parameters[name]) <= len(arguments) <= len(names):
         raise InputError(f"--vary {text}: {name} takes {', '.join(names)}")
-    bounded = dict(zip(names, parts, strict=False))
-    left_out = [
+    bounded = dict(zip(names, arguments, strict=False))
+    omitted = [
         bound for bound, part in bounded.items() if not part and bound in ("min", "max") and name != "triangular"
     ]
-    return {name: {bound: _number(part, text) for bound, part in bounded.items() if bound not in left_out}}
+    return {name: {bound: _number(part, text) for bound, part in bounded.items() if bound not in omitted}}
 
 
-def _span(what: str, text: str) -> dict[str, Any]:
-    parts = what.split(":")
-    if len(parts) not in (2, 3):
+def _span(span: str, text: str) -> dict[str, Any]:
+    numbers = span.split(":")
+    if len(numbers) not in (2, 3):
         raise InputError(f"--vary {text}: {USAGE}")
-    table: dict[str, Any] = {"range": [_number(part, text) for part in parts[:2]]}
-    if len(parts) == 3:
-        if not re.fullmatch(r"\s*\d+\s*", parts[2]):
-            raise InputError(f"--vary {text}: {parts[2].strip()!r} is no number of levels: a whole one from 2 on")
-        table["levels"] = int(parts[2])
+    table: dict[str, Any] = {"range": [_number(part, text) for part in numbers[:2]]}
+    if len(numbers) == 3:
+        if not re.fullmatch(r"\s*\d+\s*", numbers[2]):
+            raise InputError(f"--vary {text}: {numbers[2].strip()!r} is no number of levels: a whole one from 2 on")
+        table["levels"] = int(numbers[2])
     return table
 
 

@@ -71,14 +71,14 @@ class Draws(Sequence[Draw]):
         if isinstance(index, slice):
             return [self[number] for number in range(*index.indices(self._count))]
         number = range(self._count)[index]  # IndexError past the end
-        block, place = divmod(number, BLOCK)
+        block, index = divmod(number, BLOCK)
         if self._block[0] != block:
             self._block = (block, list(self._make(block * BLOCK, min(self._count, (block + 1) * BLOCK))))
-        return self._block[1][place]
+        return self._block[1][index]
 
     def _make(self, first: int, end: int) -> Iterator[Draw]:
         points = self._points(first, end)
-        columns = [bend(points[:, place]) for place, bend in enumerate(self._bend)]
+        columns = [bend(points[:, column]) for column, bend in enumerate(self._bend)]
         for number, values in enumerate(zip(*columns, strict=True), start=first):
             yield Draw(number, flight_seed(self._seed, number), dict(zip(self._names, values, strict=True)))
 
@@ -109,8 +109,8 @@ class Grid:
         self._sides = [len(levels(vary, study.key(vary.key))) for vary in study.vary]
 
     def __call__(self, first: int, end: int) -> Array:
-        places = np.unravel_index(np.arange(first, end) % prod(self._sides), self._sides)
-        return np.stack(places, axis=1).astype(np.float64)
+        indices = np.unravel_index(np.arange(first, end) % prod(self._sides), self._sides)
+        return np.stack(indices, axis=1).astype(np.float64)
 
 
 class Random:
@@ -179,7 +179,7 @@ def _generator(seed: int) -> np.random.Generator:
 
 def _correlated_keys(matrix: Array) -> list[int]:
     """Return the indices of the keys that are correlated with any other."""
-    return [place for place, row in enumerate(matrix) if np.count_nonzero(row) > 1]
+    return [index for index, row in enumerate(matrix) if np.count_nonzero(row) > 1]
 
 
 def _copula(study: Study) -> Callable[[Array], Array]:
@@ -219,10 +219,10 @@ def reorder_points(points: Array, matrix: Array) -> Array:
     scores = ndtri((ranks + 0.5) / len(points))
     target = np.linalg.cholesky(matrix[np.ix_(sides, sides)])
     try:
-        by_chance = np.linalg.cholesky(np.corrcoef(scores, rowvar=False))
+        sampled = np.linalg.cholesky(np.corrcoef(scores, rowvar=False))
     except np.linalg.LinAlgError:  # a few runs may lie in a line
-        by_chance = np.eye(len(sides))
-    scores = scores @ np.linalg.inv(by_chance).T @ target.T
+        sampled = np.eye(len(sides))
+    scores = scores @ np.linalg.inv(sampled).T @ target.T
     order = np.argsort(np.argsort(scores, axis=0, kind="stable"), axis=0, kind="stable")
     points = points.copy()
     for column, side in enumerate(sides):
@@ -233,24 +233,24 @@ def reorder_points(points: Array, matrix: Array) -> Array:
 def level(vary: Vary, key: Key) -> Callable[[Array], list[Value]]:
     """Map indices on a side of the grid to values."""
     values = levels(vary, key)
-    return lambda places: [values[int(place)] for place in places]
+    return lambda indices: [values[int(index)] for index in indices]
 
 
 def inverse(vary: Vary, key: Key) -> Callable[[Array], list[Value]]:
     """Map points of a side (0 to 1) to values of its key."""
     if vary.values is not None:
         ladder = levels(vary, key)
-        return lambda shares: [ladder[min(int(share * len(ladder)), len(ladder) - 1)] for share in shares]
-    bend = _distribution(vary, *_drawn_bounds(vary, key))
+        return lambda quantiles: [ladder[min(int(quantile * len(ladder)), len(ladder) - 1)] for quantile in quantiles]
+    bend = _distribution(vary, *_bounds_of_draws(vary, key))
     scale, shift = _relation(vary, key)
     low, high = absolute_support(vary, key)
     stepped = quantum(key) is not None
 
-    def values(shares: Array) -> list[Value]:
-        made = bend(shares) * scale + shift
+    def values(quantiles: Array) -> list[Value]:
+        numbers = bend(quantiles) * scale + shift
         if stepped:
-            return [key.fit(value) for value in round_to_steps(made.tolist(), vary, key)]
-        return list(np.clip(made, low, high).tolist())  # rounding may have left the bounds by a bit
+            return [key.fit(value) for value in round_to_steps(numbers.tolist(), vary, key)]
+        return list(np.clip(numbers, low, high).tolist())  # rounding may have left the bounds by a bit
 
     return values
 
@@ -261,7 +261,7 @@ def _relation(vary: Vary, key: Key) -> tuple[float, float]:
     return {"": (1.0, 0.0), "factor": (nominal, 0.0), "offset": (1.0, nominal)}[vary.relative]
 
 
-def _drawn_bounds(vary: Vary, key: Key) -> tuple[float, float]:
+def _bounds_of_draws(vary: Vary, key: Key) -> tuple[float, float]:
     """Return the bounds of the number that is drawn; half a step further out where it is rounded to whole steps."""
     step = quantum(key)
     if step is None:
@@ -277,18 +277,18 @@ def _distribution(vary: Vary, low: float, high: float) -> Callable[[Array], Arra
     if vary.range is not None:
         if vary.scale == "log":
             ratio = log(high / low)
-            return lambda shares: low * np.exp(shares * ratio)
-        return lambda shares: low + shares * (high - low)
+            return lambda quantiles: low * np.exp(quantiles * ratio)
+        return lambda quantiles: low + quantiles * (high - low)
     from scipy import stats
 
     if vary.triangular is not None:
         mode = (vary.triangular.mode - low) / (high - low)
-        return lambda shares: np.asarray(stats.triang.ppf(shares, mode, loc=low, scale=high - low))
+        return lambda quantiles: np.asarray(stats.triang.ppf(quantiles, mode, loc=low, scale=high - low))
     form = vary.normal or vary.lognormal
     assert form is not None
     if isinstance(form, Normal):
         ends = [(end - form.mean) / form.sd for end in (low, high)]
-        return lambda shares: form.mean + form.sd * stats.truncnorm.ppf(shares, *ends)
+        return lambda quantiles: form.mean + form.sd * stats.truncnorm.ppf(quantiles, *ends)
     ends = [log(end / form.median) / form.sigma if end > 0.0 and isfinite(end) else end for end in (low, high)]
     ends[0] = ends[0] if low > 0.0 else -np.inf
-    return lambda shares: form.median * np.exp(form.sigma * stats.truncnorm.ppf(shares, *ends))
+    return lambda quantiles: form.median * np.exp(form.sigma * stats.truncnorm.ppf(quantiles, *ends))

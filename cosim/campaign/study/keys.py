@@ -87,10 +87,10 @@ NOT_VARIED = (
     "engine_start",
     "limits",
 )
-OWN_PARAMETERS = "controller_parameters."
-OWN_TUNING = "vehicle.control.predictor.own."
+CUSTOM_PARAMETERS = "controller_parameters."
+CUSTOM_TUNING = "vehicle.control.predictor.own."
 LIST_INDEX = re.compile(r"(?<=\.)\d+(?=\.|$)")
-MOST_SUGGESTIONS = 4  # names in a message
+MAX_SUGGESTIONS = 4  # names in a message
 
 
 @dataclass(frozen=True)
@@ -177,8 +177,8 @@ def find_key(scenario: Scenario, text: str) -> Key:
         return keys[name]
     below = [path for path in keys if path.startswith(f"{name}.")]
     if below:
-        parts = list(dict.fromkeys(path.removeprefix(f"{name}.").split(".")[0] for path in below))
-        raise InputError(f"{name}: is not one value but several; below it: {', '.join(parts)}")
+        names = list(dict.fromkeys(path.removeprefix(f"{name}.").split(".")[0] for path in below))
+        raise InputError(f"{name}: is not one value but several; below it: {', '.join(names)}")
     if name == "seed":
         raise InputError("seed: every flight has one already, made from the seed of the whole")
     head = name.split(".")[0]
@@ -195,12 +195,14 @@ def all_keys(scenario: Scenario) -> list[Key]:
     Raises InputError if the aircraft or an engine is not usable.
     """
     vehicle, _ = scenario.resolved_vehicle()
-    own = [key for name, field in Scenario.model_fields.items() for key in _scenario_keys(scenario, name, field)]
+    of_scenario = [
+        key for name, field in Scenario.model_fields.items() for key in _scenario_keys(scenario, name, field)
+    ]
     archive = _archive(scenario, scenario.engine)
     return [
-        *own,
+        *of_scenario,
         *custom_keys(scenario),
-        *(key for key in _table_keys("vehicle", vehicle) if not key.path.startswith(OWN_TUNING)),
+        *(key for key in _table_keys("vehicle", vehicle) if not key.path.startswith(CUSTOM_TUNING)),
         *_predictor_keys(vehicle.control.predictor),
         *_parameters("engine_parameters", archive, scenario.engine_parameters),
         *_station_keys(scenario, len(vehicle.jets)),
@@ -212,13 +214,13 @@ def matching(keys: Iterable[Key], pattern: str) -> list[Key]:
 
     Raises InputError if there is none.
     """
-    matches = list(keys)
-    kept = [
-        key for key in matches if (fnmatchcase(key.path, pattern) if set(pattern) & set("*?") else pattern in key.path)
+    listed = list(keys)
+    selected = [
+        key for key in listed if (fnmatchcase(key.path, pattern) if set(pattern) & set("*?") else pattern in key.path)
     ]
-    if not kept:
-        raise InputError(f"no key matches {pattern!r}; {_nearest(pattern, [key.path for key in matches])}")
-    return kept
+    if not selected:
+        raise InputError(f"no key matches {pattern!r}; {_nearest(pattern, [key.path for key in listed])}")
+    return selected
 
 
 def with_values(scenario: Scenario, values: Mapping[str, Value]) -> Scenario:
@@ -230,7 +232,7 @@ def with_values(scenario: Scenario, values: Mapping[str, Value]) -> Scenario:
 
     Raises InputError for a value that the scenario does not take, and for keys that cannot hold together.
     """
-    values = _with_own_engine(scenario, values)
+    values = _with_aircraft_engine(scenario, values)
     if "controller" in values:
         scenario, values = _select_parameters(scenario, values)
     _check_together(scenario, values)
@@ -241,14 +243,14 @@ def with_values(scenario: Scenario, values: Mapping[str, Value]) -> Scenario:
         for part in reversed(tables):
             change = {part: change}
         changes = merge(changes, change)
-    stated = scenario.stated("json") | {"expect": []}
+    table = scenario.stated("json") | {"expect": []}
     if values.get("engine", scenario.engine) != scenario.engine:
-        stated["stations"] = {}
+        table["stations"] = {}
     where = f"scenario {scenario.name}"
-    return Scenario.from_table(merge(stated, changes), scenario.folder, where, scenario.origin or scenario)
+    return Scenario.from_table(merge(table, changes), scenario.folder, where, scenario.origin or scenario)
 
 
-def _with_own_engine(scenario: Scenario, values: Mapping[str, Value]) -> Mapping[str, Value]:
+def _with_aircraft_engine(scenario: Scenario, values: Mapping[str, Value]) -> Mapping[str, Value]:
     aircraft = values.get("aircraft", scenario.aircraft)
     if aircraft == scenario.aircraft or "engine" in values:
         return values
@@ -266,8 +268,8 @@ def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[d
     file = read_controller(Path(path), aircraft, scenario.folder)
     step = float(values.get("step_s") or scenario.replace(aircraft=aircraft, vehicle={}).step_s)
     file.check_step(Path(path), step)
-    given = parameter_files(scenario.parameter_files, "design", Path(path))
-    return {"vehicle": file.vehicle, "parameter_files": given}, {**values, "controller": file.controller}
+    files = parameter_files(scenario.parameter_files, "design", Path(path))
+    return {"vehicle": file.vehicle, "parameter_files": files}, {**values, "controller": file.controller}
 
 
 def custom_keys(scenario: Scenario) -> list[Key]:
@@ -275,15 +277,15 @@ def custom_keys(scenario: Scenario) -> list[Key]:
     if is_design(scenario.controller):
         return []
     try:
-        own = find(scenario.controller, scenario.folder, f"unknown controller {scenario.controller!r}")
+        source = find(scenario.controller, scenario.folder, f"unknown controller {scenario.controller!r}")
     except CodeRefusedError:
         if is_looking():
             return []
         raise
-    stated = scenario.controller_parameters
+    values = scenario.controller_parameters
     return [
-        Key(f"{OWN_PARAMETERS}{p.name}", "float", stated.get(p.name, p.default), p.unit, p.least, p.most)
-        for p in (() if own is None else own.parameters)
+        Key(f"{CUSTOM_PARAMETERS}{p.name}", "float", values.get(p.name, p.default), p.unit, p.least, p.most)
+        for p in (() if source is None else source.parameters)
     ]
 
 
@@ -291,17 +293,17 @@ def _select_parameters(scenario: Scenario, values: Mapping[str, Value]) -> tuple
     """Return the scenario and values without the parameters that the controller of these values does not have."""
     controller = str(values["controller"])
     changed = scenario.model_copy(update={"controller": controller, "controller_parameters": {}})
-    known = {key.path.removeprefix(OWN_PARAMETERS) for key in custom_keys(changed)}
-    kept = {name: value for name, value in scenario.controller_parameters.items() if name in known}
-    changes: dict[str, Any] = {"controller_parameters": kept}
+    names = {key.path.removeprefix(CUSTOM_PARAMETERS) for key in custom_keys(changed)}
+    parameters = {name: value for name, value in scenario.controller_parameters.items() if name in names}
+    changes: dict[str, Any] = {"controller_parameters": parameters}
     if controller != scenario.controller:
         changes["controller_sha256"] = None
-    left = {
+    selected = {
         path: value
         for path, value in values.items()
-        if not path.startswith(OWN_PARAMETERS) or path.removeprefix(OWN_PARAMETERS) in known
+        if not path.startswith(CUSTOM_PARAMETERS) or path.removeprefix(CUSTOM_PARAMETERS) in names
     }
-    return scenario.model_copy(update=changes), left
+    return scenario.model_copy(update=changes), selected
 
 
 def _check_together(scenario: Scenario, values: Mapping[str, Value]) -> None:
@@ -314,14 +316,16 @@ def _check_together(scenario: Scenario, values: Mapping[str, Value]) -> None:
         station = scenario.stations.get(path.split(".")[1])
         engine = (station and station.engine) or scenario.engine
         rules.append((path, engine, station.parameters if station else {}, (path.replace("engine", "parameters."),)))
-    for key, own, stated, parts in rules:
-        if values.get(key, own) == own:
+    for key, nominal, changes, prefixes in rules:
+        if values.get(key, nominal) == nominal:
             continue
-        clash = [path for path in values if path.startswith(parts)]
-        where = clash[0] if clash else f"{parts[0]}{next(iter(stated))}, which the scenario states," if stated else ""
+        clash = [path for path in values if path.startswith(prefixes)]
+        where = (
+            clash[0] if clash else f"{prefixes[0]}{next(iter(changes))}, which the scenario states," if changes else ""
+        )
         if where:
             raise InputError(
-                f"{key} = {values[key]}: {where} belongs to {own}, and would be written over the other one; "
+                f"{key} = {values[key]}: {where} belongs to {nominal}, and would be written over the other one; "
                 f"vary one of them, or make one study for each {key}"
             )
 
@@ -335,8 +339,8 @@ def _scenario_keys(scenario: Scenario, name: str, field: FieldInfo) -> Iterator[
     elif name == "sensors":
         yield Key(name, "choice", value or STATED, choices=tuple(profile_names()))
     elif name in LISTS:
-        for place, entry in enumerate(value):
-            for key in _table_keys(f"{name}.{place}", entry):
+        for index, entry in enumerate(value):
+            for key in _table_keys(f"{name}.{index}", entry):
                 yield _refine_key(key, entry, scenario)
     else:
         yield from _value_keys(name, _restore_bounds(field), value)
@@ -369,7 +373,7 @@ def _predictor_keys(tuning: PredictorTuning) -> Iterator[Key]:
         values = spec.own(tuning)
         for parameter in spec.parameters:
             if parameter.name not in PredictorTuning.model_fields:
-                path = f"{OWN_TUNING}{name}.{parameter.name}"
+                path = f"{CUSTOM_TUNING}{name}.{parameter.name}"
                 yield Key(path, "float", values[parameter.name], parameter.unit, parameter.least, parameter.most)
 
 
@@ -397,9 +401,9 @@ def _value_keys(path: str, annotation: Any, value: Any) -> Iterator[Key]:
         for name, item in value.items():
             yield from _value_keys(f"{path}.{name}", arguments[1] if len(arguments) == 2 else Any, item)
     elif isinstance(value, (list, tuple)):
-        for place, item in enumerate(value):
-            inner = arguments[place] if get_origin(plain) is tuple and Ellipsis not in arguments else arguments[0]
-            yield from _value_keys(f"{path}.{place}", inner, item)
+        for index, item in enumerate(value):
+            inner = arguments[index] if get_origin(plain) is tuple and Ellipsis not in arguments else arguments[0]
+            yield from _value_keys(f"{path}.{index}", inner, item)
     else:
         key = _scalar_key(path, plain, bounds, value)
         if key is not None:
@@ -433,24 +437,24 @@ def _unwrap(annotation: Any) -> tuple[Any, list[Any]]:
     bounds: list[Any] = []
     while True:
         if get_origin(annotation) is Annotated:
-            annotation, *more = get_args(annotation)
-            for constraint in more:
+            annotation, *constraints = get_args(annotation)
+            for constraint in constraints:
                 bounds += constraint.metadata if isinstance(constraint, FieldInfo) else [constraint]
         elif _is_union(annotation):
-            left = [part for part in get_args(annotation) if part is not type(None)]
-            if len(left) != 1:
+            members = [member for member in get_args(annotation) if member is not type(None)]
+            if len(members) != 1:
                 return annotation, bounds
-            annotation = left[0]
+            annotation = members[0]
         else:
             return annotation, bounds
 
 
 def _select_member(union: Any, value: Any) -> Any:
     """Return the first part of a union that is a list or tuple if the value is one, and none if it is not."""
-    several = isinstance(value, (list, tuple))
-    for part in get_args(union):
-        if (get_origin(_unwrap(part)[0]) in (list, tuple)) == several and part is not type(None):
-            return part
+    is_list = isinstance(value, (list, tuple))
+    for member in get_args(union):
+        if (get_origin(_unwrap(member)[0]) in (list, tuple)) == is_list and member is not type(None):
+            return member
     return Any
 
 
@@ -474,7 +478,7 @@ def _archive(scenario: Scenario, engine: str) -> Archive:
     return find_source(str(scenario.folder / engine) if is_file(engine) else engine).archive
 
 
-def _parameters(path: str, archive: Archive, given: Mapping[str, float]) -> Iterator[Key]:
+def _parameters(path: str, archive: Archive, values: Mapping[str, float]) -> Iterator[Key]:
     """Yield the parameters that an engine declares and the simulation does not set itself."""
 
     start = archive.ports["start"].variable.name if "start" in archive.ports else None
@@ -483,7 +487,7 @@ def _parameters(path: str, archive: Archive, given: Mapping[str, float]) -> Iter
             continue
         whole = variable.type in {*INTEGERS, "Boolean", "Enumeration"}
         low, high = (0.0, 1.0) if variable.type == "Boolean" else (variable.min, variable.max)
-        nominal = given.get(variable.name, variable.start)
+        nominal = values.get(variable.name, variable.start)
         yield Key(
             f"{path}.{variable.name}",
             "int" if whole else "float",
@@ -503,21 +507,22 @@ def _station_keys(scenario: Scenario, jets: int) -> Iterator[Key]:
 
     names = tuple(engine_names())
     for number in range(1, jets + 1):
-        stated = scenario.stations.get(str(number))
-        engine = stated.engine if stated else None
-        given = stated.parameters if stated else {}
+        station = scenario.stations.get(str(number))
+        engine = station.engine if station else None
+        values = station.parameters if station else {}
         yield Key(f"stations.{number}.engine", "choice", engine or scenario.engine, choices=names)
         common = scenario.engine_parameters if engine is None else {}
         archive = _archive(scenario, engine or scenario.engine)
-        yield from _parameters(f"stations.{number}.parameters", archive, {**common, **given})
+        yield from _parameters(f"stations.{number}.parameters", archive, {**common, **values})
 
 
 def _nearest(name: str, keys: Iterable[str]) -> str:
     """Return the keys that may be meant: those that end alike, or have its words in their parts."""
-    alike = {LIST_INDEX.sub("#", path): path for path in reversed(list(keys))}  # the first of those at different places
-    scored = sorted((-_similarity(name, path), len(path), path) for path in alike.values())
-    least = max(0.6, -scored[0][0] - 0.15)
-    close = [path for score, _, path in scored[:MOST_SUGGESTIONS] if -score >= least]
+    # Of keys that differ in their indices alone the first is meant.
+    by_name = {LIST_INDEX.sub("#", path): path for path in reversed(list(keys))}
+    scored = sorted((-_similarity(name, path), len(path), path) for path in by_name.values())
+    threshold = max(0.6, -scored[0][0] - 0.15)
+    close = [path for score, _, path in scored[:MAX_SUGGESTIONS] if -score >= threshold]
     if close:
         return f"did you mean {' or '.join([', '.join(close[:-1]), close[-1]] if len(close) > 1 else close)}?"
     return "hexjet sweep SCENARIO --keys lists all of them"
@@ -531,8 +536,8 @@ def _similarity(name: str, path: str) -> float:
     typed = [part for part in name.split(".") if not part.isdigit()] or [name]
     tail = parts[-len(typed) :]
     if all(want in part for want, part in zip(typed, tail, strict=False)) and len(tail) == len(typed):
-        share = sum(map(len, typed)) / sum(map(len, tail))
-        return 0.9 + 0.1 * share
+        fraction = sum(map(len, typed)) / sum(map(len, tail))
+        return 0.9 + 0.1 * fraction
     plain = ".".join(typed)
     like = max(_ratio(plain, ".".join(candidate)) for candidate in (tail, parts))
     return like if len(typed) > 1 else max(like, *(0.95 * _ratio(plain, part) for part in parts))

@@ -14,7 +14,7 @@ from cosim.simulation.engines import engines_of
 from cosim.simulation.model_agreement import ModelAgreement, flown_agreements
 from cosim.spec.scenario import flown_parameters
 
-MOST_DRAWN = 1000  # flights whose values are compared for the ends of what varies: they cost nothing to draw
+MAX_DRAWN = 1000  # flights whose values are compared for the ends of what varies: they cost nothing to draw
 UNSEEN = ("mismatch.", "command.", "controller_parameters.")  # of keys that change neither model nor stated vehicle
 
 
@@ -26,17 +26,17 @@ def model_notes(study: Study) -> list[str]:
     """
     if study.autopilot is not None:
         return []
-    looked_at = noted = 0
+    compared = noted = 0
     worst: tuple[Flight, ModelAgreement] | None = None
     for flight in _extreme_flights(study):
         try:
             scenario = scenario_of(study, flight)
             vehicle, _ = scenario.resolved_vehicle()
-            found = flown_agreements(scenario, vehicle, engines_of(scenario, vehicle)[0])
+            agreements = flown_agreements(scenario, vehicle, engines_of(scenario, vehicle)[0])
         except (InputError, FlightError):
             continue
-        looked_at += bool(found)
-        farthest = max(found, key=lambda agreement: agreement.distance, default=None)
+        compared += bool(agreements)
+        farthest = max(agreements, key=lambda agreement: agreement.distance, default=None)
         if farthest is not None and farthest.noted:
             noted += 1
             if worst is None or farthest.distance > worst[1].distance:
@@ -45,7 +45,7 @@ def model_notes(study: Study) -> list[str]:
         return []
     flight, agreement = worst
     return [
-        f"{agreement.note}; that is flight {flight.number}, the farthest off of {noted} among {looked_at} at the ends "
+        f"{agreement.note}; that is flight {flight.number}, the farthest off of {noted} among {compared} at the ends "
         "of what varies"
     ]
 
@@ -76,16 +76,16 @@ def _extreme_flights(study: Study) -> Iterator[Flight]:
     """
     planned, names = flights(study), study.controller_names
     count = len(names)
-    told = [k for k, name in enumerate(names) if name in PREDICTORS and PREDICTORS[name].needs_model][:1]
-    told += [k for k, name in enumerate(names) if name not in PREDICTORS]
-    drawn = [planned[n] for n in range(0, min(len(planned), MOST_DRAWN * count), count)]
+    controllers = [k for k, name in enumerate(names) if name in PREDICTORS and PREDICTORS[name].needs_model][:1]
+    controllers += [k for k, name in enumerate(names) if name not in PREDICTORS]
+    first_flights = [planned[n] for n in range(0, min(len(planned), MAX_DRAWN * count), count)]
     chosen = {0}
     for vary in study.vary:
         if not vary.key.startswith(UNSEEN):
-            values = [flight.values[vary.key] for flight in drawn]
+            values = [flight.values[vary.key] for flight in first_flights]
             chosen |= _extremes(values)
     for n in sorted(chosen):
-        for k in told if n == 0 else told[:1]:
+        for k in controllers if n == 0 else controllers[:1]:
             yield planned[n * count + k]
 
 

@@ -60,8 +60,8 @@ def open_study(
     }
     if controllers:
         data["controllers"] = [seen_from(controller, Path()) for controller in controllers]
-    given = {"design": design, "runs": runs, "repeats": repeats, "seed": seed}
-    data |= {key: value for key, value in given.items() if value is not None}
+    chosen = {"design": design, "runs": runs, "repeats": repeats, "seed": seed}
+    data |= {key: value for key, value in chosen.items() if value is not None}
     if "title" in data and (vary or settings or controllers or design or runs or repeats):
         data |= _retitle(data, settings, controllers)
     if not data["vary"]:
@@ -74,12 +74,12 @@ def open_study(
 
 def _retitle(data: Mapping[str, Any], settings: Sequence[str], controllers: Sequence[str]) -> dict[str, str]:
     """Return a title of what flies and a marked description: the study's file tells of what it states itself."""
-    over = [*settings, *([f"controllers {', '.join(map(short_name, controllers))}"] if controllers else [])]
-    listed = [*over[:3], *([f"{len(over) - 3} more changes"] if len(over) > 3 else [])]
-    words = ", ".join(listed) or "with options of its own"
-    story = str(data.get("description", "")).strip()
-    told = f"Of the study as its file states it, not of these flights: {story}" if story else ""
-    return {"title": f"{data.get('name', '')}: {words}", "description": told}
+    changes = [*settings, *([f"controllers {', '.join(map(short_name, controllers))}"] if controllers else [])]
+    listed = [*changes[:3], *([f"{len(changes) - 3} more changes"] if len(changes) > 3 else [])]
+    summary = ", ".join(listed) or "with options of its own"
+    original = str(data.get("description", "")).strip()
+    description = f"Of the study as its file states it, not of these flights: {original}" if original else ""
+    return {"title": f"{data.get('name', '')}: {summary}", "description": description}
 
 
 def _read_source(name: str | Path) -> tuple[dict[str, Any], Path, str]:
@@ -91,8 +91,8 @@ def _read_source(name: str | Path) -> tuple[dict[str, Any], Path, str]:
         elif str(name) in scenario_names():
             return {"name": str(name), "scenario": str(name)}, Path(), f"scenario {name}"
         else:
-            known = similar(str(name), [*study_names(), *scenario_names()])
-            raise InputError(f"unknown study or scenario {str(name)!r}; {known}, or give the path of a .toml file")
+            suggestion = similar(str(name), [*study_names(), *scenario_names()])
+            raise InputError(f"unknown study or scenario {str(name)!r}; {suggestion}, or give the path of a .toml file")
     if not path.is_file():
         raise InputError(f"{path}: no such study or scenario file")
     table = read_toml(path)
@@ -105,10 +105,12 @@ def _read_source(name: str | Path) -> tuple[dict[str, Any], Path, str]:
 def _resolve_files(table: dict[str, Any]) -> dict[str, Any]:
     """Resolve aircraft and engine files of the command line against the current folder."""
     last = table["key"].split(".")[-1]
-    seen = {"aircraft": aircraft_seen_from, "engine": file_seen_from}.get(last)
-    if seen is None or "values" not in table:
+    resolve = {"aircraft": aircraft_seen_from, "engine": file_seen_from}.get(last)
+    if resolve is None or "values" not in table:
         return table
-    return table | {"values": [seen(value, Path()) if isinstance(value, str) else value for value in table["values"]]}
+    return table | {
+        "values": [resolve(value, Path()) if isinstance(value, str) else value for value in table["values"]]
+    }
 
 
 def _default_design(data: Mapping[str, Any]) -> str:
@@ -116,15 +118,15 @@ def _default_design(data: Mapping[str, Any]) -> str:
     return "grid" if discrete and data.get("runs") is None else "latin-hypercube"
 
 
-def _merge_by_key(tables: Any, new: list[dict[str, Any]], what: Any) -> list[Any]:
+def _merge_by_key(tables: Any, new: list[dict[str, Any]], key_of: Any) -> list[Any]:
     """Return ``tables`` with those of ``new`` in the place of the ones with the same key, or at the end."""
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         return [tables] if new == [] else new  # the model says what is wrong with it
-    replaced = {what(table): table for table in new}
+    replaced = {key_of(table): table for table in new}
     if len(replaced) < len(new):
         return [*tables, *new]  # the model says which one is there twice
-    kept = [replaced.pop(what(table), table) for table in tables]
-    return [*kept, *replaced.values()]
+    merged = [replaced.pop(key_of(table), table) for table in tables]
+    return [*merged, *replaced.values()]
 
 
 def parse_correlate(text: str) -> Correlation:

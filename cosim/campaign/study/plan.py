@@ -54,9 +54,9 @@ class _Flights(Sequence[Flight]):
         if isinstance(index, slice):
             return [self[position] for position in range(*index.indices(len(self)))]
         number = range(len(self))[index]  # IndexError past the end, which iteration needs
-        draw_number, place = divmod(number, len(self._controllers))
+        draw_number, controller = divmod(number, len(self._controllers))
         draw = self._draws[draw_number]
-        return Flight(number, draw.number, self._controllers[place], draw.seed, draw.values)
+        return Flight(number, draw.number, self._controllers[controller], draw.seed, draw.values)
 
 
 def flights(study: Study) -> Sequence[Flight]:

@@ -23,7 +23,7 @@ from cosim.base.trust import Code, code_of, is_looking, need_trust
 from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.distributions import Vary, parse_vary
 from cosim.campaign.study.keys import (
-    OWN_PARAMETERS,
+    CUSTOM_PARAMETERS,
     Key,
     custom_keys,
     find_key,
@@ -42,8 +42,8 @@ __all__ = ["Correlation", "Study", "Vary", "check", "find_study", "parse_vary", 
 
 Design = Literal["grid", "latin-hypercube", "random", "sobol"]
 DESIGNS: tuple[Design, ...] = ("grid", "latin-hypercube", "random", "sobol")
-MOST_DRAWS = 10_000_000  # chosen by us: a year of this machine; more is a typing error
-OWN_COLUMNS = {  # a row of the campaign has these itself
+MAX_DRAWS = 10_000_000  # chosen by us: a year of this machine; more is a typing error
+ROW_COLUMNS = {  # a row of the campaign has these itself
     "controller": "list controllers (--controller): each draw is flown with every one",
     "seed": "every draw has a seed of its own, made from the study's",
     "duration_s": "a row says under this name how long the flight lasted; set it with --set",
@@ -51,9 +51,9 @@ OWN_COLUMNS = {  # a row of the campaign has these itself
 
 
 def _without_repeats(names: list[str]) -> list[str]:
-    twice = next((name for place, name in enumerate(names) if name in names[:place]), None)
-    if twice is not None:
-        raise ValueError(f"{twice} is there twice")
+    repeated = next((name for index, name in enumerate(names) if name in names[:index]), None)
+    if repeated is not None:
+        raise ValueError(f"{repeated} is there twice")
     return names
 
 
@@ -83,8 +83,8 @@ class Study(Model):
         default_factory=list
     )  # none: the scenario's
     design: Design
-    runs: Annotated[int, Field(ge=1, le=MOST_DRAWS)] | None = None  # draws; a grid has as many as it has points
-    repeats: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = 1  # of a whole grid, with other seeds
+    runs: Annotated[int, Field(ge=1, le=MAX_DRAWS)] | None = None  # draws; a grid has as many as it has points
+    repeats: Annotated[int, Field(ge=1, le=MAX_DRAWS)] = 1  # of a whole grid, with other seeds
     seed: Annotated[int, Field(ge=0, lt=2**53)] = 1
     vary: Annotated[list[Vary], Field(min_length=1)]
     correlate: list[Correlation] = Field(default_factory=list)
@@ -135,15 +135,15 @@ class Study(Model):
         """Return a varied key, with the nominal value that factors and offsets start from."""
         if name not in self._keys:
             base = self.base()
-            if name.startswith(OWN_PARAMETERS):  # of any controller that is flown
-                known = [with_values(base, {"controller": controller}) for controller in self.tried]
-                known.sort(
+            if name.startswith(CUSTOM_PARAMETERS):  # of any controller that is flown
+                scenarios = [with_values(base, {"controller": controller}) for controller in self.tried]
+                scenarios.sort(
                     key=lambda scenario: [
                         name in [key.path for key in custom_keys(scenario)],
                         bool(custom_keys(scenario)),
                     ]
                 )
-                base = known[-1]
+                base = scenarios[-1]
             self._keys[name] = find_key(base, name)
         return self._keys[name]
 
@@ -153,22 +153,22 @@ class Study(Model):
 
     def correlations(self) -> np.ndarray[Any, np.dtype[np.float64]]:
         """Return the normal variables' correlation matrix for the requested rank correlations, ordered as ``vary``."""
-        places = {vary.key: place for place, vary in enumerate(self.vary)}
+        indices = {vary.key: index for index, vary in enumerate(self.vary)}
         matrix = np.eye(len(self.vary))
         for correlation in self.correlate:
-            a, b = (places[key] for key in correlation.keys)
+            a, b = (indices[key] for key in correlation.keys)
             matrix[a, b] = matrix[b, a] = correlation.normal
         return matrix
 
     def notes(self) -> list[str]:
         """Return notes on settings that are allowed but that a user should know of before flying."""
-        told = varied_turbulence_notes(self.base(), [vary.key for vary in self.vary])
+        lines = varied_turbulence_notes(self.base(), [vary.key for vary in self.vary])
         if self.design == "sobol" and self.draws & (self.draws - 1):
             below = 1 << (self.draws.bit_length() - 1)
-            told.append(
+            lines.append(
                 f"sobol: {self.draws} runs are no power of two; Sobol's points are balanced at {below} and {2 * below}"
             )
-        return told
+        return lines
 
     def __eq__(self, other: object) -> bool:
         """Whether both state the same, wherever they were read."""
@@ -178,8 +178,8 @@ class Study(Model):
 
     def table(self) -> dict[str, Any]:
         """Return the study as a table of TOML, with the values that it sets and no defaults."""
-        stated = self.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
-        return {key: stated[key] for key in Study.model_fields if key in stated}
+        values = self.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+        return {key: values[key] for key in Study.model_fields if key in values}
 
     def resolved(self, scenario: Path | None = None) -> Study:
         """Return the same study, valid in any folder: files by absolute path.
@@ -260,8 +260,8 @@ class Study(Model):
                 )
         if self.runs is not None:
             raise ValueError("runs: a grid has as many draws as it has points; repeats flies it more than once")
-        if self.draws > MOST_DRAWS:
-            raise ValueError(f"a grid of {self.draws} draws; at most {MOST_DRAWS}")
+        if self.draws > MAX_DRAWS:
+            raise ValueError(f"a grid of {self.draws} draws; at most {MAX_DRAWS}")
         return self
 
     @model_validator(mode="after")
@@ -319,9 +319,9 @@ def check(study: Study, where: str) -> None:
     Raises InputError: one line with the key, the value and what is allowed.
     """
     _check_names(study, where)
-    own = [name for name, _ in dotted(study.settings) if name.startswith(OWN_PARAMETERS)]
+    custom = [name for name, _ in dotted(study.settings) if name.startswith(CUSTOM_PARAMETERS)]
     try:
-        for name in own:
+        for name in custom:
             study.key(name)
         for vary in study.vary:
             check_vary(vary, study.key(vary.key))
@@ -337,17 +337,17 @@ def _check_names(study: Study, where: str) -> None:
     for name in study.controllers:
         if not is_design(name):
             find(name, study.folder, f"{where}: controllers: unknown controller {name!r}")
-    known = [*metric_names(), *(name for metric in metrics_of(study.base()) for name in metric.names)]
+    names = [*metric_names(), *(name for metric in metrics_of(study.base()) for name in metric.names)]
     for name in study.success:
-        if name not in known:
-            raise InputError(f"{where}: success: unknown metric {name!r}; {nearest(name, known)}")
-    seen: set[str] = set()
+        if name not in names:
+            raise InputError(f"{where}: success: unknown metric {name!r}; {nearest(name, names)}")
+    checked: set[str] = set()
     for vary in study.vary:
-        if vary.key in OWN_COLUMNS:
-            raise InputError(f"{where}: vary {vary.key}: {OWN_COLUMNS[vary.key]}")
-        if vary.key in seen:
+        if vary.key in ROW_COLUMNS:
+            raise InputError(f"{where}: vary {vary.key}: {ROW_COLUMNS[vary.key]}")
+        if vary.key in checked:
             raise InputError(f"{where}: vary {vary.key}: is there twice")
-        seen.add(vary.key)
+        checked.add(vary.key)
 
 
 def _levels(vary: Vary) -> int:
@@ -383,10 +383,10 @@ def dotted(settings: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, 
 def _check_together(study: Study) -> None:
     """Refuse another aircraft or engine that cannot be drawn together with what else is drawn."""
     nominal = {vary.key: study.key(vary.key).nominal for vary in study.vary}
-    stated = {name: value for name, value in nominal.items() if value is not None}
+    values = {name: value for name, value in nominal.items() if value is not None}
     for vary in study.vary:
         for value in (vary.values or []) if vary.key.split(".")[-1] in ("aircraft", "engine") else []:
-            with_values(study.base(), {**stated, vary.key: value})
+            with_values(study.base(), {**values, vary.key: value})
 
 
 def is_path(name: str) -> bool:

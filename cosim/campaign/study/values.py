@@ -26,9 +26,9 @@ def check_vary(vary: Vary, key: Key) -> None:
             raise InputError(f"vary {vary.text}: {key.path} is 0, and stays so times any factor; += adds to it")
     low, high = absolute_support(vary, key)
     if not _is_allowed(low, high, key):
-        shown = f"{low:g} to {high:g}"
+        span = f"{low:g} to {high:g}"
         unbounded = "" if isfinite(low) and isfinite(high) else "; state min and max, it is truncated there"
-        raise InputError(f"vary {vary.text}: {key.path} would be {shown}, and must be {key.allowed}{unbounded}")
+        raise InputError(f"vary {vary.text}: {key.path} would be {span}, and must be {key.allowed}{unbounded}")
     _check_steps(vary, key, low, high)
 
 
@@ -37,15 +37,15 @@ def _check_steps(vary: Vary, key: Key, low: float, high: float) -> None:
     step = quantum(key)
     if step is None:
         return
-    what = "whole numbers" if key.kind == "int" else f"whole steps of {step:g} s"
+    allowed = "whole numbers" if key.kind == "int" else f"whole steps of {step:g} s"
     for value in [] if vary.relative else vary.values or []:
         if abs(round(float(value) / step) * step - float(value)) > 1e-6 * step:
-            raise InputError(f"vary {vary.text}: {key.path} = {value}: takes {what}")
+            raise InputError(f"vary {vary.text}: {key.path} = {value}: takes {allowed}")
     first, last = whole_bounds(low, high, step)
     needed = len(vary.values or []) or vary.levels or 2
     count = 0 if last < first else len(set(levels(vary, key))) if vary.discrete else int(min(last - first + 1.0, 2.0))
     if count < needed:
-        raise InputError(f"vary {vary.text}: {key.path} takes {what}; {needed} are needed, and here are {count}")
+        raise InputError(f"vary {vary.text}: {key.path} takes {allowed}; {needed} are needed, and here are {count}")
 
 
 def levels(vary: Vary, key: Key) -> list[Value]:
@@ -53,17 +53,19 @@ def levels(vary: Vary, key: Key) -> list[Value]:
     if key.kind in ("choice", "bool"):
         return [key.fit(value) for value in vary.values or []]
     if vary.values is not None:
-        drawn = [float(value) for value in vary.values]
+        numbers = [float(value) for value in vary.values]
     else:
         assert vary.range is not None
-        drawn = _between(*vary.range, vary.levels or 2, vary.scale == "log")
-    return [key.fit(value) for value in round_to_steps([to_absolute(value, vary, key) for value in drawn], vary, key)]
+        numbers = _between(*vary.range, vary.levels or 2, vary.scale == "log")
+    return [key.fit(value) for value in round_to_steps([to_absolute(value, vary, key) for value in numbers], vary, key)]
 
 
 def _between(low: float, high: float, count: int, in_ratio: bool) -> list[float]:
     """Return ``count`` numbers from ``low`` to ``high``, those between rounded to 12 digits."""
-    shares = [place / (count - 1) for place in range(1, count - 1)]
-    inner = [low * exp(share * log(high / low)) if in_ratio else low + share * (high - low) for share in shares]
+    fractions = [number / (count - 1) for number in range(1, count - 1)]
+    inner = [
+        low * exp(fraction * log(high / low)) if in_ratio else low + fraction * (high - low) for fraction in fractions
+    ]
     return [low, *(float(f"{value:.12g}") for value in inner), high]
 
 
@@ -88,12 +90,12 @@ def whole_bounds(low: float, high: float, step: float) -> tuple[float, float]:
     return first, float(floor(high / step + slack)) if isfinite(high) else high
 
 
-def to_absolute(drawn: float, vary: Vary, key: Key) -> float:
+def to_absolute(number: float, vary: Vary, key: Key) -> float:
     """Return the key's value for a drawn number, which may be a factor or an offset."""
     if not vary.relative:
-        return drawn
+        return number
     assert isinstance(key.nominal, (int, float))
-    return drawn * key.nominal if vary.relative == "factor" else drawn + key.nominal
+    return number * key.nominal if vary.relative == "factor" else number + key.nominal
 
 
 def absolute_support(vary: Vary, key: Key) -> tuple[float, float]:

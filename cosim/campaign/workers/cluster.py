@@ -33,7 +33,7 @@ from cosim.base.storage.scratch import scratch
 from cosim.campaign.folder import Frozen, freeze
 from cosim.campaign.workers import remote
 from cosim.campaign.workers.flight_row import Row, failed_row
-from cosim.campaign.workers.protocol import time_limit
+from cosim.campaign.workers.protocol import time_limit, update_mean
 
 if TYPE_CHECKING:
     from cosim.campaign.study.plan import Flight
@@ -47,7 +47,7 @@ CHECK_S = 20.0  # until a worker should have said what is installed there; one t
 CLOSE_S = 2.0  # for a connection to be closed as it should be
 LOOK_S = 1.0  # how often it is looked how many workers there are
 TASK_S = 0.5  # of work in a task: a hundred times what it takes to hand one out
-MOST_IN_TASK = 64  # flights
+MAX_IN_TASK = 64  # flights
 TASKS_A_THREAD = 2  # one that is flown and one that waits
 
 
@@ -74,18 +74,18 @@ class DaskWorkers:
         self._client: Any = None
         self._quiet = _LogFilter()
         try:
-            self._client = self._there(address) if address else self._here(count or len(os.sched_getaffinity(0)))
+            self._client = self._connect(address) if address else self._start_cluster(count)
             self._threads = _Threads(self._client)
             self._check_workers()
         except BaseException:
             self.close()
             raise
 
-    def _here(self, count: int) -> Any:
+    def _start_cluster(self, count: int | None) -> Any:
         # Threads of this process: what they do they do in processes of their own, started by command.
         self._cluster = self._dask.LocalCluster(
             n_workers=1,
-            threads_per_worker=count,
+            threads_per_worker=count or len(os.sched_getaffinity(0)),
             processes=False,
             dashboard_address="127.0.0.1:0",
             worker_dashboard_address="127.0.0.1:0",  # without it the worker's pages are on all interfaces
@@ -95,7 +95,7 @@ class DaskWorkers:
         )
         return self._dask.Client(self._cluster, set_as_default=False)
 
-    def _there(self, address: str) -> Any:
+    def _connect(self, address: str) -> Any:
         scheduler = _scheduler_at(address)
         with warnings.catch_warnings():  # of versions: those that matter are looked at here
             warnings.simplefilter("ignore")
@@ -109,28 +109,28 @@ class DaskWorkers:
         end = monotonic() + FIRST_WORKER_S
         while not (workers := self._threads.look()):
             if monotonic() > end:
-                place = f"--scheduler-file {self._where}" if self._where.endswith(".json") else self._where
-                raise InputError(f"--cluster {self._where}: has no workers; one is started with: dask worker {place}")
+                option = f"--scheduler-file {self._where}" if self._where.endswith(".json") else self._where
+                raise InputError(f"--cluster {self._where}: has no workers; one is started with: dask worker {option}")
             sleep(0.1)
         installed = {name: self._client.submit(remote.installed, workers=[name], pure=False) for name in workers}
         end = monotonic() + CHECK_S
         for name, future in installed.items():
             try:
-                theirs = future.result(timeout=max(0.1, end - monotonic()))
+                remote_versions = future.result(timeout=max(0.1, end - monotonic()))
             except TimeoutError:
                 continue
             except Exception as error:
                 raise InputError(f"--cluster {self._where}: worker {name}: {_describe(error)}") from error
-            wrong = remote.differences(theirs, remote.installed())
-            if wrong:
-                raise InputError(f"--cluster {self._where}: worker {name} has {', '.join(wrong)}")
+            differences = remote.differences(remote_versions, remote.installed())
+            if differences:
+                raise InputError(f"--cluster {self._where}: worker {name} has {', '.join(differences)}")
 
     def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
         """See :class:`cosim.campaign.workers.protocol.Workers`."""
         limit = time_limit(study) if self._time_limit is None else self._time_limit
         tasks = _Tasks(self._client, study, self._packed(study), flights, limit)
         try:
-            while not tasks.done:
+            while not tasks.is_done:
                 tasks.hand_out(TASKS_A_THREAD * self._threads.count)
                 yield from tasks.collect()
                 self._need_cluster()
@@ -180,29 +180,29 @@ class _Threads:
 
     def __init__(self, client: Any) -> None:
         self._client = client
-        self._known: dict[str, int] = {}
+        self._by_worker: dict[str, int] = {}
         self._counted_at = -LOOK_S
-        self._seen = monotonic()  # when there last was one
+        self._last_worker_at = monotonic()  # when there last was one
 
     @property
     def count(self) -> int:
         if monotonic() > self._counted_at + LOOK_S:
             self.look()
-        return sum(self._known.values())
+        return sum(self._by_worker.values())
 
     @property
     def without_s(self) -> float:
         """The time for which there have been no workers, s."""
-        return 0.0 if self._known else monotonic() - self._seen
+        return 0.0 if self._by_worker else monotonic() - self._last_worker_at
 
     def look(self) -> dict[str, int]:
         """Ask for the number of threads by worker."""
         with suppress(OSError, TimeoutError):
-            self._known = dict(self._client.sync(self._client.scheduler.ncores, callback_timeout=CONNECT_S))
+            self._by_worker = dict(self._client.sync(self._client.scheduler.ncores, callback_timeout=CONNECT_S))
         self._counted_at = monotonic()
-        if self._known:
-            self._seen = self._counted_at
-        return self._known
+        if self._by_worker:
+            self._last_worker_at = self._counted_at
+        return self._by_worker
 
 
 class _Tasks:
@@ -215,24 +215,24 @@ class _Tasks:
         self._digest = _digest(frozen)
         self._limit = limit
         self._flights = iter(flights)
-        self._taken: deque[Flight] = deque()
-        self._back: deque[list[Flight]] = deque()  # came back from tasks that were lost
+        self._buffer: deque[Flight] = deque()
+        self._returned: deque[list[Flight]] = deque()  # came back from tasks that were lost
         self._packed: Any | None = None  # the study, once it is on the cluster
-        self._under_way: dict[str, tuple[Any, list[Flight]]] = {}
-        self._ended: SimpleQueue[Any] = SimpleQueue()
-        self._usual: float | None = None  # s, of a flight
-        self._all_out = False
+        self._pending: dict[str, tuple[Any, list[Flight]]] = {}
+        self._finished: SimpleQueue[Any] = SimpleQueue()
+        self._mean_s: float | None = None  # of a flight
+        self._is_exhausted = False
         self._name = f"hexjet-{uuid4().hex[:12]}"
         self._number = numbers()
 
     @property
-    def done(self) -> bool:
-        return self._all_out and not self._back and not self._under_way
+    def is_done(self) -> bool:
+        return self._is_exhausted and not self._returned and not self._pending
 
-    def hand_out(self, most: int) -> None:
+    def hand_out(self, count: int) -> None:
         """Have ``most`` tasks under way, as long as there are flights."""
-        while len(self._under_way) < most and self._client.status == "running":
-            batch = self._back.popleft() if self._back else self._next(most)
+        while len(self._pending) < count and self._client.status == "running":
+            batch = self._returned.popleft() if self._returned else self._next(count)
             if not batch:
                 return
             self._submit(batch)
@@ -240,27 +240,27 @@ class _Tasks:
     def collect(self) -> Iterator[Row]:
         """Wait until a task ends, though not for long, and give the rows of all that have."""
         with suppress(Empty):
-            future = self._ended.get(timeout=LOOK_S)
+            future = self._finished.get(timeout=LOOK_S)
             while True:
                 yield from self._rows(future)
-                future = self._ended.get_nowait()
+                future = self._finished.get_nowait()
 
     def cancel(self) -> None:
         """Take back what is under way."""
-        futures = [future for future, _ in self._under_way.values()]
-        self._under_way.clear()
+        futures = [future for future, _ in self._pending.values()]
+        self._pending.clear()
         if futures and self._client.status == "running":
             with suppress(OSError, TimeoutError):
                 self._client.cancel(futures, force=True)
 
     def _next(self, tasks: int) -> list[Flight]:
         """Return the flights of the next of ``tasks``: one until a flight's duration is known, and fewer at the end."""
-        size = 1 if self._usual is None else min(MOST_IN_TASK, max(1, round(TASK_S / max(self._usual, 1e-3))))
-        missing = size * tasks - len(self._taken)
-        self._taken.extend(islice(self._flights, max(0, missing)))
-        self._all_out = not self._taken
-        size = min(size, ceil(len(self._taken) / tasks))
-        return [self._taken.popleft() for _ in range(size)]
+        size = 1 if self._mean_s is None else min(MAX_IN_TASK, max(1, round(TASK_S / max(self._mean_s, 1e-3))))
+        missing = size * tasks - len(self._buffer)
+        self._buffer.extend(islice(self._flights, max(0, missing)))
+        self._is_exhausted = not self._buffer
+        size = min(size, ceil(len(self._buffer) / tasks))
+        return [self._buffer.popleft() for _ in range(size)]
 
     def _submit(self, batch: list[Flight]) -> None:
         with warnings.catch_warnings():  # an engine may be large
@@ -278,16 +278,16 @@ class _Tasks:
                 key=f"{self._name}-flights-{next(self._number)}",
                 pure=False,
             )
-        self._under_way[str(future.key)] = future, batch
-        future.add_done_callback(self._ended.put)
+        self._pending[str(future.key)] = future, batch
+        future.add_done_callback(self._finished.put)
 
     def _rows(self, future: Any) -> Iterator[Row]:
-        known = self._under_way.pop(str(future.key), None)
-        if known is None:
+        pending = self._pending.pop(str(future.key), None)
+        if pending is None:
             return
-        batch = known[1]
+        batch = pending[1]
         if future.status in ("cancelled", "lost"):  # with the scheduler, or by somebody else
-            self._back.append(batch)
+            self._returned.append(batch)
             self._packed = None
             return
         try:
@@ -295,8 +295,8 @@ class _Tasks:
         except _dask().KilledWorker as error:
             yield from self._after_losses(batch, error)
         except (TimeoutError, CancelledError):  # its worker has gone with the rows: Dask has it flown again
-            self._under_way[str(future.key)] = known
-            self._ended.put(future)
+            self._pending[str(future.key)] = pending
+            self._finished.put(future)
         except (FlightError, InputError) as error:
             raise FlightError(str(error)) from error
         except Exception as error:
@@ -308,7 +308,7 @@ class _Tasks:
     def _after_losses(self, batch: list[Flight], error: Any) -> Iterator[Row]:
         """Fly once more, alone, each of the flights that lost several workers, so that Dask gave them up."""
         if len(batch) > 1:
-            self._back.extend([flight] for flight in batch)
+            self._returned.extend([flight] for flight in batch)
             return
         times = error.allowed_failures + 1
         reason = f"the worker was lost in this flight {times} times; the last was {error.last_worker.address}"
@@ -318,7 +318,7 @@ class _Tasks:
         for row in rows:
             seconds = row.get("wall_s")
             if isinstance(seconds, float):
-                self._usual = seconds if self._usual is None else self._usual + 0.1 * (seconds - self._usual)
+                self._mean_s = update_mean(self._mean_s, seconds)
 
 
 def _identity_task(frozen: Frozen) -> Frozen:
@@ -382,8 +382,8 @@ def _scheduler_at(address: str) -> str:
             f"--cluster {address}: no scheduler answers within {CONNECT_S:g} s; one is started with: dask scheduler"
         ) from answer[0]
     if isinstance(answer[0], BaseException):
-        like = "; an address looks like tcp://HOST:8786" if isinstance(answer[0], ValueError) else ""
-        raise InputError(f"--cluster {address}: {_line(answer[0])}{like}") from answer[0]
+        hint = "; an address looks like tcp://HOST:8786" if isinstance(answer[0], ValueError) else ""
+        raise InputError(f"--cluster {address}: {_line(answer[0])}{hint}") from answer[0]
     if answer[0].get("type") != "Scheduler":
         raise InputError(f"--cluster {address}: is a {answer[0].get('type')}, not a scheduler")
     return scheduler
@@ -391,8 +391,8 @@ def _scheduler_at(address: str) -> str:
 
 async def _identity(address: str) -> dict[str, Any]:
     dask = _dask()
-    how = dask.Security().get_connection_args("client")
-    async with dask.rpc(address, connection_args=how) as scheduler:
+    arguments = dask.Security().get_connection_args("client")
+    async with dask.rpc(address, connection_args=arguments) as scheduler:
         identity: dict[str, Any] = await scheduler.identity()
         return identity
 

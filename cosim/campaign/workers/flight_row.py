@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from cosim.autopilots.prepare import Setup, own_instance, prepare, program_of
 from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError
 from cosim.base.storage.scratch import temporary
-from cosim.campaign.study.keys import OWN_PARAMETERS
+from cosim.campaign.study.keys import CUSTOM_PARAMETERS
 from cosim.campaign.study.plan import Flight, scenario_of
 from cosim.flight import fly
 from cosim.results import metrics
@@ -54,14 +54,14 @@ _LOCKSTEP: Kinds = {"autopilot": str, "autopilot_frames": int, "autopilot_missin
 _KINDS: Kinds = {"float": float, "int": int, "bool": bool, "choice": str}
 
 
-def kinds(study: Study, own: Sequence[str] | None = None) -> Kinds:
+def kinds(study: Study, custom: Sequence[str] | None = None) -> Kinds:
     """Return the columns of a study's rows in order, with types; ``own``: names of the custom metrics, if known.
 
     What was not measured is None; flight, draw, controller, seed, what was varied, outcome, reason and success always
     have a value.
     """
     varied = {vary.key: _kind(study, vary.key) for vary in study.vary}
-    measured = dict.fromkeys([*_metrics(), *(custom_metric_names(study) if own is None else own)], float)
+    measured = dict.fromkeys([*_metrics(), *(custom_metric_names(study) if custom is None else custom)], float)
     lockstep = _LOCKSTEP if study.autopilot is not None else {}
     return _FIRST | varied | _OUTCOME | measured | _LAST | _plugin_kinds(study) | lockstep
 
@@ -96,27 +96,27 @@ def with_autopilot(study: Study, scenario: Scenario, folder: Path, page: bool = 
     What it was made from is the scenario as the study has it: the record of the autopilot's commands is of the flight.
     Raises InputError and FlightError.
     """
-    stated = study.autopilot
-    assert stated is not None
+    settings = study.autopilot
+    assert settings is not None
     with own_instance() as instance:
         setup = Setup(
             instance,
-            stated.timeout_s,
-            gains=stated.gains,
-            lines=stated.lines,
-            parameters=stated.parameters,
-            channels=stated.channels,
+            settings.timeout_s,
+            gains=settings.gains,
+            lines=settings.lines,
+            parameters=settings.parameters,
+            channels=settings.channels,
         )
-        binary = Path(stated.seen_from(study.folder).binary) if stated.binary else None
-        autopilot = prepare(stated.name, scenario, folder, program_of(stated.name, binary), setup)
-        done = autopilot.fly(scenario, folder, page)
-    run, counts = done.run, done.counts
-    made = hashlib.sha256("\n".join([inputs(run), scenario.model_dump_json()]).encode()).hexdigest()
+        binary = Path(settings.seen_from(study.folder).binary) if settings.binary else None
+        autopilot = prepare(settings.name, scenario, folder, program_of(settings.name, binary), setup)
+        flight = autopilot.fly(scenario, folder, page)
+    run, counts = flight.run, flight.counts
+    digest = hashlib.sha256("\n".join([inputs(run), scenario.model_dump_json()]).encode()).hexdigest()
     row = _outcome_row(study, run, log_digest(run.log)) | {
         "controller_sha256": None,
         "controller_repeatable": None,
-        "inputs_sha256": made,
-        "autopilot": stated.name,
+        "inputs_sha256": digest,
+        "autopilot": settings.name,
         "autopilot_frames": counts.frames,
         "autopilot_missing": counts.frames - counts.boot - counts.answers,
     }
@@ -138,17 +138,17 @@ def _sink(scenario: Scenario) -> DigestSink:
     """Return a sink that keeps what metrics read: everything if a custom metric does not name its columns."""
     waypoints = any(isinstance(entry, WaypointsCommand) for entry in scenario.command)
     names = list(metrics.columns(logged_vehicle(scenario.resolved_vehicle()[0]), waypoints))
-    own = metrics_of(scenario)
-    extra = [name for metric in own for name in metric.columns or ()]
+    custom = metrics_of(scenario)
+    extra = [name for metric in custom for name in metric.columns or ()]
     return DigestSink([*names, *(name for name in dict.fromkeys(extra) if name not in names)],
-                      whole=any(metric.columns is None for metric in own))  # fmt: skip
+                      whole=any(metric.columns is None for metric in custom))  # fmt: skip
 
 
 def failed_row(study: Study, flight: Flight, reason: str) -> Row:
     """Return the row of a flight of which only the reason of its failure is known."""
-    stated: Row = {"flight": flight.number, "draw": flight.draw, "controller": flight.controller, "seed": flight.seed}
+    numbers: Row = {"flight": flight.number, "draw": flight.draw, "controller": flight.controller, "seed": flight.seed}
     failed: Row = {"outcome": "failed", "reason": reason, "success": False}
-    return {**dict.fromkeys(kinds(study)), **stated, **flight.values, **failed}
+    return {**dict.fromkeys(kinds(study)), **numbers, **flight.values, **failed}
 
 
 def inputs(run: Run) -> str:
@@ -165,7 +165,7 @@ def inputs_sha256(run: Run) -> str:
 
 
 def _outcome_row(study: Study, run: Run, digest: str) -> Row:
-    summary, own = run.summary, run.summary.own_controller
+    summary, controller = run.summary, run.summary.own_controller
     measured = summary.flat_metrics
     return {
         "outcome": summary.outcome,
@@ -177,8 +177,8 @@ def _outcome_row(study: Study, run: Run, digest: str) -> Row:
         "steps": summary.steps,
         "duration_s": summary.duration_s,
         **measured,
-        "controller_sha256": None if own is None else own.sha256,
-        "controller_repeatable": None if own is None else own.repeatable,
+        "controller_sha256": None if controller is None else controller.sha256,
+        "controller_repeatable": None if controller is None else controller.repeatable,
         "log_sha256": digest,
         "inputs_sha256": inputs_sha256(run),
         "inputs": inputs(run),
@@ -192,10 +192,10 @@ def _plugin_hashes(run: Run) -> str:
 
 
 def _kind(study: Study, key: str) -> type[Value]:
-    if key.startswith(OWN_PARAMETERS):
+    if key.startswith(CUSTOM_PARAMETERS):
         return float
-    known = study.key(key)
-    return type(known.choices[0]) if known.kind == "choice" and known.choices else _KINDS[known.kind]
+    found = study.key(key)
+    return type(found.choices[0]) if found.kind == "choice" and found.choices else _KINDS[found.kind]
 
 
 def _machine_trouble(error: BaseException | None) -> OSError | None:

@@ -38,6 +38,7 @@ from cosim.campaign.workers.protocol import (
     describe_loss,
     describe_timeout,
     time_limit,
+    update_mean,
 )
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ Fly = Callable[["Study", "Flight"], Row]
 Failed = Callable[["Study", "Flight", str], Row]
 
 AHEAD_S = 0.25  # of work that waits in a process, so that it need not wait for the next flight
-MOST_AHEAD = 8  # flights
+MAX_AHEAD = 8  # flights
 LOOK_S = 1.0  # how often processes are looked at whose end nobody told
 BACKSTOP_S = 10.0  # after its limit a flight ends its process by itself, should nobody be there to do it
 START_LIMIT_S = 60.0  # chosen by us: until a process is ready, which takes half a second
@@ -104,17 +105,17 @@ class LocalWorkers:
 
     def _hand_out(self, study: Study, waiting: _Waiting, ahead: int, limit: float) -> bool:
         """Give every process its flights, one each before anyone has two; False when there is nothing left to do."""
-        for held in range(1 + ahead):
-            if held == 0:
+        for depth in range(1 + ahead):
+            if depth == 0:
                 self._start_missing(waiting)
             for process in self._processes:
-                if len(process.given) == held and (flight := waiting.next()) is not None:
+                if len(process.queued) == depth and (flight := waiting.next()) is not None:
                     process.give(study, flight, limit)
-        return any(process.given for process in self._processes)
+        return any(process.queued for process in self._processes)
 
     def _start_missing(self, waiting: _Waiting) -> None:
-        idle = sum(not process.given for process in self._processes)
-        while len(self._processes) < self._count and waiting.more_than(idle):
+        idle = sum(not process.queued for process in self._processes)
+        while len(self._processes) < self._count and waiting.has_more_than(idle):
             self._processes.append(_Process(self._fly))
             idle += 1
 
@@ -131,41 +132,42 @@ class LocalWorkers:
             elif message == READY:
                 self._starts = 0
             else:
-                ahead.learn(process.took)
+                ahead.learn(process.last_duration_s)
                 yield message
         for process in list(self._processes):
-            if process.late(limit):
+            if process.is_late(limit):
                 flight, *rest = self._end(process)
                 waiting.put_back(rest)
-                yield self._failed(study, flight, describe_timeout(limit)) | process.mark(limit)
-            elif not process.alive:
+                yield self._failed(study, flight, describe_timeout(limit)) | process.worker_columns(limit)
+            elif not process.is_alive:
                 yield from self._after_loss(study, process, waiting)
 
     def _patience(self, limit: float) -> float:
-        ends = [process.since + limit for process in self._processes if process.since is not None and process.given]
+        busy = [process for process in self._processes if process.queued]
+        ends = [process.active_since + limit for process in busy if process.active_since is not None]
         return max(0.0, min([LOOK_S, *(end - time.monotonic() for end in ends)]))
 
     def _after_loss(self, study: Study, process: _Process, waiting: _Waiting) -> Iterator[Row]:
         """Put back the flights of a lost process; yield a failed row for a flight that has lost too many processes."""
-        begun, end = process.since is not None, process.how_it_ended()
-        given = self._end(process)
-        if not begun:
+        was_ready, ending = process.active_since is not None, process.describe_end()
+        queued = self._end(process)
+        if not was_ready:
             self._starts += 1
             if self._starts >= STARTS:
-                raise FlightError(f"{STARTS} processes in a row ended before they could fly; the last {end}")
-        elif given and waiting.lose(given[0]) >= LOSSES:
-            yield self._failed(study, given.pop(0), describe_loss(end)) | process.mark()
-        waiting.put_back(given)
+                raise FlightError(f"{STARTS} processes in a row ended before they could fly; the last {ending}")
+        elif queued and waiting.lose(queued[0]) >= LOSSES:
+            yield self._failed(study, queued.pop(0), describe_loss(ending)) | process.worker_columns()
+        waiting.put_back(queued)
 
     def _end_busy(self) -> None:
-        for process in [worker for worker in self._processes if worker.given]:
+        for process in [worker for worker in self._processes if worker.queued]:
             self._end(process)
 
     def _end(self, process: _Process) -> list[Flight]:
         """End a process, and return the flights that it had been given and did not fly."""
         self._processes.remove(process)
         process.end()
-        return list(process.given)
+        return list(process.queued)
 
 
 class _Waiting:
@@ -177,9 +179,9 @@ class _Waiting:
         self._losses: Counter[int] = Counter()
 
     def next(self) -> Flight | None:
-        return self._first.popleft() if self.more_than(0) else None
+        return self._first.popleft() if self.has_more_than(0) else None
 
-    def more_than(self, count: int) -> bool:
+    def has_more_than(self, count: int) -> bool:
         """Return whether more than ``count`` flights wait, taking no more from the study than it takes to know."""
         while len(self._first) <= count:
             try:
@@ -202,20 +204,20 @@ class _QueueDepth:
 
     def __init__(self) -> None:
         self.flights = 0
-        self._usual: float | None = None  # s, of a flight
+        self._mean_s: float | None = None  # of a flight
 
     def learn(self, seconds: float) -> None:
-        self._usual = seconds if self._usual is None else self._usual + 0.1 * (seconds - self._usual)
-        self.flights = min(MOST_AHEAD, ceil(AHEAD_S / max(self._usual, 1e-3))) if self._usual < AHEAD_S else 0
+        self._mean_s = update_mean(self._mean_s, seconds)
+        self.flights = min(MAX_AHEAD, ceil(AHEAD_S / max(self._mean_s, 1e-3))) if self._mean_s < AHEAD_S else 0
 
 
 class _Process:
     """One process, what it has been given, and since when it is at the first of it."""
 
     def __init__(self, fly: Fly) -> None:
-        self.given: deque[Flight] = deque()
-        self.since: float | None = None  # None: it is not ready yet
-        self.took = 0.0  # s, the last flight
+        self.queued: deque[Flight] = deque()
+        self.active_since: float | None = None  # None: it is not ready yet
+        self.last_duration_s = 0.0  # s, the last flight
         self._begun = time.monotonic()
         self._study: Study | None = None
         try:
@@ -235,8 +237,8 @@ class _Process:
         self._send(fly)
 
     @property
-    def alive(self) -> bool:
-        if self.since is None and time.monotonic() > self._begun + START_LIMIT_S:
+    def is_alive(self) -> bool:
+        if self.active_since is None and time.monotonic() > self._begun + START_LIMIT_S:
             return False
         return self._process.poll() is None or self.connection.poll()
 
@@ -245,9 +247,9 @@ class _Process:
             self._send((study, limit, decision()))
             self._study = study
         self._send(flight)
-        if not self.given and self.since is not None:
-            self.since = time.monotonic()
-        self.given.append(flight)
+        if not self.queued and self.active_since is not None:
+            self.active_since = time.monotonic()
+        self.queued.append(flight)
 
     def receive(self) -> Any:
         """Return a row, a message that the process is ready, or why it cannot go on; None if the process is lost."""
@@ -257,22 +259,22 @@ class _Process:
             return None
         now = time.monotonic()
         if isinstance(message, dict):
-            self.given.popleft()
-            self.took = now - (self.since or now)
-        self.since = now
+            self.queued.popleft()
+            self.last_duration_s = now - (self.active_since or now)
+        self.active_since = now
         return message
 
-    def late(self, limit: float) -> bool:
+    def is_late(self, limit: float) -> bool:
         """Whether it is past its limit, and has not just said that it is done."""
-        begun = self.since is not None and self.given
-        return bool(begun) and time.monotonic() > (self.since or 0.0) + limit and not self.connection.poll()
+        is_busy = self.active_since is not None and self.queued
+        return bool(is_busy) and time.monotonic() > (self.active_since or 0.0) + limit and not self.connection.poll()
 
-    def how_it_ended(self) -> str:
-        late = f"was not ready after {START_LIMIT_S:g} s, as on a machine with too much to do"
-        open_yet = "closed its connection" if self.since is not None else late
-        return self._process.describe_end(1.0, "ended by {}", "left with status {}") or open_yet
+    def describe_end(self) -> str:
+        not_ready = f"was not ready after {START_LIMIT_S:g} s, as on a machine with too much to do"
+        running = "closed its connection" if self.active_since is not None else not_ready
+        return self._process.describe_end(1.0, "ended by {}", "left with status {}") or running
 
-    def mark(self, wall_s: float | None = None) -> Row:
+    def worker_columns(self, wall_s: float | None = None) -> Row:
         """Return the part of a row that says which process flew it."""
         return {"worker": f"{os.uname().nodename}:{self._process.pid}", "wall_s": wall_s}
 
@@ -291,13 +293,13 @@ def serve(descriptor: int, folder: str) -> None:
     os.set_inheritable(descriptor, False)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _end_with_parent()
-    Thread(target=_leave_with, args=(descriptor, folder), daemon=True).start()
+    Thread(target=_exit_with_parent, args=(descriptor, folder), daemon=True).start()
     with suppress(EOFError, OSError):  # the other end is gone
-        _fly_what_comes(Connection(descriptor), folder)
-    _leave(folder)
+        _serve_flights(Connection(descriptor), folder)
+    _exit(folder)
 
 
-def _fly_what_comes(connection: Connection[Any, Any], folder: str) -> None:
+def _serve_flights(connection: Connection[Any, Any], folder: str) -> None:
     sys.path[:] = connection.recv()
     fly: Fly = connection.recv()
     connection.send(READY)
@@ -318,12 +320,12 @@ def _fly_what_comes(connection: Connection[Any, Any], folder: str) -> None:
         connection.send(answer)
 
 
-def _leave_with(descriptor: int, folder: str) -> None:
+def _exit_with_parent(descriptor: int, folder: str) -> None:
     """End this process when the one that started it goes, however it goes."""
     hung_up = poll()
     hung_up.register(descriptor, 0)
     hung_up.poll()
-    _leave(folder)
+    _exit(folder)
 
 
 def _end_with_parent() -> None:
@@ -337,7 +339,7 @@ def _end_with_parent() -> None:
         die_with_parent(signal.SIGHUP)
 
 
-def _leave(folder: str) -> None:
+def _exit(folder: str) -> None:
     """End this process at once, and leave nothing behind."""
     gone = f"{folder}-gone"
     with suppress(OSError):

@@ -14,13 +14,18 @@ if TYPE_CHECKING:
 Workers = protocols.Workers["Study", "Flight", Row]
 
 LOSSES = 3  # processes that a flight may take with it before it is given up
-LEAST_LIMIT_S = 60.0  # chosen by us: of wall time; loading an engine that starts a run time of its own takes 20
+MIN_LIMIT_S = 60.0  # chosen by us: of wall time; loading an engine that starts a run time of its own takes 20
 LIMIT_FACTOR = 10.0  # chosen by us: of simulated time; a flight takes a hundredth of it
 
 
 def time_limit(study: Study) -> float:
     """Return how long a flight of ``study`` may take by default, s of wall time."""
-    return max(LEAST_LIMIT_S, LIMIT_FACTOR * study.base().duration_s)
+    return max(MIN_LIMIT_S, LIMIT_FACTOR * study.base().duration_s)
+
+
+def update_mean(mean: float | None, seconds: float) -> float:
+    """Return the running mean of flights' durations [s] after one more; None: there was none before."""
+    return seconds if mean is None else mean + 0.1 * (seconds - mean)
 
 
 def describe_loss(end: str) -> str:

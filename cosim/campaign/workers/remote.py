@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from cosim.campaign.study.study import Study
 
 IDLE_S = 60.0  # chosen by us: after which a process without flights ends
-PARTS = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy")  # of what there is, those that make a flight's numbers
+PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy")  # of what there is, those that make a flight's numbers
 FILES = "files of aircraft, engines and program"  # compared by their contents
 
 _studies: Memory[Study] = Memory(4)
@@ -44,7 +44,7 @@ class _Processes:
 
     def take(self, limit: float) -> LocalWorkers:
         with self._lock:
-            idle = next((workers for workers, (theirs, _) in self._idle.items() if theirs == limit), None)
+            idle = next((workers for workers, (its_limit, _) in self._idle.items() if its_limit == limit), None)
             if idle is None:
                 return LocalWorkers(1, limit)
             _, timer = self._idle.pop(idle)
@@ -100,17 +100,17 @@ def end_idle() -> None:
 @cache
 def installed() -> dict[str, str]:
     """Return the versions of what determines a flight's numbers here, and may differ elsewhere."""
-    known = versions()
+    all_versions = versions()
     minor = ".".join(platform.python_version_tuple()[:2])
-    return {"python": minor, **{name: known.get(name, "none") for name in PARTS}, FILES: _files()}
+    return {"python": minor, **{name: all_versions.get(name, "none") for name in PACKAGES}, FILES: _files()}
 
 
-def differences(theirs: Mapping[str, str], ours: Mapping[str, str]) -> list[str]:
+def differences(remote: Mapping[str, str], local: Mapping[str, str]) -> list[str]:
     """Describe what is installed otherwise there than here."""
     return [
-        f"other {name}" if name == FILES else f"{name} {theirs.get(name, 'none')} (here {value})"
-        for name, value in ours.items()
-        if theirs.get(name) != value
+        f"other {name}" if name == FILES else f"{name} {remote.get(name, 'none')} (here {value})"
+        for name, value in local.items()
+        if remote.get(name) != value
     ]
 
 

@@ -31,10 +31,10 @@ def as_finished(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> 
     study: Any = act
     with LocalWorkers(workers, LIMIT_S, _answer, _lost) as pool:
         for row in pool.fly(study, tasks):
-            answer: dict[str, Any] = dict(row)
-            if "error" in answer:
-                raise answer["error"]
-            yield answer["number"], answer["value"]
+            result: dict[str, Any] = dict(row)
+            if "error" in result:
+                raise result["error"]
+            yield result["number"], result["value"]
 
 
 def run_in_order(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> Iterator[R]:
@@ -42,12 +42,12 @@ def run_in_order(act: Callable[[T], R], arguments: Sequence[T], workers: int) ->
     if workers == 1:
         yield from map(act, arguments)
         return
-    waiting: dict[int, R] = {}
+    results: dict[int, R] = {}
     following = 0
-    for number, answer in as_finished(act, arguments, workers):
-        waiting[number] = answer
-        while following in waiting:
-            yield waiting.pop(following)
+    for number, result in as_finished(act, arguments, workers):
+        results[number] = result
+        while following in results:
+            yield results.pop(following)
             following += 1
 
 

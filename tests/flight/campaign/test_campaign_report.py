@@ -25,13 +25,13 @@ from cosim.campaign.analysis.page import metric_rows, page, write_campaign_repor
 from cosim.campaign.analysis.sensitivity import (
     first_order,
     joint,
-    most_classes,
+    max_classes,
     noise_floor,
     rank_correlations,
     rank_interval,
     ranking,
 )
-from cosim.campaign.analysis.stability_map import LEAST_PER_CELL, MOST_POINTS, map_tables
+from cosim.campaign.analysis.stability_map import MAX_POINTS, MIN_PER_CELL, map_tables
 from cosim.campaign.analysis.statistics import (
     Pairs,
     Z,
@@ -41,7 +41,7 @@ from cosim.campaign.analysis.statistics import (
     median_difference,
     newcombe,
     pairs,
-    share,
+    proportion,
     wilson,
 )
 from cosim.campaign.analysis.summary import (
@@ -87,7 +87,7 @@ SIX = [
 def test_wilsons_interval_solves_its_equation() -> None:
     """Both ends p solve (k/n - p)^2 = z^2 p (1 - p) / n."""
     for hits, of in ((1, 10), (7, 50), (1999, 2000), (3, 4)):
-        for end in share(hits, of).wilson:
+        for end in proportion(hits, of).wilson:
             assert (hits / of - end) ** 2 == pytest.approx(Z**2 * end * (1.0 - end) / of, rel=1e-9)
 
 
@@ -100,15 +100,15 @@ def test_wilsons_interval_is_scipys() -> None:
 
 def test_the_exact_interval_leaves_a_fortieth_on_either_side() -> None:
     """Clopper and Pearson's ends are where the binomial's tails come to 0.025; without a success the lower one is 0."""
-    low, high = share(7, 50).exact
+    low, high = proportion(7, 50).exact
     assert sum(comb(50, k) * low**k * (1.0 - low) ** (50 - k) for k in range(7, 51)) == pytest.approx(0.025, rel=1e-9)
     assert sum(comb(50, k) * high**k * (1.0 - high) ** (50 - k) for k in range(8)) == pytest.approx(0.025, rel=1e-9)
-    assert share(0, 100).exact == (0.0, pytest.approx(1.0 - 0.025**0.01, rel=1e-9))
+    assert proportion(0, 100).exact == (0.0, pytest.approx(1.0 - 0.025**0.01, rel=1e-9))
 
 
 def test_a_share_of_nothing_may_be_anything() -> None:
-    assert share(0, 0).value is None
-    assert share(0, 0).wilson == share(0, 0).exact == (0.0, 1.0)
+    assert proportion(0, 0).value is None
+    assert proportion(0, 0).wilson == proportion(0, 0).exact == (0.0, 1.0)
 
 
 # ---- pairs
@@ -211,10 +211,10 @@ def test_first_order_indices_of_ishigamis_function() -> None:
     """Within three deviations of what the classes keep, which is all but 1.3 % of the fastest term."""
     x = cube(qmc.LatinHypercube(4, rng=np.random.default_rng(3)).random(4096))
     result = ishigami(x)
-    kept = in_classes(most_classes(4096))
+    kept = in_classes(max_classes(4096))
     np.testing.assert_allclose(kept, INDICES, rtol=0.014)
     for side, index in zip(x.T, kept, strict=True):
-        found, deviation = first_order(classes(side, most_classes(4096)), result)
+        found, deviation = first_order(classes(side, max_classes(4096)), result)
         assert abs(found - index) < 3.0 * deviation
         assert deviation < 0.015
 
@@ -243,12 +243,12 @@ def test_the_interval_of_an_index_holds_what_it_says() -> None:
     """In 200 studies of 500 draws; 95 % +- three deviations of a share of 200, 4.6 %, and no less than 1 for no effect."""
     chance = np.random.default_rng(11)
     held = np.zeros(4)
-    kept = in_classes(most_classes(500))
+    kept = in_classes(max_classes(500))
     for _ in range(200):
         x = cube(chance.random((500, 4)))
         result = ishigami(x)
         for key in range(4):
-            found, deviation = first_order(classes(x[:, key], most_classes(500)), result)
+            found, deviation = first_order(classes(x[:, key], max_classes(500)), result)
             held[key] += max(0.0, found - Z * deviation) <= kept[key] <= found + Z * deviation
     assert np.all(held / 200 > 0.95 - 0.046)
 
@@ -417,7 +417,7 @@ def test_the_summary_counts_every_flight(tmp_path: Path) -> None:
         assert found["flights"] == sum(found["outcomes"].values()) == len(mine) == 200
         assert found["success"] == hits / 200
         assert found["outcomes"]["success"] == hits
-        assert found["wilson_95"] == pytest.approx(share(hits, 200).wilson)
+        assert found["wilson_95"] == pytest.approx(proportion(hits, 200).wilson)
     (compared,) = summary["comparisons"]
     assert compared["draws"] == 200
     assert compared["both"] + compared["only_first"] == summary["controllers"]["baseline"]["outcomes"]["success"]
@@ -546,7 +546,7 @@ def test_the_map_counts_every_flight_once(tmp_path: Path) -> None:
         values = flown.values["roll.overshoot_percent"][inside]
         known = values[np.isfinite(values)]
         if cells["n"][place] == np.sum(inside):
-            expected = pytest.approx(np.median(known), rel=1e-3) if known.size >= LEAST_PER_CELL else None
+            expected = pytest.approx(np.median(known), rel=1e-3) if known.size >= MIN_PER_CELL else None
             assert cells["m"][0][place] == expected
 
 
@@ -562,9 +562,9 @@ def test_the_cells_of_whole_numbers_hold_as_many_of_them(tmp_path: Path) -> None
 def test_single_flights_are_a_sample_where_there_are_many(tmp_path: Path) -> None:
     flown = read(campaign(tmp_path, study(runs=3000, controllers=["baseline"])))
     points = map_tables(flown, [0, 1], (0, 1), "success")["points"][0]
-    assert points["shown"] == [MOST_POINTS, MOST_POINTS]
+    assert points["shown"] == [MAX_POINTS, MAX_POINTS]
     assert sum(points["of"]) == 3000
-    assert points["kind"].count("success") == MOST_POINTS
+    assert points["kind"].count("success") == MAX_POINTS
     assert points == map_tables(flown, [0, 1], (0, 1), "success")["points"][0]
 
 

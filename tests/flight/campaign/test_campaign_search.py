@@ -120,7 +120,7 @@ def test_whole_numbers_are_found_exactly(edge: int) -> None:
 def test_how_closely_a_key_is_looked_at_is_told(vary: str, said: str) -> None:
     _, plan = resolve_search("gust", vary=[vary])
     (span,) = plan.spans
-    values = sorted(float(span.at(side * place)) for side in span.sides for place in span.places(side))
+    values = sorted(float(span.at(side * place)) for side in span.sides for place in span.positions(side))
     assert max(b - a for a, b in pairwise(values)) == pytest.approx(float(span.step))
     assert describe_resolution(span).startswith(said)
 
@@ -286,7 +286,7 @@ def test_flights_that_are_known_cost_nothing_and_count_once() -> None:
     rule = Rule(lambda values, controller, seed: False)
     prober = Prober(study, plan.seeds, plan.share, rule)
     one, two, three = (plan.point("smith", {X: value}) for value in (1.0, 2.0, 3.0))
-    prober.left = 4
+    prober.remaining = 4
     for _ in range(3):
         assert prober.look([one, two, one]) == [False, False, False]
     assert len(rule.flown) == prober.flights == 4

@@ -410,7 +410,7 @@ def test_flights_are_taken_as_they_can_be_flown(few: Study) -> None:
     tasks.hand_out(2)  # and gone with another
     assert len(client.tasks) == 7
     rows = 1
-    while not tasks.done:
+    while not tasks.is_done:
         for each in client.tasks:
             if each.status == "pending":
                 each.end()
@@ -432,7 +432,7 @@ def test_what_is_under_way_is_taken_back(few: Study) -> None:
     assert [each.status for each in client.tasks] == ["finished", *["cancelled"] * 3]
 
 
-@pytest.mark.parametrize(("seconds", "size"), [(3.0, 1), (0.25, 2), (0.0001, cluster.MOST_IN_TASK)])
+@pytest.mark.parametrize(("seconds", "size"), [(3.0, 1), (0.25, 2), (0.0001, cluster.MAX_IN_TASK)])
 def test_long_flights_travel_alone_and_short_ones_in_limits(few: Study, seconds: float, size: int) -> None:
     client = Obedient(seconds)
     tasks = tasks_of(few, client, [])
@@ -451,7 +451,7 @@ def test_what_is_cancelled_is_flown_again_with_the_study(few: Study) -> None:
     client.tasks[0].end("cancelled")
     client.tasks[1].end("lost")
     assert list(tasks.collect()) == []
-    assert not tasks.done
+    assert not tasks.is_done
     tasks.hand_out(2)
     assert len(client.studies) == 2
     for each in client.tasks[2:]:
