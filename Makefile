@@ -21,7 +21,7 @@ TESTERS = $(shell $(PYTHON) -c 'import os; print(max(2, os.cpu_count() * 3 // 2)
 NOT_NEEDED := opencv-python vtk shapely quantized-mesh-tile
 # what the set-up leaves outside .venv; if any of it was deleted, it is made again
 MISSING := $(if $(and $(wildcard fmus/*.fmu),$(wildcard cosim/engine/_bank.*.so),$(wildcard cosim/results/_rows.*.so), \
-	$(wildcard cosim/base/_records.*.so),$(wildcard cosim/vehicle/_properties.*.so),$(or $(HEXJET_PURE),$(and $(wildcard cosim/_compiled.*.sha256),$(wildcard cosim/_native__mypyc.*.so)))),,missing)
+	$(wildcard cosim/base/_records.*.so),$(wildcard cosim/control/allocation/_effectiveness.*.so),$(wildcard cosim/vehicle/_properties.*.so),$(or $(HEXJET_PURE),$(and $(wildcard cosim/_compiled.*.sha256),$(wildcard cosim/_native__mypyc.*.so)))),,missing)
 
 ##@ Fly and look
 demo: setup ## fly roll-doublet without and with the Smith predictor, and compare

@@ -238,6 +238,12 @@ setup(
             py_limited_api=LIMITED_API,
             extra_compile_args=c_flags("-O2"),
         ),
+        Extension(
+            "cosim.control.allocation._effectiveness",
+            sources=["cosim/control/allocation/_effectiveness.c"],
+            depends=["cosim/control/allocation/effectiveness.h"],
+            extra_compile_args=c_flags("-O2"),
+        ),
         Extension("cosim.base._records", sources=["cosim/base/_records.c"], extra_compile_args=c_flags("-O2")),
         Extension(
             "cosim.vehicle._properties", sources=["cosim/vehicle/_properties.c"], extra_compile_args=c_flags("-O2")

@@ -32,7 +32,6 @@ MODULES = (
     "control/allocation/allocation.py",
     "control/allocation/effectiveness.py",
     "control/allocation/hinged_catch.py",
-    "control/allocation/prioritised.py",
     "control/altitude.py",
     "control/attitude.py",
     "control/bumpless.py",

@@ -3,8 +3,9 @@
 Asked for are a lift, along body -z, and three angular accelerations [rad/s^2], which the tensor of inertia makes into
 moments.  Thrusts and angles ``u`` give the wrench ``f(u)`` of :class:`cosim.base.layout.Layout`, exactly: each step
 solves ``f(u) = wanted`` by Newton's method from the commands of the step before, every linear problem within limits and
-by priority (:mod:`cosim.control.allocation.prioritised`).  What is told as not given is wanted less
-``f(u)``: what the commands really give, once engines and servos have followed.
+by priority.  What is told as not given is wanted less ``f(u)``: what the commands really give, once engines and servos
+have followed.  ``effectiveness.h`` has the method, its sources and the code, in C: a solution takes thousands of
+multiplications in every step, and as Python's numbers each was an object.
 
 The priority, chosen by us: roll and pitch moment, which turn the thrust and without which everything else is lost; then
 lift; then yaw, whose loss turns the nose and no more; last, where the vehicle asks for it, horizontal force.  Where the
@@ -23,7 +24,6 @@ from typing import Final, NamedTuple
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.base.frames import cross
 from cosim.base.layout import Layout
 from cosim.base.signals import (
     NO_JETS,
@@ -35,7 +35,7 @@ from cosim.base.signals import (
     Unallocated,
     Vector3,
 )
-from cosim.control.allocation.prioritised import prioritise
+from cosim.control.allocation._effectiveness import Solver
 
 ROLL, PITCH, LIFT, YAW, FORWARD, RIGHT = range(6)  # the rows
 LEVELS: Final = ((ROLL, PITCH), (LIFT,), (YAW,))
@@ -48,8 +48,6 @@ FLATTEST: Final = 0.05  # lift over force ahead that jets are asked for at least
 GIVEN: Final = 1e-10  # of the weight, or the weight at the radius of gyration: what is missing less is rounding
 NEARLY: Final = 1e-4  # the same for a design, which asks for the largest that is given from far away
 PASSES: Final = 6  # of Newton's method in a step; from the step before two are the rule
-SETTLED: Final = 1e-9  # of a hinge's range: it goes nowhere any more
-FAR: Final = 0.1  # of a hinge's range, in a pass without a step before
 FIRST_PASSES: Final = 60  # without a step before
 
 
@@ -109,6 +107,7 @@ class EffectivenessAllocator:
         self._scales = [
             (most - least) * span / effort for (least, most), effort in zip(shares, efforts, strict=True)
         ] + [(mover.most - mover.least) / mover.effort for mover in movers]
+        self._solver = _solver(effectors, self._scales, self._norms)
         self.rest: PerServo = tuple([mover.rest for mover in movers]) or (0.0, 0.0)
         self.pressure = 0.0  # Pa, dynamic: what surfaces work with
         self._reach = [(mover.least, mover.most) for mover in movers]
@@ -152,9 +151,7 @@ class EffectivenessAllocator:
         self._preferred = [even] * self._jets
         self._last = [even] * self._jets + [mover.rest for mover in self._movers]
         wanted = [0.0, 0.0, self._weight, 0.0, 0.0, 0.0]
-        asked, self._levels = self._levels, [*LEVELS, *HORIZONTAL]
-        found, missing = self._solve(wanted, self._weight, FIRST_PASSES, False)
-        self._levels = asked
+        found, missing = self._solve_by(wanted, self._weight, FIRST_PASSES, False, [*LEVELS, *HORIZONTAL])
         self._missing = [missing[row] * self._norms[row] for row in range(6)]
         self._balanced = all(abs(self._missing[row]) <= 1e-6 for row in (ROLL, PITCH, LIFT))
         self._preferred = found[: self._jets]
@@ -176,9 +173,7 @@ class EffectivenessAllocator:
     def trim(self, collective: float) -> PerJet:
         """Return the thrust fractions that give ``collective`` in balance, hinges near rest."""
         wanted = [0.0, 0.0, self._jets * (self._low + self._span * collective), 0.0, 0.0, 0.0]
-        before = self._last
         found, _ = self._solve(wanted, wanted[LIFT], FIRST_PASSES, False)
-        self._last = before
         return self._shares(found)
 
     # ---- what a design asks
@@ -187,9 +182,7 @@ class EffectivenessAllocator:
         """Return thrusts [N] and servos [rad] for angular accelerations [rad/s^2] in hover, however fast servos are.
 
         Returned second is what is missing of force [N] and moment [N m], in the order of the rows."""
-        before = self._last
         found, missing = self._solve(self._wanted(self._weight, torque, ZERO3), self._weight, FIRST_PASSES, False)
-        self._last = before
         return found, [0.0 if -GIVEN <= m * norm <= GIVEN else m for m, norm in zip(missing, self._norms, strict=True)]
 
     def by_thrust(self, axis: int) -> float:
@@ -205,7 +198,7 @@ class EffectivenessAllocator:
         small = 1e-3
         still, _ = self.hovering(ZERO3)
         moved, _ = self.hovering((small * (axis == 0), small * (axis == 1), small * (axis == 2)))
-        _, rows = self._linear(still)
+        _, rows = self._solver.linear(still, self.pressure)
         effects: list[float] = []
         for j, scale in enumerate(self._scales):
             turn = 0.0
@@ -280,15 +273,15 @@ class EffectivenessAllocator:
         wanted[PITCH] += pitch
         wanted[FORWARD] = force
         whole, along = max(hypot(force, asked), least), atan2(force, asked)
-        levels, stand, preferred, reach = self._levels, self._stand, self._preferred, self._reach
-        self._levels, self._stand, self._reach = [*LEVELS, *AHEAD], list(stand), list(reach)
+        stand, preferred, reach = self._stand, self._preferred, self._reach
+        self._stand, self._reach = list(stand), list(reach)
         for tilt in tilts:
             low, high = reach[tilt]
             middle = self._stand[tilt] = min(max(along, low), high)
             self._reach[tilt] = (max(low, middle - ASTRAY), min(high, middle + ASTRAY))
         self._preferred = self._shared(cos(along) * cos(along))
-        found, missing = self._solve(wanted, whole, PASSES, True)
-        self._levels, self._stand, self._preferred, self._reach = levels, stand, preferred, reach
+        found, missing = self._solve_by(wanted, whole, PASSES, True, [*LEVELS, *AHEAD])
+        self._stand, self._preferred, self._reach = stand, preferred, reach
         missing[LIFT] += lift - asked
         missing[FORWARD] += without - force
         return self._actuation(found, missing), missing[FORWARD]
@@ -338,118 +331,51 @@ class EffectivenessAllocator:
             answer.append(least if share < least else (most if share > most else share))
         return tuple(answer)
 
-    def _solve(
-        self, wanted: list[float], lift: float, passes: int, rated: bool, hurried: bool = False
+    def _solve(self, wanted: list[float], lift: float, passes: int, rated: bool) -> tuple[list[float], list[float]]:
+        """Thrusts [N] and angles for a wrench, and what is missing of it; ``rated``: no faster than servos go."""
+        return self._solve_by(wanted, lift, passes, rated, self._levels)
+
+    def _solve_by(
+        self, wanted: list[float], lift: float, passes: int, rated: bool, levels: list[tuple[int, ...]]
     ) -> tuple[list[float], list[float]]:
-        """Thrusts [N] and angles for a wrench, and what is missing of it.
+        """As :meth:`_solve`, with the rows in these levels."""
+        return self._solver.solve(
+            wanted,
+            lift,
+            self.pressure,
+            passes,
+            rated,
+            False,
+            self._last,
+            self._ends,
+            levels,
+            self._preferred,
+            self._reach,
+            self._stand,
+        )
 
-        ``rated``: commands no faster than servos go; ``hurried``: so far ahead of them that they go at their full rate,
-        and roll and pitch together as far as they can.
-        """
-        jets, scales, norms = self._jets, self._scales, self._norms
-        low, high, start = self._scaled_limits(lift, rated, hurried)
-        here = self._last
-        given, rows = self._linear(here)
-        for _ in range(passes):
-            if not rated:  # from far away: no hinge goes further at once than a line stands for
-                for number, mover in enumerate(self._movers):
-                    j, far = jets + number, FAR * (mover.most - mover.least)
-                    least, most = self._reach[number]
-                    low[j] = min(max(least, here[j] - far), most) / scales[j]
-                    high[j] = max(min(most, here[j] + far), least) / scales[j]
-            targets: list[float] = []
-            for row in range(6):
-                steps = 0.0
-                for j, scale in enumerate(scales):
-                    steps += rows[row][j] * (here[j] / scale)
-                targets.append((wanted[row] - given[row]) * norms[row] + steps)
-            found = prioritise(rows, targets, self._levels, start, low, high, hurried)
-            before, steps_before = given, rows
-            moved = [value * scale for value, scale in zip(found, scales, strict=True)]
-            given, rows = self._linear(moved)
-            off = 0.0
-            for row in range(6):
-                change = 0.0
-                for j, scale in enumerate(scales):
-                    change += steps_before[row][j] * (found[j] - here[j] / scale)
-                error = (given[row] - before[row]) * norms[row] - change
-                off = error if error > off else (-error if -error > off else off)
-            far = 0.0
-            for number, mover in enumerate(self._movers):
-                went = (moved[jets + number] - here[jets + number]) / (mover.most - mover.least)
-                far = went if went > far else (-went if -went > far else far)
-            here = moved
-            if off <= 0.1 * GIVEN and (rated or far <= SETTLED):
-                break
-        return here, [wanted[row] - given[row] for row in range(6)]
 
-    def _scaled_limits(self, lift: float, rated: bool, hurried: bool) -> tuple[list[float], list[float], list[float]]:
-        """Return each effector's scaled lower and upper limit and its preferred value, as for :meth:`_solve`."""
-        jets, scales = self._jets, self._scales
-        low: list[float] = []
-        high: list[float] = []
-        start: list[float] = []
-        up = lift / self._weight
-        for jet, (least, most) in enumerate(self._ends):
-            low.append(least / scales[jet])
-            high.append(most / scales[jet])
-            start.append(up * self._preferred[jet] / scales[jet])
-        for number, mover in enumerate(self._movers):
-            (least, most), scale = self._reach[number], scales[jets + number]
-            if rated:  # from outside it comes as fast as it can
-                last = self._last[jets + number]
-                step = mover.step + mover.lead if hurried else mover.step
-                slowest, fastest = last - step, last + step
-                least = slowest if slowest > least else (fastest if fastest < least else least)
-                most = fastest if fastest < most else (slowest if slowest > most else most)
-            low.append(least / scale)
-            high.append(most / scale)
-            start.append(self._stand[number] / scale)
-        return low, high, start
-
-    def _linear(self, at: Sequence[float]) -> tuple[list[float], list[list[float]]]:
-        """Return the wrench in the order of the rows, and its scaled change by each effector."""
-        jets, layout, scales, norms = self._jets, self._layout, self._scales, self._norms
-        angles = at[jets:]
-        axes, standing = layout.axes(angles), layout.standing(angles)
-        count = len(at)
-        rows = [[0.0] * count for _ in range(6)]
-        total = [0.0] * 6
-        for jet in range(jets):
-            thrust = at[jet]
-            axis, twist, place = axes[layout.groups[jet]], layout.stations[jet].twist, standing[jet]
-            ex, ey, ez = axis
-            mx, my, mz = cross(place, axis)
-            mx, my, mz = mx + twist * ex, my + twist * ey, mz + twist * ez
-            each = (mx, my, -ez, mz, ex, ey)
-            scale = scales[jet]
-            for row in range(6):
-                total[row] += thrust * each[row]
-                rows[row][jet] = each[row] * scale * norms[row]
-            if layout.chains[jet]:
-                for number, effect, carries, about, point in layout.hinge_axes(angles, jet):
-                    # the thrust turns with the hinge, and the station where it is carried
-                    fx, fy, fz = cross(about, axis)
-                    fx, fy, fz = effect * fx, effect * fy, effect * fz
-                    gx, gy, gz = cross(place, (fx, fy, fz))
-                    gx, gy, gz = gx + twist * fx, gy + twist * fy, gz + twist * fz
-                    if carries:
-                        moved = cross(about, (place[0] - point[0], place[1] - point[1], place[2] - point[2]))
-                        lx, ly, lz = cross(moved, axis)
-                        gx, gy, gz = gx + lx, gy + ly, gz + lz
-                    turn = (gx, gy, -fz, gz, fx, fy)
-                    size = thrust * scales[jets + number]
-                    for row in range(6):
-                        rows[row][jets + number] += turn[row] * size * norms[row]
-        for number in range(self._hinges, len(self._movers)):
-            fx, fy, fz, mx, my, mz = self._movers[number].wrench
-            surface = (mx, my, -fz, mz, fx, fy)
-            size = self.pressure * scales[jets + number]
-            deflected = self.pressure * at[jets + number]
-            for row in range(6):
-                total[row] += deflected * surface[row]
-                rows[row][jets + number] = surface[row] * size * norms[row]
-        return total, rows
+def _solver(effectors: Effectors, scales: list[float], norms: tuple[float, ...]) -> Solver:
+    """Return what solves for a vehicle, which has its constants as they are."""
+    layout, movers = effectors.layout, effectors.movers
+    stations = [
+        (
+            station.place,
+            station.axis,
+            station.twist,
+            [(n, effect, jet in layout.turns[n].carries) for n, effect in chain],
+        )
+        for jet, (station, chain) in enumerate(zip(layout.stations, layout.chains, strict=True))
+    ]
+    hinges = [
+        (turn.point, turn.axis, mover.least, mover.most, mover.step, mover.lead)
+        for turn, mover in zip(layout.turns, movers, strict=False)
+    ]
+    surfaces: list[tuple[tuple[float, ...], float, float, float, float]] = []
+    for mover in movers[len(hinges) :]:
+        fx, fy, fz, mx, my, mz = mover.wrench
+        surfaces.append(((mx, my, -fz, mz, fx, fy), mover.least, mover.most, mover.step, mover.lead))
+    return Solver(stations, hinges, surfaces, scales, norms, effectors.mass * GRAVITY, GIVEN)
 
 
 def _describe(missing: Sequence[float], norms: Sequence[float]) -> str:

@@ -219,11 +219,11 @@ class HingedCatch(EffectivenessAllocator):
         self, search: Search, wanted: list[float], lift: float, passes: int, rated: bool
     ) -> tuple[list[float], list[float]]:
         """As :meth:`_solve`, by ``search``; ``rated``: as far as servos go in a step, and in a hurry."""
-        before = self._last, self._ends, self._levels, self._reach, self._stand
-        self._last, self._ends, self._levels, self._reach, self._stand = search
-        answer = self._solve(wanted, lift, passes, rated, rated)
-        self._last, self._ends, self._levels, self._reach, self._stand = before
-        return answer
+        last, ends, levels, reach, stand = search
+        pressure, preferred = self.pressure, self._preferred
+        return self._solver.solve(
+            wanted, lift, pressure, passes, rated, rated, last, ends, levels, preferred, reach, stand
+        )
 
     def _turns_on(self, wanted: Sequence[float], missing: Sequence[float], servos: Sequence[float]) -> bool:
         """Whether hinges are at their limits, and with the thrusts that are on their way turn it against the wanted."""
@@ -231,7 +231,7 @@ class HingedCatch(EffectivenessAllocator):
             return False
         late = self._late
         coming = [max(0.0, f + late.ahead * up) for f, up in zip(self._reported, self._rising, strict=True)]
-        moments, _ = self._linear([*coming, *servos])
+        moments, _ = self._solver.linear([*coming, *servos], self.pressure)
         return moments[ROLL] * wanted[ROLL] + moments[PITCH] * wanted[PITCH] <= 0.0
 
     def _lean(self, missing: Sequence[float], lift: float) -> None:

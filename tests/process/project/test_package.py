@@ -139,6 +139,7 @@ def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
     binaries = [name for name in names if name.endswith((".so", ".pyd"))]
     wanted = [
         "base/_records",
+        "control/allocation/_effectiveness",
         "vehicle/_properties",
         "results/_rows",
         "engine/_bank",

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from math import inf, nan
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from cosim.control.allocation.prioritised import prioritise
+from cosim.control.allocation._effectiveness import prioritise
 
 LEVELS = ((0, 1), (2,), (3,))
 CLOSE = 1e-8  # rows are of numbers around 1
@@ -34,7 +37,12 @@ def problem(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, 
 
 
 def solve(rows, wanted, start, low, high) -> np.ndarray:  # type: ignore[no-untyped-def]
-    return np.array(prioritise([list(row) for row in rows], wanted, LEVELS, start, low, high))
+    return np.array(prioritise(*listed(rows, wanted, start, low, high)))
+
+
+def listed(rows, wanted, start, low, high):  # type: ignore[no-untyped-def]
+    rows, wanted, start, low, high = (np.asarray(each).tolist() for each in (rows, wanted, start, low, high))
+    return rows, wanted, LEVELS, start, low, high
 
 
 @given(st.integers(0, 10**6))
@@ -66,9 +74,9 @@ def test_each_level_goes_as_far_as_a_linear_program_does_and_the_ones_before_sta
 @settings(max_examples=60, deadline=None)
 def test_two_rows_that_go_along_first_go_as_far_as_a_linear_program_does(seed: int) -> None:
     """Beyond what keeps the direction: whatever comes across it, and the least of that which such a distance leaves."""
-    rows, wanted, start, low, high = problem(seed)
-    arguments = [list(row) for row in rows], wanted, LEVELS, start, low, high
-    x = np.array(prioritise(*arguments, along_first=True))
+    found = rows, wanted, start, low, high = problem(seed)
+    arguments = listed(*found)
+    x = np.array(prioritise(*arguments, True))
     assert (x >= low).all()
     assert (x <= high).all()
     missing = wanted[:2] - rows[:2] @ start
@@ -112,3 +120,98 @@ def test_within_the_limits_it_is_the_pseudo_inverse_beside_the_start(seed: int) 
 def test_a_row_in_no_level_is_not_looked_at() -> None:
     x = prioritise([[1.0, 0.0], [0.0, 1.0]], [0.3, 0.4], ((0,),), [0.0, 0.0], [-1.0, -1.0], [1.0, 1.0])
     assert x == pytest.approx([0.3, 0.0])
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=60, deadline=None)
+def test_multipliers_say_that_no_level_goes_further(seed: int) -> None:
+    """The conditions of Karush, Kuhn and Tucker for a row that is not met: no way within the limits keeps the rows above.
+
+    The row is a combination of those held, and of limits that push the way they may: ``row = held' l + upper - lower``
+    with ``upper`` at upper limits and ``lower`` at lower ones, neither negative.
+    """
+    rows, wanted, start, low, high = problem(seed)
+    x = solve(rows, wanted, start, low, high)
+    for number in (2, 3):
+        missing = wanted[number] - rows[number] @ x
+        if abs(missing) <= CLOSE:
+            continue
+        row, held = np.sign(missing) * rows[number], rows[:number]
+        at_high, at_low = x >= high - 1e-12, x <= low + 1e-12
+        multipliers = np.hstack([held.T, np.diag(at_high * 1.0), -np.diag(at_low * 1.0)])
+        bounds = [(None, None)] * number + [(0.0, None)] * (2 * len(x))
+        slack = np.hstack([multipliers, np.eye(len(x)), -np.eye(len(x))])
+        cost = np.append(np.zeros(len(bounds)), np.ones(2 * len(x)))
+        off = linprog(cost, A_eq=slack, b_eq=row, bounds=bounds + [(0.0, None)] * (2 * len(x)))
+        assert off.fun <= 1e-7
+
+
+EMPTY: list[list[float]] = [[0.0, 0.0, 0.0]] * 4
+
+
+@pytest.mark.parametrize("along_first", [False, True])
+@pytest.mark.parametrize(
+    ("rows", "wanted", "exact"),
+    [
+        (EMPTY, [1.0] * 4, [0.1, 0.1, 0.1]),  # nothing does anything: all stays at its start
+        ([[1.0, 1.0, 1.0]] * 4, [0.9] * 4, [0.3, 0.3, 0.3]),  # all rows the same
+        ([[1.0, 1.0, 1.0]] * 4, [9.0] * 4, [1.0, 1.0, 1.0]),  # and more than there is
+        ([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 1.0]], [1e100, 1e100, -1e100, 5.0], [1.0, 1.0, 0.0]),
+    ],
+)  # fmt: skip
+def test_rows_that_are_not_independent(
+    rows: list[list[float]], wanted: list[float], exact: list[float], along_first: bool
+) -> None:
+    x = prioritise(rows, wanted, LEVELS, [0.1] * 3, [0.0] * 3, [1.0] * 3, along_first)
+    assert x == pytest.approx(exact, abs=1e-12)
+
+
+def test_a_row_whose_square_is_zero_moves_nothing() -> None:
+    """The other one of its level gets what is wanted of it; along what is missing of both it goes to its limit."""
+    rows, wanted = [[1e-300, 0.0], [0.0, 1.0]], [1.0, 0.5]
+    for along_first, exact in ((False, [0.1, 0.5]), (True, [0.1, 1.0])):
+        x = prioritise(rows, wanted, ((0, 1),), [0.1] * 2, [0.0] * 2, [1.0] * 2, along_first)
+        assert x == pytest.approx(exact, abs=1e-12)
+
+
+def test_effectors_without_room_or_without_limits() -> None:
+    rows = [[1.0, 1.0], [1.0, -1.0], [0.0, 1.0], [1.0, 0.0]]
+    assert prioritise(rows, [1.0] * 4, LEVELS, [0.0, 0.0], [0.2, 0.3], [0.2, 0.3]) == [0.2, 0.3]
+    assert prioritise(rows, [1.0] * 4, LEVELS, [0.0, 0.0], [-inf] * 2, [inf] * 2) == pytest.approx([1.0, 0.0])
+    # one of them is out: the other gives what there is of the first level along what is missing, nothing more
+    assert prioritise(rows[:1], [1.0], ((0,),), [0.0, 0.0], [0.0, -5.0], [0.0, 5.0]) == pytest.approx([0.0, 1.0])
+
+
+GOOD: tuple[Any, ...] = ([[1.0, 0.0], [0.0, 1.0]], [0.3, 0.4], ((0,), (1,)), [0.0, 0.0], [-1.0, -1.0], [1.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "message"),
+    [
+        (0, [[1.0, nan], [0.0, 1.0]], "rows: nan is not a finite number"),
+        (0, [[1.0, 0.0], [0.0]], "rows: has 1 items, must have 2"),
+        (0, [], "takes 1 to 6 rows of 1 to 48 effectors"),
+        (0, [[1.0, 0.0]] * 7, "takes 1 to 6 rows of 1 to 48 effectors"),
+        (1, [0.3, nan], "wanted: nan is not a finite number"),
+        (1, [0.3, inf], "wanted: inf is not a finite number"),
+        (2, ((0, 1, 2),), "levels: takes tuples of one row or two"),
+        (2, ((0,), (0,)), "levels: row 0 is not there, or there twice"),
+        (2, ((2,),), "levels: row 2 is not there, or there twice"),
+        (3, [nan, 0.0], "start: nan is not a finite number"),
+        (4, [nan, 0.0], "low: nan is not a number"),
+        (5, [1.0, nan], "high: nan is not a number"),
+        (5, [1.0, -2.0], "high: is below low"),
+        (5, [1.0], "high: has 1 items, must have 2"),
+    ],
+)
+def test_what_is_no_problem_is_refused(place: int, value: Any, message: str) -> None:
+    assert prioritise(*GOOD) == pytest.approx([0.3, 0.4])
+    with pytest.raises(ValueError, match=message):
+        prioritise(*GOOD[:place], value, *GOOD[place + 1 :])
+
+
+def test_what_is_no_number_is_refused() -> None:
+    with pytest.raises(TypeError, match="rows: takes a list or a tuple"):
+        prioritise(7, *GOOD[1:])  # type: ignore[arg-type]
+    with pytest.raises(TypeError):
+        prioritise(GOOD[0], ["a", 0.0], *GOOD[2:])
