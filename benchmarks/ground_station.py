@@ -35,12 +35,12 @@ from cosim.control.autopilot.parameters import Parameters
 from cosim.files import scratch
 from cosim.groundstation.exchange import Exchange, Port
 from cosim.groundstation.links import Links, vehicle_info
-from cosim.groundstation.mavlink.vehicle import Vehicle
+from cosim.groundstation.mavlink.vehicle import MavlinkVehicle
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.read_only import scripted_status
 from cosim.groundstation.session import RecordOptions, Session
-from cosim.groundstation.session_flight import session_info, snapshot_of
+from cosim.groundstation.session_flight import flight_info, snapshot_of
 from cosim.pages import table, write_marks
 from cosim.simulation.build import build
 from cosim.simulation.pacing import PaceReport
@@ -255,7 +255,7 @@ class _Wire:
     def __init__(self, clock: Callable[[], float], link: Link, baud: int) -> None:
         self._clock, self._rate, self._free = clock, baud / 10.0, 0.0
         self.arrived: list[tuple[float, bytes]] = []
-        self.peer = link.peer(f"{baud}", self._take, link.parser(whole=False), whole=True, line=self._rate)
+        self.peer = link.new_peer(f"{baud}", self._take, is_datagram=False, line=self._rate)
         self.peers = [self.peer]
 
     def _take(self, data: bytes) -> int:
@@ -279,8 +279,8 @@ def line(baud: int) -> tuple[dict[str, float], float, list[float]]:
     with build(Scenario.load("hover").replace(duration_s=SETTLE + COUNT + 1.0)) as simulation:
         link = Link([], clock=lambda: now[0])
         exchange = Exchange(lambda: now[0])
-        facts = session_info(simulation, 1, Parameters([]), None, 1.0)
-        link.station = vehicle = Vehicle(vehicle_info(facts, "px4"), Port(exchange, "mavlink"), link)
+        info = flight_info(simulation, 1, Parameters([]), None, 1.0)
+        link.handler = vehicle = MavlinkVehicle(vehicle_info(info, "px4"), Port(exchange, "mavlink"), link)
         wire = _Wire(lambda: now[0], link, baud)
         link._channels.append(wire)
         asked: list[float] = []
@@ -294,7 +294,7 @@ def line(baud: int) -> tuple[dict[str, float], float, list[float]]:
                 status = scripted_status(simulation, sample)
                 fix = status.fix._replace(disturbance=(0.1, 0.0))  # as where an autopilot estimates what pushes it
                 status = status._replace(fix=fix)
-                exchange.publish(snapshot_of(simulation, facts, sample, status, PaceReport(load=0.1), now[0]))
+                exchange.publish(snapshot_of(simulation, info, sample, status, PaceReport(load=0.1), now[0]))
             if now[0] >= SETTLE:
                 begun = begun or len(wire.arrived)
                 if len(asked) <= (now[0] - SETTLE) / 0.7:
@@ -399,13 +399,13 @@ def stalled(seconds: float) -> str:
         session = _session(links, Path(folder) / "run", 1.0)
         serial = links.link._channels[0]
         events: list[tuple[float, str]] = []
-        tell = links.link.tell
+        tell = links.link.on_event
 
         def note(text: str) -> None:
             events.append((time.monotonic(), text))
             tell(text)
 
-        links.link.tell = note
+        links.link.on_event = note
 
         def read(until: Callable[[], bool]) -> None:
             while not until():
@@ -454,7 +454,7 @@ def stalled(seconds: float) -> str:
 def _session(links: Links, folder: Path, factor: float | None, duration: float | None = None) -> Session:
     return Session(
         Scenario.load("hover").replace(name="gcs"), links.exchange, factor=factor, duration=duration,
-        records=RecordOptions(folder, report=False), begun=links.begin, over=links.end,
+        records=RecordOptions(folder, report=False), on_begin=links.begin, on_end=links.end,
     )  # fmt: skip
 
 

@@ -42,10 +42,10 @@ from cosim.spec.vehicle import Vehicle
 
 WAITING_PER_SENDER = 64  # requests that may wait; a mission is one.  Chosen by us: a quarter second of steps
 SENDERS = 32  # that may have something waiting at once
-KEPT_MESSAGES = 100
-PATIENCE = 2.0  # s for an answer at a port: ground stations ask again after 1 to 3 s
+MESSAGE_HISTORY = 100
+ANSWER_TIMEOUT = 2.0  # s for an answer at a port: ground stations ask again after 1 to 3 s
 
-# what is sent again and again: only the last one counts
+# requests that are sent continuously, of which only the last one counts
 _STREAMS = (Sticks, OffboardAttitude, OffboardVelocity, OffboardPosition)
 
 
@@ -60,42 +60,42 @@ class Shutdown:
 
 
 GroundRequest = Request | Restart | Shutdown
-Done = Callable[[Answer], None]
-Claim = Callable[[], bool]  # takes a request over; False: who asked has been told already that it is not done
+AnswerCallback = Callable[[Answer], None]
+Claim = Callable[[], bool]  # takes a request over; False: its sender has already been answered that it is not done
 
 
 def ignore_answer(answer: Answer) -> None:
     """Ignore an answer, for senders that need none."""
 
 
-def _always() -> bool:
+def _accept() -> bool:
     return True
 
 
-class SessionInfo(NamedTuple):
+class FlightInfo(NamedTuple):
     """Constant data of one flight."""
 
     number: int  # flights of this session, from 1
     scenario: Scenario
     vehicle: Vehicle
     stations: tuple[EngineSpec, ...]  # jets 1 to 6
-    geodesy: Geodesy  # where the flight's origin is
-    parameters: Parameters  # to be read; changed by SetParameter alone
-    folder: Path | None  # the run's
+    geodesy: Geodesy  # of the flight's origin
+    parameters: Parameters  # read only: SetParameter changes them
+    folder: Path | None  # of the run
     factor: float | None  # of real time; None: as fast as it goes
-    own: tuple[Column, ...] = ()  # what the flight's blocks show beside the log's columns
+    columns: tuple[Column, ...] = ()  # what the flight's blocks show beside the log's columns
 
 
 class Snapshot(NamedTuple):
     """State of the flight after one step."""
 
     published: float  # s, of the exchange's clock
-    facts: SessionInfo
+    info: FlightInfo
     k: int  # steps done; the state is that of k dt
     time: float  # k dt [s]
     sample: Sample | None  # the step that led here; None before the first
     state: State  # true
-    measured: Measured  # what the controller will be told
+    measured: Measured  # input of the controller's next update
     status: Status
     pace: PaceReport
     ending: Ending | None  # once the flight is over
@@ -103,12 +103,12 @@ class Snapshot(NamedTuple):
     diagnostics: tuple[Diagnostics, Diagnostics, Diagnostics]  # of the predictors of roll, pitch and yaw
 
 
-class Waiting(NamedTuple):
+class PendingRequest(NamedTuple):
     """One request on its way to the flight."""
 
     sender: str
     request: GroundRequest
-    answer: Done  # tells who has asked
+    answer: AnswerCallback  # answers the sender
     until: float  # s, of the exchange's clock
 
 
@@ -118,14 +118,14 @@ class Exchange:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.clock = clock
         self._lock = Lock()
-        self._queues: dict[str, deque[tuple[Waiting, Claim]]] = {}
+        self._queues: dict[str, deque[tuple[PendingRequest, Claim]]] = {}
         self._snapshot: Snapshot | None = None
         self._messages: tuple[Message, ...] = ()
         self._message_count = 0
         self._wakers: tuple[Callable[[], None], ...] = ()
         self.turned_away = 0  # requests for which there was no room
 
-    # --- for those who watch -------------------------------------------------------------------------------------
+    # --- for observers --------------------------------------------------------------------------------------------
 
     @property
     def snapshot(self) -> Snapshot | None:
@@ -138,34 +138,34 @@ class Exchange:
         return self._messages
 
     def subscribe(self, wake: Callable[[], None]) -> Callable[[], None]:
-        """Call ``wake`` in the flight's thread whenever there is news; it must return at once.  Gives what ends it."""
+        """Call ``wake`` in the flight's thread after each snapshot; it must return at once.  Return what ends that."""
         with self._lock:
             self._wakers = (*self._wakers, wake)
 
-        def leave() -> None:
+        def unsubscribe() -> None:
             with self._lock:
                 self._wakers = tuple(waker for waker in self._wakers if waker is not wake)
 
-        return leave
+        return unsubscribe
 
-    # --- for those who ask ---------------------------------------------------------------------------------------
+    # --- for senders of requests ----------------------------------------------------------------------------------
 
     def ask(
         self,
         request: GroundRequest,
-        done: Done = ignore_answer,
+        done: AnswerCallback = ignore_answer,
         sender: str = "",
         until: float = inf,
-        claim: Claim = _always,
+        claim: Claim = _accept,
     ) -> None:
-        """Ask something of the vehicle; it is handled before the next step.
+        """Queue a request for the vehicle, which handles it before the next step.
 
         ``done`` gets the answer once, in the flight's thread, or at once in this one if there is no room; it must
-        return quickly.  ``sender`` goes to the log.  A request that is not taken ``until`` then is not done any more:
-        who asked has been told so.  ``claim`` is called when it is taken; where it returns False it is not done.
+        return quickly.  ``sender`` goes to the log.  A request that is not taken until ``until`` is not done any more,
+        and is answered so.  ``claim`` is called when it is taken; where it returns False it is not done.
         """
-        waiting = Waiting(sender, request, done, until)
-        dropped: Waiting | None = None
+        waiting = PendingRequest(sender, request, done, until)
+        dropped: PendingRequest | None = None
         with self._lock:
             queue = self._queues.get(sender)
             full = queue is None and len(self._queues) >= SENDERS
@@ -192,16 +192,16 @@ class Exchange:
         with self._lock:
             return sum(len(queue) for queue in self._queues.values())
 
-    def take(self, most: int) -> list[Waiting]:
+    def take(self, most: int) -> list[PendingRequest]:
         """Take the next requests out of the queues, ``most`` of them at most, one sender after the other."""
         if not self._queues:
             return []
-        taken: list[Waiting] = []
-        late: list[Waiting] = []
+        taken: list[PendingRequest] = []
+        late: list[PendingRequest] = []
         now = self.clock()
         with self._lock:
             while self._queues and len(taken) < most:
-                # the first sender gives one and goes to the end of the row
+                # one request of the first sender, which goes to the end of the row
                 sender = next(iter(self._queues))
                 queue = self._queues.pop(sender)
                 waiting, claim = queue.popleft()
@@ -216,10 +216,10 @@ class Exchange:
         """Add a line for the people on the ground, which goes out with the next snapshot."""
         with self._lock:
             self._message_count += 1
-            self._messages = (*self._messages[1 - KEPT_MESSAGES :], Message(self._message_count, k, severity, text))
+            self._messages = (*self._messages[1 - MESSAGE_HISTORY :], Message(self._message_count, k, severity, text))
 
     def publish(self, snapshot: Snapshot) -> None:
-        """Put a snapshot in place of the one before, and wake who waits for news."""
+        """Replace the snapshot, and wake the subscribers."""
         self._snapshot = snapshot
         for wake in self._wakers:
             with suppress(OSError):  # a socket that is being closed
@@ -237,60 +237,60 @@ class Port:
         self.wake: Callable[[], None] = lambda: None
         self.snapshot: Snapshot | None = None  # the last one of a flight that has begun
         self._exchange = exchange
-        self._lines: tuple[Message, ...] = ()
+        self._messages: tuple[Message, ...] = ()
         self._last_message = 0
-        self._open: dict[int, Done] = {}  # who waits for an answer
-        # How long [s]: who takes a number out of here first, the flight or the loop, says what becomes of the request.
-        self._due: dict[int, float] = {}
+        self._replies: dict[int, AnswerCallback] = {}  # by number of the request
+        # Deadlines [s]: whoever takes a number out first, the flight or the loop, decides on the request.
+        self._deadlines: dict[int, float] = {}
         self._request_count = 0
         self._answered: deque[tuple[int, Answer]] = deque()
-        self.leave = exchange.subscribe(self._news)
+        self.unsubscribe = exchange.subscribe(self._on_publish)
 
-    def ask(self, request: GroundRequest, reply: Done | None = None, sender: str = "") -> None:
-        """Ask something of the vehicle; ``reply`` gets exactly one answer, from :meth:`collect`."""
+    def ask(self, request: GroundRequest, reply: AnswerCallback | None = None, sender: str = "") -> None:
+        """Queue a request for the vehicle; ``reply`` gets exactly one answer, from :meth:`collect`."""
         sender = sender or self.name
         if reply is None:
             self._exchange.ask(request, sender=sender)
             return
         self._request_count += 1
-        number, until = self._request_count, self._exchange.clock() + PATIENCE
-        self._open[number], self._due[number] = reply, until
+        number, until = self._request_count, self._exchange.clock() + ANSWER_TIMEOUT
+        self._replies[number], self._deadlines[number] = reply, until
         self._exchange.ask(
-            request, lambda answer: self._answer(number, answer), sender, until, lambda: self._withdraw(number)
+            request, lambda answer: self._queue_answer(number, answer), sender, until, lambda: self._withdraw(number)
         )
 
     def collect(self, now: float) -> None:
-        """Hand out the answers that have come, and say to who has waited too long that there is none.
+        """Hand out the answers that have come, and answer the requests that the flight has not taken in time.
 
-        What the flight has taken is not given up: it is answered when it is decided.
+        A request that the flight has taken is answered when it is decided.
         """
         while self._answered:
             number, answer = self._answered.popleft()
             self._withdraw(number)
-            if number in self._open:
-                self._open.pop(number)(answer)
-        for number in [number for number, until in self._due.copy().items() if now >= until]:
+            if number in self._replies:
+                self._replies.pop(number)(answer)
+        for number in [number for number, until in self._deadlines.copy().items() if now >= until]:
             if self._withdraw(number):
-                self._open.pop(number)(Answer(False, Result.FAILED, "the flight does not answer"))
+                self._replies.pop(number)(Answer(False, Result.FAILED, "the flight does not answer"))
 
     def messages(self) -> list[Message]:
         """Return the messages that are new since the last call."""
-        new = [message for message in self._lines if message.number > self._last_message]
+        new = [message for message in self._messages if message.number > self._last_message]
         self._last_message = new[-1].number if new else self._last_message
         return new
 
-    def _news(self) -> None:
+    def _on_publish(self) -> None:
         """Keep the new snapshot and wake the loop; called in the flight's thread."""
         snapshot = self._exchange.snapshot
         if snapshot is not None and snapshot.sample is not None:
-            self.snapshot, self._lines = snapshot, self._exchange.messages
+            self.snapshot, self._messages = snapshot, self._exchange.messages
             self.wake()
 
     def _withdraw(self, number: int) -> bool:
-        """Return whether nobody has decided before; one operation of a dict, as two threads may ask."""
-        return self._due.pop(number, None) is not None
+        """Return whether the request was still undecided; one operation of a dict, as two threads may call it."""
+        return self._deadlines.pop(number, None) is not None
 
-    def _answer(self, number: int, answer: Answer) -> None:
+    def _queue_answer(self, number: int, answer: Answer) -> None:
         """Queue an answer and wake the loop; called in the flight's thread, or at once in this one."""
         self._answered.append((number, answer))
         self.wake()

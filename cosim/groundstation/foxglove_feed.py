@@ -9,8 +9,8 @@ from cosim.groundstation.exchange import Exchange
 from cosim.results.export.foxglove_live import LiveExport
 from cosim.results.export.output import LogLine
 
-LOOKS_1_S = 25  # chosen by us: a picture every 40 ms, as the exported arrows; every step is in the run's log
-DRAWN_S = 1.0  # between two drawings of what stands still: as long a viewer that comes later waits for it
+RATE_1_S = 25  # chosen by us: a picture every 40 ms, as the exported arrows; every step is in the run's log
+REDRAW_S = 1.0  # between two drawings of what stands still: as long a viewer that comes later waits for it
 PORT = 8766  # beside the page's
 
 
@@ -31,7 +31,7 @@ class FoxgloveFeed:
     def __init__(self, exchange: Exchange, host: str, port: int) -> None:
         self._exchange = exchange
         self._export = LiveExport(host, port)
-        self._over = threading.Event()
+        self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="foxglove", daemon=True)
         self.url = self._export.url
 
@@ -41,24 +41,24 @@ class FoxgloveFeed:
 
     def stop(self) -> None:
         """Stop the thread and close the server; may be called twice."""
-        self._over.set()
+        self._stopped.set()
         if self._thread.is_alive():
             self._thread.join()
         self._export.close()
 
     def _run(self) -> None:
-        flight, step, last_line, looks = 0, -1, 0, 0
-        while not self._over.wait(1.0 / LOOKS_1_S):
+        flight, step, last_line, look_count = 0, -1, 0, 0
+        while not self._stopped.wait(1.0 / RATE_1_S):
             snapshot = self._exchange.snapshot
             if snapshot is None or snapshot.sample is None:
                 continue
-            scenario = snapshot.facts.scenario
-            if snapshot.facts.number != flight:
-                flight, step, looks = snapshot.facts.number, -1, 0
-                self._export.begin(scenario, snapshot.facts.own)
-            if looks % round(DRAWN_S * LOOKS_1_S) == 0:
+            scenario = snapshot.info.scenario
+            if snapshot.info.number != flight:
+                flight, step, look_count = snapshot.info.number, -1, 0
+                self._export.begin(scenario, snapshot.info.columns)
+            if look_count % round(REDRAW_S * RATE_1_S) == 0:
                 self._export.draw(snapshot.sample.time)
-            looks += 1
+            look_count += 1
             lines = [message for message in self._exchange.messages if message.number > last_line]
             last_line = lines[-1].number if lines else last_line
             self._export.say(

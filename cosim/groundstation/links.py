@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot.modes import Severity
-from cosim.groundstation.exchange import Exchange, Port, Restart, SessionInfo, Shutdown
-from cosim.groundstation.mavlink.about import Personality, VehicleInfo
+from cosim.groundstation.exchange import Exchange, FlightInfo, Port, Restart, Shutdown
 from cosim.groundstation.mavlink.services.ftp import Bytes, File, FileService
 from cosim.groundstation.mavlink.services.logs import LOG_FOLDER, LogService, LogStore, finished_runs
 from cosim.groundstation.mavlink.services.metadata import Metadata
 from cosim.groundstation.mavlink.services.missions import MissionService
 from cosim.groundstation.mavlink.services.params import ParameterService
-from cosim.groundstation.mavlink.vehicle import Vehicle
+from cosim.groundstation.mavlink.vehicle import MavlinkVehicle
+from cosim.groundstation.mavlink.vehicle_constants import Personality, VehicleConstants
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.signing import Signing, read_key
-from cosim.groundstation.mavlink.wire.tlog import Log
+from cosim.groundstation.mavlink.wire.tlog import TelemetryLog
 from cosim.groundstation.mavlink.wire.transports import endpoint
 from cosim.groundstation.read_only import ReadOnlyObserver
 from cosim.results.autopilot.request_log import REQUESTS
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 class Links:
     """Links to ``urls`` (without any: to the two that ground stations listen to), and the page.
 
-    Nothing is said on them before the first flight begins.  ``public``: servers may listen to the network.
+    They are silent before the first flight begins.  ``public``: servers may listen to the network.
     ``sign_key``: a file with the key.  ``web``: the page's port, None for no page.  ``system``: the vehicle's MAVLink
     id, by which stations tell several apart.  ``foxglove``: ``[HOST:]PORT`` of a server for Foxglove.  Raises
     InputError for a URL, key, port or id that cannot be used.
@@ -57,14 +57,14 @@ class Links:
         self.endpoints = [endpoint.parse(url, public) for url in urls or endpoint.default(system)]
         self._personality = personality
         signing = None if sign_key is None else Signing(read_key(sign_key))
-        self._port = Port(self.exchange, "mavlink")
+        self._exchange_port = Port(self.exchange, "mavlink")
         self.link = Link(self.endpoints, system, signing=signing)
-        self.link.tell = lambda text: self.exchange.say(Severity.WARNING, text)
+        self.link.on_event = lambda text: self.exchange.say(Severity.WARNING, text)
         self._page = None
         self._foxglove: FoxgloveFeed | None = None
-        self._vehicle: Vehicle | None = None
+        self._vehicle: MavlinkVehicle | None = None
         self._parameters: ParameterService | None = None
-        self._shelf: LogStore | None = None
+        self._log_store: LogStore | None = None
         self._folder: Path | None = None
         try:
             if web is not None:
@@ -100,9 +100,9 @@ class Links:
         return self._foxglove.url if self._foxglove is not None else None
 
     @property
-    def heard(self) -> int:
+    def stations_heard(self) -> int:
         """Number of ground stations that have sent something."""
-        return sum(peer.heard >= 0.0 for peer in self.link.peers)
+        return sum(peer.last_heard >= 0.0 for peer in self.link.peers)
 
     @property
     def counts(self) -> dict[str, Any]:
@@ -115,21 +115,21 @@ class Links:
             "failures": dict(link.failures),
         }
 
-    def begin(self, facts: SessionInfo) -> None:
+    def begin(self, info: FlightInfo) -> None:
         """Begin a flight, whose telemetry log goes to its folder."""
-        self._folder = facts.folder
-        if facts.folder is not None and facts.folder.is_dir():
-            self._record(Log(facts.folder / TELEMETRY, self.system))
+        self._folder = info.folder
+        if info.folder is not None and info.folder.is_dir():
+            self._log_to(TelemetryLog(info.folder / TELEMETRY, self.system))
         if self._vehicle is None:
-            self._start(facts)
+            self._start(info)
         elif self._parameters is not None:
-            self._parameters.replace(facts.parameters)
+            self._parameters.replace(info.parameters)
 
     def end(self) -> None:
         """End a flight, whose run is now among the logs."""
-        self._record(None)
-        if self._shelf is not None:
-            self._shelf.renew()
+        self._log_to(None)
+        if self._log_store is not None:
+            self._log_store.mark_outdated()
 
     def read_only(self) -> ReadOnlyObserver:
         """Return an observer that shows a flight on these links and refuses every request."""
@@ -143,11 +143,11 @@ class Links:
         if self._foxglove is not None:
             self._foxglove.stop()
             self._foxglove = None
-        self._port.leave()
+        self._exchange_port.unsubscribe()
         self.link.close()
-        if self._shelf is not None:
-            self._shelf.close()
-            self._shelf = None
+        if self._log_store is not None:
+            self._log_store.close()
+            self._log_store = None
 
     def __enter__(self) -> Links:
         return self
@@ -157,29 +157,31 @@ class Links:
     ) -> None:
         self.close()
 
-    def _start(self, facts: SessionInfo) -> None:
-        about = vehicle_info(facts, self._personality, self.system)
-        vehicle = self._vehicle = Vehicle(about, self._port, self.link, endings=(Restart(), Shutdown()))
+    def _start(self, info: FlightInfo) -> None:
+        constants = vehicle_info(info, self._personality, self.system)
+        vehicle = self._vehicle = MavlinkVehicle(
+            constants, self._exchange_port, self.link, shutdown_requests=(Restart(), Shutdown())
+        )
         page = self._page
         if page is not None:
-            vehicle.pages = lambda: page.clients
-        self._parameters = ParameterService(facts.parameters, self._port.ask, self._personality)
-        metadata = Metadata(facts.parameters, about.name, about.version)
-        shelf = self._shelf = LogStore(self._runs)
+            vehicle.page_count = lambda: page.clients
+        self._parameters = ParameterService(info.parameters, self._exchange_port.ask, self._personality)
+        metadata = Metadata(info.parameters, constants.name, constants.version)
+        log_store = self._log_store = LogStore(self._runs)
 
-        files = Files({path: Bytes(data) for path, data in metadata.files.items()}, shelf)
+        files = Files({path: Bytes(data) for path, data in metadata.files.items()}, log_store)
         exchange = self.exchange
         missions = MissionService(
             lambda: exchange.snapshot.mission if exchange.snapshot else (),
             lambda: exchange.snapshot.status if exchange.snapshot else None,
-            self._port.ask,
-            facts.geodesy,
+            self._exchange_port.ask,
+            info.geodesy,
         )
-        vehicle.services += [self._parameters, missions, FileService(lambda: files), LogService(shelf)]
+        vehicle.services += [self._parameters, missions, FileService(lambda: files), LogService(log_store)]
         vehicle.on_request |= metadata.on_request
         self.link.start(vehicle)
 
-    def _record(self, log: Log | None) -> None:
+    def _log_to(self, log: TelemetryLog | None) -> None:
         before, self.link.log = self.link.log, log
         if before is not None:
             before.close()
@@ -194,27 +196,27 @@ class Links:
 class Files(Mapping[str, File]):
     """Files to read over MAVLink: metadata, and the logs, which are made once somebody asks for one of them."""
 
-    def __init__(self, ready: Mapping[str, File], shelf: LogStore) -> None:
-        self._ready, self._shelf = ready, shelf
+    def __init__(self, ready: Mapping[str, File], log_store: LogStore) -> None:
+        self._ready, self._log_store = ready, log_store
 
     def __getitem__(self, path: str) -> File:
         if path in self._ready or not path.startswith(LOG_FOLDER):
             return self._ready[path]
-        return self._shelf.files()[path]
+        return self._log_store.files()[path]
 
     def __iter__(self) -> Iterator[str]:
         yield from self._ready
-        yield from self._shelf.files()
+        yield from self._log_store.files()
 
     def __len__(self) -> int:
-        return len(self._ready) + len(self._shelf.files())
+        return len(self._ready) + len(self._log_store.files())
 
 
-def vehicle_info(facts: SessionInfo, personality: Personality, system: int = 1) -> VehicleInfo:
+def vehicle_info(info: FlightInfo, personality: Personality, system: int = 1) -> VehicleConstants:
     """Return what the telemetry needs to know of a vehicle."""
-    vehicle, sensors = facts.vehicle, facts.vehicle.sensors
-    return VehicleInfo(
-        facts.geodesy,
+    vehicle, sensors = info.vehicle, info.vehicle.sensors
+    return VehicleConstants(
+        info.geodesy,
         len(vehicle.jets),
         vehicle.name,
         _version(),
@@ -223,7 +225,7 @@ def vehicle_info(facts: SessionInfo, personality: Personality, system: int = 1) 
         tilt_range=vehicle.servo.range_rad if vehicle.servo else float("nan"),
         servos=vehicle.actuators,
         ranges=() if vehicle.servo else vehicle.ranges,
-        full_thrust=tuple(spec.curve.thrust[-1] for spec in facts.stations),
+        full_thrust=tuple(spec.curve.thrust[-1] for spec in info.stations),
         fuel_capacity=vehicle.fuel.mass_kg if vehicle.fuel else float("nan"),
         position_noise=sensors.gnss.position_noise_m,
         velocity_noise=sensors.gnss.velocity_noise_m_s,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from cosim.base.signals import Sample
-from cosim.groundstation.exchange import SessionInfo
+from cosim.groundstation.exchange import FlightInfo
 from cosim.results.log.columns import log_columns, logged_vehicle
 from cosim.results.run import Recording
 
@@ -15,9 +15,9 @@ LIMIT_MB = 2000.0  # two hours of flight at 250 Hz; chosen by us
 _WARN_AT = 0.8  # of it
 
 
-def hourly_mb(info: SessionInfo) -> float:
+def hourly_mb(info: FlightInfo) -> float:
     """Return how many megabytes the log of an hour's flight has."""
-    columns = log_columns(logged_vehicle(info.vehicle), info.own)
+    columns = log_columns(logged_vehicle(info.vehicle), info.columns)
     return BYTES * len(columns) * 3600.0 / info.scenario.step_s / MEGABYTE
 
 

@@ -19,18 +19,18 @@ from cosim.base.errors import InputError
 from cosim.control.autopilot.modes import Severity
 from cosim.control.autopilot.parameters import Caution, Parameters
 from cosim.control.autopilot.requests import Answer, Result, SetParameter
-from cosim.groundstation.exchange import GroundRequest, Waiting
+from cosim.groundstation.exchange import GroundRequest, PendingRequest
 from cosim.groundstation.parameter_store import FORCE, ParameterStore
 
-MOST_HELD = 200  # changes that wait; chosen by us: twice a whole set, and the first verdict may take seconds
-MOST_JUDGED = 8  # changes that are judged together and act at one step: as many as a step takes requests
-TOLD = 8  # parameters that are named where they differ from their defaults; more are counted
+MOST_DEFERRED = 200  # changes that wait; chosen by us: twice a whole set, and the first verdict may take seconds
+BATCH_SIZE = 8  # changes that are judged together and act at one step: as many as a step takes requests
+MOST_NAMED = 8  # parameters that are named where they differ from their defaults; more are counted
 
 
 T = TypeVar("T")
 
 
-class Judge(Protocol):
+class StabilityChecker(Protocol):
     """Predictor of what parameters do to the loops; called in a thread of its own."""
 
     def prepare(self) -> None:
@@ -46,61 +46,61 @@ class Judge(Protocol):
 class ParameterGuard:
     """Queue of parameter changes that wait for their verdict, in the order in which they came."""
 
-    def __init__(self, judge: Judge | None = None) -> None:
-        self.judge = judge
-        self._held: deque[Waiting] = deque()
-        self._batch: list[Waiting] = []  # the first of those that are held, whose verdict is on its way
+    def __init__(self, checker: StabilityChecker | None = None) -> None:
+        self.checker = checker
+        self._deferred: deque[PendingRequest] = deque()
+        self._batch: list[PendingRequest] = []  # the first of the deferred ones, whose verdict is being computed
         self._verdict: Future[list[list[Caution]]] | None = None
         self._thread: ThreadPoolExecutor | None = None
 
     def prepare(self) -> None:
-        """Let the judge begin, in its thread; returns at once."""
-        if self.judge is not None:
-            self._submit(self.judge.prepare)
+        """Let the checker begin, in its thread; returns at once."""
+        if self.checker is not None:
+            self._submit(self.checker.prepare)
 
-    def hold_back(self, waiting: Waiting) -> bool:
-        """Keep a change of a loop until :meth:`take_verdicts` gives it back; False: it is nothing of the kind."""
+    def defer(self, waiting: PendingRequest) -> bool:
+        """Defer a change that tunes a loop until :meth:`take_verdicts` returns it; False: it tunes none."""
         request = waiting.request
-        if self.judge is None or not isinstance(request, SetParameter) or not self.judge.concerns(request.name):
+        if self.checker is None or not isinstance(request, SetParameter) or not self.checker.concerns(request.name):
             return False
-        if len(self._held) >= MOST_HELD:
+        if len(self._deferred) >= MOST_DEFERRED:
             waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "too many parameters at once"))
         else:
-            self._held.append(waiting)
+            self._deferred.append(waiting)
         return True
 
-    def take_verdicts(self, parameters: Parameters, now: float) -> list[tuple[Waiting, list[Caution] | None]]:
+    def take_verdicts(self, parameters: Parameters, now: float) -> list[tuple[PendingRequest, list[Caution] | None]]:
         """Return the next changes, each with its verdict: None where it is too late for one, and it is to be refused.
 
         ``now`` [s] is of the clock of :attr:`Waiting.until`.
         """
-        if late := [waiting for waiting in self._held if now > waiting.until]:
-            self._held = deque(waiting for waiting in self._held if now <= waiting.until)
+        if late := [waiting for waiting in self._deferred if now > waiting.until]:
+            self._deferred = deque(waiting for waiting in self._deferred if now <= waiting.until)
             if any(now > waiting.until for waiting in self._batch):  # the others were judged as if this were taken
                 self._batch, self._verdict = [], None
             return [(waiting, None) for waiting in late]
-        if self._verdict is None and self._held:
-            self._batch = list(self._held)[:MOST_JUDGED]
+        if self._verdict is None and self._deferred:
+            self._batch = list(self._deferred)[:BATCH_SIZE]
             steps = _steps(parameters, [waiting.request for waiting in self._batch])
             self._verdict = self._submit(lambda: self._cautions(steps))
         if self._verdict is None or not self._verdict.done():
             return []
         verdicts = self._verdict.result()
-        judged = list(zip(self._batch, verdicts, strict=False))
+        answered: list[tuple[PendingRequest, list[Caution] | None]] = list(zip(self._batch, verdicts, strict=False))
         self._batch, self._verdict = [], None
-        for _ in judged:
-            self._held.popleft()
-        return [(waiting, cautions) for waiting, cautions in judged]
+        for _ in answered:
+            self._deferred.popleft()
+        return answered
 
-    def take_remaining(self) -> list[Waiting]:
+    def take_remaining(self) -> list[PendingRequest]:
         """Remove and return the changes that still wait for a verdict."""
-        left = list(self._held)
-        self._held.clear()
+        remaining = list(self._deferred)
+        self._deferred.clear()
         self._batch, self._verdict = [], None
-        return left
+        return remaining
 
     def close(self) -> None:
-        """Refuse what is still held, and end the thread."""
+        """Refuse the changes that are still deferred, and end the thread."""
         for waiting in self.take_remaining():
             waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "the session is over"))
         if self._thread is not None:
@@ -113,10 +113,10 @@ class ParameterGuard:
 
     def _cautions(self, steps: list[tuple[dict[str, float], dict[str, float]]]) -> list[list[Caution]]:
         """Return the verdicts up to the first change that may be refused: the next depend on what becomes of it."""
-        assert self.judge is not None
+        assert self.checker is not None
         verdicts: list[list[Caution]] = []
         for before, after in steps:
-            verdicts.append(self.judge.cautions(before, after))
+            verdicts.append(self.checker.cautions(before, after))
             if any(caution.loses for caution in verdicts[-1]):
                 break
         return verdicts
@@ -127,83 +127,90 @@ def _steps(parameters: Parameters, requests: list[GroundRequest]) -> list[tuple[
     steps, before = [], dict(parameters.values)
     for request in requests:
         assert isinstance(request, SetParameter)
-        after = {**before, **allowed(parameters, {request.name: request.value})[0]}
+        after = {**before, **split_allowed(parameters, {request.name: request.value})[0]}
         steps.append((before, after))
         before = after
     return steps
 
 
-def allowed(parameters: Parameters, values: Mapping[str, float]) -> tuple[dict[str, float], list[str]]:
+def split_allowed(parameters: Parameters, values: Mapping[str, float]) -> tuple[dict[str, float], list[str]]:
     """Return the values that a vehicle takes, as it stores them, and a line for each that it refuses."""
-    taken: dict[str, float] = {}
+    accepted: dict[str, float] = {}
     refused = []
     for name, value in values.items():
         try:
-            taken[name] = parameters.check(name, value)
+            accepted[name] = parameters.check(name, value)
         except InputError as error:
             refused.append(f"refused: {error}")
-    return taken, refused
+    return accepted, refused
 
 
-def refusal(request: SetParameter, cautions: list[Caution] | None, in_air: bool, values: Mapping[str, float]) -> str:
+def find_refusal(
+    request: SetParameter, cautions: list[Caution] | None, in_air: bool, values: Mapping[str, float]
+) -> str:
     """Return why a change is not taken; empty where it is.  ``cautions`` None: its verdict is too late."""
     if cautions is None:
         return f"{_format_value(request.name, request.value)} not taken: no verdict in time, ask again"
-    lost = [caution for caution in cautions if caution.loses]
-    if not lost or not in_air or values.get(FORCE):
+    losing = [caution for caution in cautions if caution.loses]
+    if not losing or not in_air or values.get(FORCE):
         return ""
     change = _format_value(request.name, request.value)
-    return f"{change} refused in the air: {lost[0].text}; {FORCE} 1 takes it all the same"
+    return f"{change} refused in the air: {losing[0].text}; {FORCE} 1 takes it all the same"
 
 
-def warn_of(
+def warn(
     say: Callable[[Severity, str, int], None], request: SetParameter, cautions: list[Caution] | None, k: int
 ) -> None:
-    """Say a line at step ``k`` for each loop that a change makes worse."""
+    """Report a line at step ``k`` for each loop that a change makes worse."""
     for caution in cautions or ():
         say(Severity.WARNING, f"{_format_value(request.name, request.value)}: {caution.text}", k)
 
 
-def differing(parameters: Parameters, values: Mapping[str, float]) -> list[str]:
+def list_changes(parameters: Parameters, values: Mapping[str, float]) -> list[str]:
     """Return what differs from the defaults, each as ``NAME 0 (default 0.02)``; a count in place of the last ones.
 
     What the vehicle refuses comes after these, each with the reason.
     """
-    taken, refused = allowed(parameters, values)
-    said = [
+    accepted, refused = split_allowed(parameters, values)
+    changes = [
         f"{_format_value(name, value)} (default {parameters.table[name].default:g})"
-        for name, value in taken.items()
+        for name, value in accepted.items()
         if value != parameters.table[name].default
     ]
-    return [*_shorten(said), *_shorten(refused)]
+    return [*_shorten(changes), *_shorten(refused)]
 
 
 def _shorten(lines: list[str]) -> list[str]:
-    return lines if len(lines) <= TOLD else [*lines[:TOLD], f"and {len(lines) - TOLD} more"]
+    return lines if len(lines) <= MOST_NAMED else [*lines[:MOST_NAMED], f"and {len(lines) - MOST_NAMED} more"]
 
 
-def kept_cautions(judge: Judge | None, parameters: Parameters, values: Mapping[str, float]) -> list[Caution]:
+def find_saved_cautions(
+    checker: StabilityChecker | None, parameters: Parameters, values: Mapping[str, float]
+) -> list[Caution]:
     """Return cautions for the loops that saved values, as far as they are taken, make worse than the defaults."""
     default = {line.name: line.default for line in parameters}
-    after = {**default, **allowed(parameters, values)[0]}
-    if judge is None or not any(judge.concerns(name) for name in after if after[name] != default[name]):
+    after = {**default, **split_allowed(parameters, values)[0]}
+    if checker is None or not any(checker.concerns(name) for name in after if after[name] != default[name]):
         return []
-    return judge.cautions(default, after)
+    return checker.cautions(default, after)
 
 
-def kept_lines(judge: Judge | None, parameters: Parameters, values: Mapping[str, float]) -> list[str]:
+def describe_saved(checker: StabilityChecker | None, parameters: Parameters, values: Mapping[str, float]) -> list[str]:
     """Return lines on saved values: which differ from the defaults or are refused, and what they make worse."""
-    cautions = kept_cautions(judge, parameters, values)
-    return [*differing(parameters, values), *(caution.text for caution in cautions)]
+    cautions = find_saved_cautions(checker, parameters, values)
+    return [*list_changes(parameters, values), *(caution.text for caution in cautions)]
 
 
-def tell(
-    say: Callable[[Severity, str], None], judge: Judge | None, parameters: Parameters, values: Mapping[str, float]
+def report_saved(
+    say: Callable[[Severity, str], None],
+    checker: StabilityChecker | None,
+    parameters: Parameters,
+    values: Mapping[str, float],
 ) -> None:
-    """Say at the beginning of a flight which parameters differ from their defaults, and what they make worse."""
-    for text in differing(parameters, values):
+    """Report at the start of a flight which parameters differ from their defaults, and what they make worse."""
+    for text in list_changes(parameters, values):
         say(Severity.NOTICE, f"not the default: {text}")
-    for caution in kept_cautions(judge, parameters, values):
+    for caution in find_saved_cautions(checker, parameters, values):
         say(Severity.CRITICAL if caution.unstable else Severity.WARNING, f"parameters: {caution.text}")
 
 
@@ -226,14 +233,14 @@ class ParameterWriter:
         self._work: Queue[dict[str, float] | None] = Queue()
         self._thread: Thread | None = None
 
-    def restore(self, put: Callable[[str, float], None]) -> None:
+    def restore(self, apply: Callable[[str, float], None]) -> None:
         """Set the saved parameters in a new flight."""
         if self._store is not None and self._first:
-            for text in self._store.restore(put):
+            for text in self._store.restore(apply):
                 self._complain(text)
         else:
             for name, value in self._values.items():
-                put(name, value)
+                apply(name, value)
         self._first = False
 
     @property
@@ -241,7 +248,7 @@ class ParameterWriter:
         """Parameters that are saved now, by name."""
         return self._values
 
-    def keep(self, values: dict[str, float]) -> None:
+    def save(self, values: dict[str, float]) -> None:
         """Save these parameters from now on, without HJ_FORCE, which holds for one flight."""
         self._values = {name: value for name, value in values.items() if name != FORCE}
         if self._store is None:

@@ -43,7 +43,7 @@ class ParameterStore:
         self.path = path
         self._vehicle = vehicle
         self._refused: dict[str, float] = {}
-        self._written: dict[str, float] | None = None
+        self._saved: dict[str, float] | None = None
 
     def load(self) -> dict[str, float]:
         """Return every value in the file but HJ_FORCE; none if there is no file.
@@ -53,10 +53,10 @@ class ParameterStore:
         if not self.path.exists():
             return {}
         data = read_toml(self.path)
-        known = {"format", "vehicle", "parameters"}
+        allowed = {"format", "vehicle", "parameters"}
         for key in data:
-            if key not in known:
-                raise InputError(f"{self.path}: unknown key {key!r}; allowed: {', '.join(sorted(known))}")
+            if key not in allowed:
+                raise InputError(f"{self.path}: unknown key {key!r}; allowed: {', '.join(sorted(allowed))}")
         if data.get("format") != _FORMAT:
             raise InputError(f"{self.path}: format = {data.get('format')!r}: must be {_FORMAT}")
         if data.get("vehicle") != self._vehicle:
@@ -69,22 +69,22 @@ class ParameterStore:
         for name, value in table.items():
             if isinstance(value, bool) or not isinstance(value, (int, float)):
                 raise InputError(f"{self.path}: parameters.{name} = {value!r}: must be a number")
-        self._written = {name: float(value) for name, value in table.items()}
-        return {name: value for name, value in self._written.items() if name != FORCE}
+        self._saved = {name: float(value) for name, value in table.items()}
+        return {name: value for name, value in self._saved.items() if name != FORCE}
 
-    def restore(self, put: Callable[[str, float], None]) -> list[str]:
+    def restore(self, apply: Callable[[str, float], None]) -> list[str]:
         """Pass every value of the file to ``put``, and return a line for each that it refuses with InputError.
 
         Raises InputError for a file that cannot be read.
         """
         values, complaints = self.load(), []
-        if FORCE in (self._written or {}):
+        if FORCE in (self._saved or {}):
             complaints.append(
                 f"{self.path}: {FORCE} is not taken from a file: set it anew in each flight that needs it"
             )
         for name, value in values.items():
             try:
-                put(name, value)
+                apply(name, value)
             except InputError as error:
                 self._refused[name] = value
                 complaints.append(f"{self.path}: {error}")
@@ -93,27 +93,27 @@ class ParameterStore:
     def save(self, changed: Mapping[str, float]) -> None:
         """Write the changed values, whole or not at all.  Raises InputError if they cannot be written."""
         values = {**{n: v for n, v in self._refused.items() if n not in changed}, **changed}
-        if values == self._written or (not values and not self.path.exists()):
+        if values == self._saved or (not values and not self.path.exists()):
             return
 
         numbers = {name: values[name] for name in sorted(values)}
         text = _HEAD + toml_text({"format": _FORMAT, "vehicle": self._vehicle, "parameters": numbers})
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._put_aside()
+            self._rename_broken()
             write_whole(self.path, text)
         except OSError as error:
             raise InputError(f"{self.path}: {one_line(error)}") from error
-        self._written = values
+        self._saved = values
 
-    def _put_aside(self) -> None:
+    def _rename_broken(self) -> None:
         """Rename an existing file that cannot be understood, so that it is not overwritten."""
         try:
             ParameterStore(self.path, self._vehicle).load()
         except InputError:
-            aside = self.path.with_name(f"{self.path.name}.broken")
+            broken = self.path.with_name(f"{self.path.name}.broken")
             number = 1
-            while aside.exists():
+            while broken.exists():
                 number += 1
-                aside = self.path.with_name(f"{self.path.name}.broken-{number}")
-            os.rename(self.path, aside)
+                broken = self.path.with_name(f"{self.path.name}.broken-{number}")
+            os.rename(self.path, broken)

@@ -14,36 +14,36 @@ from cosim.control.autopilot.modes import Home, LandedState, Mode
 from cosim.control.autopilot.parameters import Parameters, table
 from cosim.control.autopilot.requests import Answer, Result
 from cosim.control.autopilot.status import Status
-from cosim.groundstation.exchange import Exchange, SessionInfo
-from cosim.groundstation.session_flight import PUBLISH_EVERY, pass_on, session_info, snapshot_of
+from cosim.groundstation.exchange import Exchange, FlightInfo
+from cosim.groundstation.session_flight import PUBLISH_EVERY, flight_info, pass_on, snapshot_of
 from cosim.simulation.pacing import Pace
 from cosim.simulation.step import Simulation
 
-_MOST_AT_ONCE = 8  # requests that are refused together
+_REQUESTS_PER_SAMPLE = 8  # that are refused together
 
 
 class ReadOnlyObserver:
     """Factory of observers that publish a scripted or recorded flight and refuse every request."""
 
-    def __init__(self, exchange: Exchange, begun: Callable[[SessionInfo], None] = lambda facts: None) -> None:
+    def __init__(self, exchange: Exchange, on_begin: Callable[[FlightInfo], None] = lambda info: None) -> None:
         self._exchange = exchange
-        self._begun = begun
+        self._on_begin = on_begin
 
     def __call__(self, simulation: Simulation, pace: Pace, folder: Path | None, factor: float | None) -> _ReadOnlyFeed:
         pilot = simulation.pilot if isinstance(simulation.pilot, Autopilot) else None
         parameters = pilot.parameters if pilot else _list_parameters(simulation)
-        facts = session_info(simulation, 1, parameters, folder, factor)
-        self._begun(facts)
-        return _ReadOnlyFeed(simulation, pilot, facts, pace, self._exchange)
+        info = flight_info(simulation, 1, parameters, folder, factor)
+        self._on_begin(info)
+        return _ReadOnlyFeed(simulation, pilot, info, pace, self._exchange)
 
 
 class _ReadOnlyFeed:
     """Observer that publishes a flight and refuses every request."""
 
     def __init__(
-        self, simulation: Simulation, pilot: Autopilot | None, facts: SessionInfo, pace: Pace, exchange: Exchange
+        self, simulation: Simulation, pilot: Autopilot | None, info: FlightInfo, pace: Pace, exchange: Exchange
     ) -> None:
-        self._simulation, self._pilot, self._facts, self._pace = simulation, pilot, facts, pace
+        self._simulation, self._pilot, self._info, self._pace = simulation, pilot, info, pace
         self._exchange = exchange
         self._last_message = 0
         self._last = -1.0
@@ -54,14 +54,14 @@ class _ReadOnlyFeed:
             return
         self._last = now
         exchange, simulation, pilot = self._exchange, self._simulation, self._pilot
-        for waiting in exchange.take(_MOST_AT_ONCE):
+        for waiting in exchange.take(_REQUESTS_PER_SAMPLE):
             waiting.answer(Answer(False, Result.DENIED, "this flight follows its script"))
         if pilot is not None:
             self._last_message = pass_on(pilot, exchange, self._last_message)
         status = scripted_status(simulation, sample) if pilot is None else pilot.status
         mission = tuple(pilot.mission.items) if pilot else ()
         exchange.publish(
-            snapshot_of(simulation, self._facts, sample, status, self._pace.report, exchange.clock(), None, mission)
+            snapshot_of(simulation, self._info, sample, status, self._pace.report, exchange.clock(), None, mission)
         )
 
 

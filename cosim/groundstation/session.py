@@ -29,19 +29,19 @@ from cosim.control.autopilot.requests import (
     SetParameter,
 )
 from cosim.flight import reserve_folder
-from cosim.groundstation.exchange import Exchange, Restart, SessionInfo, Shutdown, Waiting
+from cosim.groundstation.exchange import Exchange, FlightInfo, PendingRequest, Restart, Shutdown
 from cosim.groundstation.log_limit import LIMIT_MB
 from cosim.groundstation.parameter_guard import (
-    Judge,
     ParameterGuard,
     ParameterWriter,
-    kept_lines,
-    refusal,
-    tell,
-    warn_of,
+    StabilityChecker,
+    describe_saved,
+    find_refusal,
+    report_saved,
+    warn,
 )
 from cosim.groundstation.parameter_store import vehicle_key
-from cosim.groundstation.session_flight import Publisher, SessionFlight, pass_on, session_info
+from cosim.groundstation.session_flight import Publisher, SessionFlight, flight_info, pass_on
 from cosim.results.autopilot.request_log import REQUESTS
 from cosim.results.run import Run, claim_folder
 from cosim.simulation.build import build
@@ -52,10 +52,10 @@ from cosim.spec.scenario import Scenario
 
 LONGEST_S = 86_400.0  # of one flight that has no planned end: a day
 # Chosen by us: a request costs some 10 us, a new predictor 3 ms, a step has 4 ms of which stepping takes a tenth.
-_MOST_A_STEP = 8  # requests
+_REQUESTS_PER_STEP = 8  # requests
 _REQUEST_TIME = 0.5e-3  # s of a step after which the next request waits for the next step
-_SWITCH = 0.5e-3  # s after which a thread that computes gives way; Python's 5 ms are longer than a step
-_OVER_EVERY = 0.02  # s between two looks at what is asked after the end of a flight
+_SWITCH_INTERVAL = 0.5e-3  # s after which a busy thread is switched; Python's 5 ms are longer than a step
+_POLL_S = 0.02  # s between two polls of the requests after the end of a flight
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Session:
 
     ``factor``: of real time, None as fast as it goes.  ``parameters``: a TOML file that parameters are read from, and
     written to whenever one is changed.  ``duration`` [s of flight] ends the session; without it :meth:`stop` does.
-    ``begun`` is called when a flight's folder is there, ``over`` when a flight is done with.
+    ``on_begin`` is called when a flight's folder is there, ``on_end`` when a flight is done with.
     Raises InputError for a scenario that cannot be flown, and for a file of parameters that cannot be used.
     """
 
@@ -89,43 +89,43 @@ class Session:
         parameters: Path | None = None,
         duration: float | None = None,
         records: RecordOptions = RecordOptions(),
-        begun: Callable[[SessionInfo], None] = lambda facts: None,
-        over: Callable[[], None] = lambda: None,
+        on_begin: Callable[[FlightInfo], None] = lambda info: None,
+        on_end: Callable[[], None] = lambda: None,
     ) -> None:
-        self.scenario = waiting_scenario(scenario, duration)
+        self.scenario = ground_scenario(scenario, duration)
         self.exchange = exchange
         self.factor = factor
         self.duration = duration
         self.runs: list[Run] = []
         self._records = records
-        self._begun, self._over = begun, over
+        self._on_begin, self._on_end = on_begin, on_end
         self._parameters = ParameterWriter(
             parameters, vehicle_key(scenario), lambda text: exchange.say(Severity.WARNING, text)
         )
         self._guard = ParameterGuard()
         self._stopping = ""
         self._restart = False
-        self._numbered = 1  # of the last folder beside ``out``
-        self._next: SessionFlight | None = self._build()  # what is wrong with the input is said before any link opens
+        self._folder_number = 1  # of the last folder beside ``out``
+        self._next: SessionFlight | None = self._build()  # now, so that wrong input is reported before a link opens
 
     @property
-    def facts(self) -> SessionInfo:
+    def info(self) -> FlightInfo:
         """Constant data of the flight that is about to begin."""
         assert self._next is not None
-        return self._next.facts
+        return self._next.info
 
     @property
     def parameters(self) -> Path | None:
         """File in which parameters are saved; None: they last for the session alone."""
         return self._parameters.path
 
-    def set_judge(self, judge: Judge) -> None:
-        """Set the judge of parameter changes that tune a loop; without one every change is taken."""
-        self._guard.judge = judge
+    def set_stability_checker(self, checker: StabilityChecker) -> None:
+        """Set the checker of parameter changes that tune a loop; without one every change is taken."""
+        self._guard.checker = checker
 
-    def kept_lines(self) -> list[str]:
+    def describe_saved(self) -> list[str]:
         """Return lines on the saved parameters: which differ from the defaults, and what they make worse."""
-        return kept_lines(self._guard.judge, self.facts.parameters, self._parameters.values)
+        return describe_saved(self._guard.checker, self.info.parameters, self._parameters.values)
 
     def stop(self, why: str) -> None:
         """End the session after the present step; from any thread, and from a signal handler."""
@@ -134,22 +134,21 @@ class Session:
     def run(self) -> list[Run]:
         """Fly until stopped, and return the runs, each with its files in place."""
         try:
-            return self._fly_on()
+            return self._fly_all()
         finally:
             self._parameters.close()
             self._guard.close()
 
-    def _fly_on(self) -> list[Run]:
+    def _fly_all(self) -> list[Run]:
         while True:
             flight = self._next or self._build()
             self._next = None
             try:
                 ending = self._fly(flight)
-                over = ending.outcome != "completed"
-                if over:
-                    self._linger(flight, ending)
+                if ending.outcome != "completed":
+                    self._serve_after_end(flight, ending)
             finally:
-                self._over()
+                self._on_end()
                 flight.close()
             if not self._restart:
                 return self.runs
@@ -163,11 +162,11 @@ class Session:
         simulation = build(self.scenario)
         try:
             pilot = with_autopilot(simulation)
-            facts = session_info(simulation, number, pilot.parameters, self._folder(number), self.factor)
+            info = flight_info(simulation, number, pilot.parameters, self._folder(number), self.factor)
         except BaseException:
             simulation.close()
             raise
-        return SessionFlight(simulation, pilot, facts, Pace(simulation.dt, self.factor), self.exchange)
+        return SessionFlight(simulation, pilot, info, Pace(simulation.dt, self.factor), self.exchange)
 
     def _folder(self, number: int) -> Path:
         """Return the run's folder; the first is claimed now, so that an error is reported before anybody connects."""
@@ -176,37 +175,37 @@ class Session:
         if number == 1:
             claim_folder(self._records.out)
             return self._records.out
-        # a folder that holds another run already is left alone: a vehicle that is asked to reboot must come back
-        self._numbered = max(number, self._numbered + 1)
-        while (folder := self._records.out.with_name(f"{self._records.out.name}-{self._numbered}")).exists():
-            self._numbered += 1
+        # A folder that holds another run is left alone: a vehicle that is to reboot must come back.
+        self._folder_number = max(number, self._folder_number + 1)
+        while (folder := self._records.out.with_name(f"{self._records.out.name}-{self._folder_number}")).exists():
+            self._folder_number += 1
         return folder
 
     def _fly(self, flight: SessionFlight) -> Ending:
         simulation, exchange = flight.simulation, self.exchange
         recording = flight.begin(self._records.log_mb)
         assert flight.pilot_record is not None
-        # meant for the flight before
-        while flight.facts.number > 1 and (late := [*self._guard.take_remaining(), *exchange.take(1)]):
+        # These requests were meant for the previous flight.
+        while flight.info.number > 1 and (late := [*self._guard.take_remaining(), *exchange.take(1)]):
             for waiting in late:
                 waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "a new flight begins"))
         self._parameters.restore(flight.set_parameter)
-        self._begun(flight.facts)
-        exchange.say(Severity.INFO, f"flight {flight.facts.number}: {flight.facts.vehicle.name}")
+        self._on_begin(flight.info)
+        exchange.say(Severity.INFO, f"flight {flight.info.number}: {flight.info.vehicle.name}")
         parameters = flight.pilot.parameters
-        tell(exchange.say, self._guard.judge, parameters, parameters.changed())
+        report_saved(exchange.say, self._guard.checker, parameters, parameters.changed())
         flight.publish(None, None)
         self._guard.prepare()  # when every file is open: while a library loads the process may be in another folder
         with steady():
-            begin = time.perf_counter()
+            started = time.perf_counter()
             try:
                 observers: list[Observer] = [recording, flight.pilot_record, Publisher(flight)]
                 observers += simulation.plugins.observers
-                ending = simulation.run(observers, flight.pace, lambda k: self._between(flight, k))
+                ending = simulation.run(observers, flight.pace, lambda k: self._handle_requests(flight, k))
                 simulation.plugins.close()
             except FlightError as error:  # a log cannot be written: the disk is full, say
                 ending = Ending("failed", str(error))
-            wall = time.perf_counter() - begin
+            wall = time.perf_counter() - started
         flight.last_message = pass_on(flight.pilot, exchange, flight.last_message)
         if ending.outcome == "completed":
             exchange.say(Severity.INFO, f"flight over: {ending.reason}", simulation.k)
@@ -217,19 +216,19 @@ class Session:
         self.runs.append(flight.finish(ending, wall, self._records.report))
         return ending
 
-    def _between(self, flight: SessionFlight, k: int) -> Ending | None:
+    def _handle_requests(self, flight: SessionFlight, k: int) -> Ending | None:
         """Handle requests between two steps, within bounds; return an ending if one is requested."""
         if self._stopping:
-            flies = flight.pilot.armed and flight.pilot.status.landed is not LandedState.ON_GROUND
-            return Ending("completed", f"{self._stopping}{' in the air' if flies else ''}")
+            in_air = flight.pilot.armed and flight.pilot.status.landed is not LandedState.ON_GROUND
+            return Ending("completed", f"{self._stopping}{' in the air' if in_air else ''}")
         until = 0.0
-        for _ in range(_MOST_A_STEP):
+        for _ in range(_REQUESTS_PER_STEP):
             taken = self.exchange.take(1)
             if not taken:
                 break
             until = until or time.perf_counter() + _REQUEST_TIME
             for waiting in taken:
-                if not self._guard.hold_back(waiting):
+                if not self._guard.defer(waiting):
                     waiting.answer(self._serve(flight, waiting, k))
             if time.perf_counter() > until:
                 break
@@ -239,86 +238,86 @@ class Session:
             return Ending("completed", "a restart was asked for")
         return None
 
-    def _serve(self, flight: SessionFlight, waiting: Waiting, k: int) -> Answer:
+    def _serve(self, flight: SessionFlight, waiting: PendingRequest, k: int) -> Answer:
         """Execute a request and return the answer."""
         request = waiting.request
         if isinstance(request, (Restart, Shutdown)):
-            return self._refuse_or_leave(flight, request, waiting.sender)
+            return self._end_or_restart(request, waiting.sender, flight.pilot.armed)
         try:
             answer = flight.ask(waiting.sender, request, k)
         except FlightError as error:
             waiting.answer(Answer(False, Result.FAILED, str(error)))
             raise
         if isinstance(request, SetParameter) and answer.accepted:
-            self._parameters.keep(flight.pilot.parameters.changed())
+            self._parameters.save(flight.pilot.parameters.changed())
         elif isinstance(request, (MissionUpload, MissionClear)):
-            flight.publish(None, None)  # who has the answer may read the mission back
+            flight.publish(None, None)  # now, as a client that has the answer may read the mission back
         return answer
 
-    def _serve_judged(self, flight: SessionFlight, waiting: Waiting, cautions: list[Caution] | None, k: int) -> Answer:
+    def _serve_judged(
+        self, flight: SessionFlight, waiting: PendingRequest, cautions: list[Caution] | None, k: int
+    ) -> Answer:
         """Make a parameter change that has its verdict, and warn of it; or refuse it, which is recorded too."""
         request, pilot = waiting.request, flight.pilot
         assert isinstance(request, SetParameter)
         in_air = pilot.armed and pilot.status.landed is not LandedState.ON_GROUND
-        if why := refusal(request, cautions, in_air, pilot.parameters.values):
+        if why := find_refusal(request, cautions, in_air, pilot.parameters.values):
             self.exchange.say(Severity.ERROR, why, k)
             answer = Answer(False, Result.TEMPORARILY_REJECTED, why)
             flight.refuse(waiting.sender, request, answer, k)
             return answer
         answer = self._serve(flight, waiting, k)
         if answer.accepted:
-            warn_of(self.exchange.say, request, cautions, k)
+            warn(self.exchange.say, request, cautions, k)
         return answer
 
-    def _refuse_or_leave(self, flight: SessionFlight, request: Restart | Shutdown, sender: str) -> Answer:
-        if flight.pilot.armed:
+    def _end_or_restart(self, request: Restart | Shutdown, sender: str, is_armed: bool) -> Answer:
+        if is_armed:
             what = "restart" if isinstance(request, Restart) else "shutdown"
             return Answer(False, Result.TEMPORARILY_REJECTED, f"{what} refused: it is armed")
-        self._leave(request, sender)
-        return Answer(True, Result.ACCEPTED, "")
-
-    def _leave(self, request: Restart | Shutdown, sender: str) -> None:
         if isinstance(request, Restart):
             self._restart = True
         else:
             self.stop(f"shut down by {sender}")
+        return Answer(True, Result.ACCEPTED, "")
 
-    def _linger(self, flight: SessionFlight, ending: Ending) -> None:
+    def _serve_after_end(self, flight: SessionFlight, ending: Ending) -> None:
         """Answer requests after a flight has ended by itself, until there is a restart or the session ends."""
         exchange = self.exchange
-        patience = None
+        deadline = None
         if self.duration is not None:
             left = max(0.0, self.duration - flight.simulation.k * flight.simulation.dt)
-            patience = time.monotonic() + (left / self.factor if self.factor else 0.0)
-        while not (self._restart or self._stopping) and (patience is None or time.monotonic() < patience):
-            for waiting in [w for w in exchange.take(_MOST_A_STEP) if not self._guard.hold_back(w)]:
+            deadline = time.monotonic() + (left / self.factor if self.factor else 0.0)
+        while not (self._restart or self._stopping) and (deadline is None or time.monotonic() < deadline):
+            for waiting in [w for w in exchange.take(_REQUESTS_PER_STEP) if not self._guard.defer(w)]:
                 answer = Answer(False, Result.FAILED, f"the flight is over: {ending.reason}")
                 if isinstance(waiting.request, (Restart, Shutdown)):
-                    self._leave(waiting.request, waiting.sender)
-                    answer = Answer(True, Result.ACCEPTED, "")
+                    answer = self._end_or_restart(waiting.request, waiting.sender, is_armed=False)
                 elif isinstance(waiting.request, SetParameter):
-                    answer = self._keep_for_next(flight, waiting.request, [])
+                    answer = self._set_for_next_flight(flight, waiting.request, [])
                 waiting.answer(answer)
             for waiting, cautions in self._guard.take_verdicts(flight.pilot.parameters, exchange.clock()):
                 assert isinstance(waiting.request, SetParameter)
-                waiting.answer(self._keep_for_next(flight, waiting.request, cautions))
+                waiting.answer(self._set_for_next_flight(flight, waiting.request, cautions))
             flight.publish(None, ending)
-            time.sleep(_OVER_EVERY)
+            time.sleep(_POLL_S)
 
-    def _keep_for_next(self, flight: SessionFlight, request: SetParameter, cautions: list[Caution] | None) -> Answer:
+    def _set_for_next_flight(
+        self, flight: SessionFlight, request: SetParameter, cautions: list[Caution] | None
+    ) -> Answer:
         """Set a parameter for the next flight, as this one is over."""
-        if why := refusal(request, cautions, False, {}):
+        if why := find_refusal(request, cautions, False, {}):
             return Answer(False, Result.TEMPORARILY_REJECTED, why)
         answer = flight.pilot.handle(request, flight.simulation.k)
         if answer.accepted:
-            self._parameters.keep(flight.pilot.parameters.changed())
+            self._parameters.save(flight.pilot.parameters.changed())
             value = flight.pilot.parameters[request.name]
             self.exchange.say(Severity.NOTICE, f"{request.name} {value:g} from the next flight on")
-            warn_of(self.exchange.say, request, cautions, flight.simulation.k)
+            warn(self.exchange.say, request, cautions, flight.simulation.k)
         return answer
 
 
-def waiting_scenario(scenario: Scenario, duration: float | None) -> Scenario:
+def ground_scenario(scenario: Scenario, duration: float | None) -> Scenario:
     """Return the scenario with its vehicle on the ground, and an autopilot in place of its commands."""
     watched = scenario.resolved_vehicle()[0].control.monitor
     heading = scenario.initial.attitude_deg[2]
@@ -351,31 +350,33 @@ def parse_place(text: str) -> dict[str, float]:
 @contextmanager
 def steady() -> Iterator[None]:
     """Keep a paced flight steady: no long collections of garbage, and threads that give way soon."""
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(_SWITCH)
+    previous = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     gc.collect()
-    gc.freeze()  # what is there now stays, and need not be looked at again
+    gc.freeze()  # what exists now stays, so the collector need not visit it again
     try:
         yield
     finally:
         gc.unfreeze()
-        sys.setswitchinterval(before)
+        sys.setswitchinterval(previous)
 
 
 @contextmanager
 def stop_on_signals(session: Session) -> Iterator[None]:
     """End the session properly on Ctrl-C and SIGTERM; a second one ends the process as usual."""
-    kept: dict[int, Any] = {}
+    previous: dict[int, Any] = {}
+
+    def restore() -> None:
+        for caught, handler in previous.items():
+            signal.signal(caught, handler)
 
     def stop(number: int, frame: object) -> None:
         session.stop(f"stopped by {signal.Signals(number).name}")
-        for caught, handler in kept.items():
-            signal.signal(caught, handler)
+        restore()
 
     for number in (signal.SIGINT, signal.SIGTERM):
-        kept[number] = signal.signal(number, stop)
+        previous[number] = signal.signal(number, stop)
     try:
         yield
     finally:
-        for caught, handler in kept.items():
-            signal.signal(caught, handler)
+        restore()

@@ -18,7 +18,7 @@ from cosim.control.autopilot.parameters import Parameters
 from cosim.control.autopilot.requests import Answer, MissionItem, Request, Result, SetParameter, Sticks
 from cosim.control.autopilot.status import Status
 from cosim.flight import record, with_page
-from cosim.groundstation.exchange import Exchange, SessionInfo, Snapshot
+from cosim.groundstation.exchange import Exchange, FlightInfo, Snapshot
 from cosim.groundstation.log_limit import LIMIT_MB, LogLimit
 from cosim.groundstation.stick_owner import StickOwner
 from cosim.results.autopilot.autopilot_record import PilotRecord
@@ -39,7 +39,7 @@ class SessionFlight:
 
     simulation: Simulation
     pilot: Autopilot
-    facts: SessionInfo
+    info: FlightInfo
     pace: Pace
     exchange: Exchange
     recording: Recording | None = None
@@ -53,10 +53,10 @@ class SessionFlight:
 
     def begin(self, log_mb: float | None = LIMIT_MB) -> LogLimit:
         """Make the run's folder, for a log of so many MB.  Raises InputError if it is not usable."""
-        assert self.facts.folder is not None
-        self.recording = record(self.simulation, self.facts.folder, {REQUESTS: b""}, background=True)
-        self.log = RequestLog(self.facts.folder / REQUESTS)
-        self.pilot_record = PilotRecord(self.pilot, self.facts.folder / AUTOPILOT, self.simulation.dt)
+        assert self.info.folder is not None
+        self.recording = record(self.simulation, self.info.folder, {REQUESTS: b""}, background=True)
+        self.log = RequestLog(self.info.folder / REQUESTS)
+        self.pilot_record = PilotRecord(self.pilot, self.info.folder / AUTOPILOT, self.simulation.dt)
         warn = partial(self.exchange.say, Severity.WARNING)
         self.log_limit = LogLimit(self.recording, log_mb, lambda text: warn(text, self.simulation.k))
         return self.log_limit
@@ -64,8 +64,8 @@ class SessionFlight:
     def ask(self, sender: str, request: Request, k: int) -> Answer:
         """Pass a request to the autopilot and log it; sticks only from their holder.  Raises FlightError."""
         assert self.log is not None
-        if isinstance(request, Sticks) and (holder := self.stick_owner.others(sender, k)):
-            if self.stick_owner.first_time():
+        if isinstance(request, Sticks) and (holder := self.stick_owner.find_other_holder(sender, k)):
+            if self.stick_owner.note_refusal():
                 self.exchange.say(Severity.WARNING, f"sticks of {sender} not taken: {holder} flies", k)
             return Answer(False, Result.TEMPORARILY_REJECTED, f"sticks refused: {holder} flies")
         answer = self.pilot.handle(request, k)
@@ -97,9 +97,7 @@ class SessionFlight:
             )
         mission = tuple(self.pilot.mission.items)
         exchange.publish(
-            snapshot_of(
-                simulation, self.facts, self.sample, status, self.pace.report, exchange.clock(), ending, mission
-            )
+            snapshot_of(simulation, self.info, self.sample, status, self.pace.report, exchange.clock(), ending, mission)
         )
 
     def finish(self, ending: Ending, wall: float, report: bool) -> Run:
@@ -159,7 +157,7 @@ class Publisher:
 
 def snapshot_of(
     simulation: Simulation,
-    facts: SessionInfo,
+    info: FlightInfo,
     sample: Sample | None,
     status: Status,
     pace: PaceReport,
@@ -169,9 +167,9 @@ def snapshot_of(
 ) -> Snapshot:
     """Return a snapshot of the flight as it is now, after ``sample``."""
     k, state, measured = simulation.k, simulation.state, simulation.measured
-    time = k * facts.scenario.step_s
-    seen = simulation.controller.diagnostics
-    return Snapshot(published, facts, k, time, sample, state, measured, status, pace, ending, mission, seen)
+    time = k * info.scenario.step_s
+    diagnostics = simulation.controller.diagnostics
+    return Snapshot(published, info, k, time, sample, state, measured, status, pace, ending, mission, diagnostics)
 
 
 def pass_on(pilot: Autopilot, exchange: Exchange, after: int) -> int:
@@ -185,12 +183,12 @@ def pass_on(pilot: Autopilot, exchange: Exchange, after: int) -> int:
     return after
 
 
-def session_info(
+def flight_info(
     simulation: Simulation, number: int, parameters: Parameters, folder: Path | None, factor: float | None
-) -> SessionInfo:
+) -> FlightInfo:
     """Return a flight's constant data, known before its first step."""
-    place = simulation.scenario.environment
-    geodesy = Geodesy(place.latitude_deg, place.longitude_deg, place.ground_m)
+    environment = simulation.scenario.environment
+    geodesy = Geodesy(environment.latitude_deg, environment.longitude_deg, environment.ground_m)
     stations = tuple(simulation.stations)
-    scenario, vehicle, own = simulation.scenario, simulation.vehicle, simulation.columns
-    return SessionInfo(number, scenario, vehicle, stations, geodesy, parameters, folder, factor, own)
+    scenario, vehicle, columns = simulation.scenario, simulation.vehicle, simulation.columns
+    return FlightInfo(number, scenario, vehicle, stations, geodesy, parameters, folder, factor, columns)

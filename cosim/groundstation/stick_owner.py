@@ -10,19 +10,19 @@ class StickOwner:
 
     def __init__(self, parameters: Parameters, step: float) -> None:
         self._parameters, self._step = parameters, step
-        self._holder, self._at = "", 0
-        self._announced = False
+        self._holder, self._last_step = "", 0
+        self._is_announced = False
 
-    def others(self, sender: str, k: int) -> str:
-        """Return who else holds the sticks at step ``k``; empty: ``sender`` holds them from now on."""
-        fresh = (k - self._at) * self._step <= self._parameters["HJ_STICK_TIME"]
-        if self._holder not in ("", sender) and fresh:
+    def find_other_holder(self, sender: str, k: int) -> str:
+        """Return the other sender that holds the sticks at step ``k``; empty: ``sender`` holds them from now on."""
+        is_recent = (k - self._last_step) * self._step <= self._parameters["HJ_STICK_TIME"]
+        if self._holder not in ("", sender) and is_recent:
             return self._holder
-        self._announced = self._announced and self._holder == sender
-        self._holder, self._at = sender, k
+        self._is_announced = self._is_announced and self._holder == sender
+        self._holder, self._last_step = sender, k
         return ""
 
-    def first_time(self) -> bool:
-        """Return whether this is the first refusal since the sticks changed hands, so that it is reported once."""
-        announced, self._announced = self._announced, True
-        return not announced
+    def note_refusal(self) -> bool:
+        """Note a refusal, and return whether it is the first since the holder changed, so that it is reported once."""
+        was_announced, self._is_announced = self._is_announced, True
+        return not was_announced

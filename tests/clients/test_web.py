@@ -30,7 +30,7 @@ from cosim.control.autopilot.requests import SetParameter
 from cosim.groundstation import read_only
 from cosim.groundstation.exchange import Exchange, Snapshot
 from cosim.groundstation.session import RecordOptions, Session
-from cosim.groundstation.session_flight import session_info
+from cosim.groundstation.session_flight import flight_info
 from cosim.groundstation.web import feed, server
 from cosim.groundstation.web.server import WebServer
 from cosim.results.report.page import ASSETS
@@ -335,7 +335,7 @@ def test_a_port_that_is_taken(flown: Flown) -> None:
 
 def test_the_state_that_is_told(flown: Flown) -> None:
     snapshot = flown.now
-    sample, facts, seen = snapshot.sample, snapshot.facts, snapshot.status.seen
+    sample, info, seen = snapshot.sample, snapshot.info, snapshot.status.seen
     assert sample is not None
     assert seen is not None
     thrust = tuple(7.0 + jet for jet in range(6))
@@ -348,11 +348,11 @@ def test_the_state_that_is_told(flown: Flown) -> None:
     assert told["velocity"][2] == round(seen.velocity[2], 4)
     assert told["attitude_deg"] == [round(math.degrees(a), 4) for a in to_euler(seen.attitude)]
     assert len(told["jets"]) == 6
-    for jet, spec in enumerate(facts.stations):
+    for jet, spec in enumerate(info.stations):
         said = told["jets"][jet]
         assert said["throttle"] == said["asked_N"] == 0.0  # nobody armed it
         assert said["thrust_N"] == thrust[jet]
-        armed = feed.jets(facts, sample, off=False)[jet]
+        armed = feed.jets(info, sample, off=False)[jet]
         assert armed["throttle"] == round(sample.actuation.throttle[jet], 4)
         assert armed["asked_N"] == round(spec.thrust_at(sample.actuation.throttle[jet]), 4)
         assert said["rpm"] is said["fuel_g_s"] is None  # this engine does not say
@@ -363,10 +363,10 @@ def test_units_of_what_an_engine_says(flown: Flown) -> None:
     sample = snapshot.sample
     assert sample is not None
     engines = sample.engines._replace(spool_speed=(100.0 * math.pi,) * 6, exhaust_temperature=(873.15,) * 6)
-    (first, *_) = feed.jets(snapshot.facts, sample._replace(engines=engines), off=False)
+    (first, *_) = feed.jets(snapshot.info, sample._replace(engines=engines), off=False)
     assert first["rpm"] == 3000.0
     assert first["exhaust_C"] == 600.0
-    (first, *_) = feed.jets(snapshot.facts, sample, off=True)
+    (first, *_) = feed.jets(snapshot.info, sample, off=True)
     assert first["throttle"] == first["asked_N"] == 0.0
 
 
@@ -384,7 +384,7 @@ def test_a_page_is_told_the_flight_then_its_state_in_order(flown: Flown) -> None
         begun = page.next("flight")
         assert begun["vehicle"] == "hexjet"
         assert begun["controller"] == "smith"
-        assert begun["engines"][0]["most_N"] == pytest.approx(flown.now.facts.stations[0].curve.thrust[-1], abs=1e-4)
+        assert begun["engines"][0]["most_N"] == pytest.approx(flown.now.info.stations[0].curve.thrust[-1], abs=1e-4)
         first = page.next("state")
         points = first["strip"]
         states = [page.next("state") for _ in range(20)]
@@ -398,38 +398,38 @@ def test_a_page_is_told_the_flight_then_its_state_in_order(flown: Flown) -> None
 
 
 def test_the_rows_that_are_told_are_the_log_s(flown: Flown) -> None:
-    sample, facts = flown.now.sample, flown.now.facts
+    sample, info = flown.now.sample, flown.now.info
     assert sample is not None
     sample = sample._replace(spool_moment=(math.nan, 1.23456789, 0.0))
-    told, rows = feed.flight(facts), feed.Rows()
+    told, rows = feed.flight(info), feed.Rows()
     names = [column[0] for column in told["columns"]]
-    assert rows(facts, None) == []
-    rows(facts, sample._replace(time=1.0))
-    row = dict(zip(names, rows(facts, sample), strict=True))  # the second: each row is its own
+    assert rows(info, None) == []
+    rows(info, sample._replace(time=1.0))
+    row = dict(zip(names, rows(info, sample), strict=True))  # the second: each row is its own
     assert row["time_s"] == pytest.approx(sample.time, rel=1e-5)
     assert row["roll_measured_rad"] == pytest.approx(to_euler(sample.measured.attitude)[0], rel=1e-5)
     assert row["throttle_6"] == pytest.approx(sample.actuation.throttle[5], rel=1e-5)
     assert [row[f"spool_moment_{axis}_N_m"] for axis in "xyz"] == [None, 1.23457, 0.0]
-    assert [tuple(jet["position"]) for jet in told["shape"]["jets"]] == [jet.position_m for jet in facts.vehicle.jets]
-    json.dumps([told, feed.parameters(facts.parameters)], allow_nan=False)
+    assert [tuple(jet["position"]) for jet in told["shape"]["jets"]] == [jet.position_m for jet in info.vehicle.jets]
+    json.dumps([told, feed.parameters(info.parameters)], allow_nan=False)
 
 
 def test_what_blocks_show_of_their_own_is_told_too(tmp_path: Path) -> None:
     """A mapping file's further output, a law's own numbers: they come last, as in the log."""
     with build(Scenario.load("jetwing-cruise")) as simulation:
-        facts = session_info(simulation, 1, read_only._list_parameters(simulation), tmp_path, 1.0)
+        info = flight_info(simulation, 1, read_only._list_parameters(simulation), tmp_path, 1.0)
         sample = simulation.step()
         shown = [column.name for column in simulation.columns]
         assert shown
-        assert [column[0] for column in feed.flight(facts)["columns"]][-len(shown) :] == shown
-        assert feed.Rows()(facts, sample)[-len(shown) :] == pytest.approx(sample.own, rel=1e-5)
+        assert [column[0] for column in feed.flight(info)["columns"]][-len(shown) :] == shown
+        assert feed.Rows()(info, sample)[-len(shown) :] == pytest.approx(sample.own, rel=1e-5)
 
 
 def test_parameters_are_told_searched_and_set(flown: Flown) -> None:
     with flown.page() as page:
         table = {line["name"]: line for line in page.next("parameters")["table"]}
         values = page.next("values")["values"]
-        assert values == flown.now.facts.parameters.values
+        assert values == flown.now.info.parameters.values
         assert set(table) == set(values)
         assert table["HJ_ALT_P"]["unit"] == "1/s"
         asked = page.ask("SetParameter", name="HJ_ALT_P", value=1e9)
@@ -559,7 +559,7 @@ def test_the_end_is_told(tmp_path: Path) -> None:
         while page.next("state")["ending"] is None:
             pass
         for _ in range(3):
-            flight.web._news()  # the same step again is nothing to draw
+            flight.web._on_publish()  # the same step again is nothing to draw
         assert not any(page.next("state")["strip"] for _ in range(20))
         flight.web.stop()
         with pytest.raises(ConnectionClosed) as closed:
@@ -580,7 +580,7 @@ def test_a_new_flight(tmp_path: Path) -> None:
         state = page.next("state")
         assert state["t"] < 1.0 + time.monotonic() - begin  # a flight in real time is not ahead of the clock
         assert all(point[0] <= state["t"] for point in state["strip"])
-        assert flight.now.facts.number == 2
+        assert flight.now.info.number == 2
 
 
 # --- in a browser ------------------------------------------------------------------------------------------------
@@ -624,8 +624,8 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
         flight.exchange.ask(SetParameter("HJ_DISARM_IDLE", 0.0))
         # the scaled heights of larger vehicles have as many digits
         flight.exchange.ask(SetParameter("MIS_TAKEOFF_ALT", 7.38462))
-        until(lambda: flight.now.facts.parameters["MIS_TAKEOFF_ALT"] == 7.38462)
-        lean = math.radians(flight.now.facts.parameters["HJ_STICK_LEAN"])
+        until(lambda: flight.now.info.parameters["MIS_TAKEOFF_ALT"] == 7.38462)
+        lean = math.radians(flight.now.info.parameters["HJ_STICK_LEAN"])
         with browser.new_context(viewport={"width": 1280, "height": 800}) as context:
             screen = Screen(page := context.new_page())
             page.goto(flight.web.url)
@@ -648,10 +648,10 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
             screen.expect(cells.nth(9)).to_have_text("100", timeout=1e3 * SOON)
             page.keyboard.press("End")
             page.fill("#parameters-search", "horizontal jerk")
-            screen.shows("#parameters-count", f"1 of {len(flight.now.facts.parameters.values)}")
+            screen.shows("#parameters-count", f"1 of {len(flight.now.info.parameters.values)}")
             page.fill("#parameters tr:visible input", "2.5")
             page.keyboard.press("Enter")
-            until(lambda: flight.now.facts.parameters["HJ_JERK_HOR"] == 2.5)
+            until(lambda: flight.now.info.parameters["HJ_JERK_HOR"] == 2.5)
             page.focus("#tab-parameters")
             page.keyboard.press("Home")
             screen.shows("#armed", "ready")
@@ -669,7 +669,7 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
 
             bars = page.locator(".jet")
             assert bars.count() == 6
-            sample, most = flight.now.sample, flight.now.facts.stations[0].curve.thrust[-1]
+            sample, most = flight.now.sample, flight.now.info.stations[0].curve.thrust[-1]
             assert sample is not None
             # both in hundredths of the bar; in a hover neither moves by more than a few
             for jet in range(6):

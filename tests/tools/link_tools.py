@@ -11,20 +11,20 @@ from mavlink_tools import ABOUT, MOST, Pilot, Udp, sample, snapshot
 from patience import PATIENCE, stretched
 
 from cosim.groundstation.exchange import Exchange, Port
-from cosim.groundstation.mavlink.vehicle import Vehicle
+from cosim.groundstation.mavlink.vehicle import MavlinkVehicle
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.signing import Signing
-from cosim.groundstation.mavlink.wire.tlog import Log
+from cosim.groundstation.mavlink.wire.tlog import TelemetryLog
 from cosim.groundstation.mavlink.wire.transports.endpoint import parse
 
 
 class Flight:
     """A thread that steps at 250 Hz, as far as the link can tell; ``late``: steps that began 4 ms late or more."""
 
-    def __init__(self, *urls: str, signing: Signing | None = None, log: Log | None = None) -> None:
+    def __init__(self, *urls: str, signing: Signing | None = None, log: TelemetryLog | None = None) -> None:
         self.link = Link([parse(url) for url in urls], signing=signing, log=log)
         self.exchange = Exchange()
-        self.vehicle = Vehicle(ABOUT, Port(self.exchange, "mavlink"), self.link)
+        self.vehicle = MavlinkVehicle(ABOUT, Port(self.exchange, "mavlink"), self.link)
         self.pilot = Pilot()
         self.worst = 0.0  # s that handing over took
         self.late = self.steps = 0

@@ -10,13 +10,22 @@ from pathlib import Path
 from typing import Any
 
 from cosim.control.autopilot.requests import Answer, Request, Result
-from cosim.groundstation.mavlink.services.logs import DiskFile, Log
+from cosim.groundstation.mavlink.services.logs import DiskFile, LogEntry
 from cosim.groundstation.mavlink.services.service import Client
 from cosim.groundstation.mavlink.wire.dialect import mav, pack
-from cosim.groundstation.mavlink.wire.frames import Parser, Sender
+from cosim.groundstation.mavlink.wire.frames import FramePacker, Parser
 
 TICK = 0.01  # s between two polls
 _FLOAT = struct.Struct("<f")
+
+
+class StandInPeer:
+    """The address of a station, as far as services read one."""
+
+    behind = False
+
+    def __init__(self, name: str) -> None:
+        self.name = name
 
 
 class Bench:
@@ -40,7 +49,7 @@ class Bench:
         self._waiting.append((request, done))
 
     def station(self, system: int = 255, component: int = 190) -> Station:
-        self.stations.append(Station(self, f"peer{len(self.stations)}", system, component))
+        self.stations.append(Station(self, StandInPeer(f"peer{len(self.stations)}"), system, component))
         return self.stations[-1]
 
     def up(self, station: Station, data: bytes) -> None:
@@ -72,14 +81,14 @@ class Bench:
 class Station:
     """A ground station: pymavlink's packer and parser."""
 
-    def __init__(self, bench: Bench, peer: str, system: int, component: int) -> None:
+    def __init__(self, bench: Bench, peer: Any, system: int, component: int) -> None:
         self.bench, self.peer = bench, peer
         self.mav: Any = mav.MAVLink(None, srcSystem=system, srcComponent=component)
         self.mav.robust_parsing = True
         self.inbox: list[Any] = []
         self.counts: Counter[str] = Counter()
-        self.vehicle_sender = Sender(1, 1)
-        self.vehicle_parser = Parser(Counter(), whole=True)
+        self.vehicle_sender = FramePacker(1, 1)
+        self.vehicle_parser = Parser(Counter(), is_datagram=True)
 
     def send(self, kind: str, *values: Any) -> None:
         message = getattr(mav, f"MAVLink_{kind.lower()}_message")(*values)
@@ -136,14 +145,14 @@ def refuse(text: str, result: Result = Result.DENIED) -> Answer:
     return Answer(False, result, text)
 
 
-class ReadyShelf:
-    """A shelf whose logs are there, for a LogService."""
+class ReadyStore:
+    """A store whose logs are there, for a LogService."""
 
-    making = looking = False
+    is_converting = is_searching = False
 
     def __init__(self, *paths: Path) -> None:
-        self.logs = [Log(number, path, 1, DiskFile(path)) for number, path in enumerate(paths)]
+        self.logs = [LogEntry(number, path, 1, DiskFile(path)) for number, path in enumerate(paths)]
 
-    def look(self, now: float) -> None: ...
+    def search(self, now: float) -> None: ...
 
-    def work(self, now: float) -> None: ...
+    def poll(self, now: float) -> None: ...

@@ -36,9 +36,9 @@ from cosim.control.autopilot.requests import (
     Takeoff,
 )
 from cosim.control.autopilot.status import Status
-from cosim.groundstation.exchange import Exchange, Port, SessionInfo, Snapshot
-from cosim.groundstation.mavlink.about import VehicleInfo
-from cosim.groundstation.mavlink.vehicle import Vehicle
+from cosim.groundstation.exchange import Exchange, FlightInfo, Port, Snapshot
+from cosim.groundstation.mavlink.vehicle import MavlinkVehicle
+from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
 from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import Peer
@@ -48,7 +48,7 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
 
 GEODESY = Geodesy(22.35, 113.59, 12.0)
-ABOUT = VehicleInfo(
+ABOUT = VehicleConstants(
     GEODESY, jets=6, name="hexjet", version="0.1.0", tilt_range=0.5, full_thrust=(20.0,) * 6, fuel_capacity=2.0,
     position_noise=0.4, velocity_noise=0.05, height_noise=0.1,
 )  # fmt: skip
@@ -96,7 +96,7 @@ def status(**changes: Any) -> Status:
 
 # of roll, pitch and yaw: rates of the model without delay and with it, rad/s, and the delay in steps of 4 ms
 PREDICTING = ((0.7, 0.5, 25.0), (0.8, 0.6, 25.0), (0.9, 0.65, nan))
-FACTS = SessionInfo(1, Scenario.load("hover"), load_vehicle("hexjet")[0], (), GEODESY, Parameters([]), None, 1.0)
+FACTS = FlightInfo(1, Scenario.load("hover"), load_vehicle("hexjet")[0], (), GEODESY, Parameters([]), None, 1.0)
 
 
 def snapshot(sample: Sample, status: Status, diagnostics: Any = PREDICTING, load: float = 0.25) -> Snapshot:
@@ -132,12 +132,12 @@ class Pilot:
 class Bench:
     """Vehicle, exchange and pilot without sockets or threads; time goes on when it is told to."""
 
-    def __init__(self, about: VehicleInfo = ABOUT, signing: Signing | None = None, **more: Any) -> None:
+    def __init__(self, about: VehicleConstants = ABOUT, signing: Signing | None = None, **more: Any) -> None:
         self.time = 100.0
         self.link = Link([], signing=signing, clock=lambda: self.time)
         self.exchange = Exchange(lambda: self.time)
-        self.vehicle = Vehicle(about, Port(self.exchange, "mavlink"), self.link, **more)
-        self.link.station = self.vehicle
+        self.vehicle = MavlinkVehicle(about, Port(self.exchange, "mavlink"), self.link, **more)
+        self.link.handler = self.vehicle
         self.pilot = Pilot()
         self.k = 250
         self.publish()
@@ -192,8 +192,7 @@ class Desk:
         self.got: list[Any] = []
         self.frames: list[bytes] = []
         self.full = False  # takes nothing more
-        parser = bench.link.parser(whole=True)
-        self.peer = bench.link.peer(f"desk {system}", self._take, parser, whole=True)
+        self.peer = bench.link.new_peer(f"desk {system}", self._take, is_datagram=True)
         bench.link._channels.append(_Channel(self.peer))
 
     def _take(self, data: bytes) -> int:

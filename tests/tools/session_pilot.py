@@ -65,7 +65,7 @@ def flown(folder: Path, script: Callable[[Pilot, Session], None], **options: Any
     judge = options.pop("judge", None)
     session = Session(scenario, Exchange(), factor=None, records=RecordOptions(folder, report=False), **options)
     if judge is not None:
-        session.set_judge(judge)
+        session.set_stability_checker(judge)
     failed: list[BaseException] = []
 
     def run() -> None:

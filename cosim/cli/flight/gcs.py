@@ -117,10 +117,10 @@ def gcs(options: Gcs) -> int:
             parameters=kept,
             duration=options.duration,
             records=RecordOptions(options.out, log_mb=options.log_limit),
-            begun=opened.begin,
-            over=opened.end,
+            on_begin=opened.begin,
+            on_end=opened.end,
         )
-        session.set_judge(LoopJudge(session.scenario))
+        session.set_stability_checker(LoopJudge(session.scenario))
         print_gcs(session, opened, options.log_limit, to_stderr=as_json)
         with stop_on_signals(session), live_line(opened, quiet=as_json):
             runs = session.run()
@@ -149,9 +149,9 @@ def print_gcs(session: Session, links: Links, log_mb: float, to_stderr: bool) ->
         *([("page", links.page)] if links.page else []),
         *([("Foxglove", links.foxglove)] if links.foxglove else []),
         ("parameters", f"{session.parameters or 'not kept'}"),
-        *[("", line) for line in session.kept_lines()],
-        ("run", str(session.facts.folder)),
-        ("log", f"{hourly_mb(session.facts):.0f} MB an hour of flight, {log_mb:g} MB a flight at most (--log-limit)"),
+        *[("", line) for line in session.describe_saved()],
+        ("run", str(session.info.folder)),
+        ("log", f"{hourly_mb(session.info):.0f} MB an hour of flight, {log_mb:g} MB a flight at most (--log-limit)"),
         ("pace", "as fast as it goes" if session.factor is None else f"{session.factor:g} x real time"),
     ]
     for label, value in rows:
@@ -238,5 +238,5 @@ def _state(links: Links) -> str:
     refused = f"  frames refused {count}" if count else ""
     return (
         f"{snapshot.time:8.1f} s  {status.mode.value} {state}  {snapshot.measured.altitude:6.1f} m"
-        f"  stations {links.heard}{speed}{missed}{refused}"
+        f"  stations {links.stations_heard}{speed}{missed}{refused}"
     )

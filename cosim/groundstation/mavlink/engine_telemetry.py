@@ -7,7 +7,7 @@ from math import ceil, isfinite, isnan, nan, pi
 
 from cosim.base.signals import PerServo
 from cosim.groundstation.mavlink.fields import I16, I32, U16, U32, to_field
-from cosim.groundstation.mavlink.view import View
+from cosim.groundstation.mavlink.telemetry_state import TelemetryState
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
 
 KELVIN = 273.15
@@ -17,18 +17,18 @@ _RPM = 30.0 / pi
 _LIQUID = 1  # MAV_FUEL_TYPE
 
 
-def servo_output_raw(v: View) -> list[Message]:
+def servo_output_raw(v: TelemetryState) -> list[Message]:
     """Return throttles, and servos from the seventh or behind the last, as pulses of 1000 to 2000 us.
 
     1500 us is straight up, or the middle of a hinge's range; as many as the message has.
     """
-    actuation, reach = v.sample.actuation, v.about.tilt_range
+    actuation, reach = v.sample.actuation, v.vehicle.tilt_range
     pulses = [0] * 16
-    for i, throttle in enumerate(actuation.throttle[: v.about.jets]):
+    for i, throttle in enumerate(actuation.throttle[: v.vehicle.jets]):
         pulses[i] = to_field(1000.0 + 1000.0 * throttle, 0, U16)
-    first = max(6, v.about.jets)
-    if v.about.ranges:
-        for i, position in enumerate(_normalise_tilts(actuation.tilt, v.about.ranges)[: len(pulses) - first]):
+    first = max(6, v.vehicle.jets)
+    if v.vehicle.ranges:
+        for i, position in enumerate(_normalise_tilts(actuation.tilt, v.vehicle.ranges)[: len(pulses) - first]):
             pulses[first + i] = to_field(1500.0 + 500.0 * position, 0, U16)
     else:
         for i, tilt in enumerate(actuation.tilt[: len(pulses) - first]):
@@ -36,15 +36,15 @@ def servo_output_raw(v: View) -> list[Message]:
     return [mav.MAVLink_servo_output_raw_message(v.us & U32, 0, *pulses)]
 
 
-def actuator_output_status(v: View) -> list[Message]:
+def actuator_output_status(v: TelemetryState) -> list[Message]:
     """Return throttles 0 to 1, and from 6 on or behind them servos -1 to 1, or in rad where they have no range."""
-    actuation, reach = v.sample.actuation, v.about.tilt_range
+    actuation, reach = v.sample.actuation, v.vehicle.tilt_range
     values = [0.0] * 32
-    jets = v.about.jets
+    jets = v.vehicle.jets
     values[:jets] = actuation.throttle[:jets]
     first = max(6, jets)
-    if v.about.ranges:
-        moved = _normalise_tilts(actuation.tilt, v.about.ranges)[: len(values) - first]
+    if v.vehicle.ranges:
+        moved = _normalise_tilts(actuation.tilt, v.vehicle.ranges)[: len(values) - first]
     else:
         moved = [tilt if isnan(reach) else tilt / reach for tilt in actuation.tilt]
     values[first : first + len(moved)] = moved
@@ -57,13 +57,13 @@ def _normalise_tilts(tilt: PerServo, ranges: tuple[tuple[float, float], ...]) ->
     return [(2.0 * at - least - most) / (most - least) for at, (least, most) in zip(tilt, ranges, strict=True)]
 
 
-def fuel_status(v: View) -> list[Message]:
+def fuel_status(v: TelemetryState) -> list[Message]:
     """Return kerosene in ml and ml/s, as MAVLink has liquid fuel, from mass and mass flow."""
-    full, fuel = v.about.fuel_capacity, v.sample.fuel
+    full, fuel = v.vehicle.fuel_capacity, v.sample.fuel
     if isnan(full) or isnan(fuel):
         return []
     left = min(1.0, max(0.0, fuel / full))
-    flow = sum(flow for flow in v.sample.engines.fuel_flow[: v.about.jets])
+    flow = sum(flow for flow in v.sample.engines.fuel_flow[: v.vehicle.jets])
     capacity, rate = (mass / KEROSENE * 1e6 for mass in (full, flow))
     percent = to_field(100.0 * left, 0, 100)
     return [
@@ -73,16 +73,16 @@ def fuel_status(v: View) -> list[Message]:
     ]
 
 
-def _engines(v: View) -> list[int]:
+def _engines(v: TelemetryState) -> list[int]:
     """Return the first engine of each message, as each has room for four."""
-    return [4 * i for i in range(ceil(v.about.jets / 4))]
+    return [4 * i for i in range(ceil(v.vehicle.jets / 4))]
 
 
-def _spools(v: View) -> list[float]:
-    return [speed * _RPM for speed in v.sample.engines.spool_speed[: v.about.jets]]
+def _spools(v: TelemetryState) -> list[float]:
+    return [speed * _RPM for speed in v.sample.engines.spool_speed[: v.vehicle.jets]]
 
 
-def esc_status(v: View) -> list[Message]:
+def esc_status(v: TelemetryState) -> list[Message]:
     """Return spool speeds [rpm]; none where no engine reports one, as the field has no value for "unknown"."""
     rpm = _spools(v)
     if not any(isfinite(speed) for speed in rpm):
@@ -96,13 +96,13 @@ def esc_status(v: View) -> list[Message]:
     ]
 
 
-def esc_info(v: View) -> list[Message]:
+def esc_info(v: TelemetryState) -> list[Message]:
     """Return which engines work; the exhaust's temperature, the only one known, does not fit its field."""
-    health = [1.0 if fraction > 0.0 else 0.0 for fraction in v.sample.health[: v.about.jets]]
+    health = [1.0 if fraction > 0.0 else 0.0 for fraction in v.sample.health[: v.vehicle.jets]]
     counter = v.sample.k & U16
     return [
         mav.MAVLink_esc_info_message(
-            first, v.us, counter, v.about.jets, 0,
+            first, v.us, counter, v.vehicle.jets, 0,
             sum(1 << i for i, alive in enumerate(_four(health, first, 0.0)) if alive),
             [0] * 4, [0] * 4, [I16] * 4,
         )
@@ -114,12 +114,12 @@ def _four(values: Sequence[float], first: int, missing: float) -> list[float]:
     return [values[i] if i < len(values) else missing for i in range(first, first + 4)]
 
 
-def efi_status(v: View) -> list[Message]:
+def efi_status(v: TelemetryState) -> list[Message]:
     """Return each engine's control unit; NaN is unknown, but for voltage and pressure MAVLink defines 0 as that."""
     sample, engines = v.sample, v.sample.engines
     messages = []
-    for i in range(v.about.jets):
-        full = v.about.full_thrust[i] if i < len(v.about.full_thrust) else nan
+    for i in range(v.vehicle.jets):
+        full = v.vehicle.full_thrust[i] if i < len(v.vehicle.full_thrust) else nan
         flow = engines.fuel_flow[i] / KEROSENE * 1e6 * 60.0  # cm^3/min
         throttle = 100.0 * sample.actuation.throttle[i]
         load = 100.0 * engines.thrust[i] / full
@@ -133,6 +133,6 @@ def efi_status(v: View) -> list[Message]:
     return messages
 
 
-def raw_rpm(v: View) -> list[Message]:
+def raw_rpm(v: TelemetryState) -> list[Message]:
     """Return the spool speeds [rpm] of the first four engines, as no station shows more."""
     return [mav.MAVLink_raw_rpm_message(i, rpm) for i, rpm in enumerate(_spools(v)[:4]) if isfinite(rpm)]

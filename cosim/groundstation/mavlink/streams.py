@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from math import ceil, floor, inf, log, sqrt
 
 from cosim.groundstation.mavlink import engine_telemetry, telemetry
-from cosim.groundstation.mavlink.view import View
+from cosim.groundstation.mavlink.telemetry_state import TelemetryState
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message, frame_size
 from cosim.groundstation.mavlink.wire.peer import Peer
 
-Build = Callable[[View], list[Message]]
+Build = Callable[[TelemetryState], list[Message]]
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ DEFAULT: dict[int, float] = {number: 1.0 / stream.rate if stream.rate else 0.0 f
 
 HEARTBEAT = BY_NAME["HEARTBEAT"].id
 _STRETCH = 1.1  # by which intervals are stretched, so that they do not change all the time; chosen by us
-_MOST = 256.0  # chosen by us: what is so rare is no telemetry any more
-_LOOK = 1.0  # s between two looks at what a line carries
+_MOST_STRETCH = 256.0  # chosen by us: what is so rare is no telemetry any more
+_FIT_INTERVAL = 1.0  # s between two looks at what a line carries
 # where in its interval each message has its slots: steps of the golden ratio are never close together
 _PHASE = {number: index * (sqrt(5.0) - 1.0) / 2.0 % 1.0 for index, number in enumerate(BY_ID)}
 
@@ -97,7 +97,7 @@ class Streams:
     def __init__(self, start: float) -> None:
         self._start = start
         self._next: dict[tuple[int, float], float] = {}
-        self._at = start
+        self._next_due = start
         self._sizes: dict[int, tuple[int, int]] = {}  # of all that belong to one message, as it was last: bytes, frames
 
     def note_size(self, stream: Stream, packets: Sequence[Message]) -> None:
@@ -116,14 +116,14 @@ class Streams:
 
     def _fit(self, peer: Peer, now: float) -> None:
         """Stretch a station's intervals so that its telemetry fits its line."""
-        if peer.line is None or not self._sizes or now - peer.stretched < _LOOK:
+        if peer.line is None or not self._sizes or now - peer.stretched_at < _FIT_INTERVAL:
             return
-        peer.stretched = now
+        peer.stretched_at = now
         fixed = self.demand(peer, (HEARTBEAT,))
         room = peer.telemetry_rate - fixed
-        need = (self.demand(peer) - fixed) / room if room > 0.0 else _MOST
+        need = (self.demand(peer) - fixed) / room if room > 0.0 else _MOST_STRETCH
         steps = ceil(log(max(need, 1.0), _STRETCH) - 1e-9)
-        stretch = min(_MOST, _STRETCH**steps)
+        stretch = min(_MOST_STRETCH, _STRETCH**steps)
         if stretch > peer.stretch or stretch * _STRETCH < peer.stretch or (steps == 0 and peer.stretch > 1.0):
             peer.stretch = stretch
             for number in BY_ID:  # what has just been sent is not due again because it comes more seldom
@@ -138,33 +138,33 @@ class Streams:
     @property
     def next(self) -> float:
         """Time at which something is due again, as of the last call."""
-        return self._at
+        return self._next_due
 
     def due(self, now: float, peers: Sequence[Peer]) -> Iterator[tuple[Stream, list[Peer]]]:
         """Iterate over the messages that are due with the stations that get them; none where it is only for the log."""
         for peer in peers:
             self._fit(peer, now)
         earliest = inf
-        following = self._next
-        coming: dict[tuple[int, float], float] = {}
+        slots = self._next
+        next_slots: dict[tuple[int, float], float] = {}
         for number, stream in BY_ID.items():
             default = DEFAULT[number]
-            takers: dict[float, list[Peer]] = {default: []} if default else {}
+            stations_by_interval: dict[float, list[Peer]] = {default: []} if default else {}
             for peer in peers:
                 every = interval(peer, number)
                 if every:
-                    takers.setdefault(every, []).append(peer)
-            takers_now: list[Peer] = []
+                    stations_by_interval.setdefault(every, []).append(peer)
+            receivers: list[Peer] = []
             any_due = False
-            for every, them in takers.items():
-                at = following.get((number, every), self._start)
+            for every, stations in stations_by_interval.items():
+                at = slots.get((number, every), self._start)
                 if now >= at:
                     any_due = True
-                    takers_now += them
+                    receivers += stations
                     at = self._slot(now, number, every)
-                coming[number, every] = at
+                next_slots[number, every] = at
                 earliest = min(earliest, at)
             if any_due:
-                yield stream, takers_now
-        self._next = coming
-        self._at = earliest
+                yield stream, receivers
+        self._next = next_slots
+        self._next_due = earliest

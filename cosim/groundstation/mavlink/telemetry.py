@@ -12,18 +12,18 @@ from cosim.base.frames import conjugate, from_euler, rotate
 from cosim.control.autopilot.estimation.wind import estimate_wind
 from cosim.control.autopilot.modes import Home, LandedState, Mode
 from cosim.control.autopilot.status import Status
-from cosim.groundstation.mavlink.about import VehicleInfo
 from cosim.groundstation.mavlink.fields import I16, I32, U8, U16, e7, mm, to_field
 from cosim.groundstation.mavlink.modes import AUTOPILOT, LANDED, LIST, STANDARD, base_mode, custom_mode, vehicle_type
-from cosim.groundstation.mavlink.view import View
+from cosim.groundstation.mavlink.telemetry_state import TelemetryState
+from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
 from cosim.vehicle.atmosphere import standard_density
 
 _GYRO, _ACCEL, _MAG, _BARO, _GPS = 1, 2, 4, 8, 32
-_RATE, _ATTITUDE, _YAW, _HEIGHT, _PLACE, _MOTORS = 1024, 2048, 4096, 8192, 16384, 32768
+_RATE, _ATTITUDE, _YAW, _HEIGHT, _POSITION, _MOTORS = 1024, 2048, 4096, 8192, 16384, 32768
 _GEOFENCE, _AHRS, _BATTERY, _PREARM, _PROPULSION = 1 << 20, 1 << 21, 1 << 25, 1 << 28, 1 << 30
 # no magnetometer: the heading is measured as attitude is, and MAVSDK is never content without the bit
-_SENSORS = _GYRO | _ACCEL | _MAG | _BARO | _GPS | _RATE | _ATTITUDE | _YAW | _HEIGHT | _PLACE | _MOTORS | _AHRS
+_SENSORS = _GYRO | _ACCEL | _MAG | _BARO | _GPS | _RATE | _ATTITUDE | _YAW | _HEIGHT | _POSITION | _MOTORS | _AHRS
 
 # MAV_PROTOCOL_CAPABILITY
 _CAPABILITIES = 2 | 4 | 8 | 32 | 64 | 128 | 256 | 2048 | 8192 | 16384 | 32768
@@ -34,13 +34,13 @@ _LOCAL_NED, _BODY_FRD = 1, 12  # MAV_FRAME
 _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5  # MISSION_STATE
 
 
-def heartbeat(v: View) -> list[Message]:
-    status, personality = v.status, v.about.personality
+def heartbeat(v: TelemetryState) -> list[Message]:
+    status, personality = v.status, v.vehicle.personality
     state = 5 if status.failsafe else 4 if status.armed else 3
     mode = custom_mode(status.mode, personality)
     return [
         mav.MAVLink_heartbeat_message(
-            vehicle_type(v.about.jets),
+            vehicle_type(v.vehicle.jets),
             AUTOPILOT[personality],
             base_mode(status.mode, status.armed),
             mode,
@@ -50,13 +50,13 @@ def heartbeat(v: View) -> list[Message]:
     ]
 
 
-def sys_status(v: View) -> list[Message]:
+def sys_status(v: TelemetryState) -> list[Message]:
     status = v.status
-    burns = not isnan(v.about.fuel_capacity)
-    battery = 0 if burns or status.remaining is None else _BATTERY
+    has_tank = not isnan(v.vehicle.fuel_capacity)
+    battery = 0 if has_tank or status.remaining is None else _BATTERY
     present = _SENSORS | _GEOFENCE | _PREARM | _PROPULSION | battery
     enabled = present & ~_GEOFENCE  # healthy and off: MAVProxy takes a fence that is not healthy for a breach
-    lost = any(health == 0.0 for health in v.sample.health[: v.about.jets])
+    lost = any(health == 0.0 for health in v.sample.health[: v.vehicle.jets])
     bad = (_PREARM if not (status.ready or status.armed) else 0) | (_PROPULSION if lost else 0) | _unhealthy(v)
     health = present & ~bad
     load = v.snapshot.pace.load
@@ -69,35 +69,35 @@ def sys_status(v: View) -> list[Message]:
     ]  # fmt: skip
 
 
-def _unhealthy(v: View) -> int:
+def _unhealthy(v: TelemetryState) -> int:
     """Return the bits of sensors that are not trusted, and of quantities that cannot be controlled without them."""
     trust = v.status.trust
     return sum(
         bits
-        for bits, well in (
+        for bits, trusted in (
             (_GYRO, trust.gyro),
             (_ACCEL, trust.accelerometer),
             (_BARO, trust.barometer),
-            (_GPS | _PLACE, trust.gnss),
+            (_GPS | _POSITION, trust.gnss),
             (_MAG | _YAW, trust.attitude_sensor),
             (_AHRS | _ATTITUDE, trust.attitude),
             (_HEIGHT, trust.climb),
         )
-        if not well
+        if not trusted
     )
 
 
-def _percent(v: View) -> int:
+def _percent(v: TelemetryState) -> int:
     remaining = v.status.remaining
     return -1 if remaining is None else to_field(100.0 * remaining, 0, 100)
 
 
-def system_time(v: View) -> list[Message]:
-    return [mav.MAVLink_system_time_message(int(v.since.clock() * 1e6), v.ms)]
+def system_time(v: TelemetryState) -> list[Message]:
+    return [mav.MAVLink_system_time_message(int(v.events.clock() * 1e6), v.ms)]
 
 
-def gps_raw_int(v: View) -> list[Message]:
-    about, (vn, ve, _) = v.about, v.measured.velocity
+def gps_raw_int(v: TelemetryState) -> list[Message]:
+    about, (vn, ve, _) = v.vehicle, v.measured.velocity
     north, east, down = v.measured.position
     lat, lon, metres = about.geodesy.to_geodetic(north, east, -down)
     fixed = v.status.positioned
@@ -118,25 +118,25 @@ def _heading(north: float, east: float) -> float:
     return atan2(east, north) % (2.0 * pi)
 
 
-def attitude(v: View) -> list[Message]:
-    return [mav.MAVLink_attitude_message(v.ms, *v.euler, *v.seen.rate)]
+def attitude(v: TelemetryState) -> list[Message]:
+    return [mav.MAVLink_attitude_message(v.ms, *v.euler, *v.estimate.rate)]
 
 
-def attitude_quaternion(v: View) -> list[Message]:
-    return [mav.MAVLink_attitude_quaternion_message(v.ms, *v.seen.attitude, *v.seen.rate)]
+def attitude_quaternion(v: TelemetryState) -> list[Message]:
+    return [mav.MAVLink_attitude_quaternion_message(v.ms, *v.estimate.attitude, *v.estimate.rate)]
 
 
-def local_position_ned(v: View) -> list[Message]:
+def local_position_ned(v: TelemetryState) -> list[Message]:
     fix = v.status.fix
-    down = v.seen.velocity[2]
+    down = v.estimate.velocity[2]
     return [mav.MAVLink_local_position_ned_message(v.ms, *fix.position, -v.altitude, *fix.velocity, down)]
 
 
-def global_position_int(v: View) -> list[Message]:
+def global_position_int(v: TelemetryState) -> list[Message]:
     vn, ve = v.status.fix.velocity
-    speeds = (to_field(speed * 100.0, -I16, I16) for speed in (vn, ve, v.seen.velocity[2]))
+    speeds = (to_field(speed * 100.0, -I16, I16) for speed in (vn, ve, v.estimate.velocity[2]))
     heading = to_field(degrees(v.euler[2]) % 360.0 * 100.0, 0, 35999)
-    lat, lon = v.place
+    lat, lon = v.position_deg
     return [
         mav.MAVLink_global_position_int_message(
             v.ms, e7(lat), e7(lon), mm(v.sea_level), mm(v.height), *speeds, heading
@@ -144,15 +144,15 @@ def global_position_int(v: View) -> list[Message]:
     ]  # fmt: skip
 
 
-def vfr_hud(v: View) -> list[Message]:
+def vfr_hud(v: TelemetryState) -> list[Message]:
     heading = to_field(degrees(v.euler[2]) % 360.0, 0, 360) % 360
     throttle = to_field(100.0 * v.sample.control.collective, 0, 100)
     speed = hypot(*v.status.fix.velocity)
     # nothing on board measures the speed through the air
-    return [mav.MAVLink_vfr_hud_message(nan, speed, heading, throttle, v.sea_level, -v.seen.velocity[2])]
+    return [mav.MAVLink_vfr_hud_message(nan, speed, heading, throttle, v.sea_level, -v.estimate.velocity[2])]
 
 
-def attitude_target(v: View) -> list[Message]:
+def attitude_target(v: TelemetryState) -> list[Message]:
     command = v.sample.command
     quaternion = from_euler(*command.attitude)
     mask = 0 if command.rate is None else 128  # the attitude is not what is followed
@@ -166,7 +166,7 @@ def attitude_target(v: View) -> list[Message]:
 _POSITION_ONLY = 0b1101_1111_1000  # of a target: velocity, acceleration and turn rate are not given
 
 
-def position_target_local_ned(v: View) -> list[Message]:
+def position_target_local_ned(v: TelemetryState) -> list[Message]:
     target = v.status.target
     if target is None:
         return []
@@ -178,11 +178,11 @@ def position_target_local_ned(v: View) -> list[Message]:
     ]  # fmt: skip
 
 
-def position_target_global_int(v: View) -> list[Message]:
+def position_target_global_int(v: TelemetryState) -> list[Message]:
     target = v.status.target
     if target is None:
         return []
-    lat, lon, height = v.about.geodesy.to_geodetic(*target)
+    lat, lon, height = v.vehicle.geodesy.to_geodetic(*target)
     return [
         mav.MAVLink_position_target_global_int_message(
             v.ms, 5, _POSITION_ONLY & ~(1 << 10), e7(lat), e7(lon), height,
@@ -191,21 +191,21 @@ def position_target_global_int(v: View) -> list[Message]:
     ]  # fmt: skip
 
 
-def altitude(v: View) -> list[Message]:
+def altitude(v: TelemetryState) -> list[Message]:
     return [mav.MAVLink_altitude_message(v.us, v.altitude, v.sea_level, v.altitude, v.height, nan, nan)]
 
 
-def battery_status(v: View) -> list[Message]:
+def battery_status(v: TelemetryState) -> list[Message]:
     """Return the estimated charge of a vehicle's battery; with a tank, an avionics bus without measurements."""
-    burns = not isnan(v.about.fuel_capacity)
-    function = 3 if burns else 1  # MAV_BATTERY_FUNCTION: avionics, all
+    has_tank = not isnan(v.vehicle.fuel_capacity)
+    function = 3 if has_tank else 1  # MAV_BATTERY_FUNCTION: avionics, all
     voltages = [U16] * 10
-    percent = -1 if burns else _percent(v)
+    percent = -1 if has_tank else _percent(v)
     return [mav.MAVLink_battery_status_message(0, function, 0, I16, voltages, -1, -1, -1, percent, 0, 0, [0] * 4, 0, 0)]
 
 
-def autopilot_version(v: View) -> list[Message]:
-    about = v.about
+def autopilot_version(v: TelemetryState) -> list[Message]:
+    about = v.vehicle
     version = _version(about.version)
     capabilities = _CAPABILITIES | PARAMETER_ENCODING[about.personality]
     identity = list(about.name.encode()[:18].ljust(18, b"\0"))
@@ -233,21 +233,21 @@ def _numbers(version: str) -> tuple[int, int, int]:
     return major, minor, patch
 
 
-def protocol_version(v: View) -> list[Message]:
+def protocol_version(v: TelemetryState) -> list[Message]:
     return [mav.MAVLink_protocol_version_message(200, 100, 200, [0] * 8, [0] * 8)]
 
 
-def component_information_basic(v: View) -> list[Message]:
-    capabilities = _CAPABILITIES | PARAMETER_ENCODING[v.about.personality]
-    name, version = v.about.name.encode()[:31], v.about.version.encode()[:23]
+def component_information_basic(v: TelemetryState) -> list[Message]:
+    capabilities = _CAPABILITIES | PARAMETER_ENCODING[v.vehicle.personality]
+    name, version = v.vehicle.name.encode()[:31], v.vehicle.version.encode()[:23]
     return [mav.MAVLink_component_information_basic_message(v.ms, capabilities, 0, b"", name, version, b"", b"")]
 
 
-def home_position(v: View) -> list[Message]:
+def home_position(v: TelemetryState) -> list[Message]:
     home: Home | None = v.status.home
     if home is None:
         return []
-    lat, lon, height = v.about.geodesy.to_geodetic(*home)
+    lat, lon, height = v.vehicle.geodesy.to_geodetic(*home)
     return [
         mav.MAVLink_home_position_message(
             e7(lat),
@@ -265,39 +265,39 @@ def home_position(v: View) -> list[Message]:
     ]
 
 
-def orbit_execution_status(v: View) -> list[Message]:
+def orbit_execution_status(v: TelemetryState) -> list[Message]:
     """Return the orbit that is being flown, its centre and radius [m] (negative: to the left)."""
     orbit, centre = v.status.orbit, v.status.target
     if orbit is None or centre is None:
         return []
-    lat, lon, height = v.about.geodesy.to_geodetic(*centre)
+    lat, lon, height = v.vehicle.geodesy.to_geodetic(*centre)
     radius = orbit.radius if orbit.clockwise else -orbit.radius
     return [mav.MAVLink_orbit_execution_status_message(v.us, radius, 5, e7(lat), e7(lon), height)]
 
 
-def gps_global_origin(v: View) -> list[Message]:
-    start = v.about.geodesy
+def gps_global_origin(v: TelemetryState) -> list[Message]:
+    start = v.vehicle.geodesy
     return [
         mav.MAVLink_gps_global_origin_message(e7(start.latitude_deg), e7(start.longitude_deg), mm(start.ground), v.us)
     ]
 
 
-def extended_sys_state(v: View) -> list[Message]:
+def extended_sys_state(v: TelemetryState) -> list[Message]:
     return [mav.MAVLink_extended_sys_state_message(0, LANDED[v.status.landed])]
 
 
-def estimator_status(v: View) -> list[Message]:
+def estimator_status(v: TelemetryState) -> list[Message]:
     """Return which estimates are valid; absolute positions and their predictions only with a home.
 
     A position that is dead-reckoned without fixes counts as relative, as far as its speed is valid.  Where no
     autopilot estimates anything the accuracies are the sensors'.
     """
-    trust, home, about = v.status.trust, v.status.home is not None, v.about
+    trust, home, about = v.status.trust, v.status.home is not None, v.vehicle
     place = about.position_noise if isnan(trust.place_m) else trust.place_m
     height = about.height_noise if isnan(trust.height_m) else trust.height_m
     flags = sum(
         bits
-        for bits, known in (
+        for bits, valid in (
             (1, trust.attitude),
             (2 | 8, trust.speed),
             (4, trust.climb),
@@ -305,17 +305,17 @@ def estimator_status(v: View) -> list[Message]:
             (16 | 512, home and trust.place),
             (32, home and trust.height),
         )
-        if known
+        if valid
     )
     return [mav.MAVLink_estimator_status_message(v.us, flags, *[nan] * 6, place, height)]
 
 
-def wind_cov(v: View) -> list[Message]:
+def wind_cov(v: TelemetryState) -> list[Message]:
     """Return the wind that the vehicle estimates from what pushes it in flight; nothing on board measures it."""
     status, fix = v.status, v.status.fix
     if status.landed is LandedState.ON_GROUND or not status.positioned:
         return []
-    vehicle, thrust = v.snapshot.facts.vehicle, v.sample.engines.thrust[: v.about.jets]
+    vehicle, thrust = v.snapshot.info.vehicle, v.sample.engines.thrust[: v.vehicle.jets]
     density = standard_density(v.sea_level)
     wind = estimate_wind(vehicle, fix.disturbance, fix.velocity, v.euler, thrust, density)
     if wind is None:
@@ -323,17 +323,17 @@ def wind_cov(v: View) -> list[Message]:
     return [mav.MAVLink_wind_cov_message(v.us, *wind, nan, nan, nan, v.sea_level, nan, nan)]
 
 
-def current_mode(v: View) -> list[Message]:
+def current_mode(v: TelemetryState) -> list[Message]:
     mode = v.status.mode
-    number = custom_mode(mode, v.about.personality)
+    number = custom_mode(mode, v.vehicle.personality)
     return [mav.MAVLink_current_mode_message(STANDARD.get(mode, 0), number, 0)]
 
 
-def available_modes(v: View) -> list[Message]:
-    return [mode_line(v.about, index) for index in range(1, len(LIST) + 1)]
+def available_modes(v: TelemetryState) -> list[Message]:
+    return [mode_line(v.vehicle, index) for index in range(1, len(LIST) + 1)]
 
 
-def mode_line(about: VehicleInfo, index: int) -> Message:
+def mode_line(about: VehicleConstants, index: int) -> Message:
     """Return AVAILABLE_MODES of one mode, counted from 1."""
     mode, name, properties = LIST[index - 1]
     number = custom_mode(mode, about.personality)
@@ -366,11 +366,11 @@ def _state(status: Status) -> tuple[int, int]:
     return (_PAUSED if begun else _NOT_STARTED), 2
 
 
-def mission_current(v: View) -> list[Message]:
+def mission_current(v: TelemetryState) -> list[Message]:
     return [mission_progress(v.status)]
 
 
-def predictor_array(v: View) -> list[Message]:
+def predictor_array(v: TelemetryState) -> list[Message]:
     """Return DEBUG_FLOAT_ARRAY "predictor": seven times roll, pitch, yaw.
 
     Measured rate, predicted rate, model without delay, model with delay (rad/s), delay (s), set-point of the rate
@@ -385,7 +385,7 @@ def predictor_array(v: View) -> list[Message]:
     return [mav.MAVLink_debug_float_array_message(v.us, b"predictor", 1, values + [0.0] * (58 - len(values)))]
 
 
-def named_values(v: View) -> list[Message]:
+def named_values(v: TelemetryState) -> list[Message]:
     """Return the predictor's roll axis as named values, for tools that plot single numbers."""
     sample, (model, _, delay) = v.sample, v.predicting
     measured, predicted = sample.measured.rate[0], sample.control.rate_predicted[0]
@@ -401,41 +401,43 @@ def named_values(v: View) -> list[Message]:
     ]
 
 
-def debug_vect(v: View) -> list[Message]:
+def debug_vect(v: TelemetryState) -> list[Message]:
     """Return the predicted rates about the three body axes [rad/s]."""
     return [mav.MAVLink_debug_vect_message(b"rate_pred", v.us, *v.sample.control.rate_predicted)]
 
 
-def flight_information(v: View) -> list[Message]:
-    since = v.since
-    return [mav.MAVLink_flight_information_message(v.ms, since.armed, since.took_off, since.flights, since.landed_ms)]
+def flight_information(v: TelemetryState) -> list[Message]:
+    events = v.events
+    return [
+        mav.MAVLink_flight_information_message(v.ms, events.armed, events.took_off, events.flights, events.landed_ms)
+    ]
 
 
-def odometry(v: View) -> list[Message]:
+def odometry(v: TelemetryState) -> list[Message]:
     """Return position and attitude in NED, and velocity and rates in body axes."""
     fix = v.status.fix
-    velocity = (*fix.velocity, v.seen.velocity[2])
-    body = rotate(conjugate(v.seen.attitude), velocity)
+    velocity = (*fix.velocity, v.estimate.velocity[2])
+    body = rotate(conjugate(v.estimate.attitude), velocity)
     unknown = [nan] * 21
     return [
         mav.MAVLink_odometry_message(
-            v.us, _LOCAL_NED, _BODY_FRD, *fix.position, -v.altitude, v.seen.attitude, *body, *v.seen.rate,
+            v.us, _LOCAL_NED, _BODY_FRD, *fix.position, -v.altitude, v.estimate.attitude, *body, *v.estimate.rate,
             unknown, unknown, 0, 8, 0,
         )
     ]  # fmt: skip
 
 
-def highres_imu(v: View) -> list[Message]:
+def highres_imu(v: TelemetryState) -> list[Message]:
     """Return measured rates and specific force; the force is marked invalid without an accelerometer."""
     force, rate = v.measured.specific_force, v.measured.rate
     updated = 0b111_000 if isnan(force[2]) else 0b111_111
     return [mav.MAVLink_highres_imu_message(v.us, *force, *rate, nan, nan, nan, nan, nan, nan, nan, updated, 0)]
 
 
-def hil_state_quaternion(v: View) -> list[Message]:
+def hil_state_quaternion(v: TelemetryState) -> list[Message]:
     """Return the true state of the simulation."""
     state = v.sample.state
-    lat, lon, height = v.about.geodesy.to_geodetic(*state.position[:2], state.altitude)
+    lat, lon, height = v.vehicle.geodesy.to_geodetic(*state.position[:2], state.altitude)
     speeds = [to_field(speed * 100.0, -I16, I16) for speed in state.velocity]
     air = to_field(100.0 * hypot(*(a - b for a, b in zip(state.velocity, state.wind, strict=True))), 0, U16)
     force = [to_field(value / GRAVITY * 1e3, -I16, I16) for value in state.specific_force]

@@ -15,7 +15,7 @@ from cosim.base.protocols import EngineState
 from cosim.base.signals import Sample
 from cosim.control.autopilot.modes import DIRECT, Home, Message, Mode
 from cosim.control.autopilot.parameters import Parameters
-from cosim.groundstation.exchange import SessionInfo, Snapshot
+from cosim.groundstation.exchange import FlightInfo, Snapshot
 from cosim.results.log.columns import log_columns, logged_vehicle
 from cosim.results.log.recorder import OneRow
 from cosim.results.report.signals_data import shape
@@ -26,29 +26,29 @@ Point = tuple[float | None, ...]  # of the strip chart: t [s], measured p, q, r,
 _ZERO_CELSIUS = 273.15  # K
 _RPM = 60.0 / (2.0 * pi)  # per rad/s
 _DIGITS = 6  # of a column's number, chosen by us: a strip has a thousand pixels, a place a millimetre a kilometre away
-_TELLING = 4  # digits after the point; a tenth of a millimetre, and less than any sensor here tells
+_DECIMALS = 4  # digits after the point; a tenth of a millimetre, and less than any sensor here tells
 
 
-def flight(facts: SessionInfo) -> dict[str, Any]:
+def flight(info: FlightInfo) -> dict[str, Any]:
     """Return the constant data of a flight."""
-    scenario, vehicle = facts.scenario, facts.vehicle
+    scenario, vehicle = info.scenario, info.vehicle
     return {
         "type": "flight",
-        "number": facts.number,
+        "number": info.number,
         "scenario": scenario.name,
         "vehicle": vehicle.name,
         "controller": controller_shown(scenario),
-        "engines": [{"name": spec.name, "most_N": _plain(spec.curve.thrust[-1])} for spec in facts.stations],
+        "engines": [{"name": spec.name, "most_N": _finite(spec.curve.thrust[-1])} for spec in info.stations],
         "watched": scenario.monitored,
-        "takeoff_m": facts.parameters["MIS_TAKEOFF_ALT"],
+        "takeoff_m": info.parameters["MIS_TAKEOFF_ALT"],
         "modes": [mode.value for mode in Mode if mode is not Mode.ORBIT],
         "direct": [mode.value for mode in Mode if mode in DIRECT],
         "shape": shape(vehicle),
-        "columns": [column[:4] for column in log_columns(logged_vehicle(vehicle), facts.own)],
+        "columns": [column[:4] for column in log_columns(logged_vehicle(vehicle), info.columns)],
     }
 
 
-def parameters(known: Parameters) -> list[dict[str, Any]]:
+def parameters(parameters: Parameters) -> list[dict[str, Any]]:
     """Return the table of the vehicle's parameters without their values, which are sent on their own."""
     return [
         {
@@ -63,7 +63,7 @@ def parameters(known: Parameters) -> list[dict[str, Any]]:
             "values": line.values,
             "read_only": line.read_only,
         }
-        for line in known
+        for line in parameters
     ]
 
 
@@ -74,19 +74,19 @@ class Rows:
         self._flight = 0
         self._row = OneRow()
 
-    def __call__(self, facts: SessionInfo, sample: Sample | None) -> list[float | None]:
+    def __call__(self, info: FlightInfo, sample: Sample | None) -> list[float | None]:
         """Return one number a column, rounded to what a screen shows; empty before the first step."""
         if sample is None:
             return []
-        if facts.number != self._flight:
-            self._flight, self._row = facts.number, OneRow(log_columns(logged_vehicle(facts.vehicle), facts.own))
+        if info.number != self._flight:
+            self._flight, self._row = info.number, OneRow(log_columns(logged_vehicle(info.vehicle), info.columns))
         return [float(f"{value:.{_DIGITS}g}") if isfinite(value) else None for (value,) in self._row(sample).tolist()]
 
 
 def state(snapshot: Snapshot) -> dict[str, Any]:
     """Return the state of the flight at one instant."""
     status, pace, ending = snapshot.status, snapshot.pace, snapshot.ending
-    seen = status.seen or snapshot.measured
+    estimate = status.seen or snapshot.measured
     sample = snapshot.sample
     return {
         "type": "state",
@@ -98,38 +98,38 @@ def state(snapshot: Snapshot) -> dict[str, Any]:
         "ready": status.ready,
         "refusals": status.refusals,
         "failsafe": status.failsafe,
-        "home": _place(status.home),
-        "target": _place(status.target),
-        "position": _all(status.fix.position),
-        "velocity": _all((*status.fix.velocity, seen.velocity[2])),
-        "height": _plain(seen.altitude),
-        "height_asked": _plain(status.altitude),
-        "attitude_deg": _degrees(to_euler(seen.attitude)),
+        "home": _position(status.home),
+        "target": _position(status.target),
+        "position": _finite_list(status.fix.position),
+        "velocity": _finite_list((*status.fix.velocity, estimate.velocity[2])),
+        "height": _finite(estimate.altitude),
+        "height_asked": _finite(status.altitude),
+        "attitude_deg": _degrees(to_euler(estimate.attitude)),
         "attitude_asked_deg": _degrees(sample.command.attitude) if sample and sample.command.rate is None else None,
-        "remaining": _plain(status.remaining),
-        "jets": [] if sample is None else jets(snapshot.facts, sample, status.engines is EngineState.OFF),
-        "pace": {"asked": pace.factor, "reached": _plain(pace.reached), "missed": pace.missed},
+        "remaining": _finite(status.remaining),
+        "jets": [] if sample is None else jets(snapshot.info, sample, status.engines is EngineState.OFF),
+        "pace": {"asked": pace.factor, "reached": _finite(pace.reached), "missed": pace.missed},
         "ending": None if ending is None else {"outcome": ending.outcome, "reason": ending.reason},
     }
 
 
-def jets(facts: SessionInfo, sample: Sample, off: bool) -> list[dict[str, Any]]:
+def jets(info: FlightInfo, sample: Sample, off: bool) -> list[dict[str, Any]]:
     """Return each engine's commanded and actual thrust [N] and its reports; ``off``: all are shut off.
 
     The thrust asked for is the steady one at the throttle asked for, from the engine's static curve.
     """
     out, jets = sample.engines, []
-    for jet, spec in enumerate(facts.stations):
+    for jet, spec in enumerate(info.stations):
         throttle = 0.0 if off else sample.actuation.throttle[jet]
         jets.append(
             {
-                "throttle": _plain(throttle),
-                "asked_N": 0.0 if off else _plain(spec.thrust_at(throttle)),
-                "thrust_N": _plain(out.thrust[jet]),
-                "rpm": _plain(out.spool_speed[jet] * _RPM),
-                "exhaust_C": _plain(out.exhaust_temperature[jet] - _ZERO_CELSIUS),
-                "fuel_g_s": _plain(1e3 * out.fuel_flow[jet]) if spec.has("fuel_flow") else None,
-                "health": _plain(sample.health[jet]),
+                "throttle": _finite(throttle),
+                "asked_N": 0.0 if off else _finite(spec.thrust_at(throttle)),
+                "thrust_N": _finite(out.thrust[jet]),
+                "rpm": _finite(out.spool_speed[jet] * _RPM),
+                "exhaust_C": _finite(out.exhaust_temperature[jet] - _ZERO_CELSIUS),
+                "fuel_g_s": _finite(1e3 * out.fuel_flow[jet]) if spec.has("fuel_flow") else None,
+                "health": _finite(sample.health[jet]),
                 "fault": bool(sample.faults[jet]),
             }
         )
@@ -155,17 +155,17 @@ def lines(messages: Iterable[Message], step: float) -> list[dict[str, Any]]:
     ]
 
 
-def _plain(value: float | None) -> float | None:
-    return None if value is None or not isfinite(value) else round(value, _TELLING)
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not isfinite(value) else round(value, _DECIMALS)
 
 
-def _all(values: Iterable[float]) -> list[float | None]:
-    return [_plain(value) for value in values]
+def _finite_list(values: Iterable[float]) -> list[float | None]:
+    return [_finite(value) for value in values]
 
 
 def _degrees(values: Iterable[float]) -> list[float | None]:
-    return [_plain(degrees(value)) for value in values]
+    return [_finite(degrees(value)) for value in values]
 
 
-def _place(home: Home | None) -> list[float | None] | None:
-    return None if home is None else _all(home)
+def _position(home: Home | None) -> list[float | None] | None:
+    return None if home is None else _finite_list(home)

@@ -70,7 +70,7 @@ def refuse_non_websocket(request: Request) -> Response | None:
 def has_token_query(request: Request, token: str) -> bool:
     """Return whether a request is of the printed address, ``/?token=...``."""
     path, _, query = request.path.partition("?")
-    return path == "/" and any(is_token(shown, token) for shown in parse_qs(query).get("token", []))
+    return path == "/" and any(is_token(presented, token) for presented in parse_qs(query).get("token", []))
 
 
 def refuse_without_token() -> Response:
@@ -79,13 +79,13 @@ def refuse_without_token() -> Response:
     return response(HTTPStatus.FORBIDDEN, text.encode())
 
 
-def is_token(shown: Any, token: str) -> bool:
+def is_token(presented: Any, token: str) -> bool:
     """Return whether a page has shown the token that it was given, in a time that reveals nothing of it."""
-    return isinstance(shown, str) and shown.isascii() and hmac.compare_digest(shown, token)
+    return isinstance(presented, str) and presented.isascii() and hmac.compare_digest(presented, token)
 
 
 def response(
-    status: HTTPStatus, body: bytes, kind: str = TEXT, policy: str = "", share: str = "same-origin"
+    status: HTTPStatus, body: bytes, kind: str = TEXT, policy: str = "", resource_policy: str = "same-origin"
 ) -> Response:
     """Return an answer that browsers neither store nor frame.
 
@@ -102,7 +102,7 @@ def response(
             "X-Frame-Options": "DENY",
             "Referrer-Policy": "no-referrer",
             "Cross-Origin-Opener-Policy": "same-origin",
-            "Cross-Origin-Resource-Policy": share,
+            "Cross-Origin-Resource-Policy": resource_policy,
         }
     )
     return Response(status.value, status.phrase, headers, body)

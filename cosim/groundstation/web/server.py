@@ -31,7 +31,7 @@ from websockets.typing import Origin
 from cosim.base.errors import InputError
 from cosim.base.signals import Sample
 from cosim.control.autopilot import requests as rq
-from cosim.groundstation.exchange import Done, Exchange, GroundRequest, Restart, Snapshot, ignore_answer
+from cosim.groundstation.exchange import AnswerCallback, Exchange, GroundRequest, Restart, Snapshot, ignore_answer
 from cosim.groundstation.web import feed
 from cosim.groundstation.web.loopback import (
     TEXT,
@@ -58,9 +58,9 @@ SEND_BUFFER = 64 * 1024  # bytes waiting for a page that does not read: it misse
 KERNEL_BUFFER = 32 * 1024  # bytes waiting for it in the kernel, whose own choice would be seconds of old frames
 STUCK_S = 10.0  # after so long without reading the page is let go
 HELLO_S = 5.0  # for the token to arrive
-_STRIP = 4000  # points of the strip chart that may wait: a second at 16 times real time
-_POINTS = 40  # of the strip chart in one frame; 20 frames a second show four times the bandwidth of any loop here
-_VALUES = 10  # frames between two looks at the parameters: half a second
+_MOST_WAITING_POINTS = 4000  # points of the strip chart that may wait: a second at 16 times real time
+_MOST_POINTS = 40  # of the strip chart in one frame; 20 frames a second show four times the bandwidth of any loop here
+_VALUES_EVERY = 10  # frames between two looks at the parameters: half a second
 _TOKEN, _FILES = "@TOKEN@", "@FILES@"
 _ASSETS = (  # of reports; the page draws with them too
     "vendor/uPlot.iife.min.js", "vendor/uPlot.min.css", THREE, SCENE, licence_file("uPlot"), licence_file("three"),
@@ -101,10 +101,10 @@ class WebServer:
         self.skipped = 0  # frames that a slow page missed
         self._token, self._key = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
         self._pages: dict[ServerConnection, _Page] = {}
-        self._strip: deque[tuple[int, Sample]] = deque(maxlen=_STRIP)
-        self._drawn = (0, -1)  # flight and step of the newest point
+        self._strip: deque[tuple[int, Sample]] = deque(maxlen=_MOST_WAITING_POINTS)
+        self._newest_point = (0, -1)  # flight and step of the newest point
         self._rows = feed.Rows()
-        self._count = 0  # of frames
+        self._frame_count = 0  # of frames
         self._thread: threading.Thread | None = None
 
     @property
@@ -124,7 +124,7 @@ class WebServer:
         listening, self._hosts = listen(self.port, "--web")
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, KERNEL_BUFFER)  # its connections have it from here
         self.port = listening.getsockname()[1]
-        self._files = _read(self._token, self._key, self._hosts)
+        self._files = _load_files(self._token, self._key, self._hosts)
         running = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._main(listening, running)), name="web")
         self._thread.daemon = True  # a session that ends badly is not kept alive by its page
@@ -134,7 +134,7 @@ class WebServer:
     def stop(self) -> None:
         """Say goodbye to every page and end the thread; may be called twice."""
         if self._thread is not None:
-            self._soon(self._stopping.set)
+            self._call_soon(self._stopping.set)
             self._thread.join()
             self._thread = None
 
@@ -149,10 +149,10 @@ class WebServer:
         self._loop = asyncio.get_running_loop()
         self._stopping = asyncio.Event()
         async with serve(
-            self._serve,
+            self._serve_page,
             sock=listening,
             origins=[Origin(f"http://{host}") for host in self._hosts],
-            process_request=self._answer,
+            process_request=self._serve_file,
             compression=None,
             open_timeout=HELLO_S,
             ping_interval=5,
@@ -163,17 +163,17 @@ class WebServer:
             server_header=None,
             logger=quiet_logger("cosim.groundstation.web"),
         ):
-            leave = self._exchange.subscribe(self._news)
+            unsubscribe = self._exchange.subscribe(self._on_publish)
             frames = asyncio.create_task(self._frames())
             running.set()
             await self._stopping.wait()
-            leave()
+            unsubscribe()
             frames.cancel()
             self._frame()  # what the pages are to see last
 
     # --- files ---------------------------------------------------------------------------------------------------
 
-    def _answer(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
+    def _serve_file(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
         """Return a file or a refusal, or None where a WebSocket may be opened (its origin is checked next)."""
         if refusal := refuse_unknown_host(request, self._hosts):
             self.refused += 1
@@ -198,7 +198,7 @@ class WebServer:
 
     # --- one page ------------------------------------------------------------------------------------------------
 
-    async def _serve(self, connection: ServerConnection) -> None:
+    async def _serve_page(self, connection: ServerConnection) -> None:
         """Serve one WebSocket from its first message to its end."""
         try:
             if not await self._admit(connection):
@@ -211,7 +211,7 @@ class WebServer:
                     self.refused += 1
                     await connection.close(TOO_MANY, "too many messages")
                     return
-                self._take(connection, page, text)
+                self._handle(connection, page, text)
         except ConnectionClosed:
             pass
         finally:
@@ -235,7 +235,7 @@ class WebServer:
             return False
         return True
 
-    def _take(self, connection: ServerConnection, page: _Page, text: str | bytes) -> None:
+    def _handle(self, connection: ServerConnection, page: _Page, text: str | bytes) -> None:
         """Handle one message of a page, ``{"id": n, "request": ..., ...}``."""
         number: Any = None
         try:
@@ -244,7 +244,7 @@ class WebServer:
             if number is not None and (isinstance(number, bool) or not isinstance(number, int)):
                 number = None
                 raise InputError("id: must be a whole number")
-            request = _request_in(message)
+            request = _parse_request(message)
         except InputError as error:
             self.refused += 1
             _send(
@@ -253,33 +253,33 @@ class WebServer:
             return
         self._exchange.ask(request, self._reply(connection, number), f"web-{page.number}")
 
-    def _reply(self, connection: ServerConnection, number: int | None) -> Done:
+    def _reply(self, connection: ServerConnection, number: int | None) -> AnswerCallback:
         """Return the callback that sends the answer; sticks, which have no number, get none."""
         if number is None:
             return ignore_answer
 
-        def done(answer: rq.Answer) -> None:
+        def reply(answer: rq.Answer) -> None:
             result = {"accepted": answer.accepted, "result": answer.result.value, "text": answer.text}
-            self._soon(lambda: _send(connection, {"type": "answer", "id": number, **result}))
+            self._call_soon(lambda: _send(connection, {"type": "answer", "id": number, **result}))
 
-        return done
+        return reply
 
-    def _soon(self, act: Callable[[], None]) -> None:
+    def _call_soon(self, callback: Callable[[], None]) -> None:
         """Schedule a call in the server's thread, if that still runs."""
         with suppress(RuntimeError):  # it does not
-            self._loop.call_soon_threadsafe(act)
+            self._loop.call_soon_threadsafe(callback)
 
     # --- out -----------------------------------------------------------------------------------------------------
 
-    def _news(self) -> None:
+    def _on_publish(self) -> None:
         """Keep the newest sample for the strip chart; called in the flight's thread."""
         snapshot = self._exchange.snapshot
         if snapshot is None or snapshot.sample is None or not self._pages:
             return
-        drawn = (snapshot.facts.number, snapshot.sample.k)
-        if drawn != self._drawn:  # a flight that is over says so again and again
-            self._drawn = drawn
-            self._strip.append((snapshot.facts.number, snapshot.sample))
+        point = (snapshot.info.number, snapshot.sample.k)
+        if point != self._newest_point:  # a flight that is over says so again and again
+            self._newest_point = point
+            self._strip.append((snapshot.info.number, snapshot.sample))
 
     async def _frames(self) -> None:
         while True:
@@ -294,7 +294,7 @@ class WebServer:
             return
         now, ready = time.monotonic(), []
         for connection, page in list(self._pages.items()):
-            if page.reads(connection, now):
+            if page.is_reading(connection, now):
                 ready.append(connection)
             elif now - page.read_at > STUCK_S:
                 connection.transport.abort()
@@ -303,11 +303,11 @@ class WebServer:
         frame = feed.state(snapshot) | {
             "age_s": round(now - snapshot.published, 2),
             "strip": self._points(snapshot),
-            "row": self._rows(snapshot.facts, snapshot.sample),
+            "row": self._rows(snapshot.info, snapshot.sample),
         }
-        self._count += 1
+        self._frame_count += 1
         for connection in ready:
-            self._tell(connection, self._pages[connection], snapshot)
+            self._send_updates(connection, self._pages[connection], snapshot)
         broadcast(ready, _dump(frame))
 
     def _points(self, snapshot: Snapshot) -> list[feed.Point]:
@@ -315,26 +315,26 @@ class WebServer:
         new = []
         while self._strip:
             number, sample = self._strip.popleft()
-            if number == snapshot.facts.number:
+            if number == snapshot.info.number:
                 new.append(sample)
-        return [feed.point(sample) for sample in new[:: 1 + len(new) // _POINTS]]
+        return [feed.point(sample) for sample in new[:: 1 + len(new) // _MOST_POINTS]]
 
-    def _tell(self, connection: ServerConnection, page: _Page, snapshot: Snapshot) -> None:
+    def _send_updates(self, connection: ServerConnection, page: _Page, snapshot: Snapshot) -> None:
         """Send a page the flight, the parameters and the messages that it does not have yet."""
-        if page.flight != snapshot.facts.number:
-            page.flight = snapshot.facts.number
+        if page.flight != snapshot.info.number:
+            page.flight = snapshot.info.number
             page.values = {}
-            _send(connection, feed.flight(snapshot.facts))
-            _send(connection, {"type": "parameters", "table": feed.parameters(snapshot.facts.parameters)})
-        if not page.values or self._count % _VALUES == 0:
-            values = dict(snapshot.facts.parameters.values)
+            _send(connection, feed.flight(snapshot.info))
+            _send(connection, {"type": "parameters", "table": feed.parameters(snapshot.info.parameters)})
+        if not page.values or self._frame_count % _VALUES_EVERY == 0:
+            values = dict(snapshot.info.parameters.values)
             if changed := {name: value for name, value in values.items() if page.values.get(name) != value}:
                 page.values = values
                 _send(connection, {"type": "values", "values": changed})
         messages = [message for message in self._exchange.messages if message.number > page.last_message]
         if messages:
             page.last_message = messages[-1].number
-            lines = feed.lines(messages, snapshot.facts.scenario.step_s)
+            lines = feed.lines(messages, snapshot.info.scenario.step_s)
             _send(connection, {"type": "messages", "lines": lines})
 
 
@@ -347,15 +347,15 @@ class _Page:
         self.last_message = 0  # the last message that it was sent
         self.values: dict[str, float] = {}  # of parameters, that it was sent
         self.read_at = time.monotonic()
-        self._allowance, self._counted = BURST, self.read_at
+        self._allowance, self._last_count = BURST, self.read_at
 
     def may_send(self, now: float) -> bool:
         """Count one message at ``now`` [s]; False if there were too many."""
-        self._allowance = min(BURST, self._allowance + RATE_1_S * (now - self._counted)) - 1.0
-        self._counted = now
+        self._allowance = min(BURST, self._allowance + RATE_1_S * (now - self._last_count)) - 1.0
+        self._last_count = now
         return self._allowance >= 0.0
 
-    def reads(self, connection: ServerConnection, now: float) -> bool:
+    def is_reading(self, connection: ServerConnection, now: float) -> bool:
         """Return whether little enough waits in its buffer that it can get another frame."""
         if connection.transport.get_write_buffer_size() > SEND_BUFFER:
             return False
@@ -363,7 +363,7 @@ class _Page:
         return True
 
 
-def _request_in(message: dict[str, Any]) -> GroundRequest:
+def _parse_request(message: dict[str, Any]) -> GroundRequest:
     """Return the request in a message.  Raises InputError for one that the page may not make."""
     if message == {"request": "Restart"}:
         return Restart()
@@ -402,7 +402,7 @@ def _dump(message: dict[str, Any]) -> str:
     return json.dumps(message, separators=(",", ":"), allow_nan=False)
 
 
-def _read(token: str, key: str, hosts: set[str]) -> dict[str, tuple[str, bytes, str]]:
+def _load_files(token: str, key: str, hosts: set[str]) -> dict[str, tuple[str, bytes, str]]:
     """Return every file of the page by its path behind the key: media type, content, and content policy."""
     sockets = " ".join(sorted(f"ws://{host}" for host in hosts))
     policy = (

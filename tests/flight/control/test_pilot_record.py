@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 import pytest
 from flights import exported
-from mavlink_bench import ReadyShelf
+from mavlink_bench import ReadyStore
 from mavlink_tools import Bench
 from pyulog import ULog
 
@@ -19,7 +19,7 @@ from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.requests import Answer, Result
 from cosim.groundstation.mavlink.services.logs import LogService, LogStore
 from cosim.groundstation.mavlink.wire.dialect import mav
-from cosim.groundstation.session import waiting_scenario
+from cosim.groundstation.session import ground_scenario
 from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.autopilot.request_log import REQUESTS, RequestLog
 from cosim.results.export.ulog import export_ulog
@@ -41,7 +41,7 @@ ASKED = [
 @pytest.fixture(scope="module")
 def piloted(tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder = tmp_path_factory.mktemp("piloted")
-    waiting = waiting_scenario(Scenario.load("hover"), SECONDS)
+    waiting = ground_scenario(Scenario.load("hover"), SECONDS)
     log = RequestLog(folder / REQUESTS)
     for at, request in ASKED:
         log.write(round(at / waiting.step_s), "test", request, Answer(True, Result.ACCEPTED, ""))
@@ -125,7 +125,7 @@ def test_position_is_the_autopilots_and_set_points_are_there(piloted: Run, ulog:
 
 def test_without_fixes_the_position_is_not_valid(tmp_path: Path) -> None:
     """A second after the last fix, as the ground station is told."""
-    waiting = waiting_scenario(Scenario.load("hover"), 4.0)
+    waiting = ground_scenario(Scenario.load("hover"), 4.0)
     log = RequestLog(tmp_path / REQUESTS)
     silent = rq.InjectFault("sensor_dropout", sensor="gnss")
     for at, request in ((0.4, rq.SetParameter("SYS_FAILURE_EN", 1)), (0.5, silent)):
@@ -228,7 +228,7 @@ def test_so_is_a_log_of_a_long_flight_on_turbines(tmp_path: Path) -> None:
 
 def downloaded(path: Path) -> tuple[bytes, float]:
     """A vehicle's log as a station gets it, part by part as MAVSDK asks, beside all telemetry; s on the link's clock."""
-    bench = Bench(services=[LogService(cast(LogStore, ReadyShelf(path)))])
+    bench = Bench(services=[LogService(cast(LogStore, ReadyStore(path)))])
     desk, size, whole = bench.station(), path.stat().st_size, 512 * 90
     parts: dict[int, bytes] = {}
     begun = bench.time

@@ -23,12 +23,12 @@ from cosim.control.autopilot.modes import Mode
 from cosim.control.autopilot.parameters import Parameters
 from cosim.groundstation.exchange import Exchange, Port
 from cosim.groundstation.links import vehicle_info
-from cosim.groundstation.mavlink.vehicle import LINK_LOST, Vehicle
+from cosim.groundstation.mavlink.vehicle import LINK_LOST, MavlinkVehicle
 from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.transports.channel import RETRY, STALL
 from cosim.groundstation.mavlink.wire.transports.endpoint import parse
-from cosim.groundstation.session_flight import pass_on, session_info, snapshot_of
+from cosim.groundstation.session_flight import flight_info, pass_on, snapshot_of
 from cosim.simulation.pacing import PaceReport
 
 LOOK_STEPS = 5  # of flight between two turns of the link's loop
@@ -81,9 +81,9 @@ class Airborne:
         simulation = self.flight.simulation
         self.link = Link([parse(url) for url in urls], clock=lambda: self.now)
         self.exchange = Exchange(lambda: self.now)
-        self.facts = session_info(simulation, 1, Parameters([]), None, 1.0)
-        self.vehicle = Vehicle(vehicle_info(self.facts, "px4"), Port(self.exchange, "mavlink"), self.link)
-        self.link.station = self.vehicle
+        self.info = flight_info(simulation, 1, Parameters([]), None, 1.0)
+        self.vehicle = MavlinkVehicle(vehicle_info(self.info, "px4"), Port(self.exchange, "mavlink"), self.link)
+        self.link.handler = self.vehicle
         self.askers: list[Asker] = []
         self.told = 0
 
@@ -103,7 +103,7 @@ class Airborne:
             if simulation.k % LOOK_STEPS:
                 continue
             self.told = pass_on(pilot, exchange, self.told)
-            exchange.publish(snapshot_of(simulation, self.facts, sample, pilot.status, PaceReport(), self.now))
+            exchange.publish(snapshot_of(simulation, self.info, sample, pilot.status, PaceReport(), self.now))
             for asker in self.askers:
                 asker.turn(self.now)
             # as the link's own thread does
@@ -152,8 +152,8 @@ def test_a_port_that_is_not_read_holds_up_neither_commands_nor_failsafes_in_flig
         assert named("ATTITUDE")
         # it reads no more
         begun, before = air.now, [asker.attitudes for asker in air.askers]
-        assert air.fly(30.0, lambda: bool(link.news))
-        assert link.news[0].endswith(f"is dropped: it has taken nothing for {STALL:g} s")
+        assert air.fly(30.0, lambda: bool(link.events))
+        assert link.events[0].endswith(f"is dropped: it has taken nothing for {STALL:g} s")
         rate = 57600 / 10.0
         assert STALL <= air.now - begun <= STALL + HELD_BYTES / (rate / 2.0)  # telemetry takes half of the line
         air.fly(begun + UNREAD_S - air.now)
@@ -183,12 +183,12 @@ def test_a_port_that_is_not_read_holds_up_neither_commands_nor_failsafes_in_flig
         # the port is read again: it is taken up, and what comes is new
         heard.clear()
         again = air.now
-        assert air.fly(STALL + 5.0 * RETRY, lambda: read() or "carries again" in link.news[-1])
+        assert air.fly(STALL + 5.0 * RETRY, lambda: read() or "carries again" in link.events[-1])
         assert air.now - again <= STALL + 3.0 * RETRY
         # what lay in the terminal comes first; a line that took nothing has its telemetry back little by little
         air.fly(5.0, read)
         assert named("ATTITUDE")[-1].time_boot_ms > 1000.0 * (air.now - 2.0)
-        assert len([line for line in link.news if "dropped" in line]) == 1
+        assert len([line for line in link.events if "dropped" in line]) == 1
         # every command but the last was answered, and in time
         for asker in air.askers:
             assert len(asker.asked) > UNREAD_S / ASK_S

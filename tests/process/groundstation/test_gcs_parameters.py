@@ -41,9 +41,7 @@ def test_a_lost_loop_is_refused_in_the_air_and_taken_where_forced(tmp_path: Path
 
     def script(pilot: Pilot, session: Session) -> None:
         def value(name: str) -> float:
-            return (
-                session.facts.parameters[name] if session._next else pilot.until(lambda s: True).facts.parameters[name]
-            )
+            return session.info.parameters[name] if session._next else pilot.until(lambda s: True).info.parameters[name]
 
         pilot.ok(rq.SetParameter("HJ_PITCH_P", 0.0))  # on the ground: taken, and told
         assert "HJ_PITCH_P 0: pitch: the loop is unstable" in texts(session)
@@ -91,7 +89,7 @@ def test_after_a_crash_a_parameter_is_set_and_a_reboot_tells_what_is_kept(tmp_pa
         pilot.until(lambda s: s.ending is not None)
         count = len(texts(session))
         pilot.ok(Restart())
-        pilot.until(lambda s: s.facts.number == 2 and s.k > 0)
+        pilot.until(lambda s: s.info.number == 2 and s.k > 0)
         new = texts(session)[count:]
         assert "not the default: HJ_ROLL_P 0 (default 0.02)" in new
         assert "parameters: roll: the loop is unstable" in new
@@ -100,7 +98,7 @@ def test_after_a_crash_a_parameter_is_set_and_a_reboot_tells_what_is_kept(tmp_pa
         pilot.until(lambda s: s.ending is not None)
         count = len(texts(session))
         pilot.ok(rq.SetParameter("HJ_ROLL_P", 0.02), rq.SetParameter("HJ_FORCE", 0.0))
-        assert pilot.until(lambda s: True).facts.parameters["HJ_ROLL_P"] == 0.02
+        assert pilot.until(lambda s: True).info.parameters["HJ_ROLL_P"] == 0.02
         assert "HJ_ROLL_P 0.02 from the next flight on" in texts(session)[count:]
         pilot.ok(rq.SetParameter("HJ_PITCH_P", 0.0))
         assert "HJ_PITCH_P 0: pitch: the loop is unstable" in texts(session)[count:]
@@ -109,7 +107,7 @@ def test_after_a_crash_a_parameter_is_set_and_a_reboot_tells_what_is_kept(tmp_pa
         assert pilot.ask(rq.Arm()).result is Result.FAILED
         pilot.ok(Restart())
         count = len(texts(session))
-        pilot.until(lambda s: s.facts.number == 3 and s.k > 0)
+        pilot.until(lambda s: s.info.number == 3 and s.k > 0)
         assert not any(text.startswith(("not the default", "parameters:")) for text in texts(session)[count:])
         pilot.take_off(3.0)
         pilot.ok(rq.Goto(4.0, 4.0))
@@ -128,8 +126,8 @@ def test_parameters_of_a_file_that_lose_the_vehicle_are_told_before_anybody_conn
     head = 'format = 1\nvehicle = "hexjet-edf-as-flown-smith"\n[parameters]\n'
     kept.write_text(f"{head}HJ_PRED_DELAY = 100.0\nMPC_XY_VEL_MAX = 3.0\nHJ_PITCH_P = 99999.0\nHJ_FORCE = 1.0\n")
     session = Session(SCENARIO, Exchange(), parameters=kept, records=RecordOptions(tmp_path / "run", report=False))
-    session.set_judge(judge)
-    assert session.kept_lines() == [
+    session.set_stability_checker(judge)
+    assert session.describe_saved() == [
         "HJ_PRED_DELAY 100 (default 25)",
         "MPC_XY_VEL_MAX 3 (default 4)",
         "refused: HJ_PITCH_P = 99999: must be from 0 to 1.5 s",
@@ -171,9 +169,9 @@ def test_a_change_that_was_refused_for_want_of_a_verdict_is_not_taken_later(tmp_
             slow.go.set()
         assert [answer.accepted for answer in answers] == [False]
         k = pilot.until(lambda s: True).k
-        assert pilot.until(lambda s: s.k > k + 250).facts.parameters["HJ_ROLL_P"] == 0.02
+        assert pilot.until(lambda s: s.k > k + 250).info.parameters["HJ_ROLL_P"] == 0.02
         pilot.ok(change)  # asked again
-        assert pilot.until(lambda s: True).facts.parameters["HJ_ROLL_P"] == 0.019
+        assert pilot.until(lambda s: True).info.parameters["HJ_ROLL_P"] == 0.019
 
     flown(tmp_path / "run", script, judge=slow)
 
@@ -184,12 +182,12 @@ def test_what_is_forced_is_not_kept(tmp_path: Path, judge: LoopJudge) -> None:
 
     def script(pilot: Pilot, session: Session) -> None:
         first = pilot.until(lambda s: s.k > 0)
-        assert first.facts.parameters["HJ_FORCE"] == 0.0
+        assert first.info.parameters["HJ_FORCE"] == 0.0
         assert any("HJ_FORCE is not taken from a file" in text for text in texts(session))
         pilot.ok(rq.SetParameter("HJ_FORCE", 1.0), rq.SetParameter("MPC_XY_VEL_MAX", 3.0), Restart())
-        second = pilot.until(lambda s: s.facts.number == 2 and s.k > 0)
-        assert second.facts.parameters["HJ_FORCE"] == 0.0
-        assert second.facts.parameters["MPC_XY_VEL_MAX"] == 3.0
+        second = pilot.until(lambda s: s.info.number == 2 and s.k > 0)
+        assert second.info.parameters["HJ_FORCE"] == 0.0
+        assert second.info.parameters["MPC_XY_VEL_MAX"] == 3.0
 
     flown(tmp_path / "run", script, judge=judge, parameters=kept)
     assert tomllib.loads(kept.read_text())["parameters"] == {"MPC_XY_VEL_MAX": 3.0}

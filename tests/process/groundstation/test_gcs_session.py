@@ -385,9 +385,9 @@ def test_a_crash_ends_the_flight_and_a_restart_begins_a_new_one(tmp_path: Path) 
         over = pilot.until(lambda s: s.ending is not None)
         seen["over"] = over
         seen["refused"] = pilot.ask(rq.Arm())
-        seen["folder"] = over.facts.folder
+        seen["folder"] = over.info.folder
         pilot.ok(Restart())
-        new = pilot.until(lambda s: s.facts.number == 2)
+        new = pilot.until(lambda s: s.info.number == 2)
         assert new.ending is None
         pilot.take_off(3.0)
         pilot.land()
@@ -423,7 +423,7 @@ def test_parameters_are_kept_for_the_vehicle_and_are_part_of_the_next_run(tmp_pa
     assert tomllib.loads(kept.read_text())["parameters"] == {"HJ_ATT_ROLL": 3.0, "MPC_XY_VEL_MAX": 2.5}
 
     seen = []
-    script = lambda pilot, session: seen.append(pilot.until(lambda s: s.k > 0).facts.parameters["HJ_ATT_ROLL"])  # noqa: E731
+    script = lambda pilot, session: seen.append(pilot.until(lambda s: s.k > 0).info.parameters["HJ_ATT_ROLL"])  # noqa: E731
     session = flown(tmp_path / "two", script, parameters=kept)
     assert seen == [3.0]
     entries = read_requests(tmp_path / "two" / REQUESTS)
@@ -460,7 +460,7 @@ def test_a_kept_parameter_that_is_not_allowed_is_told_and_left_out(tmp_path: Pat
     seen = []
 
     def look(pilot: Pilot, session: Session) -> None:
-        parameters = pilot.until(lambda s: s.k > 0).facts.parameters
+        parameters = pilot.until(lambda s: s.k > 0).info.parameters
         seen.extend([parameters["HJ_ATT_ROLL"], parameters["HJ_ATT_YAW"]])
 
     session = flown(tmp_path / "run", look, parameters=kept)

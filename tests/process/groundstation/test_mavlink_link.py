@@ -25,7 +25,7 @@ from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import FRAMES_A_SECOND
 from cosim.groundstation.mavlink.wire.signing import Signing
-from cosim.groundstation.mavlink.wire.tlog import Log
+from cosim.groundstation.mavlink.wire.tlog import TelemetryLog
 from cosim.groundstation.mavlink.wire.transports.channel import MOST_PEERS
 from cosim.groundstation.mavlink.wire.transports.endpoint import default, parse
 
@@ -414,7 +414,7 @@ def test_the_log_has_every_message_once(flights: list[Flight], stations: list[Ud
         station.read()
         return sum(message.get_type() == "ATTITUDE" for message in station.got) >= 20
 
-    flight = Flight(f"udpout:127.0.0.1:{one.port}", f"udpout:127.0.0.1:{two.port}", log=Log(path))
+    flight = Flight(f"udpout:127.0.0.1:{one.port}", f"udpout:127.0.0.1:{two.port}", log=TelemetryLog(path))
     for station in (one, two):
         assert station.name("HEARTBEAT")
         station.send(command(20))

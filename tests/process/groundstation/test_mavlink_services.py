@@ -18,12 +18,12 @@ from patience import stretched
 from cosim.base.geodesy import Geodesy
 from cosim.control.autopilot.requests import ItemKind
 from cosim.groundstation.exchange import Exchange, Port
-from cosim.groundstation.mavlink.about import VehicleInfo
 from cosim.groundstation.mavlink.services.ftp import Bytes, FileService
 from cosim.groundstation.mavlink.services.metadata import GENERAL, Metadata
 from cosim.groundstation.mavlink.services.missions import MissionService
 from cosim.groundstation.mavlink.services.params import ParameterService
-from cosim.groundstation.mavlink.vehicle import Vehicle
+from cosim.groundstation.mavlink.vehicle import MavlinkVehicle
+from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.transports.endpoint import parse
 from cosim.simulation.build import build
@@ -59,8 +59,8 @@ class Flight:
             ),
             FileService(lambda: files),
         ]
-        self.vehicle = Vehicle(
-            VehicleInfo(PLACE, jets=6), Port(exchange, "mavlink"), self.link, services, self.metadata.on_request
+        self.vehicle = MavlinkVehicle(
+            VehicleConstants(PLACE, jets=6), Port(exchange, "mavlink"), self.link, services, self.metadata.on_request
         )
         self.link.start(self.vehicle)
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

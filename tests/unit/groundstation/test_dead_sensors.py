@@ -22,10 +22,10 @@ from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.estimation.estimates import LEAN_SURE, SPEED_SURE
 from cosim.control.autopilot.requests import Answer, Result
 from cosim.flight import fly
-from cosim.groundstation.mavlink.about import VehicleInfo
 from cosim.groundstation.mavlink.streams import STREAMS
-from cosim.groundstation.mavlink.view import Since, View
-from cosim.groundstation.session import waiting_scenario
+from cosim.groundstation.mavlink.telemetry_state import FlightEvents, TelemetryState
+from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
+from cosim.groundstation.session import ground_scenario
 from cosim.groundstation.web.feed import state as web_state
 from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.autopilot.request_log import REQUESTS, RequestLog
@@ -67,7 +67,9 @@ class Flight:
 
     def told(self) -> dict[str, Any]:
         """The first of each message, by name, of what a station would get now."""
-        view = View(VehicleInfo(Geodesy(52.0, 13.0, 0.0), 6), snapshot(self.sample, self.pilot.status), Since())
+        view = TelemetryState(
+            VehicleConstants(Geodesy(52.0, 13.0, 0.0), 6), snapshot(self.sample, self.pilot.status), FlightEvents()
+        )
         return {stream.name: found[0] for stream in STREAMS if (found := stream.build(view))}
 
 
@@ -119,7 +121,7 @@ def web_state_of(flight: Flight) -> dict[str, Any]:
     """What the page gets, of a snapshot that has what it needs."""
     simulation = flight.simulation
     snapshot: Any = SimpleNamespace(
-        status=flight.pilot.status, measured=simulation.measured, ending=None, sample=None, facts=None,
+        status=flight.pilot.status, measured=simulation.measured, ending=None, sample=None, info=None,
         time=simulation.k * simulation.dt, pace=SimpleNamespace(factor=1.0, reached=1.0, missed=0),
     )  # fmt: skip
     return web_state(snapshot)
@@ -154,7 +156,7 @@ def test_the_bit_of_the_sensor_that_is_dead_is_the_one_that_goes(sensor: str, bi
 
 
 def test_the_log_has_height_and_climb_as_estimated_and_says_what_is_not_valid(tmp_path: Path) -> None:
-    waiting = waiting_scenario(Scenario.load("hover"), 16.0)
+    waiting = ground_scenario(Scenario.load("hover"), 16.0)
     log = RequestLog(tmp_path / REQUESTS)
     asked = [
         (1.2, rq.SetParameter("SYS_FAILURE_EN", 1)),

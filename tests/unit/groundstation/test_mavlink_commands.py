@@ -39,7 +39,7 @@ from cosim.control.autopilot.requests import (
     Sticks,
     Takeoff,
 )
-from cosim.groundstation.exchange import PATIENCE, WAITING_PER_SENDER
+from cosim.groundstation.exchange import ANSWER_TIMEOUT, WAITING_PER_SENDER
 from cosim.groundstation.mavlink.modes import LIST
 from cosim.groundstation.mavlink.services.commands import KNOWN
 from cosim.groundstation.mavlink.wire.dialect import mav
@@ -403,9 +403,9 @@ def test_a_flight_that_does_not_answer(desk: Desk) -> None:
     desk.got.clear()
     desk.send(command(400, 1.0))
     asked = bench.time
-    bench.vehicle.poll(asked + PATIENCE - 0.01)
+    bench.vehicle.poll(asked + ANSWER_TIMEOUT - 0.01)
     assert not desk.named("COMMAND_ACK")
-    bench.time = asked + PATIENCE + 0.01
+    bench.time = asked + ANSWER_TIMEOUT + 0.01
     bench.vehicle.poll(bench.time)
     (ack,) = desk.named("COMMAND_ACK")
     assert ack.result == FAILED
@@ -417,9 +417,9 @@ def test_an_answer_that_comes_too_late_is_not_a_second_one(desk: Desk) -> None:
     desk.got.clear()
     desk.send(command(20))
     (waiting,) = bench.exchange.take(2)
-    bench.vehicle.poll(bench.time + PATIENCE + 0.01)
+    bench.vehicle.poll(bench.time + ANSWER_TIMEOUT + 0.01)
     waiting.answer(Answer(True, Result.ACCEPTED, ""))
-    bench.vehicle.poll(bench.time + PATIENCE + 0.02)
+    bench.vehicle.poll(bench.time + ANSWER_TIMEOUT + 0.02)
     assert len(desk.named("COMMAND_ACK")) == 1
 
 

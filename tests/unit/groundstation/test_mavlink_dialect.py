@@ -16,14 +16,14 @@ import pytest
 from mavlink_tools import ABOUT, message_of, sample, snapshot, status
 
 from cosim.groundstation.mavlink.streams import STREAMS
-from cosim.groundstation.mavlink.view import Since, View
+from cosim.groundstation.mavlink.telemetry_state import FlightEvents, TelemetryState
 from cosim.groundstation.mavlink.wire.dialect import (
     BY_NAME,
     KINDS,
     mav,
     pack,
 )
-from cosim.groundstation.mavlink.wire.frames import Parser, Sender
+from cosim.groundstation.mavlink.wire.frames import FramePacker, Parser
 from cosim.groundstation.mavlink.wire.generate import generate
 
 # id, CRC_EXTRA, length: from the C headers that the MAVLink project publishes (mavlink/c_library_v2, common/).
@@ -81,7 +81,7 @@ def test_every_message_is_read_as_pymavlink_reads_it(number: int) -> None:
         message = _random(KINDS[number], chance)
         raw = message.pack(theirs)
         found = theirs.decode(bytearray(raw))
-        ((_, *_, ours),) = Parser(Counter(), whole=True).feed(raw)
+        ((_, *_, ours),) = Parser(Counter(), is_datagram=True).feed(raw)
         for field in KINDS[number].fieldnames:
             a, b = getattr(found, field), getattr(ours, field)
             assert repr(a) == repr(b), field
@@ -90,7 +90,7 @@ def test_every_message_is_read_as_pymavlink_reads_it(number: int) -> None:
 @pytest.mark.parametrize("number", sorted(KINDS))
 def test_every_message_is_sent_as_pymavlink_sends_it(number: int) -> None:
     theirs = mav.MAVLink(None, srcSystem=1, srcComponent=1)
-    ours = Sender(1, 1)
+    ours = FramePacker(1, 1)
     chance = random.Random(number)
     for _ in range(3):
         message = _random(KINDS[number], chance)
@@ -115,7 +115,7 @@ def test_every_stream_is_a_message_and_survives_what_cannot_be() -> None:
     engines = wild.engines._replace(spool_speed=(float("inf"),) * 6, fuel_flow=(float("nan"),) * 6)
     nothing = ((nan,) * 3,) * 3
     wild = wild._replace(measured=measured, state=state, engines=engines)
-    view = View(ABOUT, snapshot(wild, status(), nothing, 7.0), Since())
+    view = TelemetryState(ABOUT, snapshot(wild, status(), nothing, 7.0), FlightEvents())
     for stream in STREAMS:
         for message in stream.build(view):
             assert message.msgname == stream.name

@@ -15,9 +15,9 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.groundstation.mavlink.wire.dialect import mav, pack
-from cosim.groundstation.mavlink.wire.frames import Parser, Sender
+from cosim.groundstation.mavlink.wire.frames import FramePacker, Parser
 from cosim.groundstation.mavlink.wire.signing import EPOCH, Signing, read_key
-from cosim.groundstation.mavlink.wire.tlog import Log
+from cosim.groundstation.mavlink.wire.tlog import TelemetryLog
 
 KEY = bytes(range(32))
 NOW = EPOCH + 3e8
@@ -84,13 +84,13 @@ def test_one_wrong_bit_is_noticed(place: int) -> None:
     for bit in range(8):
         broken = bytearray(raw())
         broken[place] ^= 1 << bit
-        reader, refused = parser(whole=True)
+        reader, refused = parser(is_datagram=True)
         assert not reader.feed(bytes(broken))
         assert sum(refused.values()) >= 1
 
 
 def test_a_datagram_ends_with_a_frame() -> None:
-    reader, refused = parser(whole=True)
+    reader, refused = parser(is_datagram=True)
     assert not reader.feed(raw()[:-3])
     assert refused["truncated"] == 1
     assert len(reader.feed(raw())) == 1
@@ -109,7 +109,7 @@ def test_what_is_not_known_is_refused() -> None:
 
 
 def test_pymavlink_reads_what_is_sent() -> None:
-    sender, other = Sender(1, 1), station()
+    sender, other = FramePacker(1, 1), station()
     for i in range(300):
         message = other.parse_char(sender.frame(pack(heartbeat())))
         assert message.get_seq() == i % 256
@@ -187,7 +187,7 @@ def test_every_bit_of_a_signed_frame_counts() -> None:
 
 def test_pymavlink_believes_our_signature() -> None:
     signing = Signing(KEY, clock=lambda: NOW)
-    sender = Sender(1, 1, link=5, signing=signing)
+    sender = FramePacker(1, 1, link=5, signing=signing)
     other = station()
     other.signing.secret_key = KEY
     stamps = []
@@ -206,7 +206,7 @@ def test_pymavlink_believes_our_signature() -> None:
 def test_the_vehicle_signs_later_than_what_it_has_accepted() -> None:
     reader, _, signing = guarded()
     reader.feed(signed(at=NOW + 1000.0))
-    frame = Sender(1, 1, signing=signing).frame(pack(heartbeat()))
+    frame = FramePacker(1, 1, signing=signing).frame(pack(heartbeat()))
     assert int.from_bytes(frame[-12:-6], "little") > int((NOW + 1000.0 - EPOCH) * 1e5)
 
 
@@ -239,13 +239,13 @@ def test_the_log_is_read_by_pymavlink(tmp_path: Path) -> None:
 
     path = tmp_path / "telemetry.tlog"
     now = [1.7e9]
-    log = Log(path, clock=lambda: now[0])
+    log = TelemetryLog(path, clock=lambda: now[0])
     for i in range(5):
-        log.sent(pack(mav.MAVLink_attitude_message(i * 20, 0.1 * i, 0.0, 0.0, 0.0, 0.0, 0.0)))
+        log.write_sent(pack(mav.MAVLink_attitude_message(i * 20, 0.1 * i, 0.0, 0.0, 0.0, 0.0, 0.0)))
         now[0] += 0.02
-    log.received(raw(seq=9))
+    log.write_received(raw(seq=9))
     log.close()
-    log.received(raw())  # after the end: nothing
+    log.write_received(raw())  # after the end: nothing
     read = mavutil.mavlink_connection(str(path), dialect="common", robust_parsing=True)
     found = []
     while (message := read.recv_msg()) is not None:
@@ -259,7 +259,7 @@ def test_the_log_is_read_by_pymavlink(tmp_path: Path) -> None:
 
 def test_a_log_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="telemetry log"):
-        Log(tmp_path / "no" / "telemetry.tlog")
+        TelemetryLog(tmp_path / "no" / "telemetry.tlog")
 
 
 def test_the_environment_lets_no_damaged_frame_in() -> None:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mavlink_bench import Bench, ReadyShelf, Station
+from mavlink_bench import Bench, ReadyStore, Station
 from patience import PATIENCE
 from pyulog import ULog
 
@@ -28,7 +28,7 @@ from cosim.groundstation.mavlink.services.ftp import (
     FileService,
 )
 from cosim.groundstation.mavlink.services.logs import (
-    FIRST_LOGS,
+    MOST_EARLIER_LOGS,
     LogService,
     LogStore,
     finished_runs,
@@ -279,7 +279,7 @@ def test_sessions_and_clients_are_bounded() -> None:
         )
     assert len(service._clients) == 16
     assert all(len(state.open) <= SESSIONS for state in service._clients.values())
-    service.forget("peer99")
+    service.forget(bench.stations[99].peer)
     assert len(service._clients) == 15
 
 
@@ -362,10 +362,10 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def shelf(runs: Path) -> Iterator[LogStore]:
-    shelf = LogStore(lambda: finished_runs(runs))
-    yield shelf
-    shelf.close()
+def store(runs: Path) -> Iterator[LogStore]:
+    store = LogStore(lambda: finished_runs(runs))
+    yield store
+    store.close()
 
 
 def entries(station: Station) -> dict[int, Any]:
@@ -415,9 +415,9 @@ def download(station: Station, number: int, size: int, chunk: int = 512 * 90) ->
 
 @pytest.mark.parametrize("loss", [0.0, 0.2])
 def test_a_run_is_listed_and_downloaded_as_the_ulog_that_export_writes(
-    runs: Path, shelf: LogStore, tmp_path: Path, loss: float
+    runs: Path, store: LogStore, tmp_path: Path, loss: float
 ) -> None:
-    station = Bench(LogService(shelf), loss=loss).station()
+    station = Bench(LogService(store), loss=loss).station()
     found = entries(station)
     assert sorted(found) == [0, 1, 2]
     assert {entry.last_log_num for entry in found.values()} == {2}
@@ -435,8 +435,8 @@ def test_a_run_is_listed_and_downloaded_as_the_ulog_that_export_writes(
         assert found[number].time_utc > 1.6e9
 
 
-def test_logs_are_files_too(runs: Path, shelf: LogStore) -> None:
-    bench = Bench(LogService(shelf), FileService(shelf.files))
+def test_logs_are_files_too(runs: Path, store: LogStore) -> None:
+    bench = Bench(LogService(store), FileService(store.files))
     station = bench.station()
     size = entries(station)[0].size
     ftp = Client(station)
@@ -449,14 +449,14 @@ def test_logs_are_files_too(runs: Path, shelf: LogStore) -> None:
 
 
 def test_no_runs_is_a_list_of_none(tmp_path: Path) -> None:
-    shelf = LogStore(lambda: finished_runs(tmp_path / "nowhere"))
+    store = LogStore(lambda: finished_runs(tmp_path / "nowhere"))
     try:
-        station = Bench(LogService(shelf)).station()
+        station = Bench(LogService(store)).station()
         station.send("LOG_REQUEST_LIST", *TO, 0, 0xFFFF)
         entry = patient(station)
         assert (entry.id, entry.num_logs, entry.size) == (0, 0, 0)
     finally:
-        shelf.close()
+        store.close()
 
 
 def ready(tmp_path: Path, *sizes: int) -> Any:
@@ -464,14 +464,14 @@ def ready(tmp_path: Path, *sizes: int) -> Any:
     paths = [tmp_path / f"{number}.ulg" for number in range(len(sizes))]
     for path, size in zip(paths, sizes, strict=True):
         path.write_bytes(bytes(i * 7 % 251 for i in range(size)))
-    return ReadyShelf(*paths)
+    return ReadyStore(*paths)
 
 
 @pytest.mark.parametrize("size", [1, 89, 90, 91, 180, 900, 46080, 50_000])
 def test_a_log_that_is_asked_for_without_an_end_has_one(tmp_path: Path, size: int) -> None:
     """MAVProxy asks for 4 GiB and stops at a part that is not full."""
-    shelf = ready(tmp_path, size)
-    station = Bench(LogService(shelf)).station()
+    store = ready(tmp_path, size)
+    station = Bench(LogService(store)).station()
     station.send("LOG_REQUEST_DATA", *TO, 0, 0, 0xFFFFFFFF)
     station.bench.tick(2.0)
     parts = station.take("LOG_DATA")
@@ -529,17 +529,17 @@ def test_erase_erases_nothing_and_requests_are_bounded(tmp_path: Path) -> None:
         station = bench.station(9, component)
         station.send("LOG_ERASE", *TO)
         station.send("LOG_REQUEST_DATA", *TO, 0, 0, 2**32 - 1)
-    assert len(service._reads) == 16
+    assert len(service._downloads) == 16
     assert (tmp_path / "0.ulg").exists()
-    service.forget("peer99")
-    assert len(service._reads) == 15
+    service.forget(bench.stations[99].peer)
+    assert len(service._downloads) == 15
 
 
-def look(shelf: LogStore, now: float) -> None:
+def search(store: LogStore, now: float) -> None:
     """Let it look for runs, and wait until it has."""
-    shelf.look(now)
-    while shelf.looking:
-        shelf._take_in(now)
+    store.search(now)
+    while store.is_searching:
+        store._list_found(now)
 
 
 def test_lists_that_are_asked_for_again_and_again_read_no_files_and_hold_up_nobody(tmp_path: Path) -> None:
@@ -551,9 +551,9 @@ def test_lists_that_are_asked_for_again_and_again_read_no_files_and_hold_up_nobo
         go_on.wait(PATIENCE)
         return []
 
-    shelf = LogStore(slow)
+    store = LogStore(slow)
     try:
-        station = Bench(LogService(shelf)).station()
+        station = Bench(LogService(store)).station()
         for _ in range(50):
             station.send("LOG_REQUEST_LIST", *TO, 0, 0xFFFF)
             station.bench.tick(0.02)
@@ -567,7 +567,7 @@ def test_lists_that_are_asked_for_again_and_again_read_no_files_and_hold_up_nobo
         assert len(station.take("LOG_ENTRY")) == 50
     finally:
         go_on.set()
-        shelf.close()
+        store.close()
 
 
 @pytest.mark.parametrize("during", [False, True])
@@ -582,35 +582,35 @@ def test_a_run_that_has_just_been_finished_is_in_the_next_list(tmp_path: Path, d
         go_on.wait(PATIENCE)
         return now
 
-    shelf = LogStore(found)
+    store = LogStore(found)
     try:
-        shelf.look(0.0)
+        store.search(0.0)
         assert begun.wait(PATIENCE)
         if not during:
             go_on.set()
-            look(shelf, 0.0)
+            search(store, 0.0)
         here.append(tmp_path / "run")
-        shelf.renew()
+        store.mark_outdated()
         go_on.set()
-        look(shelf, 0.1)
-        assert [log.run.name for log in shelf.logs] == ["run"]
+        search(store, 0.1)
+        assert [log.run.name for log in store.logs] == ["run"]
     finally:
         go_on.set()
-        shelf.close()
+        store.close()
 
 
 def test_of_many_runs_the_newest_are_kept_and_numbers_stay(tmp_path: Path) -> None:
-    here: list[Path] = [tmp_path / f"run{number}" for number in range(FIRST_LOGS + 5)]
-    shelf = LogStore(lambda: here)
+    here: list[Path] = [tmp_path / f"run{number}" for number in range(MOST_EARLIER_LOGS + 5)]
+    store = LogStore(lambda: here)
     try:
-        look(shelf, 0.0)
-        assert [log.run.name for log in shelf.logs] == [f"run{number}" for number in range(5, FIRST_LOGS + 5)]
+        search(store, 0.0)
+        assert [log.run.name for log in store.logs] == [f"run{number}" for number in range(5, MOST_EARLIER_LOGS + 5)]
         here.append(tmp_path / "later")
-        look(shelf, 1.0)  # too soon
-        assert len(shelf.logs) == FIRST_LOGS
-        look(shelf, 10.0)  # and not too soon
-        look(shelf, 20.0)
-        assert [log.number for log in shelf.logs] == list(range(FIRST_LOGS + 1))
-        assert shelf.logs[-1].run.name == "later"
+        search(store, 1.0)  # too soon
+        assert len(store.logs) == MOST_EARLIER_LOGS
+        search(store, 10.0)  # and not too soon
+        search(store, 20.0)
+        assert [log.number for log in store.logs] == list(range(MOST_EARLIER_LOGS + 1))
+        assert store.logs[-1].run.name == "later"
     finally:
-        shelf.close()
+        store.close()

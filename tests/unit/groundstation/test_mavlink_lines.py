@@ -27,12 +27,12 @@ from cosim.control.autopilot.requests import (
 )
 from cosim.groundstation.mavlink.wire.dialect import mav, pack
 from cosim.groundstation.mavlink.wire.link import Link
-from cosim.groundstation.mavlink.wire.peer import SHARE, Kind
+from cosim.groundstation.mavlink.wire.peer import TELEMETRY_FRACTION, Priority
 from cosim.groundstation.mavlink.wire.signing import Signing
 from cosim.groundstation.mavlink.wire.transports import channel, connection, serial_port
 from cosim.groundstation.mavlink.wire.transports.channel import MOST_PEERS
 from cosim.groundstation.mavlink.wire.transports.endpoint import parse
-from cosim.groundstation.mavlink.wire.transports.serial_port import Port
+from cosim.groundstation.mavlink.wire.transports.serial_port import SerialDevice
 from cosim.results.report.marks import parts_of
 
 LONGEST = 280  # bytes of a frame
@@ -46,7 +46,7 @@ class Wire:
         self.frames: list[tuple[float, float, bytes]] = []  # handed over, arrived, frame
         self._free = bench.time
         bench.link._channels.append(self)  # type: ignore[arg-type]
-        self.peer = bench.link.peer("wire", self._take, bench.link.parser(whole=False), whole=True, line=self.rate)
+        self.peer = bench.link.new_peer("wire", self._take, is_datagram=False, line=self.rate)
         self.peers = [self.peer]
 
     def _take(self, data: bytes) -> int:
@@ -108,7 +108,7 @@ def test_telemetry_fits_the_line_and_comes_young(bench: Bench, baud: int) -> Non
     since = bench.time
     run(bench, 20.0)
     carried = sum(len(data) for at, _, data in wire.frames if at > since) / 20.0
-    assert carried < SHARE * baud / 10.0 * 1.02  # and the heartbeat, which is not stretched
+    assert carried < TELEMETRY_FRACTION * baud / 10.0 * 1.02  # and the heartbeat, which is not stretched
     late = [arrived - at for at, arrived, _ in wire.frames if at > since]
     assert max(late) <= 0.02 + LONGEST * 10.0 / baud + 1e-9
     found = rates(wire, since)
@@ -119,7 +119,7 @@ def test_telemetry_fits_the_line_and_comes_young(bench: Bench, baud: int) -> Non
     assert found["GLOBAL_POSITION_INT"] == pytest.approx(200 / stretch, abs=2)
     assert (stretch == 1.0) == (baud == 921600)
     if stretch > 1.0:  # and no more than it must
-        assert carried > SHARE * baud / 10.0 / 1.1**2
+        assert carried > TELEMETRY_FRACTION * baud / 10.0 / 1.1**2
 
 
 def test_a_line_that_is_asked_for_more_stretches_everything(bench: Bench) -> None:
@@ -147,7 +147,7 @@ def test_signed_telemetry_fits_too() -> None:
     run(bench, 10.0)
     since = bench.time
     run(bench, 20.0)
-    assert sum(len(data) for at, _, data in wire.frames if at > since) / 20.0 < SHARE * 5760.0 * 1.02
+    assert sum(len(data) for at, _, data in wire.frames if at > since) / 20.0 < TELEMETRY_FRACTION * 5760.0 * 1.02
     bench.close()
 
 
@@ -162,7 +162,7 @@ def test_an_acknowledgement_goes_before_telemetry_and_lists(bench: Bench) -> Non
 
     def busy() -> None:
         while not wire.peer.behind:
-            wire.peer.send(text, Kind.BULK)
+            wire.peer.send(text, Priority.BULK)
         if len(asked) < 40 and (not asked or bench.time - asked[-1] >= 0.11):
             asked.append(bench.time)
             wire.send(command(512, 148.0))
@@ -180,12 +180,12 @@ def test_lists_and_telemetry_take_turns(bench: Bench) -> None:
     wire = Wire(bench, 57600)
     for number in (30, 31, 32, 33, 331):
         wire.send(command(511, float(number), 4000.0))
-    wire.peer.stretched = 1e9  # more telemetry than fits
+    wire.peer.stretched_at = 1e9  # more telemetry than fits
     data = pack(mav.MAVLink_log_data_message(0, 0, 90, [1] * 90))
 
     def busy() -> None:
         while not wire.peer.behind:
-            wire.peer.send(data, Kind.BULK)
+            wire.peer.send(data, Priority.BULK)
 
     since = bench.time
     run(bench, 20.0, busy)
@@ -301,7 +301,7 @@ def terminal() -> Iterator[Terminal]:
 
 def test_a_port_that_is_full_takes_nothing_and_does_not_spin(terminal: Terminal, monkeypatch: Any) -> None:
     """The system still moves what it took to the reader's side: there may be room again for a moment after a refusal."""
-    port = Port(terminal.device, 57600)
+    port = SerialDevice(terminal.device, 57600)
     attempts: list[int] = []  # what the system took at each
     write = os.write
 
@@ -346,7 +346,7 @@ def test_a_port_that_stops_draining_is_dropped_and_taken_up_again(terminal: Term
             station.send(command(512, 148.0))
             assert station.name("COMMAND_ACK", 30.0)
             assert station.name("AUTOPILOT_VERSION", 30.0)
-        assert flight.link.news[0].endswith("is dropped: it has taken nothing for 0.5 s")
+        assert flight.link.events[0].endswith("is dropped: it has taken nothing for 0.5 s")
         # read again: what comes is new
         parser = mav.MAVLink(None)
         parser.robust_parsing = True
@@ -354,13 +354,13 @@ def test_a_port_that_stops_draining_is_dropped_and_taken_up_again(terminal: Term
 
         def alive() -> bool:
             found.extend(m for m in parser.parse_buffer(terminal.read()) or [] if m.get_type() == "ATTITUDE")
-            return any("carries again" in line for line in flight.link.news)
+            return any("carries again" in line for line in flight.link.events)
 
         assert until(alive, 60.0)
         assert until(lambda: alive() and len(found) > 3, 30.0)
         # what the other end had in its own input queue comes first; then what is from after the drop
         assert found[-1].time_boot_ms > asked + 500
-        assert [line for line in flight.link.news if "dropped" in line] == [flight.link.news[0]]  # said once
+        assert [line for line in flight.link.events if "dropped" in line] == [flight.link.events[0]]  # said once
     finally:
         flight.close()
         for station in others:
@@ -379,9 +379,9 @@ def test_a_connection_that_takes_nothing_is_dropped_and_told_of(monkeypatch: Any
         reader.heartbeat()
         for number in (30, 31, 32, 33, 291, 251, 24, 74, 115, 331):
             deaf.sendall(command(511, float(number), 4000.0).pack(mav.MAVLink(None, 9, 9)))
-        assert until(lambda: bool(flight.link.news), 60.0)
-        assert flight.link.news[0].endswith("is dropped: it has taken nothing for 0.5 s")
-        assert flight.link.news[0].startswith("tcpin:127.0.0.1:")
+        assert until(lambda: bool(flight.link.events), 60.0)
+        assert flight.link.events[0].endswith("is dropped: it has taken nothing for 0.5 s")
+        assert flight.link.events[0].startswith("tcpin:127.0.0.1:")
         drain(reader)
         reader.send(command(512, 148.0))
         assert reader.name("AUTOPILOT_VERSION", 30.0)
@@ -403,8 +403,8 @@ def test_a_port_that_goes_away_is_taken_up_again(monkeypatch: Any, tmp_path: Any
         assert until(lambda: bool(one.read()))
         name.unlink()
         one.close()
-        assert until(lambda: bool(flight.link.news))  # said in the link's thread, after the peer is gone
-        assert "is dropped" in flight.link.news[0]
+        assert until(lambda: bool(flight.link.events))  # said in the link's thread, after the peer is gone
+        assert "is dropped" in flight.link.events[0]
         assert not flight.link._channels[0].peers
         name.symlink_to(two.device)
         assert until(lambda: bool(two.read()), 10.0)
@@ -430,7 +430,7 @@ def test_a_link_that_fails_does_not_stop_the_others(bench: Bench) -> None:
     run(bench, 2.0)
     assert len(desk.named("ATTITUDE")) == pytest.approx(50, abs=1)
     assert bench.link.failures["RuntimeError: broken"] > 100
-    assert list(bench.link.news) == ["RuntimeError: broken: 1"]  # said, and not each time
+    assert list(bench.link.events) == ["RuntimeError: broken: 1"]  # said, and not each time
     bench.link.failures.clear()
 
 
@@ -508,7 +508,7 @@ def test_idle_connections_make_room_for_a_new_one(monkeypatch: Any) -> None:
 def test_a_wrong_signature_is_said_once_in_a_while() -> None:
     bench = Bench(signing=Signing(b"k" * 32))
     told: list[str] = []
-    bench.link.tell = told.append
+    bench.link.on_event = told.append
     desk = bench.station()
     foe = mav.MAVLink(None, srcSystem=255, srcComponent=190)
     foe.signing.secret_key = b"w" * 32

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mavlink_bench import TICK, Bench, Station, refuse
+from mavlink_bench import TICK, Bench, StandInPeer, Station, refuse
 
 from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
@@ -37,7 +37,7 @@ from cosim.groundstation.mavlink.services.items import (
     to_mission_item,
 )
 from cosim.groundstation.mavlink.services.missions import MissionService
-from cosim.groundstation.mavlink.services.service import status_text
+from cosim.groundstation.mavlink.services.service import service_text
 from cosim.spec.scenario import Environment, Initial
 from cosim.spec.vehicle import load_vehicle
 from cosim.vehicle.airframe import Airframe
@@ -45,7 +45,7 @@ from cosim.vehicle.airframe import Airframe
 PLACE = Geodesy(22.35, 113.59, 12.0)
 HOME = 0.125
 TO = (1, 1)
-SEA, RELATIVE, NOWHERE = 5, 6, 2  # MAV_FRAME_GLOBAL_INT, _GLOBAL_RELATIVE_ALT_INT, _MISSION
+SEA, RELATIVE, NO_POSITION = 5, 6, 2  # MAV_FRAME_GLOBAL_INT, _GLOBAL_RELATIVE_ALT_INT, _MISSION
 NOT_GIVEN = 2**31 - 1
 ACCEPTED, ERROR, FRAME, UNSUPPORTED, NO_SPACE, INVALID = range(6)
 P1, P2, P3, P4, P5, P6, P7, SEQUENCE, DENIED, CANCELLED = range(6, 16)
@@ -59,7 +59,7 @@ def at(north: float, east: float, up: float, frame: int = RELATIVE, command: int
     return Item(frame, command, given, round(1e7 * latitude), round(1e7 * longitude), up)  # type: ignore[arg-type]
 
 
-def do(command: int, *params: float, z: float = 0.0, frame: int = NOWHERE) -> Item:
+def do(command: int, *params: float, z: float = 0.0, frame: int = NO_POSITION) -> Item:
     """An item without a place."""
     return Item(frame, command, tuple([*params, 0.0, 0.0, 0.0, 0.0][:4]), 0, 0, z)  # type: ignore[arg-type]
 
@@ -210,9 +210,9 @@ def test_a_place_far_away_is_refused_as_a_pilot_says_it() -> None:
 
 def test_a_text_that_fills_its_last_piece_is_ended() -> None:
     """Without a NUL a station waits for more; and no text of a service has a number of one of the vehicle's own."""
-    (one,) = status_text("a" * 49, 4)
+    (one,) = service_text("a" * 49, 4)
     assert one.id == 0
-    two = status_text("a" * 100, 4)
+    two = service_text("a" * 100, 4)
     assert [piece.chunk_seq for piece in two] == [0, 1, 2]
     assert two[-1].text == ""
     assert two[0].id > 0x8000
@@ -313,7 +313,7 @@ BAD = [
     (at(0, 0, 10)._replace(y=-1_800_000_001), P6),
     (at(0, 0, 10)._replace(x=0, y=0), P5),  # 2000 km away
     (at(0, 0, 10)._replace(x=NOT_GIVEN, y=NOT_GIVEN), P5),
-    (at(0, 0, 10)._replace(frame=NOWHERE), FRAME),
+    (at(0, 0, 10)._replace(frame=NO_POSITION), FRAME),
     (at(0, 0, 10)._replace(frame=1), FRAME),  # local NED
     (at(0, 0, 10)._replace(frame=11), FRAME),  # above the terrain
     (at(0, 0, 10)._replace(frame=255), FRAME),
@@ -476,7 +476,7 @@ def test_an_upload_that_its_sender_gives_up_is_over_but_nobody_elses() -> None:
     vehicle.station.send("MISSION_ACK", *TO, CANCELLED, 0)
     assert not vehicle.service.busy
     vehicle.station.send("MISSION_COUNT", *TO, 2, 0)
-    vehicle.service.forget("somebody")
+    vehicle.service.forget(StandInPeer("somebody"))
     assert vehicle.service.busy
     vehicle.service.forget(vehicle.station.peer)
     assert not vehicle.service.busy

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mavlink_bench import Bench, Station, as_float, as_int, mav, refuse
+from mavlink_bench import Bench, StandInPeer, Station, as_float, as_int, mav, refuse
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot.parameters import Parameter, Parameters, table
@@ -120,15 +120,12 @@ def test_the_list_is_paced() -> None:
 def test_a_list_waits_for_a_slow_link() -> None:
     """While bytes wait to be sent, nothing is added to them."""
 
-    class Slow(str):
-        behind = True
-
     vehicle = Vehicle()
-    vehicle.station.peer = Slow("slow")
+    vehicle.station.peer.behind = True
     vehicle.station.send("PARAM_REQUEST_LIST", *TO)
     vehicle.bench.tick(5.0)
     assert not vehicle.station.inbox
-    Slow.behind = False
+    vehicle.station.peer.behind = False
     vehicle.bench.tick(5.0)
     assert len(vehicle.station.inbox) == len(vehicle.parameters.values) + 1
 
@@ -373,7 +370,7 @@ def test_only_px4_has_a_hash() -> None:
 def test_a_peer_that_goes_takes_its_list_along_and_a_restart_begins_lists_anew() -> None:
     vehicle = Vehicle()
     vehicle.station.send("PARAM_REQUEST_LIST", *TO)
-    vehicle.service.forget("somebody")
+    vehicle.service.forget(StandInPeer("somebody"))
     assert vehicle.service.busy
     vehicle.bench.tick(0.2)
     vehicle.service.replace(parameters())

@@ -21,11 +21,11 @@ from cosim.control.autopilot.modes import (
     Severity,
 )
 from cosim.control.autopilot.requests import LinkBack, LinkLost
-from cosim.groundstation.mavlink.about import PERSONALITIES
 from cosim.groundstation.mavlink.modes import base_mode, custom_mode, from_custom, vehicle_type
 from cosim.groundstation.mavlink.streams import BY_ID, DEFAULT, STREAMS
 from cosim.groundstation.mavlink.telemetry import statustext
-from cosim.groundstation.mavlink.view import Since, View
+from cosim.groundstation.mavlink.telemetry_state import FlightEvents, TelemetryState
+from cosim.groundstation.mavlink.vehicle_constants import PERSONALITIES
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 from cosim.spec.vehicle import load_vehicle
 from cosim.vehicle.atmosphere import standard_density
@@ -180,7 +180,7 @@ def test_engines_are_told_in_two_messages_of_four(desk: Desk) -> None:
 
 def test_a_lost_engine_is_seen(desk: Desk) -> None:
     health = (1.0, 1.0, 0.0, 1.0, 1.0, 0.4)
-    view = View(ABOUT, snapshot(sample(health=health), status()), Since())
+    view = TelemetryState(ABOUT, snapshot(sample(health=health), status()), FlightEvents())
     built = {stream.name: stream.build(view) for stream in STREAMS}
     assert [message.info for message in built["ESC_INFO"]] == [0b1011, 0b11]
     assert [message.health for message in built["EFI_STATUS"]] == [1, 1, 0, 1, 1, 1]
@@ -192,7 +192,9 @@ def test_a_lost_engine_is_seen(desk: Desk) -> None:
 
 def test_what_engines_do_not_say_is_not_made_up() -> None:
     silent = sample().engines._replace(spool_speed=(nan,) * 6, exhaust_temperature=(nan,) * 6, fuel_flow=(nan,) * 6)
-    view = View(ABOUT, snapshot(sample(engines=silent), status(), ((nan,) * 3,) * 3), Since())  # no predictor flies
+    view = TelemetryState(
+        ABOUT, snapshot(sample(engines=silent), status(), ((nan,) * 3,) * 3), FlightEvents()
+    )  # no predictor flies
     built = {stream.name: stream.build(view) for stream in STREAMS}
     assert built["ESC_STATUS"] == built["RAW_RPM"] == []  # speeds that are not known
     assert [message.info for message in built["ESC_INFO"]] == [0b1111, 0b11]  # but which engines live, is
@@ -218,7 +220,9 @@ def test_energy_by_tank_or_by_battery(desk: Desk) -> None:
     full = 2.0 / 0.808 * 1e3
     assert fuel == pytest.approx([full, 0.25 * full, 0.75 * full, 75, 0.006 / 0.808 * 1e3, 1])
     assert fields(desk, "BATTERY_STATUS", "battery_remaining") == [-1]
-    electric = View(replace(ABOUT, fuel_capacity=nan), snapshot(sample(), status(remaining=0.4)), Since())
+    electric = TelemetryState(
+        replace(ABOUT, fuel_capacity=nan), snapshot(sample(), status(remaining=0.4)), FlightEvents()
+    )
     built = {stream.name: stream.build(electric) for stream in STREAMS}
     assert built["FUEL_STATUS"] == []
     assert built["BATTERY_STATUS"][0].battery_remaining == 40
@@ -444,15 +448,15 @@ def test_one_station_of_two_is_enough(bench: Bench, desk: Desk) -> None:
 
 
 def test_an_open_page_is_a_ground_station(bench: Bench) -> None:
-    bench.vehicle.pages = lambda: 1
+    bench.vehicle.page_count = lambda: 1
     bench.step(10.0)
     assert not bench.pilot.asked
-    bench.vehicle.pages = lambda: 0
+    bench.vehicle.page_count = lambda: 0
     bench.step(3.4)
     assert not bench.pilot.asked
     bench.step(0.2)
     assert bench.pilot.asked == [LinkLost()]
-    bench.vehicle.pages = lambda: 1
+    bench.vehicle.page_count = lambda: 1
     bench.step(0.1)
     assert bench.pilot.asked == [LinkLost(), LinkBack()]
 

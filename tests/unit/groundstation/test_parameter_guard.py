@@ -11,14 +11,14 @@ from patience import PATIENCE
 from cosim.control.autopilot.parameters import Caution, Parameter, Parameters
 from cosim.control.autopilot.requests import Answer, Result, SetParameter
 from cosim.groundstation import exchange as meeting
-from cosim.groundstation.exchange import Exchange, Port, Waiting
-from cosim.groundstation.parameter_guard import ParameterGuard, differing, kept_lines, refusal
+from cosim.groundstation.exchange import Exchange, PendingRequest, Port
+from cosim.groundstation.parameter_guard import ParameterGuard, describe_saved, find_refusal, list_changes
 
 LOST = Caution("roll", True, True, "roll: the loop is unstable")
-WAIT = meeting.PATIENCE
+WAIT = meeting.ANSWER_TIMEOUT
 
 
-class Judge:
+class StabilityChecker:
     """Lets 0 lose the loop; answers when it is let go, and tells what it was asked."""
 
     def __init__(self) -> None:
@@ -47,8 +47,8 @@ class Desk:
         self.now = 0.0
         self.exchange = Exchange(lambda: self.now)
         self.port = Port(self.exchange, "station")
-        self.judge = Judge()
-        self.guard = ParameterGuard(self.judge)
+        self.checker = StabilityChecker()
+        self.guard = ParameterGuard(self.checker)
         self.parameters = Parameters([Parameter("P", "float", 1.0, 0.0, 10.0, "", "", "")])
         self.answers: list[Answer] = []
 
@@ -58,16 +58,16 @@ class Desk:
 
     def hold(self) -> None:
         for waiting in self.exchange.take(20):
-            assert self.guard.hold_back(waiting)
+            assert self.guard.defer(waiting)
 
-    def judged(self) -> list[tuple[Waiting, list[Caution] | None]]:
+    def judged(self) -> list[tuple[PendingRequest, list[Caution] | None]]:
         return self.guard.take_verdicts(self.parameters, self.now)
 
     def verdicts(self) -> list[tuple[float, bool]]:
         """Return the next verdicts when they are there: the value, and whether it loses something."""
-        self.judge.go.clear()
+        self.checker.go.clear()
         assert not self.judged()  # asked for; the flight does not wait
-        self.judge.go.set()
+        self.checker.go.set()
         assert self.guard._verdict is not None
         self.guard._verdict.result(PATIENCE)
         return [(w.request.value, bool(c)) for w, c in self.judged() if isinstance(w.request, SetParameter)]
@@ -81,7 +81,7 @@ class Desk:
 def desk() -> Iterator[Desk]:
     desk = Desk()
     yield desk
-    desk.judge.go.set()
+    desk.checker.go.set()
     desk.guard.close()
 
 
@@ -93,10 +93,10 @@ def test_a_change_without_a_verdict_in_time_is_given_back_to_be_refused_and_no_m
     ((waiting, cautions),) = desk.judged()
     assert cautions is None
     assert isinstance(waiting.request, SetParameter)
-    why = refusal(waiting.request, cautions, False, {})
+    why = find_refusal(waiting.request, cautions, False, {})
     assert why == "P 2 not taken: no verdict in time, ask again"
     waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, why))
-    desk.judge.go.set()
+    desk.checker.go.set()
     desk.set(3.0)  # waits behind the verdict that nobody needs
     desk.hold()
     assert desk.verdicts() == [(3.0, False)]
@@ -124,10 +124,10 @@ def test_changes_that_came_together_are_judged_together_up_to_one_that_loses_a_l
     desk.set(2.0, 99.0, 3.0, 0.0, 4.0)
     desk.hold()
     assert desk.verdicts() == [(2.0, False), (99.0, False), (3.0, False), (0.0, True)]
-    assert desk.judge.asked == [(1.0, 2.0), (2.0, 2.0), (2.0, 3.0), (3.0, 0.0)]  # 99 is out of range
+    assert desk.checker.asked == [(1.0, 2.0), (2.0, 2.0), (2.0, 3.0), (3.0, 0.0)]  # 99 is out of range
     desk.parameters.set("P", 3.0)  # the 0 was refused
     assert desk.verdicts() == [(4.0, False)]
-    assert desk.judge.asked[-1] == (3.0, 4.0)
+    assert desk.checker.asked[-1] == (3.0, 4.0)
 
 
 def test_a_verdict_that_rests_on_a_change_that_was_dropped_is_not_used(desk: Desk) -> None:
@@ -139,13 +139,13 @@ def test_a_verdict_that_rests_on_a_change_that_was_dropped_is_not_used(desk: Des
     desk.now = WAIT + 0.5
     assert [cautions for _, cautions in desk.judged()] == [None]
     assert desk.verdicts() == [(3.0, False)]
-    assert desk.judge.asked[-1] == (1.0, 3.0)
+    assert desk.checker.asked[-1] == (1.0, 3.0)
 
 
 def test_the_judge_begins_beside_the_flight(desk: Desk) -> None:
     desk.guard.prepare()
-    assert desk.judge.began.wait(PATIENCE)
-    assert desk.judge.thread != get_ident()
+    assert desk.checker.began.wait(PATIENCE)
+    assert desk.checker.thread != get_ident()
 
 
 def test_the_end_of_a_session_answers_what_is_held(desk: Desk) -> None:
@@ -156,10 +156,10 @@ def test_the_end_of_a_session_answers_what_is_held(desk: Desk) -> None:
 
 
 def test_what_the_vehicle_refuses_is_not_said_to_be_kept_nor_judged(desk: Desk) -> None:
-    desk.judge.go.set()
+    desk.checker.go.set()
     kept = {"P": 99.0, "Q": 1.0}
     lines = ["refused: P = 99: must be from 0 to 10", "refused: unknown parameter 'Q'"]
-    assert differing(desk.parameters, kept) == lines
-    assert kept_lines(desk.judge, desk.parameters, kept) == lines
-    assert desk.judge.asked == []
-    assert kept_lines(desk.judge, desk.parameters, {"P": 0.0}) == ["P 0 (default 1)", LOST.text]
+    assert list_changes(desk.parameters, kept) == lines
+    assert describe_saved(desk.checker, desk.parameters, kept) == lines
+    assert desk.checker.asked == []
+    assert describe_saved(desk.checker, desk.parameters, {"P": 0.0}) == ["P 0 (default 1)", LOST.text]

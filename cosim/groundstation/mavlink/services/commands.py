@@ -31,12 +31,12 @@ from cosim.control.autopilot.requests import (
     Takeoff,
 )
 from cosim.groundstation.mavlink.modes import CUSTOM, FROM_STANDARD, LIST, UNSUPPORTED, from_custom, from_main_sub
-from cosim.groundstation.mavlink.services.orders import (
+from cosim.groundstation.mavlink.services.mav_command import (
     ABSOLUTE_FRAMES,
     RELATIVE_FRAMES,
     Ack,
     Context,
-    Order,
+    MavCommand,
     Plan,
 )
 from cosim.groundstation.mavlink.streams import BY_ID, FASTEST, interval
@@ -57,13 +57,13 @@ _GYRO_BIAS, _BAROMETER_BIAS, _GNSS_BIAS = (0.05, 0.0, 0.0), 3.0, (5.0, 0.0, 0.0)
 _SIDES = ("left", "right")
 
 
-def plan(order: Order, context: Context) -> Plan:
+def plan(command: MavCommand, context: Context) -> Plan:
     """Return how a command is executed.  Raises nothing."""
-    handler = _HANDLERS.get(order.number)
+    handler = _HANDLERS.get(command.number)
     if handler is None:
         return Plan(result=Ack.UNSUPPORTED)
     try:
-        return handler(order, context)
+        return handler(command, context)
     except InputError as error:
         return Plan(result=Ack.DENIED, text=str(error))
 
@@ -84,8 +84,8 @@ def _whole(value: float | None) -> int:
 # --- flight ----------------------------------------------------------------------------------------------------
 
 
-def _arm(order: Order, context: Context) -> Plan:
-    arm, force = order.p[0], order.p[1] == FORCE
+def _arm(command: MavCommand, context: Context) -> Plan:
+    arm, force = command.p[0], command.p[1] == FORCE
     if arm == 1.0:
         return _do(Arm(force))
     if arm == 0.0:
@@ -93,51 +93,51 @@ def _arm(order: Order, context: Context) -> Plan:
     return _refuse("arm: parameter 1 must be 0 or 1")
 
 
-def _take_off(order: Order, context: Context) -> Plan:
+def _take_off(command: MavCommand, context: Context) -> Plan:
     """Plan a take-off to parameter 7, above the sea as in PX4, or above home for ArduPilot or a relative frame."""
-    altitude = order.p[6]
+    altitude = command.p[6]
     if altitude is None:
         return _do(Takeoff())
-    if order.frame in RELATIVE_FRAMES or context.about.personality == "ardupilot":
+    if command.frame in RELATIVE_FRAMES or context.vehicle.personality == "ardupilot":
         return _do(Takeoff(altitude))
-    if order.frame is not None and order.frame not in ABSOLUTE_FRAMES:
+    if command.frame is not None and command.frame not in ABSOLUTE_FRAMES:
         return _refuse("", Ack.UNSUPPORTED_FRAME)
-    view = context.view
-    if altitude < view.sea_level + 1.0:
-        here = f"the vehicle is at {view.sea_level:.0f} m"
+    state = context.state
+    if altitude < state.sea_level + 1.0:
+        here = f"the vehicle is at {state.sea_level:.0f} m"
         return _refuse(f"take-off refused: {altitude:.0f} m above sea level asked for, {here}")
-    return _do(Takeoff(altitude - view.sea_level + view.height))
+    return _do(Takeoff(altitude - state.sea_level + state.height))
 
 
-def _land(order: Order, context: Context) -> Plan:
-    if order.place is not None:
-        north, east = _local(order.place, context)
-        here = context.view.status.fix.position
+def _land(command: MavCommand, context: Context) -> Plan:
+    if command.position is not None:
+        north, east = _local(command.position, context)
+        here = context.state.status.fix.position
         if (north - here[0]) ** 2 + (east - here[1]) ** 2 > 4.0:
             return _refuse("land refused: it lands where it is; fly to the place first")
     return _do(Land())
 
 
-def _go_home(order: Order, context: Context) -> Plan:
+def _go_home(command: MavCommand, context: Context) -> Plan:
     return _do(ReturnHome())
 
 
-def _hold(order: Order, context: Context) -> Plan:
+def _hold(command: MavCommand, context: Context) -> Plan:
     return _do(Hold())
 
 
-def _set_mode(order: Order, context: Context) -> Plan:
-    base, main, sub = (_whole(value) for value in order.p[:3])
+def _set_mode(command: MavCommand, context: Context) -> Plan:
+    base, main, sub = (_whole(value) for value in command.p[:3])
     if base < 0 or not base & CUSTOM:
         return _refuse("mode: only custom modes are known here", Ack.UNSUPPORTED)
-    if context.about.personality == "ardupilot":
+    if context.vehicle.personality == "ardupilot":
         return _mode(from_custom(main, "ardupilot"), f"{main}")
     name = UNSUPPORTED.get((main, sub), "")
     return _mode(from_main_sub(main, sub), f"{main}, {sub}{f', {name},' if name else ''}")
 
 
-def _set_standard_mode(order: Order, context: Context) -> Plan:
-    number = _whole(order.p[0])
+def _set_standard_mode(command: MavCommand, context: Context) -> Plan:
+    number = _whole(command.p[0])
     return _mode(FROM_STANDARD.get(number), f"{number}")
 
 
@@ -147,14 +147,14 @@ def _mode(mode: Mode | None, number: str) -> Plan:
     return _do(SetMode(mode.value))
 
 
-def _reposition(order: Order, context: Context) -> Plan:
+def _reposition(command: MavCommand, context: Context) -> Plan:
     """Plan a flight to a position, height and yaw [rad]; without any of them a pause."""
-    speed, yaw, altitude, place = order.p[0], order.p[3], order.p[6], order.place
+    speed, yaw, altitude, place = command.p[0], command.p[3], command.p[6], command.position
     if place is None and altitude is None and yaw is None:
         return _do(Hold())
-    if order.frame is not None and order.frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
+    if command.frame is not None and command.frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
         return _refuse("", Ack.UNSUPPORTED_FRAME)
-    above = None if altitude is None else _altitude(order, altitude, context)
+    above = None if altitude is None else _altitude(command, altitude, context)
     north, east = (None, None) if place is None else _local(place, context, above)
     return _do(
         Goto(
@@ -167,15 +167,15 @@ def _reposition(order: Order, context: Context) -> Plan:
     )
 
 
-def _orbit(order: Order, context: Context) -> Plan:
+def _orbit(command: MavCommand, context: Context) -> Plan:
     """Plan DO_ORBIT: a negative radius turns to the left; parameter 4 is an angle [rad], 0 without end."""
-    radius, speed, yaw, angle = order.p[:4]
+    radius, speed, yaw, angle = command.p[:4]
     if radius is None:
         return _refuse("orbit: parameter 1, the radius, is missing")
-    if order.frame is not None and order.frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
+    if command.frame is not None and command.frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
         return _refuse("", Ack.UNSUPPORTED_FRAME)
-    above = None if order.p[6] is None else _altitude(order, order.p[6], context)
-    north, east = (None, None) if order.place is None else _local(order.place, context, above)
+    above = None if command.p[6] is None else _altitude(command, command.p[6], context)
+    north, east = (None, None) if command.position is None else _local(command.position, context, above)
     return _do(
         Orbit(
             abs(radius),
@@ -193,20 +193,20 @@ def _orbit(order: Order, context: Context) -> Plan:
 _ORBIT_YAW = {0: OrbitYaw.CENTRE, 3: OrbitYaw.TANGENT}  # ORBIT_YAW_BEHAVIOUR; all others keep the heading
 
 
-def _yaw(order: Order, context: Context) -> Plan:
+def _yaw(command: MavCommand, context: Context) -> Plan:
     """Plan CONDITION_YAW [deg], relative to the nose where parameter 4 is 1; parameter 3 then gives the sense."""
-    angle = order.p[0]
+    angle = command.p[0]
     if angle is None:
         return _refuse("yaw: parameter 1 is missing")
     heading = radians(angle)
-    if order.p[3] == 1.0:
-        sense = -1.0 if order.p[2] is not None and order.p[2] < 0.0 else 1.0
-        heading = context.view.euler[2] + sense * heading
+    if command.p[3] == 1.0:
+        sense = -1.0 if command.p[2] is not None and command.p[2] < 0.0 else 1.0
+        heading = context.state.euler[2] + sense * heading
     return _do(Goto(yaw=remainder(heading, tau)))
 
 
-def _change_speed(order: Order, context: Context) -> Plan:
-    kind, speed = order.p[0], order.p[1]
+def _change_speed(command: MavCommand, context: Context) -> Plan:
+    kind, speed = command.p[0], command.p[1]
     if kind not in (None, 0.0, 1.0):
         return _refuse("speed: only that over the ground can be set")
     if speed is None or speed < 0.0:
@@ -214,39 +214,39 @@ def _change_speed(order: Order, context: Context) -> Plan:
     return _do(SetSpeed(speed))
 
 
-def _set_home(order: Order, context: Context) -> Plan:
-    if order.p[0] == 1.0:
+def _set_home(command: MavCommand, context: Context) -> Plan:
+    if command.p[0] == 1.0:
         return _do(SetHome())
-    if order.place is None:
+    if command.position is None:
         return _refuse("home: latitude and longitude are missing")
-    if order.frame is not None and order.frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
+    if command.frame is not None and command.frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
         return _refuse("", Ack.UNSUPPORTED_FRAME)
-    altitude = order.p[6]
-    above = None if altitude is None else _altitude(order, altitude, context)
-    return _do(SetHome(*_local(order.place, context, above), above))
+    altitude = command.p[6]
+    above = None if altitude is None else _altitude(command, altitude, context)
+    return _do(SetHome(*_local(command.position, context, above), above))
 
 
-def _terminate(order: Order, context: Context) -> Plan:
-    if order.p[0] is None or order.p[0] < 0.5:
+def _terminate(command: MavCommand, context: Context) -> Plan:
+    if command.p[0] is None or command.p[0] < 0.5:
         return _refuse("terminate: parameter 1 must be 1; there is no way back")
     return _do(Kill(True))
 
 
-def _start_mission(order: Order, context: Context) -> Plan:
+def _start_mission(command: MavCommand, context: Context) -> Plan:
     """Plan a mission's start at the present item, or at that of parameter 1 where it is not 0."""
-    first = _whole(order.p[0])
+    first = _whole(command.p[0])
     return _do(MissionSetCurrent(first), MissionStart()) if first > 0 else _do(MissionStart())
 
 
-def _set_item(order: Order, context: Context) -> Plan:
-    item = _whole(order.p[0])
+def _set_item(command: MavCommand, context: Context) -> Plan:
+    item = _whole(command.p[0])
     return _refuse("mission: parameter 1 must be an item") if item < 0 else _do(MissionSetCurrent(item))
 
 
-def _pause(order: Order, context: Context) -> Plan:
-    if order.p[0] == 0.0:
+def _pause(command: MavCommand, context: Context) -> Plan:
+    if command.p[0] == 0.0:
         return _do(Hold())
-    return _do(MissionStart()) if order.p[0] == 1.0 else _refuse("pause: parameter 1 must be 0 or 1")
+    return _do(MissionStart()) if command.p[0] == 1.0 else _refuse("pause: parameter 1 must be 0 or 1")
 
 
 def _local(place: tuple[float, float], context: Context, above: float | None = None) -> tuple[float, float]:
@@ -254,8 +254,8 @@ def _local(place: tuple[float, float], context: Context, above: float | None = N
     lat, lon = place
     if not (-90.0 <= lat <= 90.0 and -180.0 <= lon <= 180.0):
         raise InputError(f"{lat:g}, {lon:g} is no latitude and longitude")
-    geodesy = context.about.geodesy
-    height = geodesy.ground + (context.view.altitude if above is None else above)
+    geodesy = context.vehicle.geodesy
+    height = geodesy.ground + (context.state.altitude if above is None else above)
     north, east = geodesy.to_local(lat, lon, height)[:2]
     if max(abs(north), abs(east)) > PLACE_MAX:
         far, most = hypot(north, east) / 1e3, PLACE_MAX / 1e3
@@ -263,30 +263,30 @@ def _local(place: tuple[float, float], context: Context, above: float | None = N
     return north, east
 
 
-def _altitude(order: Order, value: float, context: Context) -> float:
+def _altitude(command: MavCommand, value: float, context: Context) -> float:
     """Return an order's height above the origin [m]."""
-    if order.frame in RELATIVE_FRAMES:
-        return value + context.view.altitude - context.view.height
-    return value - context.about.geodesy.ground
+    if command.frame in RELATIVE_FRAMES:
+        return value + context.state.altitude - context.state.height
+    return value - context.vehicle.geodesy.ground
 
 
 # --- failures --------------------------------------------------------------------------------------------------
 
 
-def _fail(order: Order, context: Context) -> Plan:
-    unit, kind = _whole(order.p[0]), _whole(order.p[1])
-    which = 0 if order.p[2] is None else _whole(order.p[2])
-    if not context.about.failures:
+def _fail(command: MavCommand, context: Context) -> Plan:
+    unit, kind = _whole(command.p[0]), _whole(command.p[1])
+    which = 0 if command.p[2] is None else _whole(command.p[2])
+    if not context.vehicle.failures:
         return Plan(result=Ack.UNSUPPORTED)
     if kind == _OK:
         return _do(ClearFaults())  # there is no way to end one of several
     faults: tuple[InjectFault, ...] = ()
     if unit == _MOTOR:
-        if not 0 <= which <= context.about.jets:
-            return _refuse(f"failure: engine {which}; there are 1 to {context.about.jets}, and 0 for all")
-        faults = _engine_fault(kind, (which,) if which else tuple(range(1, context.about.jets + 1)))
+        if not 0 <= which <= context.vehicle.jets:
+            return _refuse(f"failure: engine {which}; there are 1 to {context.vehicle.jets}, and 0 for all")
+        faults = _engine_fault(kind, (which,) if which else tuple(range(1, context.vehicle.jets + 1)))
     elif unit == _SERVO and kind in (_OFF, _STUCK):
-        known = context.about.servos
+        known = context.vehicle.servos
         if not 0 <= which <= len(known):
             if known == _SIDES:
                 return _refuse(f"failure: servo {which}; 1 is the left one, 2 the right one, 0 both")
@@ -325,15 +325,15 @@ def _sensor_fault(kind: int, sensor: str) -> tuple[InjectFault, ...]:
 # --- what needs no pilot ---------------------------------------------------------------------------------------
 
 
-def _request_message(order: Order, context: Context) -> Plan:
-    number = _whole(order.p[0])
-    messages = context.requested(number)
+def _request_message(command: MavCommand, context: Context) -> Plan:
+    number = _whole(command.p[0])
+    messages = context.find_message(number)
     if messages is None and number == BY_NAME["AVAILABLE_MODES"].id:
-        return _modes(order, context)
+        return _modes(command, context)
     if messages is None and number == BY_NAME["MESSAGE_INTERVAL"].id:
-        return _get_interval(order._replace(p=(order.p[1], *order.p[1:])), context)
+        return _get_interval(command._replace(p=(command.p[1], *command.p[1:])), context)
     if messages is None and number in BY_ID:
-        messages = BY_ID[number].build(context.view)
+        messages = BY_ID[number].build(context.state)
         if not messages:
             return _refuse("", Ack.TEMPORARILY_REJECTED)  # not known yet: who waits for it asks again and again
     if messages is None:
@@ -341,33 +341,33 @@ def _request_message(order: Order, context: Context) -> Plan:
     return Plan(messages=tuple(messages))
 
 
-def _modes(order: Order, context: Context) -> Plan:
-    index = 0 if order.p[1] is None else _whole(order.p[1])
+def _modes(command: MavCommand, context: Context) -> Plan:
+    index = 0 if command.p[1] is None else _whole(command.p[1])
     if index == 0:
-        return Plan(messages=tuple(mode_line(context.about, i) for i in range(1, len(LIST) + 1)))
+        return Plan(messages=tuple(mode_line(context.vehicle, i) for i in range(1, len(LIST) + 1)))
     if not 1 <= index <= len(LIST):
         return _refuse(f"mode {index}: there are 1 to {len(LIST)}")
-    return Plan(messages=(mode_line(context.about, index),))
+    return Plan(messages=(mode_line(context.vehicle, index),))
 
 
-def _capabilities(order: Order, context: Context) -> Plan:
-    return _ask_for("AUTOPILOT_VERSION", order, context)
+def _capabilities(command: MavCommand, context: Context) -> Plan:
+    return _ask_for("AUTOPILOT_VERSION", command, context)
 
 
-def _version(order: Order, context: Context) -> Plan:
-    return _ask_for("PROTOCOL_VERSION", order, context)
+def _version(command: MavCommand, context: Context) -> Plan:
+    return _ask_for("PROTOCOL_VERSION", command, context)
 
 
-def _home(order: Order, context: Context) -> Plan:
-    return _ask_for("HOME_POSITION", order, context)
+def _home(command: MavCommand, context: Context) -> Plan:
+    return _ask_for("HOME_POSITION", command, context)
 
 
-def _ask_for(name: str, order: Order, context: Context) -> Plan:
-    return _request_message(order._replace(p=(float(BY_NAME[name].id), *order.p[1:])), context)
+def _ask_for(name: str, command: MavCommand, context: Context) -> Plan:
+    return _request_message(command._replace(p=(float(BY_NAME[name].id), *command.p[1:])), context)
 
 
-def _get_interval(order: Order, context: Context) -> Plan:
-    number = _whole(order.p[0])
+def _get_interval(command: MavCommand, context: Context) -> Plan:
+    number = _whole(command.p[0])
     if not 0 <= number <= 0xFFFF:
         return _refuse("interval: parameter 1 must be a message", Ack.UNSUPPORTED)
     if number not in BY_ID:
@@ -377,23 +377,23 @@ def _get_interval(order: Order, context: Context) -> Plan:
     return Plan(messages=(mav.MAVLink_message_interval_message(number, micro),))
 
 
-def _set_origin(order: Order, context: Context) -> Plan:
+def _set_origin(command: MavCommand, context: Context) -> Plan:
     """Plan DO_SET_GLOBAL_ORIGIN: only the fixed origin, where the flight began, is accepted; answer with it."""
-    at = context.about.geodesy
-    messages = tuple(gps_global_origin(context.view))
-    if order.place is None:
+    at = context.vehicle.geodesy
+    messages = tuple(gps_global_origin(context.state))
+    if command.position is None:
         return Plan(result=Ack.DENIED, text="origin: latitude and longitude are missing", messages=messages)
-    if order.frame is not None and order.frame not in ABSOLUTE_FRAMES:
+    if command.frame is not None and command.frame not in ABSOLUTE_FRAMES:
         return Plan(result=Ack.UNSUPPORTED_FRAME, messages=messages)
-    off = hypot(*at.to_local(*order.place, at.ground)[:2])
+    off = hypot(*at.to_local(*command.position, at.ground)[:2])
     if off > ORIGIN_NEAR:
         return Plan(result=Ack.DENIED, text=ORIGIN_FIXED, messages=messages)
     return Plan(messages=messages)
 
 
-def _set_interval(order: Order, context: Context) -> Plan:
+def _set_interval(command: MavCommand, context: Context) -> Plan:
     """Set a message's interval for the station that asks: parameter 2 in us; -1 none, 0 the default."""
-    number, micro = _whole(order.p[0]), order.p[1]
+    number, micro = _whole(command.p[0]), command.p[1]
     if number not in BY_ID:
         return Plan(result=Ack.UNSUPPORTED)
     if micro is None or (micro < 0.0 and micro != -1.0) or micro > 3600e6:
@@ -405,25 +405,25 @@ def _set_interval(order: Order, context: Context) -> Plan:
     return Plan()
 
 
-def _prearm(order: Order, context: Context) -> Plan:
-    status = context.view.status
+def _prearm(command: MavCommand, context: Context) -> Plan:
+    status = context.state.status
     if status.armed:
         return _refuse("pre-arm checks: already armed", Ack.TEMPORARILY_REJECTED)
     text = f"not ready: {'; '.join(status.refusals)}" if status.refusals else "ready to arm"
     return Plan(text=text)
 
 
-def _reboot(order: Order, context: Context) -> Plan:
+def _reboot(command: MavCommand, context: Context) -> Plan:
     """Plan a new flight where parameter 1 is 1, or the session's end where it is 2."""
-    ending = _whole(order.p[0])
-    if not 1 <= ending <= len(context.endings):
+    number = _whole(command.p[0])
+    if not 1 <= number <= len(context.shutdown_requests):
         return Plan(result=Ack.UNSUPPORTED)
-    if context.view.status.armed:
+    if context.state.status.armed:
         return _refuse("reboot refused: armed")
-    return _do(context.endings[ending - 1])
+    return _do(context.shutdown_requests[number - 1])
 
 
-_HANDLERS: dict[int, Callable[[Order, Context], Plan]] = {
+_HANDLERS: dict[int, Callable[[MavCommand, Context], Plan]] = {
     17: _hold,  # NAV_LOITER_UNLIM
     20: _go_home,  # NAV_RETURN_TO_LAUNCH
     21: _land,  # NAV_LAND

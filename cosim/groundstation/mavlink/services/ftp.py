@@ -14,9 +14,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from cosim.groundstation.mavlink.services.service import MAX_CLIENTS, Client, Outgoing, Peer, RateLimit, Service, crc32
+from cosim.groundstation.mavlink.services.service import MAX_CLIENTS, Client, Outgoing, RateLimit, Service, crc32
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
+from cosim.groundstation.mavlink.wire.peer import Peer
 
 NONE, TERMINATE, RESET, LIST, OPEN, READ = 0, 1, 2, 3, 4, 5
 CRC, BURST, ACK, NAK = 14, 15, 128, 129
@@ -66,7 +67,7 @@ class _Request(NamedTuple):
 class _Burst:
     request: _Request
     offset: int
-    left: int  # messages
+    remaining: int  # messages
     sequence: int
 
 
@@ -110,12 +111,12 @@ class FileService(Service):
         out: Outgoing = []
         for client, state in self._clients.items():
             if state.burst is not None:
-                for _ in range(state.pace.take(now, state.burst.left, client.peer)):
-                    out.append((client.peer, _message(client, _next(state))))
+                for _ in range(state.pace.take(now, state.burst.remaining, client.peer)):
+                    out.append((client.peer, _message(client, _next_burst_message(state))))
                     if state.burst is None:
                         break
             if state.checksum is not None:
-                answer = _count(state)
+                answer = _continue_checksum(state)
                 if answer:
                     out.append((client.peer, _message(client, answer)))
         return out
@@ -208,7 +209,7 @@ class FileService(Service):
         return _ack(request, data, request.offset)
 
 
-def _next(state: _State) -> bytes:
+def _next_burst_message(state: _State) -> bytes:
     """Return the next message of a burst; the last one is marked as that."""
     burst = state.burst
     assert burst is not None
@@ -218,26 +219,26 @@ def _next(state: _State) -> bytes:
         state.burst = None
         return _nak(request, BAD_SESSION, burst.sequence)
     data = file.read(burst.offset, request.size or DATA)
-    at = burst.offset
+    offset = burst.offset
     burst.offset += len(data)
-    burst.left -= 1
-    last = burst.left == 0 or burst.offset >= file.size or not data
+    burst.remaining -= 1
+    last = burst.remaining == 0 or burst.offset >= file.size or not data
     if last:
         state.burst = None
-    return _pack(request, ACK, data, at, burst.sequence, last)
+    return _pack(request, ACK, data, offset, burst.sequence, last)
 
 
-def _count(state: _State) -> bytes | None:
+def _continue_checksum(state: _State) -> bytes | None:
     """Continue a checksum, and return the answer when it is done."""
-    job = state.checksum
-    assert job is not None
-    part = job.file.read(job.offset, _CRC_PART)
-    job.value = crc32(part, job.value)
-    job.offset += len(part)
-    if part and job.offset < job.file.size:
+    checksum = state.checksum
+    assert checksum is not None
+    part = checksum.file.read(checksum.offset, _CRC_PART)
+    checksum.value = crc32(part, checksum.value)
+    checksum.offset += len(part)
+    if part and checksum.offset < checksum.file.size:
         return None
     state.checksum = None
-    return _ack(job.request, struct.pack("<I", job.value))
+    return _ack(checksum.request, struct.pack("<I", checksum.value))
 
 
 def _entries(files: Mapping[str, File], folder: str) -> list[bytes] | None:

@@ -66,7 +66,7 @@ LEFT_OUT: dict[int, str] = {
 _SEA = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_GLOBAL_INT)  # z above the sea
 _HOME = (wire.MAV_FRAME_GLOBAL_RELATIVE_ALT, wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)  # z above home
 FARTHEST: float = get_args(Metres)[1].most  # m, either way, that the pilot takes
-NOWHERE = 2**31 - 1  # x or y that is not given
+NO_POSITION = 2**31 - 1  # x or y that is not given
 
 
 class Item(NamedTuple):
@@ -104,7 +104,7 @@ def to_mission_item(item: Item, geodesy: Geodesy, home_altitude: float) -> Missi
             return MissionItem(ItemKind.LAND, north, east, yaw=_yaw(item.params[3]))
         return _instruction(item.command, *item.params[:2])
     except InputError as error:  # a number beyond what the autopilot flies
-        raise ItemError(_code_of(str(error)), str(error).removeprefix("MissionItem.")) from error
+        raise ItemError(_find_code(str(error)), str(error).removeprefix("MissionItem.")) from error
 
 
 def _instruction(command: int, p1: float, p2: float) -> MissionItem:
@@ -134,21 +134,21 @@ def to_item(item: MissionItem, geodesy: Geodesy) -> Item:
         x, y = round(1e7 * latitude), round(1e7 * longitude)
     z = 0.0 if item.altitude is None else geodesy.ground + item.altitude
     yaw = nan if item.yaw is None else degrees(item.yaw)
-    there, nowhere = wire.MAV_FRAME_GLOBAL_INT, wire.MAV_FRAME_MISSION
+    global_frame, mission_frame = wire.MAV_FRAME_GLOBAL_INT, wire.MAV_FRAME_MISSION
     radius = (item.radius or 0.0) * (1.0 if item.clockwise else -1.0)
-    delay = Item(nowhere, DELAY, (item.hold_s, -1.0, -1.0, -1.0), 0, 0, 0.0)
+    delay = Item(mission_frame, DELAY, (item.hold_s, -1.0, -1.0, -1.0), 0, 0, 0.0)
     return {
-        ItemKind.WAYPOINT: Item(there, WAYPOINT, (item.hold_s, item.acceptance_m, 0.0, yaw), x, y, z),
-        ItemKind.TAKEOFF: Item(there, TAKEOFF, (0.0, 0.0, 0.0, yaw), NOWHERE, NOWHERE, z),
-        ItemKind.LAND: Item(there, LAND, (0.0, 0.0, 0.0, yaw), x, y, geodesy.ground),
-        ItemKind.STAY: Item(there, LOITER, (0.0, 0.0, 0.0, yaw), x, y, z),
-        ItemKind.CIRCLE: Item(there, LOITER_TURNS, (item.turns, 0.0, radius, 0.0), x, y, z),
-        ItemKind.ALTITUDE: Item(there, LOITER_ALTITUDE, (0.0, 0.0, 0.0, 0.0), x, y, z),
-        ItemKind.SPEED: Item(nowhere, SPEED, (1.0, item.speed or 0.0, -1.0, 0.0), 0, 0, 0.0),
+        ItemKind.WAYPOINT: Item(global_frame, WAYPOINT, (item.hold_s, item.acceptance_m, 0.0, yaw), x, y, z),
+        ItemKind.TAKEOFF: Item(global_frame, TAKEOFF, (0.0, 0.0, 0.0, yaw), NO_POSITION, NO_POSITION, z),
+        ItemKind.LAND: Item(global_frame, LAND, (0.0, 0.0, 0.0, yaw), x, y, geodesy.ground),
+        ItemKind.STAY: Item(global_frame, LOITER, (0.0, 0.0, 0.0, yaw), x, y, z),
+        ItemKind.CIRCLE: Item(global_frame, LOITER_TURNS, (item.turns, 0.0, radius, 0.0), x, y, z),
+        ItemKind.ALTITUDE: Item(global_frame, LOITER_ALTITUDE, (0.0, 0.0, 0.0, 0.0), x, y, z),
+        ItemKind.SPEED: Item(mission_frame, SPEED, (1.0, item.speed or 0.0, -1.0, 0.0), 0, 0, 0.0),
         ItemKind.DELAY: delay,
         ItemKind.LEFT_OUT: delay,  # which command was left out is not known any more: a pause of no length
-        ItemKind.JUMP: Item(nowhere, JUMP, (float(item.target or 0), float(item.repeat), 0.0, 0.0), 0, 0, 0.0),
-        ItemKind.RETURN: Item(nowhere, RETURN, (0.0, 0.0, 0.0, 0.0), 0, 0, 0.0),
+        ItemKind.JUMP: Item(mission_frame, JUMP, (float(item.target or 0), float(item.repeat), 0.0, 0.0), 0, 0, 0.0),
+        ItemKind.RETURN: Item(mission_frame, RETURN, (0.0, 0.0, 0.0, 0.0), 0, 0, 0.0),
     }[item.kind]
 
 
@@ -163,7 +163,7 @@ def parse_item(message: Message) -> Item:
 
 def _degrees(value: float) -> int:
     """Convert degrees to 1e-7 deg; a number that is no angle becomes "not given"."""
-    return round(1e7 * value) if abs(value) <= 200.0 else NOWHERE
+    return round(1e7 * value) if abs(value) <= 200.0 else NO_POSITION
 
 
 def _waypoint(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
@@ -209,8 +209,8 @@ def _loiter(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
 
 def _position_or_here(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, float] | tuple[None, None]:
     """Return the position of an item; None, None for none or 0, 0, which is where the vehicle is then."""
-    somewhere = item.x not in (0, NOWHERE) or item.y not in (0, NOWHERE)
-    return local_position(item, geodesy, altitude) if somewhere else (None, None)
+    is_placed = item.x not in (0, NO_POSITION) or item.y not in (0, NO_POSITION)
+    return local_position(item, geodesy, altitude) if is_placed else (None, None)
 
 
 def local_position(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, float]:
@@ -222,8 +222,8 @@ def local_position(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float
         raise ItemError(WRONG_FRAME, f"frame {item.frame} is not known here")
     north, east, _ = geodesy.to_local(item.x * 1e-7, item.y * 1e-7, geodesy.ground + altitude)
     if max(abs(north), abs(east)) > FARTHEST:
-        away = hypot(north, east) / 1e3
-        raise ItemError(PARAM5, f"{away:,.0f} km from home, {FARTHEST / 1e3:g} km at most")
+        distance = hypot(north, east) / 1e3
+        raise ItemError(PARAM5, f"{distance:,.0f} km from home, {FARTHEST / 1e3:g} km at most")
     return north, east
 
 
@@ -278,7 +278,7 @@ _FIELDS: dict[str, int] = {
 }
 
 
-def _code_of(text: str) -> int:
+def _find_code(text: str) -> int:
     """Return the result code of the field that an error of ``MissionItem`` names."""
     name = text.removeprefix("MissionItem.").split(" ")[0]
     return _FIELDS.get(name, int(INVALID))

@@ -22,18 +22,19 @@ from threading import Thread
 from cosim.base.runtime.processes import Child, python_command
 from cosim.base.storage.scratch import scratch
 from cosim.groundstation.mavlink.services.ftp import Bytes, File
-from cosim.groundstation.mavlink.services.service import MAX_CLIENTS, Client, Outgoing, Peer, RateLimit, Service
+from cosim.groundstation.mavlink.services.service import MAX_CLIENTS, Client, Outgoing, RateLimit, Service
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
+from cosim.groundstation.mavlink.wire.peer import Peer
 
-FIRST_LOGS = 20  # runs of before that are listed, the newest; chosen by us, as each has to be made
+MOST_EARLIER_LOGS = 20  # runs of before that are listed, the newest; chosen by us, as each has to be made
 MOST_LOGS = 200  # with those that come later
 RATE = 2500.0  # LOG_DATA a second and client: 225 kB/s, as fast as a flight at 250 Hz writes them; chosen by us
-LOOK_AGAIN = 2.0  # s before the folders are read again, however often somebody asks; chosen by us
-PATIENCE = 300.0  # s to make one log: thirty times what an hour of flight takes
+SEARCH_INTERVAL = 2.0  # s before the folders are read again, however often somebody asks; chosen by us
+CONVERSION_TIMEOUT = 300.0  # s to make one log: thirty times what an hour of flight takes
 DATA = 90  # bytes in a LOG_DATA
 LOG_FOLDER = "log/"
-_MAKE = """
+_CONVERT = """
 import os, pathlib
 from cosim.results.export.ulog import export_ulog
 if hasattr(os, "nice"):
@@ -60,7 +61,7 @@ class DiskFile:
 
 
 @dataclass
-class Log:
+class LogEntry:
     """One log; ``file`` is None until it is converted, and empty if it could not be converted."""
 
     number: int
@@ -81,159 +82,159 @@ class LogStore:
         self._runs = runs
         self._folder = Path(tempfile.mkdtemp(prefix="logs-", dir=scratch()))
         self._known: set[Path] = set()
-        self._maker: tuple[Child, Log, float] | None = None
-        self._made = 0  # how many of them are done with
+        self._conversion: tuple[Child, LogEntry, float] | None = None
+        self._converted_count = 0  # how many of them are done with
         self._search: Thread | None = None
-        self._listed: Sequence[Path] = ()
-        self._looked = -inf
-        self._stale = True  # a run has been finished since the last search began
+        self._found: Sequence[Path] = ()
+        self._last_search = -inf
+        self._is_outdated = True  # a run has been finished since the last search began
         self._now = 0.0
-        self.logs: list[Log] = []
+        self.logs: list[LogEntry] = []
 
-    def look(self, now: float) -> None:
+    def search(self, now: float) -> None:
         """Start a search for new runs, if none is under way and the last one is not recent."""
-        if self._search is None and (self._stale or now - self._looked >= LOOK_AGAIN):
-            self._stale = False
-            self._search = Thread(target=self._find, name="logs", daemon=True)
+        if self._search is None and (self._is_outdated or now - self._last_search >= SEARCH_INTERVAL):
+            self._is_outdated = False
+            self._search = Thread(target=self._run_search, name="logs", daemon=True)
             self._search.start()
 
-    def renew(self) -> None:
+    def mark_outdated(self) -> None:
         """Mark older searches as outdated, because a run has just been finished; from any thread."""
-        self._stale = True
+        self._is_outdated = True
 
     @property
-    def looking(self) -> bool:
+    def is_searching(self) -> bool:
         """Whether a search for new runs is under way."""
         return self._search is not None
 
-    def _find(self) -> None:
+    def _run_search(self) -> None:
         with suppress(OSError):  # a folder that may not be read: as it was
-            self._listed = self._runs()
+            self._found = self._runs()
 
-    def _take_in(self, now: float) -> None:
+    def _list_found(self, now: float) -> None:
         """List the runs that a search found, once it has ended."""
         if self._search is None or self._search.is_alive():
             return
-        self._search, self._looked = None, now
-        new = [run for run in self._listed if run not in self._known]
+        self._search, self._last_search = None, now
+        new = [run for run in self._found if run not in self._known]
         first = not self._known
         self._known.update(new)
-        for run in new[-FIRST_LOGS:] if first else new[: MOST_LOGS - len(self.logs)]:
-            self.logs.append(Log(len(self.logs), run, _started(run)))
-        if self._stale:  # finished while it was being looked for: who waits for the list wants it too
-            self.look(now)
+        for run in new[-MOST_EARLIER_LOGS:] if first else new[: MOST_LOGS - len(self.logs)]:
+            self.logs.append(LogEntry(len(self.logs), run, _start_time(run)))
+        if self._is_outdated:  # finished while it was being looked for: who waits for the list wants it too
+            self.search(now)
 
-    def work(self, now: float) -> None:
+    def poll(self, now: float) -> None:
         """List new runs, take over the log that is converted, and begin with the next one."""
         self._now = now
-        self._take_in(now)
-        if self._maker is not None:
-            process, log, began = self._maker
+        self._list_found(now)
+        if self._conversion is not None:
+            process, log, started = self._conversion
             code = process.poll()
-            if code is None and now - began < PATIENCE:
+            if code is None and now - started < CONVERSION_TIMEOUT:
                 return
-            self._stop()
-            log.file = _on_disk(self._path(log)) if code == 0 else Bytes(b"")
-            self._made += 1
-        if self._made < len(self.logs):
-            log = self.logs[self._made]
-            command = python_command(_MAKE, str(log.run), str(self._path(log)))
+            self._end_conversion()
+            log.file = _open_file(self._path(log)) if code == 0 else Bytes(b"")
+            self._converted_count += 1
+        if self._converted_count < len(self.logs):
+            log = self.logs[self._converted_count]
+            command = python_command(_CONVERT, str(log.run), str(self._path(log)))
             quiet = subprocess.DEVNULL
             try:
-                self._maker = (Child(command, stdin=quiet, stdout=quiet, stderr=quiet), log, now)
+                self._conversion = (Child(command, stdin=quiet, stdout=quiet, stderr=quiet), log, now)
             except OSError:
                 log.file = Bytes(b"")
-                self._made += 1
+                self._converted_count += 1
 
     @property
-    def making(self) -> bool:
+    def is_converting(self) -> bool:
         """Whether a log is not converted yet."""
-        return self._made < len(self.logs)
+        return self._converted_count < len(self.logs)
 
     def files(self) -> Mapping[str, File]:
         """Return the converted logs as files by path, and start a search for new runs."""
-        self.look(self._now)
+        self.search(self._now)
         return {f"{LOG_FOLDER}{_name(log)}": log.file for log in self.logs if log.file is not None and log.file.size}
 
     def close(self) -> None:
         """Stop, and remove every converted log."""
-        self._made = len(self.logs)
-        self._stop()
+        self._converted_count = len(self.logs)
+        self._end_conversion()
         if self._search is not None:
             self._search.join()
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _stop(self) -> None:
-        if self._maker is not None:
-            self._maker[0].end()
-            self._maker = None
+    def _end_conversion(self) -> None:
+        if self._conversion is not None:
+            self._conversion[0].end()
+            self._conversion = None
 
-    def _path(self, log: Log) -> Path:
+    def _path(self, log: LogEntry) -> Path:
         return self._folder / f"{log.number}.ulg"
 
 
 class LogService(Service):
-    """Log service: LOG_REQUEST_LIST, _DATA and _END in, LOG_ENTRY and LOG_DATA out.  Logs are never erased."""
+    """LogEntry service: LOG_REQUEST_LIST, _DATA and _END in, LOG_ENTRY and LOG_DATA out.  Logs are never erased."""
 
     handles = frozenset({"LOG_REQUEST_LIST", "LOG_REQUEST_DATA", "LOG_REQUEST_END", "LOG_ERASE"})
 
-    def __init__(self, shelf: LogStore) -> None:
-        self._shelf = shelf
+    def __init__(self, store: LogStore) -> None:
+        self._store = store
         self._lists: dict[Client, tuple[int, int]] = {}  # the entries that each still waits for
-        self._reads: OrderedDict[Client, _Reading] = OrderedDict()
+        self._downloads: OrderedDict[Client, _Download] = OrderedDict()
 
     def handle(self, message: Message, client: Client, now: float) -> list[Message]:
         """Return the answers to one message; entries and data go out later."""
         kind = message.get_type()
         if kind == "LOG_REQUEST_LIST":
-            self._shelf.look(now)
+            self._store.search(now)
             if message.start <= message.end and (client in self._lists or len(self._lists) < MAX_CLIENTS):
                 self._lists[client] = (message.start, message.end)
         elif kind == "LOG_REQUEST_DATA":
             return self._begin(message, client)
         elif kind == "LOG_REQUEST_END":
-            self._reads.pop(client, None)
+            self._downloads.pop(client, None)
             self._lists.pop(client, None)
         return []
 
     def poll(self, now: float) -> Outgoing:
         """Return entries of converted logs, and the next part of every download."""
-        self._shelf.work(now)
+        self._store.poll(now)
         out: Outgoing = []
-        for client, (first, last) in list(self._lists.items()) if not self._shelf.looking else ():
-            if not self._shelf.logs:
+        for client, (first, last) in list(self._lists.items()) if not self._store.is_searching else ():
+            if not self._store.logs:
                 out.append((client.peer, wire.MAVLink_log_entry_message(0, 0, 0, 0, 0)))
-            last = min(last, len(self._shelf.logs) - 1)
+            last = min(last, len(self._store.logs) - 1)
             while first <= last and (entry := self._entry(first)) is not None:
                 out.append((client.peer, entry))
                 first += 1
             self._lists[client] = (first, last)
             if first > last:
                 del self._lists[client]
-        for client, reading in list(self._reads.items()):
-            for _ in range(reading.pace.take(now, -(-(reading.end - reading.at) // DATA), client.peer)):
-                out.append((client.peer, reading.next()))
-                if reading.at >= reading.end:
+        for client, download in list(self._downloads.items()):
+            for _ in range(download.limit.take(now, -(-(download.end - download.at) // DATA), client.peer)):
+                out.append((client.peer, download.next()))
+                if download.at >= download.end:
                     break
-            if reading.at >= reading.end:
-                if reading.beyond:  # more was asked for than there is: an empty part is the end
-                    out.append((client.peer, _data(reading.number, reading.at, b"")))
-                del self._reads[client]
+            if download.at >= download.end:
+                if download.is_past_end:  # more was asked for than there is: an empty part is the end
+                    out.append((client.peer, _data(download.number, download.at, b"")))
+                del self._downloads[client]
         return out
 
     @property
     def busy(self) -> bool:
-        return bool(self._reads or self._lists or self._shelf.making)
+        return bool(self._downloads or self._lists or self._store.is_converting)
 
     def forget(self, peer: Peer) -> None:
         """Drop the lists and downloads of a peer that is gone."""
-        for store in (self._lists, self._reads):
+        for store in (self._lists, self._downloads):
             for client in [client for client in store if client.peer == peer]:
                 store.pop(client)
 
     def _entry(self, number: int) -> Message | None:
         """Return a log's entry; None while it is not converted."""
-        logs = self._shelf.logs
+        logs = self._store.logs
         log = logs[number]
         if log.file is None:
             return None
@@ -241,7 +242,7 @@ class LogService(Service):
         return wire.MAVLink_log_entry_message(number, len(logs), len(logs) - 1, log.time_utc, size)
 
     def _begin(self, message: Message, client: Client) -> list[Message]:
-        logs = self._shelf.logs
+        logs = self._store.logs
         if message.id >= len(logs):
             return []
         file = logs[message.id].file
@@ -250,34 +251,34 @@ class LogService(Service):
         if message.ofs >= file.size or message.count == 0:
             return [_data(message.id, message.ofs, b"")]
         end = message.ofs + message.count
-        old = self._reads.pop(client, None)
-        if len(self._reads) >= MAX_CLIENTS:
-            self._reads.popitem(last=False)
-        pace = old.pace if old is not None else RateLimit(RATE, 30)
-        self._reads[client] = _Reading(message.id, file, message.ofs, min(end, file.size), end > file.size, pace)
+        old = self._downloads.pop(client, None)
+        if len(self._downloads) >= MAX_CLIENTS:
+            self._downloads.popitem(last=False)
+        limit = old.limit if old is not None else RateLimit(RATE, 30)
+        self._downloads[client] = _Download(message.id, file, message.ofs, min(end, file.size), end > file.size, limit)
         return []
 
 
-class _Reading:
+class _Download:
     """A download of a part of a log."""
 
-    def __init__(self, number: int, file: File, at: int, end: int, beyond: bool, pace: RateLimit) -> None:
-        self.number, self.at, self.end, self.beyond, self.pace = number, at, end, beyond, pace
+    def __init__(self, number: int, file: File, at: int, end: int, is_past_end: bool, limit: RateLimit) -> None:
+        self.number, self.at, self.end, self.is_past_end, self.limit = number, at, end, is_past_end, limit
         self._file = file
-        self._ahead, self._ahead_at = b"", at  # read from the disk in larger parts
+        self._buffer, self._buffer_at = b"", at  # read from the disk in larger parts
 
     def next(self) -> Message:
         """Return the next LOG_DATA."""
-        start = self.at - self._ahead_at
-        if start + DATA > len(self._ahead):
-            self._ahead, self._ahead_at, start = self._file.read(self.at, 100 * DATA), self.at, 0
-        part = self._ahead[start : start + min(DATA, self.end - self.at)]
+        start = self.at - self._buffer_at
+        if start + DATA > len(self._buffer):
+            self._buffer, self._buffer_at, start = self._file.read(self.at, 100 * DATA), self.at, 0
+        part = self._buffer[start : start + min(DATA, self.end - self.at)]
         message = _data(self.number, self.at, part)
         self.at = self.at + len(part) if part else self.end
         return message
 
 
-def _on_disk(path: Path) -> File:
+def _open_file(path: Path) -> File:
     try:
         return DiskFile(path)
     except OSError:
@@ -290,24 +291,24 @@ def finished_runs(root: Path) -> list[Path]:
         runs = [
             summary.parent for summary in root.glob("*/summary.json") if (summary.parent / "flight.parquet").exists()
         ]
-        return sorted(runs, key=lambda run: (_started(run), run.name))
+        return sorted(runs, key=lambda run: (_start_time(run), run.name))
     return []
 
 
-def _started(run: Path) -> int:
+def _start_time(run: Path) -> int:
     """Return when a run began [s since 1970]; 0 where its summary does not say."""
     import json
 
     try:
-        stated = json.loads((run / "summary.json").read_text(encoding="utf-8"))["started"]
-        moment = datetime.fromisoformat(stated)
+        started = json.loads((run / "summary.json").read_text(encoding="utf-8"))["started"]
+        moment = datetime.fromisoformat(started)
         seconds = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
         return min(2**32 - 1, max(0, int(seconds)))  # as its field
     except (OSError, ValueError, KeyError, TypeError):
         return 0
 
 
-def _name(log: Log) -> str:
+def _name(log: LogEntry) -> str:
     moment = datetime.fromtimestamp(log.time_utc, UTC)
     return f"log_{log.number}_{moment:%Y-%m-%d-%H-%M-%S}.ulg"
 

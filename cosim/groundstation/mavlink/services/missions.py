@@ -35,8 +35,8 @@ from cosim.groundstation.mavlink.services.items import (
     DENIED,
     ERROR,
     LEFT_OUT,
+    NO_POSITION,
     NO_SPACE,
-    NOWHERE,
     PARAM1,
     SEQUENCE,
     UNSUPPORTED,
@@ -47,14 +47,15 @@ from cosim.groundstation.mavlink.services.items import (
     to_mission_item,
 )
 from cosim.groundstation.mavlink.services.plans import CHECKS, from_fence, from_rally, to_fence, to_rally
-from cosim.groundstation.mavlink.services.service import Answers, Ask, Client, Outgoing, Peer, Service, status_text
+from cosim.groundstation.mavlink.services.service import AnswerQueue, Ask, Client, Outgoing, Service, service_text
 from cosim.groundstation.mavlink.telemetry import mission_progress, mission_state
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
+from cosim.groundstation.mavlink.wire.peer import Peer
 
-ASK_AGAIN = 0.25  # s without the item that was asked for; as PX4
-GIVE_UP = 5.0  # s without any progress of an upload; as PX4
-TELL_AGAIN = 1.0  # s between two MISSION_CURRENT without a change
+RETRY_INTERVAL = 0.25  # s without the item that was asked for; as PX4
+UPLOAD_TIMEOUT = 5.0  # s without any progress of an upload; as PX4
+REPEAT_INTERVAL = 1.0  # s between two MISSION_CURRENT without a change
 REPEATS = 3  # times that a finished item is told, because nobody acknowledges it
 
 MISSION, ALL = wire.MAV_MISSION_TYPE_MISSION, wire.MAV_MISSION_TYPE_ALL
@@ -70,9 +71,9 @@ _CLEARING: dict[int, Request] = {MISSION: MissionClear(), FENCE: FenceUpload(())
 class _Upload:
     client: Client
     count: int
-    requested: float  # when the present item was last asked for
-    moved: float  # when anything last came
-    which: int = MISSION
+    last_request: float  # when the present item was last asked for
+    last_progress: float  # when anything last came
+    mission_type: int = MISSION
     items: list[Item] = field(default_factory=list)
     mission: list[MissionItem] = field(default_factory=list)
     waiting: bool = False  # for the pilot's answer
@@ -108,13 +109,15 @@ class MissionService(Service):
         geodesy: Geodesy,
     ) -> None:
         self._items, self._status, self._geodesy = items, status, geodesy
-        self._answers = Answers(ask)
+        self._answers = AnswerQueue(ask)
         self._upload: _Upload | None = None
-        self._last: tuple[Client, int, int, int] | None = None  # who uploaded, how many items, of what, with which end
+        self._last_upload: tuple[Client, int, int, int] | None = (
+            None  # who uploaded, how many items, of what, with which end
+        )
         self._mission: tuple[MissionItem, ...] = ()  # what the pilot got of the last upload
-        self._sent: list[Item] = []  # and what came
+        self._sent_items: list[Item] = []  # and what came
         self._progress_sent: tuple[int, ...] = ()
-        self._progress_at = -TELL_AGAIN
+        self._progress_at = -REPEAT_INTERVAL
         self._reached = -1
         self._repeats = 0
         self._now = 0.0
@@ -130,21 +133,21 @@ class MissionService(Service):
         if kind == "MISSION_ACK":
             self._end_upload(message, client)
             return []
-        which = message.mission_type
-        if kind == "MISSION_CLEAR_ALL" and which == ALL:
+        mission_type = message.mission_type
+        if kind == "MISSION_CLEAR_ALL" and mission_type == ALL:
             return self._clear_all(client)
-        if which not in _KINDS:
-            return [_ack(client, UNSUPPORTED, which)]
+        if mission_type not in _KINDS:
+            return [_ack(client, UNSUPPORTED, mission_type)]
         if kind == "MISSION_REQUEST_LIST":
-            count = len(self._list(which))
-            return [wire.MAVLink_mission_count_message(client.system, client.component, count, which)]
+            count = len(self._list(mission_type))
+            return [wire.MAVLink_mission_count_message(client.system, client.component, count, mission_type)]
         if kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
-            return [self._make_item(message.seq, client, kind == "MISSION_REQUEST", which)]
+            return [self._make_item(message.seq, client, kind == "MISSION_REQUEST", mission_type)]
         if kind == "MISSION_COUNT":
-            return self._begin(message.count, client, which)
+            return self._begin_upload(message.count, client, mission_type)
         if kind == "MISSION_CLEAR_ALL":
-            return self._clear(client, which)
-        return self._take(message, client, which)
+            return self._clear(client, mission_type)
+        return self._take_item(message, client, mission_type)
 
     def poll(self, now: float) -> Outgoing:
         """Return the autopilot's answers, repeated requests of items, and the mission's progress."""
@@ -152,11 +155,11 @@ class MissionService(Service):
         out = self._answers.take()
         upload = self._upload
         if upload is not None and not upload.waiting:
-            if now - upload.moved > GIVE_UP:
+            if now - upload.last_progress > UPLOAD_TIMEOUT:
                 self._upload = None
-                out.append((upload.client.peer, _ack(upload.client, CANCELLED, upload.which)))
-            elif now - upload.requested > ASK_AGAIN:
-                upload.requested = now
+                out.append((upload.client.peer, _ack(upload.client, CANCELLED, upload.mission_type)))
+            elif now - upload.last_request > RETRY_INTERVAL:
+                upload.last_request = now
                 out.append((upload.client.peer, self._next_request(upload)))
         return out + [(None, message) for message in self._progress(now)]
 
@@ -171,29 +174,32 @@ class MissionService(Service):
 
     # ---- down
 
-    def _list(self, which: int) -> list[Item]:
+    def _list(self, mission_type: int) -> list[Item]:
         """Return the present mission, fence or rally points as items."""
-        if which == MISSION:
-            return self._as_items()
+        if mission_type == MISSION:
+            return self._list_mission()
         status = self._status()
         if status is None:
             return []
-        if which == FENCE:
+        if mission_type == FENCE:
             return from_fence(status.zones, self._geodesy)
         return from_rally(status.rally, self._geodesy)
 
-    def _make_item(self, index: int, client: Client, old: bool, which: int) -> Message:
+    def _make_item(self, index: int, client: Client, is_legacy: bool, mission_type: int) -> Message:
         """Return an item; ``old``: in degrees as 32-bit floats (half a metre), as such a request expects it."""
-        items = self._list(which)
+        items = self._list(mission_type)
         if not 0 <= index < len(items):
-            return _ack(client, SEQUENCE, which)
+            return _ack(client, SEQUENCE, mission_type)
         item, status = items[index], self._status()
-        current = int(which == MISSION and status is not None and status.mission_current == index)
-        if not old:
-            place: tuple[float, float] = (item.x, item.y)
+        current = int(mission_type == MISSION and status is not None and status.mission_current == index)
+        if not is_legacy:
+            position: tuple[float, float] = (item.x, item.y)
             make, frame = wire.MAVLink_mission_item_int_message, item.frame
         else:
-            place = (nan if item.x == NOWHERE else item.x * 1e-7, nan if item.y == NOWHERE else item.y * 1e-7)
+            position = (
+                nan if item.x == NO_POSITION else item.x * 1e-7,
+                nan if item.y == NO_POSITION else item.y * 1e-7,
+            )
             old_frames = {
                 wire.MAV_FRAME_GLOBAL_INT: wire.MAV_FRAME_GLOBAL,
                 wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
@@ -208,55 +214,55 @@ class MissionService(Service):
             current,
             item.autocontinue,
             *item.params,
-            *place,
+            *position,
             item.z,
-            which,
+            mission_type,
         )
 
-    def _as_items(self) -> list[Item]:
+    def _list_mission(self) -> list[Item]:
         """Return the autopilot's mission as items: those that were uploaded, if it is that one."""
         mission = self._items()
         if mission is self._mission or mission == self._mission:
-            return self._sent
-        self._mission, self._sent = mission, [to_item(item, self._geodesy) for item in mission]
-        return self._sent
+            return self._sent_items
+        self._mission, self._sent_items = mission, [to_item(item, self._geodesy) for item in mission]
+        return self._sent_items
 
     # ---- up
 
-    def _begin(self, count: int, client: Client, which: int) -> list[Message]:
+    def _begin_upload(self, count: int, client: Client, mission_type: int) -> list[Message]:
         upload = self._upload
         if upload is not None and upload.client != client:
-            return [_ack(client, ERROR, which)]  # another upload is under way
+            return [_ack(client, ERROR, mission_type)]  # another upload is under way
         if upload is not None and upload.waiting:
             return []
         self._upload = None
         if count == 0:
-            return self._clear(client, which)
+            return self._clear(client, mission_type)
         if count > LONGEST_MISSION:
-            lines = _say(f"{_NAMES[which]} refused: {count} items, {LONGEST_MISSION} are allowed")
-            return [_ack(client, NO_SPACE, which), *lines]
-        self._upload = _Upload(client, count, self._now, self._now, which)
+            lines = _warn(f"{_NAMES[mission_type]} refused: {count} items, {LONGEST_MISSION} are allowed")
+            return [_ack(client, NO_SPACE, mission_type), *lines]
+        self._upload = _Upload(client, count, self._now, self._now, mission_type)
         return [self._next_request(self._upload)]
 
-    def _take(self, message: Message, client: Client, which: int) -> list[Message]:
+    def _take_item(self, message: Message, client: Client, mission_type: int) -> list[Message]:
         """Take an item of an upload; another than the requested one is dropped, and that requested again in time."""
         upload = self._upload
-        if upload is None or upload.client != client or upload.which != which:
-            if self._last is not None and self._last[:3] == (client, message.seq + 1, which):
-                return [_ack(client, self._last[3], which)]  # the acknowledgement was lost
-            return [_ack(client, ERROR, which)]
+        if upload is None or upload.client != client or upload.mission_type != mission_type:
+            if self._last_upload is not None and self._last_upload[:3] == (client, message.seq + 1, mission_type):
+                return [_ack(client, self._last_upload[3], mission_type)]  # the acknowledgement was lost
+            return [_ack(client, ERROR, mission_type)]
         if upload.waiting or message.seq != len(upload.items):
             return []
         item = parse_item(message)
         try:
-            if which == MISSION:
+            if mission_type == MISSION:
                 upload.mission.append(to_mission_item(item, self._geodesy, self._home_altitude()))
             else:
-                CHECKS[which](item)
+                CHECKS[mission_type](item)
         except ItemError as error:
-            return self._refuse(upload, error.code, f"{_NAMES[which]} item {message.seq} refused: {error}")
+            return self._refuse(upload, error.code, f"{_NAMES[mission_type]} item {message.seq} refused: {error}")
         upload.items.append(item)
-        upload.requested = upload.moved = self._now
+        upload.last_request = upload.last_progress = self._now
         if len(upload.items) < upload.count:
             return [self._next_request(upload)]
         try:
@@ -264,18 +270,18 @@ class MissionService(Service):
         except InputError as error:  # a jump to nowhere: nothing else is left to check
             return self._refuse(upload, PARAM1, f"mission refused: {error}")
         except ItemError as error:
-            return self._refuse(upload, error.code, f"{_NAMES[which]} refused: {error}")
+            return self._refuse(upload, error.code, f"{_NAMES[mission_type]} refused: {error}")
         upload.waiting = True
         finish = partial(self._finish_upload, upload, request)
         if not self._answers.request(request, upload.client, finish):
-            return self._refuse(upload, ERROR, f"{_NAMES[which]} refused: too many requests")
+            return self._refuse(upload, ERROR, f"{_NAMES[mission_type]} refused: too many requests")
         return []
 
     def _request(self, upload: _Upload) -> MissionUpload | FenceUpload | RallyUpload:
         """Return the autopilot's request for an upload that is complete.  Raises InputError, ItemError."""
-        if upload.which == FENCE:
+        if upload.mission_type == FENCE:
             return to_fence(upload.items, self._geodesy)
-        if upload.which == RALLY:
+        if upload.mission_type == RALLY:
             return to_rally(upload.items, self._geodesy, self._home_altitude())
         return MissionUpload(tuple(upload.mission))
 
@@ -287,21 +293,21 @@ class MissionService(Service):
         self._upload = None
         out: Outgoing = [(peer, self._end(upload, ACCEPTED))]
         if isinstance(request, MissionUpload):
-            self._mission, self._sent = request.items, upload.items
-            out += [(peer, message) for message in _say(_describe_left_out(upload.items))]
+            self._mission, self._sent_items = request.items, upload.items
+            out += [(peer, message) for message in _warn(_describe_left_out(upload.items))]
         return out
 
     def _refuse(self, upload: _Upload, code: int, text: str) -> list[Message]:
         self._upload = None
-        return [self._end(upload, code), *_say(text)]
+        return [self._end(upload, code), *_warn(text)]
 
     def _end(self, upload: _Upload, code: int) -> Message:
-        self._last = (upload.client, len(upload.items), upload.which, code)
-        return _ack(upload.client, code, upload.which)
+        self._last_upload = (upload.client, len(upload.items), upload.mission_type, code)
+        return _ack(upload.client, code, upload.mission_type)
 
     def _next_request(self, upload: _Upload) -> Message:
         client, at = upload.client, len(upload.items)
-        return wire.MAVLink_mission_request_int_message(client.system, client.component, at, upload.which)
+        return wire.MAVLink_mission_request_int_message(client.system, client.component, at, upload.mission_type)
 
     def _end_upload(self, message: Message, client: Client) -> None:
         """End an upload that its sender gave up; of a download, which ends so too, no state is kept."""
@@ -311,42 +317,42 @@ class MissionService(Service):
 
     # ---- the rest
 
-    def _clear(self, client: Client, which: int) -> list[Message]:
-        return self._ask_to_clear(client, [_CLEARING[which]], which)
+    def _clear(self, client: Client, mission_type: int) -> list[Message]:
+        return self._ask_to_clear(client, [_CLEARING[mission_type]], mission_type)
 
     def _clear_all(self, client: Client) -> list[Message]:
         return self._ask_to_clear(client, list(_CLEARING.values()), ALL)
 
-    def _ask_to_clear(self, client: Client, requests: list[Request], which: int) -> list[Message]:
+    def _ask_to_clear(self, client: Client, requests: list[Request], mission_type: int) -> list[Message]:
         """Request to clear, with one acknowledgement when every request is answered."""
         refused: list[str] = []
-        left = len(requests)
+        remaining = len(requests)
 
-        def then(answer: Answer) -> Outgoing:
-            nonlocal left
-            left -= 1
+        def reply(answer: Answer) -> Outgoing:
+            nonlocal remaining
+            remaining -= 1
             if not answer.accepted:
                 refused.append(answer.text)
-            return [] if left else [(client.peer, _ack(client, DENIED if refused else ACCEPTED, which))]
+            return [] if remaining else [(client.peer, _ack(client, DENIED if refused else ACCEPTED, mission_type))]
 
         for request in requests:
-            if not self._answers.request(request, client, then):
-                return [_ack(client, ERROR, which)]  # once: ``left`` does not come to 0 any more
+            if not self._answers.request(request, client, reply):
+                return [_ack(client, ERROR, mission_type)]  # once: ``left`` does not come to 0 any more
         return []
 
     def _set_current(self, index: int, client: Client) -> list[Message]:
-        def then(answer: Answer) -> Outgoing:
+        def reply(answer: Answer) -> Outgoing:
             if answer.accepted:
                 status = self._status()
                 if status is not None and status.mission_current == index:
                     self._progress_sent = ()  # nothing will change, and yet an answer is waited for
                 return []
-            return [(client.peer, message) for message in _say(answer.text)]
+            return [(client.peer, message) for message in _warn(answer.text)]
 
         try:
-            self._answers.request(MissionSetCurrent(index), client, then)
+            self._answers.request(MissionSetCurrent(index), client, reply)
         except InputError:
-            return _say(f"mission item {index}: there are {len(self._items())}")
+            return _warn(f"mission item {index}: there are {len(self._items())}")
         return []
 
     def _progress(self, now: float) -> list[Message]:
@@ -358,7 +364,7 @@ class MissionService(Service):
             self._reached = status.mission_reached
             self._repeats = REPEATS if self._reached >= 0 else 0
         new = mission_state(status)
-        due = now - self._progress_at >= TELL_AGAIN
+        due = now - self._progress_at >= REPEAT_INTERVAL
         if new != self._progress_sent or due:
             self._progress_sent, self._progress_at = new, now
             out.append(mission_progress(status))
@@ -373,12 +379,12 @@ class MissionService(Service):
         return status.home.altitude if status is not None and status.home is not None else 0.0
 
 
-def _ack(client: Client, code: int, which: int = MISSION) -> Message:
-    return wire.MAVLink_mission_ack_message(client.system, client.component, code, which)
+def _ack(client: Client, code: int, mission_type: int = MISSION) -> Message:
+    return wire.MAVLink_mission_ack_message(client.system, client.component, code, mission_type)
 
 
-def _say(text: str) -> list[Message]:
-    return status_text(text, wire.MAV_SEVERITY_WARNING) if text else []
+def _warn(text: str) -> list[Message]:
+    return service_text(text, wire.MAV_SEVERITY_WARNING) if text else []
 
 
 def _describe_left_out(items: list[Item]) -> str:

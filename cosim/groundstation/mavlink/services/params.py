@@ -17,21 +17,21 @@ import numpy as np
 from cosim.base.errors import InputError
 from cosim.control.autopilot.parameters import Parameter, Parameters
 from cosim.control.autopilot.requests import Answer, Result, SetParameter
-from cosim.groundstation.mavlink.about import Personality
 from cosim.groundstation.mavlink.services.service import (
     MAX_CLIENTS,
-    Answers,
+    AnswerQueue,
     Ask,
     Client,
     Outgoing,
-    Peer,
     RateLimit,
     Service,
     crc32,
-    text_of,
+    decode_text,
 )
+from cosim.groundstation.mavlink.vehicle_constants import Personality
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
+from cosim.groundstation.mavlink.wire.peer import Peer
 
 HASH = "_HASH_CHECK"  # PX4's: a ground station that has the same set cached reads no list
 NO_INDEX = 65535
@@ -39,7 +39,7 @@ LIST_RATE = 100.0  # values a second; chosen by us: 3.7 kB/s, two thirds of what
 LIST_BURST = 10
 
 REAL32, INT32, UINT32 = wire.MAV_PARAM_TYPE_REAL32, wire.MAV_PARAM_TYPE_INT32, wire.MAV_PARAM_TYPE_UINT32
-_WHOLE = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # MAV_PARAM_TYPE: its bytes
+_INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # MAV_PARAM_TYPE: its bytes
 # MAV_PARAM_ERROR; the last two are in the MAVLink project's own definitions, not in pymavlink's
 UNKNOWN, OUT_OF_RANGE, NOT_NOW, READ_ONLY, UNSUPPORTED_TYPE, OTHER_TYPE = 1, 2, 3, 5, 6, 7
 
@@ -51,7 +51,7 @@ class ParameterService(Service):
 
     def __init__(self, parameters: Parameters, ask: Ask, personality: Personality = "px4") -> None:
         self._personality = personality
-        self._answers = Answers(ask)
+        self._answers = AnswerQueue(ask)
         self._lists: dict[Client, tuple[int, RateLimit]] = {}  # how far each list has got
         self.replace(parameters)
 
@@ -106,13 +106,13 @@ class ParameterService(Service):
         state, values = 0, self._parameters.values
         for line in self._lines:
             state = crc32(line.name.encode(), state)
-            form = "<i" if line.kind == "int" else "<f"
+            layout = "<i" if line.kind == "int" else "<f"
             number = int(values[line.name]) if line.kind == "int" else values[line.name]
-            state = crc32(struct.pack(form, number), state)
+            state = crc32(struct.pack(layout, number), state)
         return state
 
     def _read(self, message: Message, client: Client) -> Message:
-        index, name = message.param_index, text_of(message.param_id)
+        index, name = message.param_index, decode_text(message.param_id)
         if index >= 0:
             return self._value(index) if index < len(self._lines) else self._error(client, "", index, UNKNOWN)
         if name == HASH and self._personality == "px4":
@@ -122,7 +122,7 @@ class ParameterService(Service):
         return self._value(self._index[name])
 
     def _set(self, message: Message, client: Client) -> list[Message]:
-        name = text_of(message.param_id)
+        name = decode_text(message.param_id)
         if name == HASH and self._personality == "px4":
             # the ground station has the same set in its cache and wants no list any more
             if struct.pack("<f", message.param_value) == struct.pack("<f", self._hash_value().param_value):
@@ -132,19 +132,19 @@ class ParameterService(Service):
             return [self._error(client, name, -1, UNKNOWN)]
         line = self._lines[self._index[name]]
         value = self._decode(message.param_value, message.param_type, line)
-        if isinstance(value, _Refused):
+        if isinstance(value, _Refusal):
             return self._refuse(client, name, value.code)
-        value = self._meant(value, line)
+        value = self._restore_precision(value, line)
         try:
             self._parameters.check(name, value)
             request = SetParameter(name, value)
         except InputError:
             code = READ_ONLY if line.read_only and isfinite(value) else OUT_OF_RANGE
             return self._refuse(client, name, code)
-        self._answers.request(request, client, lambda answer: self._done(answer, client, name))
+        self._answers.request(request, client, lambda answer: self._reply(answer, client, name))
         return []
 
-    def _done(self, answer: Answer, client: Client, name: str) -> Outgoing:
+    def _reply(self, answer: Answer, client: Client, name: str) -> Outgoing:
         if not answer.accepted:
             code = NOT_NOW if answer.result is Result.TEMPORARILY_REJECTED else OUT_OF_RANGE
             return [(client.peer, message) for message in self._refuse(client, name, code)]
@@ -178,22 +178,22 @@ class ParameterService(Service):
         (bits,) = struct.unpack("<f", struct.pack("<i", int(value)))
         return bits, INT32
 
-    def _decode(self, value: float, kind: int, line: Parameter) -> float | _Refused:
+    def _decode(self, value: float, kind: int, line: Parameter) -> float | _Refusal:
         """Return the value that PARAM_SET carries, or why its type is refused."""
-        if kind != REAL32 and kind not in _WHOLE:
-            return _Refused(UNSUPPORTED_TYPE)
+        if kind != REAL32 and kind not in _INTEGERS:
+            return _Refusal(UNSUPPORTED_TYPE)
         if self._personality == "ardupilot":  # its clients are free in what they claim
             return value
         expected = INT32 if line.kind == "int" and self._personality == "px4" else REAL32
-        if kind != expected and not (expected == INT32 and kind in _WHOLE):
-            return _Refused(OTHER_TYPE)
+        if kind != expected and not (expected == INT32 and kind in _INTEGERS):
+            return _Refusal(OTHER_TYPE)
         if kind == REAL32:
             return value
-        form = _WHOLE[kind]
-        (whole,) = struct.unpack_from(form, struct.pack("<f", value))
-        return float(whole)
+        layout = _INTEGERS[kind]
+        (number,) = struct.unpack_from(layout, struct.pack("<f", value))
+        return float(number)
 
-    def _meant(self, value: float, line: Parameter) -> float:
+    def _restore_precision(self, value: float, line: Parameter) -> float:
         """Return the 64-bit number that was meant by one in 32 bits.
 
         The present value or the default if it is one of these, else the shortest number that is the same in 32 bits:
@@ -201,12 +201,12 @@ class ParameterService(Service):
         """
         if not isfinite(value):
             return value
-        for known in (self._parameters[line.name], line.default):
-            if np.float32(known) == np.float32(value):
-                return known
+        for candidate in (self._parameters[line.name], line.default):
+            if np.float32(candidate) == np.float32(value):
+                return candidate
         return float(str(np.float32(value)))
 
 
-class _Refused:
+class _Refusal:
     def __init__(self, code: int) -> None:
         self.code = code

@@ -29,7 +29,7 @@ _RALLY = wire.MAV_CMD_NAV_RALLY_POINT
 _RETURN_POINT = wire.MAV_CMD_NAV_FENCE_RETURN_POINT
 
 
-def fence_item(item: Item) -> None:
+def check_fence_item(item: Item) -> None:
     """Refuse an item that is not one of a fence.  Raises ItemError."""
     if item.command not in (*_POLYGONS, *_CIRCLES, _RETURN_POINT):
         raise ItemError(UNSUPPORTED, f"command {item.command} is not one of a fence")
@@ -47,16 +47,16 @@ def to_fence(items: Sequence[Item], geodesy: Geodesy) -> FenceUpload:
     for index, item in enumerate(items):
         if item.command == _RETURN_POINT:
             continue
-        place = local_position(item, geodesy, 0.0)
+        corner = local_position(item, geodesy, 0.0)
         try:
             if item.command in _CIRCLES:
-                zones.append(FenceZone(_CIRCLES[item.command], (place,), float(item.params[0])))
+                zones.append(FenceZone(_CIRCLES[item.command], (corner,), float(item.params[0])))
                 continue
-            corners.append(place)
+            corners.append(corner)
             count = item.params[0]
-            following = items[index + 1] if index + 1 < len(items) else None
+            next_item = items[index + 1] if index + 1 < len(items) else None
             if len(corners) < count and (
-                following is None or following.command != item.command or following.params[0] != count
+                next_item is None or next_item.command != item.command or next_item.params[0] != count
             ):
                 raise ItemError(PARAM1, f"item {index}: a polygon of {count:g} corners ends after {len(corners)}")
             if len(corners) >= count:
@@ -72,17 +72,17 @@ def to_fence(items: Sequence[Item], geodesy: Geodesy) -> FenceUpload:
 
 def from_fence(zones: Sequence[FenceZone], geodesy: Geodesy) -> list[Item]:
     """Return a fence as mission items."""
-    made = []
+    items = []
     for zone in zones:
         circle = zone.kind in _CIRCLES.values()
         first = zone.radius if circle else float(len(zone.points))
         for north, east in zone.points:
-            x, y = _at(north, east, geodesy)
-            made.append(Item(wire.MAV_FRAME_GLOBAL_INT, _COMMANDS[zone.kind], (first, 0.0, 0.0, 0.0), x, y, 0.0))
-    return made
+            x, y = _to_e7(north, east, geodesy)
+            items.append(Item(wire.MAV_FRAME_GLOBAL_INT, _COMMANDS[zone.kind], (first, 0.0, 0.0, 0.0), x, y, 0.0))
+    return items
 
 
-def rally_item(item: Item) -> None:
+def check_rally_item(item: Item) -> None:
     """Refuse an item that is not a rally point.  Raises ItemError."""
     if item.command != _RALLY:
         raise ItemError(UNSUPPORTED, f"command {item.command} is no rally point")
@@ -106,20 +106,20 @@ def to_rally(items: Sequence[Item], geodesy: Geodesy, home_altitude: float) -> R
 
 def from_rally(points: Sequence[RallyPoint], geodesy: Geodesy) -> list[Item]:
     """Return rally points as mission items, heights above the sea."""
-    made = []
+    items = []
     for point in points:
-        x, y = _at(point.north, point.east, geodesy)
+        x, y = _to_e7(point.north, point.east, geodesy)
         z = geodesy.ground + point.altitude
-        made.append(Item(wire.MAV_FRAME_GLOBAL_INT, _RALLY, (0.0, 0.0, 0.0, 0.0), x, y, z))
-    return made
+        items.append(Item(wire.MAV_FRAME_GLOBAL_INT, _RALLY, (0.0, 0.0, 0.0, 0.0), x, y, z))
+    return items
 
 
 CHECKS: dict[int, Callable[[Item], None]] = {
-    wire.MAV_MISSION_TYPE_FENCE: fence_item,
-    wire.MAV_MISSION_TYPE_RALLY: rally_item,
+    wire.MAV_MISSION_TYPE_FENCE: check_fence_item,
+    wire.MAV_MISSION_TYPE_RALLY: check_rally_item,
 }
 
 
-def _at(north: float, east: float, geodesy: Geodesy) -> tuple[int, int]:
+def _to_e7(north: float, east: float, geodesy: Geodesy) -> tuple[int, int]:
     latitude, longitude, _ = geodesy.to_geodetic(north, east, 0.0)
     return round(1e7 * latitude), round(1e7 * longitude)

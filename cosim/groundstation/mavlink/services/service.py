@@ -1,26 +1,26 @@
 """Common parts of the vehicle's services: parameters, missions, files, logs.
 
-A service lives in the thread of the links, and holds no socket and no clock: ``now`` is monotonic time, s, and a test
-can make it run.
+A service runs in the thread of the links, and has no socket and no clock: ``now`` is monotonic time, s, which a
+test can count.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from cosim.control.autopilot.requests import Answer, Request
 from cosim.groundstation.mavlink.telemetry import statustext
 from cosim.groundstation.mavlink.wire.dialect import Message
+from cosim.groundstation.mavlink.wire.peer import Peer
 
-Peer = Hashable  # an address, as the link knows it
 Outgoing = list[tuple[Peer | None, Message]]
-# request, what to do with the answer (later, from any thread), who asks
+# request, callback for the answer (later, from any thread), name of the sender
 Ask = Callable[[Request, Callable[[Answer], None], str], None]
 
-MAX_CLIENTS = 16  # that a service remembers something of; chosen by us: more than anybody connects
-_OWN_IDS = 0x8000  # from here on texts of services are numbered
+MAX_CLIENTS = 16  # of which a service keeps state; chosen by us: more than anybody connects
+_FIRST_TEXT_ID = 0x8000  # texts of services are numbered from here on
 _text_id = 0
 
 
@@ -34,7 +34,7 @@ class Client(NamedTuple):
     @property
     def text(self) -> str:
         """Name of the client for people to read."""
-        return f"{getattr(self.peer, 'name', self.peer)} {self.system}/{self.component}"
+        return f"{self.peer.name} {self.system}/{self.component}"
 
 
 class Service:
@@ -66,22 +66,22 @@ class RateLimit:
 
     def __init__(self, rate: float, burst: int) -> None:
         self._rate, self._burst = rate, float(burst)
-        self._saved = self._burst
+        self._tokens = self._burst
         self._last: float | None = None
 
     def take(self, now: float, most: int, peer: Peer) -> int:
         """Return how many of ``most`` messages may go now; none while the link to the peer is behind."""
         if self._last is not None:
-            self._saved = min(self._burst, self._saved + max(0.0, now - self._last) * self._rate)
+            self._tokens = min(self._burst, self._tokens + max(0.0, now - self._last) * self._rate)
         self._last = now
-        if getattr(peer, "behind", False):
+        if peer.behind:
             return 0
-        given = min(most, int(self._saved))
-        self._saved -= given
-        return given
+        count = min(most, int(self._tokens))
+        self._tokens -= count
+        return count
 
 
-class Answers:
+class AnswerQueue:
     """Queue of the autopilot's answers, filled from any thread and emptied in the link's."""
 
     def __init__(self, ask: Ask, most: int = 100) -> None:
@@ -107,14 +107,14 @@ class Answers:
         return messages
 
 
-def status_text(text: str, severity: int) -> list[Message]:
+def service_text(text: str, severity: int) -> list[Message]:
     """Return STATUSTEXT in as many pieces as it needs, with numbers that the vehicle's own texts do not use."""
     global _text_id
-    _text_id = (_text_id + 1) % _OWN_IDS
-    return statustext(severity, text, _OWN_IDS + _text_id)
+    _text_id = (_text_id + 1) % _FIRST_TEXT_ID
+    return statustext(severity, text, _FIRST_TEXT_ID + _text_id)
 
 
-def text_of(value: str | bytes) -> str:
+def decode_text(value: str | bytes) -> str:
     """Return a text field of a message up to its first NUL; other characters than ASCII are escaped."""
     data = value.encode("latin-1", "replace") if isinstance(value, str) else bytes(value)
     return data.split(b"\0")[0].decode("ascii", "backslashreplace")

@@ -6,19 +6,19 @@ from math import cos, isfinite, remainder, sin, tau
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot.requests import OffboardAttitude, OffboardPosition, OffboardVelocity, Sticks
-from cosim.groundstation.mavlink.services.orders import ABSOLUTE_FRAMES, LOCAL_NED, RELATIVE_FRAMES
-from cosim.groundstation.mavlink.view import View
+from cosim.groundstation.mavlink.services.mav_command import ABSOLUTE_FRAMES, LOCAL_NED, RELATIVE_FRAMES
+from cosim.groundstation.mavlink.telemetry_state import TelemetryState
 from cosim.groundstation.mavlink.wire.dialect import Message
 
 _OFFSET_NED, _BODY_NED, _BODY_OFFSET, _BODY_FRD = 7, 8, 9, 12  # MAV_FRAME
 _BY_NOSE = (_BODY_NED, _BODY_OFFSET, _BODY_FRD)  # velocities are along and across the heading
-_POSITION, _VELOCITY, _ACCELERATION, _FORCE, _YAW, _TURN = 0b111, 0b111 << 3, 0b111 << 6, 1 << 9, 1 << 10, 1 << 11
+_POSITION, _VELOCITY, _ACCELERATION, _FORCE, _YAW, _YAW_RATE = 0b111, 0b111 << 3, 0b111 << 6, 1 << 9, 1 << 10, 1 << 11
 _NO_RATES, _NO_THRUST, _NO_ATTITUDE = 0b111, 1 << 6, 1 << 7
 
 OffboardSetpoint = OffboardAttitude | OffboardVelocity | OffboardPosition
 
 
-def sticks(message: Message) -> Sticks:
+def parse_sticks(message: Message) -> Sticks:
     """Return MANUAL_CONTROL's sticks: x forward, y right, z thrust 0 to 1000, r right as in PX4 and QGroundControl.
 
     Raises InputError for an axis that is not sent or out of range.
@@ -29,7 +29,7 @@ def sticks(message: Message) -> Sticks:
     return Sticks(message.y / 1000.0, message.x / 1000.0, message.r / 1000.0, max(0, message.z) / 1000.0)
 
 
-def attitude(message: Message) -> OffboardAttitude:
+def parse_attitude(message: Message) -> OffboardAttitude:
     """Return SET_ATTITUDE_TARGET's set-point: attitude or all three rates, and thrust.  Raises InputError."""
     mask, rates = message.type_mask, (message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate)
     if mask & _NO_THRUST:
@@ -41,60 +41,62 @@ def attitude(message: Message) -> OffboardAttitude:
     return OffboardAttitude(rates=rates, thrust=message.thrust)
 
 
-def local(message: Message, view: View) -> OffboardSetpoint:
+def parse_local(message: Message, state: TelemetryState) -> OffboardSetpoint:
     """Return SET_POSITION_TARGET_LOCAL_NED's set-point: a position or else a velocity.  Raises InputError."""
     frame = message.coordinate_frame
     if frame not in (LOCAL_NED, _OFFSET_NED, *_BY_NOSE):
         raise InputError(f"set-point: frame {frame} is not known here")
-    nose = view.euler[2] if frame in _BY_NOSE else 0.0
-    yaw = _yaw(message, nose)
-    place = (message.x, message.y, message.z)
-    if _has(message.type_mask, _POSITION, place):
-        x, y, z = place
+    heading = state.euler[2] if frame in _BY_NOSE else 0.0
+    yaw = _yaw(message, heading)
+    position = (message.x, message.y, message.z)
+    if _is_complete(message.type_mask, _POSITION, position):
+        x, y, z = position
         if frame in (_BODY_OFFSET, _BODY_FRD):
-            x, y = _rotate(x, y, nose)
+            x, y = _rotate(x, y, heading)
         if frame in (_OFFSET_NED, _BODY_OFFSET, _BODY_FRD):
-            here = view.status.fix.position
-            x, y, z = x + here[0], y + here[1], z - view.altitude
+            position_now = state.status.fix.position
+            x, y, z = x + position_now[0], y + position_now[1], z - state.altitude
         return OffboardPosition(x, y, z, yaw)
-    return _velocity(message, nose, yaw)
+    return _velocity(message, heading, yaw)
 
 
-def world(message: Message, view: View) -> OffboardSetpoint:
+def parse_global(message: Message, state: TelemetryState) -> OffboardSetpoint:
     """Return SET_POSITION_TARGET_GLOBAL_INT's set-point: a position or else a velocity.  Raises InputError."""
     frame = message.coordinate_frame
     if frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
         raise InputError(f"set-point: frame {frame} is not known here")
     yaw = _yaw(message, 0.0)
     lat, lon = message.lat_int * 1e-7, message.lon_int * 1e-7
-    if not _has(message.type_mask, _POSITION, (lat, lon, message.alt)):
+    if not _is_complete(message.type_mask, _POSITION, (lat, lon, message.alt)):
         return _velocity(message, 0.0, yaw)
     if not (-90.0 <= lat <= 90.0 and -180.0 <= lon <= 180.0):
         raise InputError(f"set-point: {lat:g}, {lon:g} is no latitude and longitude")
-    geodesy = view.about.geodesy
-    above = message.alt + (view.altitude - view.height if frame in RELATIVE_FRAMES else -geodesy.ground)
-    north, east, _ = geodesy.to_local(lat, lon, geodesy.ground + above)
-    return OffboardPosition(north, east, -above, yaw)
+    geodesy = state.vehicle.geodesy
+    altitude = message.alt + (state.altitude - state.height if frame in RELATIVE_FRAMES else -geodesy.ground)
+    north, east, _ = geodesy.to_local(lat, lon, geodesy.ground + altitude)
+    return OffboardPosition(north, east, -altitude, yaw)
 
 
-def _velocity(message: Message, nose: float, yaw: float | None) -> OffboardVelocity:
+def _velocity(message: Message, heading: float, yaw: float | None) -> OffboardVelocity:
     speeds = (message.vx, message.vy, message.vz)
-    if not _has(message.type_mask, _VELOCITY, speeds):
+    if not _is_complete(message.type_mask, _VELOCITY, speeds):
         raise InputError("set-point: neither a whole position nor a whole velocity")
-    vx, vy = _rotate(speeds[0], speeds[1], nose)
-    turn = None if message.type_mask & _TURN or not isfinite(message.yaw_rate) or yaw is not None else message.yaw_rate
-    return OffboardVelocity(vx, vy, speeds[2], yaw, turn)
+    vx, vy = _rotate(speeds[0], speeds[1], heading)
+    yaw_rate = (
+        None if message.type_mask & _YAW_RATE or not isfinite(message.yaw_rate) or yaw is not None else message.yaw_rate
+    )
+    return OffboardVelocity(vx, vy, speeds[2], yaw, yaw_rate)
 
 
-def _has(mask: int, bits: int, values: tuple[float, ...]) -> bool:
+def _is_complete(mask: int, bits: int, values: tuple[float, ...]) -> bool:
     """Return whether no field of the mask is ignored and all values are finite."""
     return not mask & bits and all(isfinite(value) for value in values)
 
 
-def _yaw(message: Message, nose: float) -> float | None:
+def _yaw(message: Message, heading: float) -> float | None:
     if message.type_mask & _YAW or not isfinite(message.yaw):
         return None
-    return remainder(message.yaw + nose, tau)
+    return remainder(message.yaw + heading, tau)
 
 
 def _rotate(x: float, y: float, angle: float) -> tuple[float, float]:

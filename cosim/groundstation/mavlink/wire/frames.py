@@ -31,15 +31,15 @@ class Frame(NamedTuple):
 class Parser:
     """Parser of one sender's bytes into frames.
 
-    ``whole``: what is fed ends with a frame's end, as a datagram does; a rest is refused instead of being kept.
+    ``is_datagram``: what is fed ends with the end of a frame; a rest is refused instead of being kept.
     With ``signing`` every frame has to carry a signature that is right and new.  RADIO_STATUS need not in a stream of
     bytes: it can do no more than slow that stream's telemetry down.
     """
 
-    def __init__(self, refused: Counter[str], signing: Signing | None = None, whole: bool = False) -> None:
+    def __init__(self, refused: Counter[str], signing: Signing | None = None, is_datagram: bool = False) -> None:
         self._refused = refused
         self._signing = signing
-        self._whole = whole
+        self._is_datagram = is_datagram
         self._mav = mav.MAVLink(None)
         self._buffer = b""
 
@@ -56,7 +56,7 @@ class Parser:
                 continue
             length = _length(buffer, at)
             if length is None or at + length > end:
-                if not self._whole:
+                if not self._is_datagram:
                     break
                 self._refused["truncated"] += 1
                 at += 1
@@ -90,14 +90,14 @@ class Parser:
         signed = bool(flags & SIGNED)
         if self._signing is not None:
             # a radio at the vehicle's end of a cable puts its own word in, and has no key
-            of_radio = message.get_msgId() == RADIO_STATUS and not self._whole
+            of_radio = message.get_msgId() == RADIO_STATUS and not self._is_datagram
             reason = self._signing.refuse(raw, system, component) if signed else "" if of_radio else "unsigned"
             if reason:
                 return reason, None
         return "", Frame(raw, system, component, message.get_seq(), signed, message)
 
 
-class Sender:
+class FramePacker:
     """Packer of frames to one receiver, with its own sequence and link id."""
 
     def __init__(self, system: int, component: int, link: int = 0, signing: Signing | None = None) -> None:
@@ -120,7 +120,7 @@ class Sender:
 
 def _next_magic(buffer: bytes, at: int) -> int:
     first, second = buffer.find(MAGIC_1, at), buffer.find(MAGIC_2, at)
-    starts = [place for place in (first, second) if place >= 0]
+    starts = [position for position in (first, second) if position >= 0]
     return min(starts, default=len(buffer))
 
 

@@ -13,7 +13,7 @@ from enum import Enum
 from math import inf
 
 from cosim.groundstation.mavlink.wire.dialect import Message, frame_size
-from cosim.groundstation.mavlink.wire.frames import Frame, Parser, Sender
+from cosim.groundstation.mavlink.wire.frames import Frame, FramePacker, Parser
 
 # Chosen by us.
 LIMIT = 512_000  # bytes of answers and lists that may wait
@@ -24,7 +24,7 @@ FRAMES_A_SECOND = 1000  # that are read from one station; beyond it they are thr
 _BURST = 1000
 _AHEAD = 0.02  # s of a line's bytes that may lie in its driver: what an answer waits for what was sent before it
 # Of a line, for telemetry; PX4 takes half of it where its MAV_0_RATE is 0 (baud / 20 bytes a second).
-SHARE = 0.5
+TELEMETRY_FRACTION = 0.5
 # How a line that takes less than it should is slowed down and comes back, once a second, and how far down.
 _SLOWER, _FASTER, _SLOWEST = 0.75, 0.05, 0.05
 _RADIO_LOW = 25  # % free in a radio's buffer, below which it is slowed down
@@ -32,7 +32,7 @@ _RADIO_LOW = 25  # % free in a radio's buffer, below which it is slowed down
 _Item = tuple[Message, int | None]
 
 
-class Kind(Enum):
+class Priority(Enum):
     """Priority class of a queued message."""
 
     ANSWER = 1
@@ -48,9 +48,9 @@ class Line:
     def __init__(self, rate: float, now: float) -> None:
         self.full_rate = rate
         self.health = 1.0  # the share of the rate that it has shown to carry
-        self._saved = self._most
-        self._last = self._judged = now
-        self._held = False
+        self._tokens = self._capacity
+        self._last = self._last_check = now
+        self._has_stalled = False
 
     @property
     def rate(self) -> float:
@@ -58,31 +58,31 @@ class Line:
         return self.full_rate * self.health
 
     @property
-    def _most(self) -> float:
+    def _capacity(self) -> float:
         return _AHEAD * self.rate
 
     def free(self, now: float) -> bool:
         """Return whether a frame may be handed over.  One may overdraw, and the next waits for that."""
-        self._saved = min(self._most, self._saved + (now - self._last) * self.rate)
+        self._tokens = min(self._capacity, self._tokens + (now - self._last) * self.rate)
         self._last = now
-        if now - self._judged >= 1.0:
-            self._judged = now
-            self.health = max(_SLOWEST, self.health * _SLOWER) if self._held else min(1.0, self.health + _FASTER)
-            self._held = False
-        return self._saved > 0.0
+        if now - self._last_check >= 1.0:
+            self._last_check = now
+            self.health = max(_SLOWEST, self.health * _SLOWER) if self._has_stalled else min(1.0, self.health + _FASTER)
+            self._has_stalled = False
+        return self._tokens > 0.0
 
     def take(self, count: int) -> None:
         """Count bytes that were handed over."""
-        self._saved -= count
+        self._tokens -= count
 
-    def hold(self) -> None:
+    def note_stall(self) -> None:
         """Note that it did not take what it should have had room for."""
-        self._held = True
+        self._has_stalled = True
 
     @property
     def next(self) -> float:
         """Time at which it is free again [s of the clock]."""
-        return self._last + max(0.0, -self._saved) / self.rate + 1e-4
+        return self._last + max(0.0, -self._tokens) / self.rate + 1e-4
 
 
 class Peer:
@@ -98,27 +98,27 @@ class Peer:
         name: str,
         transmit: Callable[[bytes], int],
         parser: Parser,
-        sender: Sender,
-        whole: bool,
+        packer: FramePacker,
+        is_datagram: bool,
         clock: Callable[[], float],
         refused: Counter[str],
         line: float | None = None,
     ) -> None:
         self.name = name
-        self.whole = whole
+        self.is_datagram = is_datagram
         self._clock = clock
-        self.since = now = clock()
-        self.heard = -1.0  # when the last frame came; -1: none yet
+        self.created = now = clock()
+        self.last_heard = -1.0  # when the last frame came; -1: none yet
         self.intervals: dict[int, float] = {}  # s, by message; 0: not sent
         self.stretch = 1.0  # how much longer they are, so that they fit the line
-        self.stretched = -inf  # when that was last worked out
+        self.stretched_at = -inf  # when that was last worked out
         self.line = None if line is None else Line(line, now)
         self.received = self.sent = self.dropped = 0
-        self.signature = sender.signature  # bytes of it on every frame
+        self.signature = packer.signature  # bytes of it on every frame
         self.stuck = False  # more answers wait than there is room for
         self._transmit = transmit
         self._parser = parser
-        self._sender = sender
+        self._packer = packer
         self._refused = refused
         self._answers: deque[_Item] = deque()
         self._bulk: deque[_Item] = deque()
@@ -138,7 +138,7 @@ class Peer:
         frames = self._parser.feed(data)
         self._credit -= max(1, len(frames))
         if frames:
-            self.heard = now
+            self.last_heard = now
             self.received += len(frames)
         return frames
 
@@ -150,29 +150,29 @@ class Peer:
 
     def silent(self, now: float) -> float:
         """Return the seconds since it was last heard, or was first there."""
-        return now - max(self.heard, self.since)
+        return now - max(self.last_heard, self.created)
 
     def radio(self, free_percent: int) -> None:
         """Slow the line down if the radio's buffer is nearly full; ``free_percent`` is of RADIO_STATUS."""
         if self.line is not None and free_percent < _RADIO_LOW:
-            self.line.hold()
+            self.line.note_stall()
 
     # --- out -----------------------------------------------------------------------------------------------------
 
-    def send(self, packed: Message, kind: Kind = Kind.ANSWER, component: int | None = None) -> bool:
+    def send(self, packed: Message, priority: Priority = Priority.ANSWER, component: int | None = None) -> bool:
         """Queue a message that must arrive, and return whether there was room for it."""
         if self._waiting > self._limit:
             self.stuck = True
             self.dropped += 1
             return False
-        (self._answers if kind is Kind.ANSWER else self._bulk).append((packed, component))
+        (self._answers if priority is Priority.ANSWER else self._bulk).append((packed, component))
         self._waiting += self._size(packed)
         self.flush()
         return True
 
-    def stream(self, packed: Message, place: int = 0) -> None:
-        """Queue telemetry in place of a waiting older one; ``place``: index among several of the same message."""
-        key = (packed.get_msgId(), place)
+    def stream(self, packed: Message, index: int = 0) -> None:
+        """Queue telemetry in place of a waiting older one; ``index``: that among several of the same message."""
+        key = (packed.get_msgId(), index)
         if key in self._telemetry:
             self.dropped += 1
         self._telemetry[key] = packed
@@ -184,17 +184,17 @@ class Peer:
             now = self._clock()
             if self.line is not None and not self.line.free(now):
                 return
-            frame = self._frame = self._frame or self._sender.frame(*self._next())
-            taken = self._transmit(frame)
-            if taken < len(frame) and self.line is not None:
-                self.line.hold()
-            if taken <= 0:
+            frame = self._frame = self._frame or self._packer.frame(*self._next())
+            count = self._transmit(frame)
+            if count < len(frame) and self.line is not None:
+                self.line.note_stall()
+            if count <= 0:
                 self._blocked = now if self._blocked is None else self._blocked
                 return
             self._blocked = None
             if self.line is not None:
-                self.line.take(taken)
-            self._frame = b"" if self.whole else frame[taken:]
+                self.line.take(count)
+            self._frame = b"" if self.is_datagram else frame[count:]
             if self._frame:
                 return
             self.sent += 1
@@ -248,4 +248,4 @@ class Peer:
     @property
     def telemetry_rate(self) -> float:
         """Bytes a second of the line that telemetry may take; inf where the line's rate is not known."""
-        return inf if self.line is None else SHARE * self.line.rate
+        return inf if self.line is None else TELEMETRY_FRACTION * self.line.rate

@@ -58,9 +58,9 @@ class Signing:
         self._last = 0  # the highest time stamp sent or accepted
         self._streams: dict[tuple[int, int, int], int] = {}
 
-    def sign_all_of(self, sender: Any, link: int) -> None:
+    def sign_all_of(self, packer: Any, link: int) -> None:
         """Let a MAVLink object of pymavlink sign what it packs, as the link of this number."""
-        sender.signing.secret_key, sender.signing.link_id, sender.signing.sign_outgoing = self._key, link, True
+        packer.signing.secret_key, packer.signing.link_id, packer.signing.sign_outgoing = self._key, link, True
 
     def next_stamp(self) -> int:
         """Return the time stamp of the next frame."""

@@ -14,12 +14,12 @@ from typing import BinaryIO
 
 from cosim.base.errors import InputError
 from cosim.groundstation.mavlink.wire.dialect import Message
-from cosim.groundstation.mavlink.wire.frames import Sender
+from cosim.groundstation.mavlink.wire.frames import FramePacker
 
 _STAMP = struct.Struct(">Q")
 
 
-class Log:
+class TelemetryLog:
     """Telemetry log that grows frame by frame.  Raises InputError where its file cannot be opened."""
 
     def __init__(self, path: Path, system: int = 1, component: int = 1, clock: Callable[[], float] = time.time) -> None:
@@ -28,37 +28,37 @@ class Log:
         except OSError as error:
             raise InputError(f"{path}: the telemetry log cannot be written: {error}") from error
         self._clock = clock
-        self._sender = Sender(system, component)  # a log is not signed: it would hold one signature of several
+        self._packer = FramePacker(system, component)  # a log is not signed: it would hold one signature of several
         self.frames = 0
-        self.failed = ""  # why there is no more of it
+        self.failure = ""  # why there is no more of it
 
-    def sent(self, packed: Message) -> None:
+    def write_sent(self, packed: Message) -> None:
         """Write a message that was sent."""
         if self._file is not None:
-            self._write(self._sender.frame(packed))
+            self._write(self._packer.frame(packed))
 
-    def received(self, raw: bytes) -> None:
+    def write_received(self, raw: bytes) -> None:
         """Write a frame that was received, byte for byte."""
         self._write(raw)
 
     def flush(self) -> None:
-        self._do(lambda file: file.flush())
+        self._apply(lambda file: file.flush())
 
     def close(self) -> None:
-        self._do(lambda file: file.close())
+        self._apply(lambda file: file.close())
         self._file = None
 
     def _write(self, frame: bytes) -> None:
         stamp = _STAMP.pack(int(self._clock() * 1e6))
-        self._do(lambda file: file.write(stamp + frame))
+        self._apply(lambda file: file.write(stamp + frame))
         self.frames += 1
 
-    def _do(self, action: Callable[[BinaryIO], object]) -> None:
+    def _apply(self, action: Callable[[BinaryIO], object]) -> None:
         """Apply an action to the file; a full disk ends the log and not the link."""
         if self._file is None:
             return
         try:
             action(self._file)
         except OSError as error:
-            self.failed = str(error)
+            self.failure = str(error)
             self._file = None

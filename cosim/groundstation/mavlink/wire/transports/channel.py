@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import socket
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from cosim.base.errors import InputError
-from cosim.groundstation.mavlink.wire.frames import Frame, Parser
+from cosim.groundstation.mavlink.wire.hub import Hub
 from cosim.groundstation.mavlink.wire.peer import Peer
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 
 # Chosen by us.
 MOST_PEERS = 16  # on one server
 EVICT = 10.0  # s: a station that is silent for so long makes room for a new one
-UNHEARD = 3.0  # s: and so does one that has not said a word since it came; ground stations beat once a second
+UNHEARD = 3.0  # s: and so does one that has sent nothing yet; ground stations send a heartbeat once a second
 READS = 64  # from one socket before the others have their turn
 DATAGRAM = 2048  # bytes; a frame has at most 280
 STALL = 10.0  # s for which a connection takes nothing, after which it is dropped
@@ -23,43 +22,6 @@ RETRY = 1.0  # s between two attempts to have it back
 _RESUME = 100.0  # frames of credit with which a station that flooded is read again
 
 Address = Any
-
-
-class Hub(Protocol):
-    """The link that opened an endpoint, as that endpoint needs it."""
-
-    refused: Counter[str]  # frames and bytes that were not taken, by reason
-
-    def watch(self, item: Any, ready: Callable[[int], None], events: int = ...) -> None:
-        """Call ``ready`` whenever ``item``, a socket or a descriptor, is ready."""
-        ...
-
-    def ignore(self, item: Any) -> None:
-        """Watch it no more."""
-        ...
-
-    def peer(
-        self,
-        name: str,
-        transmit: Callable[[bytes], int],
-        parser: Parser,
-        whole: bool,
-        line: float | None = None,
-    ) -> Peer:
-        """Return a new station."""
-        ...
-
-    def parser(self, whole: bool) -> Parser: ...
-
-    def take(self, frames: Sequence[Frame], peer: Peer, now: float) -> None:
-        """Take frames that a station sent."""
-        ...
-
-    def now(self) -> float: ...
-
-    def say(self, text: str) -> None:
-        """Report an event to the people on the ground."""
-        ...
 
 
 class Channel(Protocol):
@@ -73,7 +35,7 @@ class Channel(Protocol):
     def close(self) -> None: ...
 
 
-class Tap:
+class ReadGate:
     """Flow control of a socket: read only while its station has credit, so that a flood stays in the system."""
 
     def __init__(self, link: Hub, item: Any, ready: Callable[[int], None]) -> None:
@@ -81,12 +43,12 @@ class Tap:
         self._open = True
         link.watch(item, ready)
 
-    def shut(self) -> None:
+    def pause(self) -> None:
         """Stop reading for now."""
         if self._open:
             self._open = False
             self._link.refused["flood"] += 1
-            self._link.ignore(self._item)
+            self._link.unwatch(self._item)
 
     def poll(self, peer: Peer, now: float) -> None:
         """Read again when it has credit."""
@@ -97,17 +59,17 @@ class Tap:
 
 def open_socket(endpoint: Endpoint, kind: int, bind: bool) -> socket.socket:
     """Return a non-blocking socket.  Raises InputError where its port cannot be had."""
-    made = socket.socket(endpoint.family, kind)
+    opened = socket.socket(endpoint.family, kind)
     try:
-        made.setblocking(False)
+        opened.setblocking(False)
         if bind:
             if kind == socket.SOCK_STREAM:
-                made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            made.bind((endpoint.host, endpoint.port))
+                opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            opened.bind((endpoint.host, endpoint.port))
     except OSError as error:
-        made.close()
+        opened.close()
         raise InputError(f"link {endpoint.url}: {error.strerror or error}") from error
-    return made
+    return opened
 
 
 def name_station(kind: str, address: Address) -> str:
@@ -117,4 +79,4 @@ def name_station(kind: str, address: Address) -> str:
 
 def is_replaceable(peer: Peer, now: float) -> bool:
     """Return whether a new station may replace this one, which has been silent for too long."""
-    return peer.silent(now) > (EVICT if peer.heard >= 0.0 else UNHEARD)
+    return peer.silent(now) > (EVICT if peer.last_heard >= 0.0 else UNHEARD)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from cosim.groundstation.mavlink.wire.transports.channel import STALL, Hub, Tap
+from cosim.groundstation.mavlink.wire.hub import Hub
+from cosim.groundstation.mavlink.wire.transports.channel import STALL, ReadGate
 
 
-class Stream:
+class Connection:
     """A station over one connection.
 
     ``item``: a file or socket to be watched; ``read`` and ``write`` are its own and never wait.  ``line``: bytes a
@@ -32,8 +33,8 @@ class Stream:
         self.open = True
         self.stalled = False  # it was closed because it took nothing
         self.why = ""
-        self.peer = link.peer(name, self._transmit, link.parser(whole=False), whole=False, line=line)
-        self._tap = Tap(link, item, self._ready)
+        self.peer = link.new_peer(name, self._transmit, is_datagram=False, line=line)
+        self._gate = ReadGate(link, item, self._ready)
 
     def _transmit(self, data: bytes) -> int:
         if not self.open:
@@ -49,7 +50,7 @@ class Stream:
     def _ready(self, mask: int) -> None:
         now = self._link.now()
         if self.peer.credit(now) < 1.0:
-            self._tap.shut()
+            self._gate.pause()
             return
         why = "the other end has closed it"
         try:
@@ -69,7 +70,7 @@ class Stream:
         peer.flush()
         if not self.open:
             return
-        self._tap.poll(peer, now)
+        self._gate.poll(peer, now)
         if peer.blocked(now) > STALL or (peer.stuck and peer.line is None):
             self._link.refused["stuck"] += 1
             self.stalled = True
@@ -80,5 +81,5 @@ class Stream:
         if self.open:
             self.open = False
             self.why = why
-            self._link.ignore(self.item)
+            self._link.unwatch(self.item)
             self.item.close()

@@ -11,9 +11,10 @@ import os
 from typing import Any
 
 from cosim.base.errors import InputError
+from cosim.groundstation.mavlink.wire.hub import Hub
 from cosim.groundstation.mavlink.wire.peer import Peer
-from cosim.groundstation.mavlink.wire.transports.channel import DATAGRAM, RETRY, STALL, Hub
-from cosim.groundstation.mavlink.wire.transports.connection import Stream
+from cosim.groundstation.mavlink.wire.transports.channel import DATAGRAM, RETRY, STALL
+from cosim.groundstation.mavlink.wire.transports.connection import Connection
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 
 _BITS = 10  # of a byte on the line: start, eight, stop
@@ -21,7 +22,7 @@ _BEHIND_S = 0.05  # of the line's bytes that may lie in the driver; chosen by us
 _FRAME = 280  # bytes of the longest frame
 
 
-class Port:
+class SerialDevice:
     """An open serial device whose calls return at once.  Raises OSError or ValueError where it cannot be opened."""
 
     def __init__(self, device: str, baud: int) -> None:
@@ -73,7 +74,7 @@ class Serial:
     def __init__(self, link: Hub, endpoint: Endpoint) -> None:
         self._link = link
         self._endpoint = endpoint
-        self._stream: Stream | None = None
+        self._stream: Connection | None = None
         self._lost = False
         self._next = self._since = link.now()
         try:
@@ -87,8 +88,8 @@ class Serial:
 
     def _open(self) -> None:
         speed = self._endpoint.port
-        port = Port(self._endpoint.host, speed)
-        self._stream = Stream(self._link, self._endpoint.url, port, port.read, port.write, speed / _BITS)
+        port = SerialDevice(self._endpoint.host, speed)
+        self._stream = Connection(self._link, self._endpoint.url, port, port.read, port.write, speed / _BITS)
         self._since = self._link.now()
 
     @property
@@ -111,7 +112,7 @@ class Serial:
             with contextlib.suppress(OSError, ValueError):  # not yet
                 self._open()
 
-    def _say_again(self, stream: Stream, now: float) -> None:
+    def _say_again(self, stream: Connection, now: float) -> None:
         """Report a lost line as back once it has worked for as long as it may be stuck, not at each attempt."""
         if self._lost and now - self._since > STALL and not stream.peer.blocked(now):
             self._lost = False

@@ -6,17 +6,17 @@ import contextlib
 import selectors
 import socket
 
+from cosim.groundstation.mavlink.wire.hub import Hub
 from cosim.groundstation.mavlink.wire.peer import Peer
 from cosim.groundstation.mavlink.wire.transports.channel import (
     DATAGRAM,
     MOST_PEERS,
     RETRY,
-    Hub,
     is_replaceable,
     name_station,
     open_socket,
 )
-from cosim.groundstation.mavlink.wire.transports.connection import Stream
+from cosim.groundstation.mavlink.wire.transports.connection import Connection
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 
 # bytes that may lie in a connection, and those of them that are not on their way yet: old telemetry is worth nothing to
@@ -26,14 +26,14 @@ _UNSENT = 4096
 _UNSENT_OPTION = getattr(socket, "TCP_NOTSENT_LOWAT", None)
 
 
-def _connection(link: Hub, name: str, connection: socket.socket) -> Stream:
+def _connection(link: Hub, name: str, connection: socket.socket) -> Connection:
     connection.setblocking(False)
     with contextlib.suppress(OSError):
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL)
         if _UNSENT_OPTION is not None:
             connection.setsockopt(socket.IPPROTO_TCP, _UNSENT_OPTION, _UNSENT)
-    return Stream(link, name, connection, lambda: connection.recv(DATAGRAM), connection.send)
+    return Connection(link, name, connection, lambda: connection.recv(DATAGRAM), connection.send)
 
 
 class TcpIn:
@@ -44,7 +44,7 @@ class TcpIn:
         self._socket = open_socket(endpoint, socket.SOCK_STREAM, bind=True)
         self._socket.listen(MOST_PEERS)
         self.port = int(self._socket.getsockname()[1])
-        self._streams: list[Stream] = []
+        self._streams: list[Connection] = []
         link.watch(self._socket, self._ready)
 
     @property
@@ -72,7 +72,7 @@ class TcpIn:
         if not idle:
             return False
         # one that has never said a word goes before one that has
-        oldest = max(idle, key=lambda stream: (stream.peer.heard < 0.0, stream.peer.silent(now)))
+        oldest = max(idle, key=lambda stream: (stream.peer.last_heard < 0.0, stream.peer.silent(now)))
         oldest.close()
         streams.remove(oldest)
         return True
@@ -87,7 +87,7 @@ class TcpIn:
     def close(self) -> None:
         for stream in self._streams:
             stream.close()
-        self._link.ignore(self._socket)
+        self._link.unwatch(self._socket)
         self._socket.close()
 
 
@@ -100,7 +100,7 @@ class Tcp:
         self._link = link
         self._endpoint = endpoint
         self._attempt: socket.socket | None = None
-        self._stream: Stream | None = None
+        self._stream: Connection | None = None
         self._next = link.now()
 
     @property
@@ -111,7 +111,7 @@ class Tcp:
         attempt, self._attempt = self._attempt, None
         if attempt is None:
             return
-        self._link.ignore(attempt)
+        self._link.unwatch(attempt)
         if attempt.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
             attempt.close()
             return
@@ -142,7 +142,7 @@ class Tcp:
 
     def close(self) -> None:
         if self._attempt is not None:
-            self._link.ignore(self._attempt)
+            self._link.unwatch(self._attempt)
             self._attempt.close()
         if self._stream is not None:
             self._stream.close()

@@ -5,14 +5,14 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable, Iterator
 
+from cosim.groundstation.mavlink.wire.hub import Hub
 from cosim.groundstation.mavlink.wire.peer import Peer
 from cosim.groundstation.mavlink.wire.transports.channel import (
     DATAGRAM,
     MOST_PEERS,
     READS,
     Address,
-    Hub,
-    Tap,
+    ReadGate,
     is_replaceable,
     name_station,
     open_socket,
@@ -22,10 +22,12 @@ from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 FORGET = 30.0  # s: a station behind a UDP server that is silent for so long is gone; chosen by us
 
 
-def _sendto(channel: socket.socket, address: Address) -> Callable[[bytes], int]:
+def _without_waiting(send: Callable[[bytes], int]) -> Callable[[bytes], int]:
+    """Return ``send`` so that it takes nothing where it would wait, and a datagram that reaches nobody as sent."""
+
     def transmit(data: bytes) -> int:
         try:
-            return channel.sendto(data, address)
+            return send(data)
         except (BlockingIOError, InterruptedError):
             return 0
         except OSError:
@@ -54,8 +56,8 @@ class UdpOut:
         self._link = link
         self._socket = open_socket(endpoint, socket.SOCK_DGRAM, bind=False)
         self._target = (endpoint.host, endpoint.port)
-        transmit = _sendto(self._socket, self._target)
-        self._peer = link.peer(endpoint.url, transmit, link.parser(whole=True), whole=True)
+        transmit = _without_waiting(lambda data: self._socket.sendto(data, self._target))
+        self._peer = link.new_peer(endpoint.url, transmit, is_datagram=True)
         link.watch(self._socket, self._ready)
 
     @property
@@ -74,7 +76,7 @@ class UdpOut:
         self._peer.flush()
 
     def close(self) -> None:
-        self._link.ignore(self._socket)
+        self._link.unwatch(self._socket)
         self._socket.close()
 
 
@@ -104,23 +106,15 @@ class Datagrams:
             raise
         finally:
             server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
-        self.peer = link.peer(name_station("udpin", address), self._transmit, link.parser(whole=True), whole=True)
-        self._tap = Tap(link, self._socket, self._ready)
-
-    def _transmit(self, data: bytes) -> int:
-        try:
-            return self._socket.send(data)
-        except (BlockingIOError, InterruptedError):
-            return 0
-        except OSError:
-            return len(data)  # the station is gone: as lost as any datagram
+        self.peer = link.new_peer(name_station("udpin", address), _without_waiting(self._socket.send), is_datagram=True)
+        self._gate = ReadGate(link, self._socket, self._ready)
 
     def _ready(self, mask: int) -> None:
         link = self._link
         for _ in range(READS):
             now = link.now()
             if self.peer.credit(now) < 1.0:
-                self._tap.shut()
+                self._gate.pause()
                 return
             try:
                 data, address = self._socket.recvfrom(DATAGRAM)
@@ -135,10 +129,10 @@ class Datagrams:
 
     def poll(self, now: float) -> None:
         self.peer.flush()
-        self._tap.poll(self.peer, now)
+        self._gate.poll(self.peer, now)
 
     def close(self) -> None:
-        self._link.ignore(self._socket)
+        self._link.unwatch(self._socket)
         self._socket.close()
 
 
@@ -146,8 +140,8 @@ class Shared:
     """One station behind a UDP server where the system has no socket of its own for it."""
 
     def __init__(self, link: Hub, server: socket.socket, address: Address) -> None:
-        parser = link.parser(whole=True)
-        self.peer = link.peer(name_station("udpin", address), _sendto(server, address), parser, whole=True)
+        transmit = _without_waiting(lambda data: server.sendto(data, address))
+        self.peer = link.new_peer(name_station("udpin", address), transmit, is_datagram=True)
 
     def poll(self, now: float) -> None:
         self.peer.flush()
@@ -163,13 +157,13 @@ class UdpIn:
         self._link = link
         self._socket = open_socket(endpoint, socket.SOCK_DGRAM, bind=True)
         self.port = int(self._socket.getsockname()[1])
-        self._known: dict[Address, Datagrams | Shared] = {}
-        self._stranger = link.parser(whole=True)
+        self._stations: dict[Address, Datagrams | Shared] = {}
+        self._first_parser = link.new_parser(is_datagram=True)  # for addresses that are no stations yet
         link.watch(self._socket, self._ready)
 
     @property
     def peers(self) -> list[Peer]:
-        return [station.peer for station in self._known.values()]
+        return [station.peer for station in self._stations.values()]
 
     def _ready(self, mask: int) -> None:
         for data, address in _datagrams(self._socket):
@@ -178,39 +172,39 @@ class UdpIn:
     def _datagram(self, data: bytes, address: Address) -> None:
         link = self._link
         now = link.now()
-        station = self._known.get(address)
+        station = self._stations.get(address)
         if station is not None:
             link.take(station.peer.feed(data, now), station.peer, now)
             return
-        frames = self._stranger.feed(data)
+        frames = self._first_parser.feed(data)
         if not frames or not self._room(now):
             return
         try:
             station = Datagrams(link, self._socket, address, self._datagram)
         except OSError:
             station = Shared(link, self._socket, address)
-        station.peer.heard, station.peer.received = now, len(frames)
-        self._known[address] = station
+        station.peer.last_heard, station.peer.received = now, len(frames)
+        self._stations[address] = station
         link.take(frames, station.peer, now)
 
     def _room(self, now: float) -> bool:
-        if len(self._known) < MOST_PEERS:
+        if len(self._stations) < MOST_PEERS:
             return True
-        oldest = max(self._known, key=lambda address: self._known[address].peer.silent(now))
-        if not is_replaceable(self._known[oldest].peer, now):
+        oldest = max(self._stations, key=lambda address: self._stations[address].peer.silent(now))
+        if not is_replaceable(self._stations[oldest].peer, now):
             self._link.refused["too many stations"] += 1
             return False
-        self._known.pop(oldest).close()
+        self._stations.pop(oldest).close()
         return True
 
     def poll(self, now: float) -> None:
-        for address, station in list(self._known.items()):
+        for address, station in list(self._stations.items()):
             station.poll(now)
-            if now - station.peer.heard > FORGET:
-                self._known.pop(address).close()
+            if now - station.peer.last_heard > FORGET:
+                self._stations.pop(address).close()
 
     def close(self) -> None:
-        for station in self._known.values():
+        for station in self._stations.values():
             station.close()
-        self._link.ignore(self._socket)
+        self._link.unwatch(self._socket)
         self._socket.close()

@@ -1,6 +1,6 @@
-"""Orders of COMMAND_LONG and COMMAND_INT, and the plans by which they are executed.
+"""COMMAND_LONG and COMMAND_INT as one record, and the plans by which they are executed.
 
-A parameter that is NaN is not given.
+A parameter that is NaN is missing.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 from cosim.control.autopilot.requests import Request, Result
-from cosim.groundstation.mavlink.about import VehicleInfo
-from cosim.groundstation.mavlink.view import View
+from cosim.groundstation.mavlink.telemetry_state import TelemetryState
+from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.peer import Peer
 
@@ -32,19 +32,19 @@ OF_RESULT = {result: Ack[result.name] for result in Result}
 
 GLOBAL, LOCAL_NED, RELATIVE, GLOBAL_INT, RELATIVE_INT = 0, 1, 3, 5, 6  # MAV_FRAME
 ABSOLUTE_FRAMES, RELATIVE_FRAMES = (GLOBAL, GLOBAL_INT), (RELATIVE, RELATIVE_INT)
-_NOT_GIVEN = 0x7FFFFFFF  # x and y of COMMAND_INT
+_UNSET = 0x7FFFFFFF  # x and y of COMMAND_INT
 
 
-class Order(NamedTuple):
-    """A command of either message; None: not given.  Latitude and longitude are in degrees."""
+class MavCommand(NamedTuple):
+    """A command of either message; None: missing.  Latitude and longitude are in degrees."""
 
     number: int
-    p: tuple[float | None, ...]  # 1 to 7, from 0
+    p: tuple[float | None, ...]  # parameters 1 to 7, counted from 0
     frame: int | None  # None: COMMAND_LONG has none
     confirmation: int
 
     @property
-    def place(self) -> tuple[float, float] | None:
+    def position(self) -> tuple[float, float] | None:
         """Latitude and longitude; None where one is missing, or both are 0, which some send for none."""
         lat, lon = self.p[4], self.p[5]
         return None if lat is None or lon is None or lat == lon == 0.0 else (lat, lon)
@@ -62,23 +62,25 @@ class Plan(NamedTuple):
 class Context(NamedTuple):
     """The vehicle and the station for which a command is planned."""
 
-    about: VehicleInfo
-    view: View
+    vehicle: VehicleConstants
+    state: TelemetryState
     peer: Peer
-    requested: Callable[[int], Sequence[Message] | None]  # beside the telemetry; None: not there
-    endings: tuple[Any, ...] = ()  # what to ask for a reboot, and for a shutdown
+    find_message: Callable[[int], Sequence[Message] | None]  # that is not telemetry, by its id; None: unknown
+    shutdown_requests: tuple[Any, ...] = ()  # for a reboot, and for a shutdown
 
 
-def order_of(message: Message) -> Order:
-    """Return the order in a COMMAND_LONG or COMMAND_INT."""
+def parse_command(message: Message) -> MavCommand:
+    """Return the command in a COMMAND_LONG or COMMAND_INT."""
     first = [message.param1, message.param2, message.param3, message.param4]
     if message.msgname == "COMMAND_LONG":
         values = [*first, message.param5, message.param6, message.param7]
-        return Order(message.command, tuple(map(_given, values)), None, message.confirmation)
-    # 1e-4 m where the frame is local: such frames are refused by those who use places
-    place = [None if value == _NOT_GIVEN else value * 1e-7 for value in (message.x, message.y)]
-    return Order(message.command, (*map(_given, first), *place, _given(message.z)), message.frame, 0)
+        return MavCommand(message.command, tuple(map(_finite_or_none, values)), None, message.confirmation)
+    # x and y are 1e-4 m where the frame is local; handlers of positions refuse such frames
+    position = [None if value == _UNSET else value * 1e-7 for value in (message.x, message.y)]
+    return MavCommand(
+        message.command, (*map(_finite_or_none, first), *position, _finite_or_none(message.z)), message.frame, 0
+    )
 
 
-def _given(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return value if isfinite(value) else None

@@ -14,7 +14,7 @@ PERSONALITIES: tuple[Personality, ...] = ("px4", "ardupilot", "generic")
 
 
 @dataclass(frozen=True)
-class VehicleInfo:
+class VehicleConstants:
     """Constant data of a vehicle: identity, outputs, engines, and noise of its sensors."""
 
     geodesy: Geodesy

@@ -11,12 +11,12 @@ from cosim.base.protocols import EngineState
 from cosim.base.signals import Vector3
 from cosim.control.autopilot.modes import LandedState
 from cosim.groundstation.exchange import Snapshot
-from cosim.groundstation.mavlink.about import VehicleInfo
 from cosim.groundstation.mavlink.fields import U32
+from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
 
 
 @dataclass
-class Since:
+class FlightEvents:
     """Events of the flight that messages need: wall-clock times in microseconds since 1970."""
 
     armed: int = 0
@@ -25,7 +25,7 @@ class Since:
     flights: int = 0
     clock: Callable[[], float] = field(default=time.time)
 
-    def look(self, before: View | None, now: View) -> None:
+    def update(self, before: TelemetryState | None, now: TelemetryState) -> None:
         """Note arming, take-off and landing between two snapshots."""
         was, status = before.status if before else None, now.status
         if status.armed and not (was and was.armed):
@@ -40,14 +40,14 @@ class Since:
         return int(self.clock() * 1e6)
 
 
-class View:
+class TelemetryState:
     """A snapshot with what several messages need of it, computed once."""
 
-    def __init__(self, about: VehicleInfo, snapshot: Snapshot, since: Since) -> None:
+    def __init__(self, vehicle: VehicleConstants, snapshot: Snapshot, events: FlightEvents) -> None:
         assert snapshot.sample is not None
-        self.about = about
+        self.vehicle = vehicle
         self.snapshot = snapshot
-        self.since = since
+        self.events = events
         self.time = snapshot.time
         self.measured = snapshot.measured  # what the sensors say
         # what is told is the instant after the step, beside what acted until then
@@ -61,9 +61,9 @@ class View:
             self.sample = self.sample._replace(actuation=still, control=control)
         if ending is not None and ending.outcome != "completed":
             self.status = self.status._replace(failsafe=ending.reason)
-        self.seen = self.status.seen or self.measured  # what the vehicle is thought to do
-        self.euler = to_euler(self.seen.attitude)
-        self.place = about.geodesy.to_geodetic(*self.status.fix.position, self.altitude)[:2]
+        self.estimate = self.status.seen or self.measured  # what the vehicle is thought to do
+        self.euler = to_euler(self.estimate.attitude)
+        self.position_deg = vehicle.geodesy.to_geodetic(*self.status.fix.position, self.altitude)[:2]
         self.ms = round(snapshot.time * 1e3) & U32  # in the 32 bits that there are for it
         self.us = round(snapshot.time * 1e6)
 
@@ -71,7 +71,7 @@ class View:
     def predicting(self) -> tuple[Vector3, Vector3, Vector3]:
         """The predictors' model rates of all axes without delay and with it [rad/s], and delays [s]; NaN: none."""
         roll, pitch, yaw = self.snapshot.diagnostics
-        step = self.snapshot.facts.scenario.step_s
+        step = self.snapshot.info.scenario.step_s
         return (
             (roll[0], pitch[0], yaw[0]),
             (roll[1], pitch[1], yaw[1]),
@@ -81,7 +81,7 @@ class View:
     @property
     def altitude(self) -> float:
         """Estimated height above the origin [m]."""
-        return self.seen.altitude
+        return self.estimate.altitude
 
     @property
     def height(self) -> float:
@@ -90,4 +90,4 @@ class View:
 
     @property
     def sea_level(self) -> float:
-        return self.about.geodesy.ground + self.altitude
+        return self.vehicle.geodesy.ground + self.altitude
