@@ -19,7 +19,7 @@ from cosim.campaign.study.keys import with_values
 from cosim.campaign.study.study import Study
 from cosim.control.predictors.registry import BASELINE
 from cosim.engine import EngineSpec, load_engine
-from cosim.results.resolved_scenario import copied_controller, copied_vehicle, engine_files, resolve
+from cosim.results.resolved_scenario import copy_controller, copy_vehicle, engine_files, resolve
 from cosim.simulation.build import build
 from cosim.simulation.controllers.source import find
 from cosim.simulation.step import Simulation
@@ -139,7 +139,7 @@ def _values(base: Scenario, vary: Vary, sources: dict[str, Path | bytes]) -> lis
     values: list[Any] = []
     for value in vary.values:
         if vary.key == "aircraft" and isinstance(value, str) and is_own(value):
-            value = copied_vehicle(value, base.folder, sources)
+            value = copy_vehicle(value, base.folder, sources)
         elif isinstance(value, str) and is_file(value):
             file, unchecked, apart = str(base.folder / value), base.engine_unchecked, base.engine_isolated
             spec: EngineSpec = load_engine(file, {}, base.step_s, unchecked=unchecked, apart=apart)
@@ -153,7 +153,7 @@ def _controller(name: str, folder: Path, sources: dict[str, Path | bytes]) -> st
     if is_design(name):
         return _add_copy(folder / name, sources)
     source = find(name, folder, f"unknown controller {name!r}")
-    return name if source is None else copied_controller(source, sources)
+    return name if source is None else copy_controller(source, sources)
 
 
 def _add_copy(source: Path, sources: dict[str, Path | bytes]) -> str:

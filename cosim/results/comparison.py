@@ -101,10 +101,10 @@ def base_of(first: Log, second: Log) -> Base:
     other = times[1 - which]
     begins = max(times[0][0], times[1][0]) - slack
     rows = np.flatnonzero((times[which] >= begins) & (times[which] < other[-1] + steps[1 - which] - slack))
-    held = np.searchsorted(other, times[which][rows] + slack, side="right") - 1
-    apart = rows.size > 0 and bool(np.max(np.abs(other[held] - times[which][rows])) > slack)
-    ours, theirs = (rows, held) if which == 0 else (held, rows)
-    return Base(times[which][rows], ours, theirs, 2 - which if apart else 0)
+    latest = np.searchsorted(other, times[which][rows] + slack, side="right") - 1
+    apart = rows.size > 0 and bool(np.max(np.abs(other[latest] - times[which][rows])) > slack)
+    rows_first, rows_second = (rows, latest) if which == 0 else (latest, rows)
+    return Base(times[which][rows], rows_first, rows_second, 2 - which if apart else 0)
 
 
 def difference(first: Log, second: Log, name: str, base: Base) -> Array:
@@ -136,11 +136,11 @@ def inputs_differ(first: Run, second: Run) -> list[tuple[str, str, str]]:
 
 def _pair(first: ComparedFlight, second: ComparedFlight) -> Pair:
     base = base_of(first.log, second.log)
-    ours, theirs = first.log.columns, second.log.columns
-    common = [name for name in ours if name in theirs and name != TIME]
+    columns_first, columns_second = first.log.columns, second.log.columns
+    common = [name for name in columns_first if name in columns_second and name != TIME]
     signals = tuple(_signals(first.log, second.log, common, base)) if base.times.size else ()
-    whole = base.times.size == len(first.log) == len(second.log) and ours == theirs
-    times = whole and _bits(first.log[TIME]) == _bits(second.log[TIME])
+    is_whole = base.times.size == len(first.log) == len(second.log) and columns_first == columns_second
+    times = is_whole and _bits(first.log[TIME]) == _bits(second.log[TIME])
     finer = step_of(second.log[TIME]) < (1.0 - _SLACK) * step_of(first.log[TIME])
     return Pair(
         first.label,
@@ -152,8 +152,8 @@ def _pair(first: ComparedFlight, second: ComparedFlight) -> Pair:
         ("", first.label, second.label)[base.held],
         times and all(signal.same for signal in signals),
         signals,
-        tuple(name for name in ours if name not in theirs),
-        tuple(name for name in theirs if name not in ours),
+        tuple(name for name in columns_first if name not in columns_second),
+        tuple(name for name in columns_second if name not in columns_first),
     )
 
 
@@ -162,18 +162,18 @@ def _signals(first: Log, second: Log, names: Sequence[str], base: Base) -> Itera
     for name in names:
         left, right = first[name][base.first], second[name][base.second]
         unlike = np.flatnonzero(_canonical(left) != _canonical(right))
-        known = np.isfinite(left) & np.isfinite(right)
+        finite = np.isfinite(left) & np.isfinite(right)
         size = np.abs(_subtract(left, right, name, first))
-        peak = int(np.argmax(np.where(known, size, -1.0)))
+        peak = int(np.argmax(np.where(finite, size, -1.0)))
         yield Signal(
             name,
             units.get(name, ""),
             not unlike.size,
             int(unlike[0]) if unlike.size else None,
             float(base.times[unlike[0]]) if unlike.size else None,
-            float(size[peak]) if known.any() else None,
-            float(base.times[peak]) if known.any() and size[peak] > 0.0 else None,
-            float(np.sqrt(np.mean(size[known] ** 2))) if known.any() else None,
+            float(size[peak]) if finite.any() else None,
+            float(base.times[peak]) if finite.any() and size[peak] > 0.0 else None,
+            float(np.sqrt(np.mean(size[finite] ** 2))) if finite.any() else None,
             int(np.sum(np.isfinite(left) != np.isfinite(right))),
         )
 
@@ -198,8 +198,8 @@ def _bits(values: Array) -> bytes:
 def _flat(run: Run) -> dict[str, Any]:
     scenario: Scenario = run.scenario
     table = scenario.model_dump(mode="json", exclude_none=True)
-    made = {"version": run.summary.versions, "blas_kernels": run.summary.blas_kernels, "sha256": run.summary.sha256}
-    return dict(_leaves({key: value for key, value in table.items() if key != "expect"} | made))
+    inputs = {"version": run.summary.versions, "blas_kernels": run.summary.blas_kernels, "sha256": run.summary.sha256}
+    return dict(_leaves({key: value for key, value in table.items() if key != "expect"} | inputs))
 
 
 def _leaves(table: Mapping[str, Any] | Sequence[Any], before: str = "") -> Iterator[tuple[str, Any]]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cosim.base.constants import SENSORS
 from cosim.base.errors import FlightError, InputError
 from cosim.results.autopilot.autopilot_record import read_pilot_record
-from cosim.results.log.columns import flown_in, jets_in
+from cosim.results.log.columns import jets_in, logged_vehicle_of
 from cosim.results.metrics import Record
 
 if TYPE_CHECKING:
@@ -75,42 +75,42 @@ def spans(mask: NDArray[np.bool_], step: float) -> list[tuple[float, float | Non
     ][:MOST]
 
 
-def faults(log: Log, step: float, stated: Sequence[Fault] = ()) -> Iterator[Event]:
+def faults(log: Log, step: float, scheduled: Sequence[Fault] = ()) -> Iterator[Event]:
     """Yield every interval in which a fault acts, by jet, servo and sensor, described as in the scenario, if there."""
-    flown = flown_in(log.columns)
-    places = [("jet", str(jet)) for jet in range(1, flown.jets + 1)]
-    places += [("servo", name) for name in (*flown.servos, *flown.surfaces)]
-    places += [("sensor", name) for name in SENSORS]
-    for what, name in places:
-        column = f"fault_{name}" if what == "sensor" else f"fault_{what}_{name}"
+    logged = logged_vehicle_of(log.columns)
+    subjects = [("jet", str(jet)) for jet in range(1, logged.jets + 1)]
+    subjects += [("servo", name) for name in (*logged.servos, *logged.surfaces)]
+    subjects += [("sensor", name) for name in SENSORS]
+    for kind, name in subjects:
+        column = f"fault_{name}" if kind == "sensor" else f"fault_{kind}_{name}"
         if column not in log.columns:
             continue
         for start, end in spans(log[column] > 0.0, step):
-            told = [
-                fault_text(fault) for fault in stated if _is_of(fault, what, name) and _acts(fault, start, end, step)
+            lines = [
+                fault_text(fault) for fault in scheduled if _is_of(fault, kind, name) and _acts(fault, start, end, step)
             ]
-            where = f"jet {name}" if what == "jet" else f"{name} {'servo' if what == 'servo' else ''}".strip()
+            where = f"jet {name}" if kind == "jet" else f"{name} {'servo' if kind == 'servo' else ''}".strip()
             yield Event(
                 time_s=start,
                 kind="fault",
-                text=f"{where}: {' and '.join(told) or 'a fault acts'}",
+                text=f"{where}: {' and '.join(lines) or 'a fault acts'}",
                 end_s=end,
                 severity=4,
                 banded=True,
             )
 
 
-def _is_of(fault: Fault, what: str, name: str) -> bool:
-    if what == "jet":
+def _is_of(fault: Fault, kind: str, name: str) -> bool:
+    if kind == "jet":
         return int(name) in getattr(fault, "jet", ())
-    return getattr(fault, what, None) == name
+    return getattr(fault, kind, None) == name
 
 
 def _acts(fault: Fault, start: float, end: float | None, step: float) -> bool:
     """Return whether a fault acts at any time between ``start`` and ``end``."""
-    over = None if fault.duration_s is None else fault.start_s + fault.duration_s
+    end_s = None if fault.duration_s is None else fault.start_s + fault.duration_s
     half = 0.5 * step
-    return (end is None or fault.start_s < end - half) and (over is None or over > start + half)
+    return (end is None or fault.start_s < end - half) and (end_s is None or end_s > start + half)
 
 
 def fault_text(fault: Fault) -> str:
@@ -145,10 +145,12 @@ def verdicts(log: Log, step: float) -> Iterator[Event]:
             continue
         believed = np.concatenate(([1.0], health))
         for row in np.flatnonzero(np.diff(believed) != 0.0)[:MOST].tolist():
-            yield Event(time_s=row * step, kind="monitor", text=f"jet {jet} {_judged(believed[row + 1])}", severity=4)
+            yield Event(
+                time_s=row * step, kind="monitor", text=f"jet {jet} {_health_text(believed[row + 1])}", severity=4
+            )
 
 
-def _judged(health: float) -> str:
+def _health_text(health: float) -> str:
     if health >= 1.0:
         return "taken for healthy again"
     return "given up" if health <= 0.0 else f"taken for weak: {100.0 * health:.0f} % of what it is told"
@@ -159,8 +161,8 @@ def contacts(log: Log, step: float) -> Iterator[Event]:
     contact = (log["on_ground"] > 0.0) | (log["hull_contact"] > 0.0)
     edges = np.flatnonzero(np.diff(contact.astype(np.int8))) + 1
     last = contact[0]
-    for place, row in enumerate(edges.tolist()):
-        following = edges[place + 1] if place + 1 < edges.size else contact.size
+    for index, row in enumerate(edges.tolist()):
+        following = edges[index + 1] if index + 1 < edges.size else contact.size
         if contact[row] != last and (following - row) * step >= APART_S:
             last = contact[row]
             yield Event(time_s=row * step, kind="contact", text="touches the ground" if last else "leaves the ground")
@@ -173,8 +175,8 @@ def disturbances(scenario: Scenario, end: float) -> Iterator[Event]:
     for entry in scenario.disturbance:
         if entry.start_s < end:
             length = entry.rise_s + entry.hold_s + entry.fall_s if entry.kind == "gust" else entry.duration_s
-            over = None if length is None or entry.start_s + length > end else entry.start_s + length
-            yield Event(time_s=entry.start_s, kind="disturbance", text=_disturbance(entry), end_s=over, banded=True)
+            end_s = None if length is None or entry.start_s + length > end else entry.start_s + length
+            yield Event(time_s=entry.start_s, kind="disturbance", text=_disturbance(entry), end_s=end_s, banded=True)
 
 
 def _disturbance(entry: DisturbanceEntry) -> str:

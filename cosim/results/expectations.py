@@ -15,15 +15,15 @@ from cosim.spec.vehicle import aircraft_names, is_file, is_own
 
 def check_expected(scenario: Scenario) -> None:
     """Refuse expectations that nothing could meet: of an unknown controller, engine or metric (InputError)."""
-    allowed_metrics = known_metrics(scenario)
+    allowed_metrics = allowed_metric_names(scenario)
     for index, entry in enumerate(scenario.expect):
         where = f"scenario {scenario.name}: expect.{index}"
-        known = (
+        checks = (
             ("controller", [entry.controller], _controllers_like(entry.controller)),
             ("aircraft", [] if is_own(entry.aircraft) else [entry.aircraft], aircraft_names()),
             ("metrics", list(entry.metrics), allowed_metrics),
         )
-        for key, names, allowed in known:
+        for key, names, allowed in checks:
             for name in names:
                 if name not in allowed:
                     raise InputError(f"{where}.{key}: unknown {name!r}; {nearest(name, allowed)}")
@@ -33,7 +33,7 @@ def check_expected(scenario: Scenario) -> None:
                 raise InputError(f"{where}.engine: unknown {entry.engine!r}; {nearest(plain, engine_names())}")
 
 
-def known_metrics(scenario: Scenario) -> list[str]:
+def allowed_metric_names(scenario: Scenario) -> list[str]:
     """Return the names of the built-in metrics and of the scenario's own.  Raises InputError."""
     return [*metric_names(), *(name for metric in metrics_of(scenario) for name in metric.names)]
 
@@ -47,5 +47,5 @@ def _controllers_like(controller: str) -> list[str]:
 
 def expectation(scenario: Scenario) -> Expectation | None:
     """Return what the scenario expects of its controller with its engine on its aircraft, if it does."""
-    flown = (scenario.controller, scenario.engine, scenario.aircraft)
-    return next((e for e in scenario.expect if (e.controller, e.engine, e.aircraft) == flown), None)
+    configuration = (scenario.controller, scenario.engine, scenario.aircraft)
+    return next((e for e in scenario.expect if (e.controller, e.engine, e.aircraft) == configuration), None)

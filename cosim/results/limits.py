@@ -18,7 +18,7 @@ from cosim.base.arrays import Array
 from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES
-from cosim.results.metrics import PLACE, Record, asks_for_a_place
+from cosim.results.metrics import POSITION_SETPOINT, Record, commands_position
 from cosim.results.steadiness import AxisYardstick, axis_limits
 from cosim.results.wording import metric
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 # Chosen by us, in spans of the vehicle and in its Froude speed sqrt(g span), so that a vehicle and its scaled copy are
 # held to the same.  A span is 0.4 m on the prototype.
 HEIGHT_SPANS = 5.0  # 2 m: no shipped disturbance costs as much, a tenth of the weight taken up at once included
-PLACE_SPANS = 10.0  # 4 m: GNSS that is off by a metre, and the first gust before the estimate of the wind has it
+POSITION_SPANS = 10.0  # 4 m: GNSS that is off by a metre, and the first gust before the estimate of the wind has it
 DRIFT_SPANS = 25.0  # 10 m: nobody holds the place, but nobody would say either that the vehicle hovered
 SPEEDS = 2.0  # 4 m/s
 SATURATED_PERCENT = 50.0  # most of its time in the air a vehicle is to have what its controllers ask for
@@ -72,11 +72,11 @@ class Yardstick(Record):
 def yardstick(scenario: Scenario, vehicle: Vehicle) -> Yardstick:
     """Return the inputs of the limits of a flight of this scenario with this vehicle."""
     gains = vehicle.control.altitude
-    stated = scenario.limits.model_dump(exclude_none=True)
+    limits = scenario.limits.model_dump(exclude_none=True)
     return Yardstick(
         span_m=vehicle.aero.span_m,
         height_law=(gains.position_1_s, gains.climb_limit_m_s, gains.descent_limit_m_s),
-        stated={key: None if value is False else float(value) for key, value in stated.items()},
+        stated={key: None if value is False else float(value) for key, value in limits.items()},
         piloted=scenario.requests is not None,
         axes=tuple(
             AxisYardstick(
@@ -89,7 +89,7 @@ def yardstick(scenario: Scenario, vehicle: Vehicle) -> Yardstick:
     )
 
 
-def flight_limits(held: Yardstick, log: Columns, step_s: float) -> dict[str, float]:
+def flight_limits(measure: Yardstick, log: Columns, step_s: float) -> dict[str, float]:
     """Return the most that each limited metric may be in this flight, by the metric's name.
 
     The height's error may be ``HEIGHT_SPANS`` beyond what the height law leaves by itself, the drift ``DRIFT_SPANS``
@@ -97,28 +97,28 @@ def flight_limits(held: Yardstick, log: Columns, step_s: float) -> dict[str, flo
     none on drift where a place is asked for, none on drift and speed where a pilot flies or body rates are commanded.
     Those of the axes are :mod:`cosim.results.steadiness`'s.
     """
-    span = held.span_m
+    span = measure.span_m
     setpoint, altitude = log["altitude_setpoint_m"], log["altitude_m"]
     limits = {
-        "height_error_m": HEIGHT_SPANS * span + height_lag(setpoint, altitude, held.height_law, step_s),
+        "height_error_m": HEIGHT_SPANS * span + height_lag(setpoint, altitude, measure.height_law, step_s),
         "saturated_percent": SATURATED_PERCENT,
         "alternating_percent": ALTERNATING_PERCENT,
     }
-    placed, speed = asks_for_a_place(log), SPEEDS * sqrt(GRAVITY * span)
+    placed, speed = commands_position(log), SPEEDS * sqrt(GRAVITY * span)
     if placed:
-        limits["place_error_m"] = PLACE_SPANS * span
-    if not held.piloted:
+        limits["place_error_m"] = POSITION_SPANS * span
+    if not measure.piloted:
         if placed:
-            limits["speed_m_s"] = speed + track_speed(log[PLACE[0]], log[PLACE[1]], step_s)
+            limits["speed_m_s"] = speed + track_speed(log[POSITION_SETPOINT[0]], log[POSITION_SETPOINT[1]], step_s)
         else:
             roll, pitch, yaw = (log[f"{axis}_setpoint_rad"] for axis in AXES)
             start = (log["velocity_north_m_s"][:1], log["velocity_east_m_s"][:1])
-            asked = lean_motion(roll, pitch, yaw, start, step_s)
-            if asked is not None:
-                limits |= {"drift_m": DRIFT_SPANS * span + asked[0], "speed_m_s": speed + asked[1]}
-    merged: dict[str, float | None] = {**limits, **held.stated}
-    whole = {LIMITED[key]: value for key, value in merged.items() if value is not None and key in LIMITED}
-    return whole | axis_limits(held.axes, log, step_s, span, held.stated)
+            lean = lean_motion(roll, pitch, yaw, start, step_s)
+            if lean is not None:
+                limits |= {"drift_m": DRIFT_SPANS * span + lean[0], "speed_m_s": speed + lean[1]}
+    merged: dict[str, float | None] = {**limits, **measure.stated}
+    named = {LIMITED[key]: value for key, value in merged.items() if value is not None and key in LIMITED}
+    return named | axis_limits(measure.axes, log, step_s, span, measure.stated)
 
 
 def height_lag(setpoint: Array, altitude: Array, law: tuple[float, float, float], step_s: float) -> float:
@@ -127,20 +127,20 @@ def height_lag(setpoint: Array, altitude: Array, law: tuple[float, float, float]
     ``h' = clip(K (h_set - h), -descent, climb)``: a step leaves its size, a ramp its rate over K.  Where the height is
     asked for anew the law begins where the vehicle is.
     """
-    known = np.isfinite(setpoint)
-    if not np.any(known):
+    finite = np.isfinite(setpoint)
+    if not np.any(finite):
         return 0.0
-    here = setpoint[known]
-    if np.all(here == here[0]) and np.all(known):
+    here = setpoint[finite]
+    if np.all(here == here[0]) and np.all(finite):
         return float(abs(here[0] - altitude[0]))
     gain, up, down = law
-    worst, height, asked = 0.0, 0.0, False
+    worst, height, is_commanded = 0.0, 0.0, False
     for level, actual in zip(setpoint.tolist(), altitude.tolist(), strict=True):
         if level != level:  # NaN: the collective is commanded
-            asked = False
+            is_commanded = False
             continue
-        if not asked:
-            height, asked = actual, True
+        if not is_commanded:
+            height, is_commanded = actual, True
         off = level - height
         worst = max(worst, abs(off))
         height += step_s * min(max(gain * off, -down), up)
@@ -169,8 +169,8 @@ def lean_motion(
 def track_speed(north: Array, east: Array, step_s: float) -> float:
     """Return the largest speed (m/s) of the commanded position."""
     speed = np.hypot(np.diff(north), np.diff(east)) / step_s
-    known = speed[np.isfinite(speed)]
-    return float(np.max(known)) if known.size else 0.0
+    finite = speed[np.isfinite(speed)]
+    return float(np.max(finite)) if finite.size else 0.0
 
 
 def beyond(limits: Mapping[str, float], flat: Mapping[str, float | None]) -> list[str]:
@@ -188,5 +188,5 @@ def beyond(limits: Mapping[str, float], flat: Mapping[str, float | None]) -> lis
 def exceedance(name: str, limits: Mapping[str, float], flat: Mapping[str, float | None]) -> str:
     """Describe a metric and its limit: ``drift from the start 125.7 m, limit 10 m``."""
     of, value = metric(name), flat[name]
-    shown = "none, not settled" if value is None else f"{of.factor * value:.4g} {of.unit}"
-    return f"{of.label} {shown}, limit {of.factor * limits[name]:.4g} {of.unit}"
+    value_text = "none, not settled" if value is None else f"{of.factor * value:.4g} {of.unit}"
+    return f"{of.label} {value_text}, limit {of.factor * limits[name]:.4g} {of.unit}"

@@ -22,7 +22,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import nearest
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES, JETS
-from cosim.results.log.columns import HEXJET, RATES, LoggedVehicle, flown_in, jets_in, log_columns, servos_in
+from cosim.results.log.columns import HEXJET, RATES, LoggedVehicle, jets_in, log_columns, logged_vehicle_of, servos_in
 from cosim.spec.scenario import Range
 
 HOLD_S = 0.2  # chosen by us: shorter than any doublet worth flying, longer than the holds of recorded sticks at 10 Hz
@@ -33,7 +33,7 @@ FLIGHT_M = 0.2  # chosen by us: less is a hop at take-off or a bounce
 REVERSAL = 0.01  # of a command's range, chosen by us: 10 us of a pulse that spans 1000, several dead bands of a servo
 AT_LIMIT = 1e-9  # throttle, rad: rounding between a limit and a command that was cut there
 REFUSED = ("refused_roll", "refused_pitch", "refused_yaw", "refused_collective")
-PLACE = ("north_setpoint_m", "east_setpoint_m")
+POSITION_SETPOINT = ("north_setpoint_m", "east_setpoint_m")
 WIND = ("wind_north_m_s", "wind_east_m_s", "wind_down_m_s")
 UPSETS = ("disturbance_", "payload_kg", "fault_")  # what acts from outside beside the wind: how its columns begin
 WAYPOINTS_LEFT = "waypoints_left"  # shown by the pilot of a script that has waypoints
@@ -157,7 +157,7 @@ def columns(vehicle: LoggedVehicle = HEXJET, waypoints: bool = False) -> tuple[s
     return (
         *names,
         *("altitude_setpoint_m", "altitude_m", "on_ground", "hull_contact", "velocity_down_m_s"),
-        *("north_m", "east_m", *PLACE, "velocity_north_m_s", "velocity_east_m_s"),
+        *("north_m", "east_m", *POSITION_SETPOINT, "velocity_north_m_s", "velocity_east_m_s"),
         *([WAYPOINTS_LEFT] if waypoints else ()),
         *(
             *REFUSED,
@@ -213,16 +213,16 @@ def find_steps(setpoint: Array, angle: Array, step_s: float) -> list[Step]:
         return []
     changes = np.flatnonzero(np.diff(setpoint) != 0.0) + 1
     starts = setpoint[changes - 1]
-    held = np.diff(np.concatenate((changes, [setpoint.size])))
+    lengths = np.diff(np.concatenate((changes, [setpoint.size])))
     if abs(wrap(setpoint[:1] - angle[:1])[0]) > SMALLEST_STEP_RAD:
-        held = np.append(changes[0] if changes.size else setpoint.size, held)
+        lengths = np.append(changes[0] if changes.size else setpoint.size, lengths)
         changes, starts = np.append(0, changes), np.append(angle[0], starts)
-    if np.any(held < HOLD_S / step_s - 0.5):  # half a row, against rounding
+    if np.any(lengths < HOLD_S / step_s - 0.5):  # half a row, against rounding
         return []
     targets = setpoint[changes]
     return [
         Step(int(first), int(first + rows), float(size))
-        for first, rows, size in zip(changes, held, wrap(targets - starts), strict=True)
+        for first, rows, size in zip(changes, lengths, wrap(targets - starts), strict=True)
     ]
 
 
@@ -297,8 +297,8 @@ def saturated(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
     if reach is None:
         return rows
     for jet, (least, most) in enumerate(reach.throttle, 1):
-        throttle, given_up = log[THROTTLE.format(jet)], log[HEALTH.format(jet)] < 1.0
-        rows |= ((throttle <= least + AT_LIMIT) | (throttle >= most - AT_LIMIT)) & ~given_up
+        throttle, is_failed = log[THROTTLE.format(jet)], log[HEALTH.format(jet)] < 1.0
+        rows |= ((throttle <= least + AT_LIMIT) | (throttle >= most - AT_LIMIT)) & ~is_failed
     for command, least, most in _servo_ranges(log, reach):
         rows |= (command <= least + AT_LIMIT) | (command >= most - AT_LIMIT)
     return rows
@@ -314,7 +314,7 @@ def _ranges(log: Columns, reach: Reach | None) -> Iterator[tuple[Array, float, f
 
 def _servo_ranges(log: Columns, reach: Reach) -> Iterator[tuple[Array, float, float]]:
     banks = None if reach.tilt_rad is None else ((-reach.tilt_rad, reach.tilt_rad),) * 2
-    for name, (least, most) in zip(_moved(flown_in(log.columns)), reach.servos or banks or (), strict=False):
+    for name, (least, most) in zip(_moved(logged_vehicle_of(log.columns)), reach.servos or banks or (), strict=False):
         yield log[name], least, most
 
 
@@ -358,32 +358,32 @@ def activity(commands: Iterable[Array], step_s: float) -> float | None:
     return sum(values) / len(values) if values else None
 
 
-def fuel_burnt(left: Array, flows: Iterable[Array], step_s: float) -> float | None:
+def fuel_burnt(fuel: Array, flows: Iterable[Array], step_s: float) -> float | None:
     """Return the fuel (kg) burnt from first to last row: what has left the tank, or what the engines report in all.
 
     None where no engine reports its flow: a tank stays full then, whatever is burnt.
     """
     reported = [flow for flow in flows if flow.size and np.any(np.isfinite(flow))]
-    if reported and left.size and np.all(np.isfinite(left)):
-        return float(left[0] - left[-1])
-    known = [float(np.sum(flow[:-1])) for flow in reported if np.all(np.isfinite(flow))]
-    return sum(known) * step_s if known else None
+    if reported and fuel.size and np.all(np.isfinite(fuel)):
+        return float(fuel[0] - fuel[-1])
+    burnt = [float(np.sum(flow[:-1])) for flow in reported if np.all(np.isfinite(flow))]
+    return sum(burnt) * step_s if burnt else None
 
 
 def _position_of(log: Columns) -> PositionMetrics:
     north, east = log["north_m"], log["east_m"]
     drift = np.hypot(north - north[:1], east - east[:1]) if north.size else north
-    if not asks_for_a_place(log):
+    if not commands_position(log):
         return position_metrics(drift, np.full(drift.size, np.nan))
-    wanted_north, wanted_east = (log[name] for name in PLACE)
-    position = position_metrics(drift, np.hypot(wanted_north - north, wanted_east - east))
-    left = _at_end(log[WAYPOINTS_LEFT]) if WAYPOINTS_LEFT in log.columns else None
-    return position.model_copy(update={"waypoints_left": left})
+    setpoint_north, setpoint_east = (log[name] for name in POSITION_SETPOINT)
+    position = position_metrics(drift, np.hypot(setpoint_north - north, setpoint_east - east))
+    remaining = _at_end(log[WAYPOINTS_LEFT]) if WAYPOINTS_LEFT in log.columns else None
+    return position.model_copy(update={"waypoints_left": remaining})
 
 
-def asks_for_a_place(log: Columns) -> bool:
+def commands_position(log: Columns) -> bool:
     """Return whether a position is commanded at any time."""
-    return PLACE[0] in log.columns and bool(np.any(np.isfinite(log[PLACE[0]])))
+    return POSITION_SETPOINT[0] in log.columns and bool(np.any(np.isfinite(log[POSITION_SETPOINT[0]])))
 
 
 def _fuel_of(log: Columns, step_s: float) -> float | None:
@@ -461,19 +461,19 @@ def _at_end(values: Array) -> float | None:
 
 
 def _rms(values: Array) -> float | None:
-    known = values[np.isfinite(values)]
-    largest = float(np.max(np.abs(known), initial=0.0))
+    finite = values[np.isfinite(values)]
+    largest = float(np.max(np.abs(finite), initial=0.0))
     if not largest:
-        return 0.0 if known.size else None
-    return largest * float(np.sqrt(np.mean(np.square(known / largest))))  # scaled: no square overflows
+        return 0.0 if finite.size else None
+    return largest * float(np.sqrt(np.mean(np.square(finite / largest))))  # scaled: no square overflows
 
 
 def _largest(values: Array) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.max(known)) if known.size else None
+    finite = values[np.isfinite(values)]
+    return float(np.max(finite)) if finite.size else None
 
 
 def _worst(values: list[float | None]) -> float | None:
     """Return the largest; None if there are none, or if one of them is None."""
-    known = [value for value in values if value is not None]
-    return max(known) if known and len(known) == len(values) else None
+    numbers = [value for value in values if value is not None]
+    return max(numbers) if numbers and len(numbers) == len(values) else None

@@ -46,13 +46,13 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
             entry = entry.model_copy(update={"file": name})
         commands.append(entry)
     parameters = flown_parameters(simulation.scenario)
-    own = simulation.controller_source
+    custom = simulation.controller_source
     controller: dict[str, Any] = _plugin_names(simulation.plugins, files)
-    if own is not None:
-        controller |= {"controller": copied_controller(own, files), "controller_sha256": own.sha256 or None}
-        told = own.values(scenario.controller_parameters, "controller_parameters")
-        controller["controller_parameters"] = _floats(told)
-    aircraft, vehicle, names = copied_aircraft(simulation, files)
+    if custom is not None:
+        controller |= {"controller": copy_controller(custom, files), "controller_sha256": custom.sha256 or None}
+        custom_parameters = custom.values(scenario.controller_parameters, "controller_parameters")
+        controller["controller_parameters"] = _floats(custom_parameters)
+    aircraft, vehicle, names = copy_aircraft(simulation, files)
     engine, jets = simulation.engine, simulation.vehicle.jets
     # each part was checked when the scenario was read, so nothing is checked once more
     return scenario.resolved(
@@ -79,9 +79,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
     ), files
 
 
-def copied_aircraft(
-    simulation: Simulation, files: dict[str, Path | bytes]
-) -> tuple[str, dict[str, Any], dict[int, str]]:
+def copy_aircraft(simulation: Simulation, files: dict[str, Path | bytes]) -> tuple[str, dict[str, Any], dict[int, str]]:
     """Return the name of the aircraft beside a resolved scenario, its numbers, and the names of the engines there.
 
     The engines are those of their specs' ids; files of the user's, of aircraft and engines, are added to ``files``.
@@ -89,26 +87,26 @@ def copied_aircraft(
     Raises InputError where another file has the name of one of its own.
     """
     scenario, specs = simulation.flown_scenario, [simulation.engine, *simulation.stations]
-    stated = simulation.vehicle.model_dump(mode="json", exclude_none=True)
+    whole = simulation.vehicle.model_dump(mode="json", exclude_none=True)
     if not is_own(scenario.aircraft):
-        return scenario.aircraft, stated, engine_files(specs, files)
+        return scenario.aircraft, whole, engine_files(specs, files)
     _, folder = scenario.resolved_vehicle()
-    table, own = as_read(scenario.aircraft, scenario.folder), dict[str, Path | bytes]()
+    table, written = as_read(scenario.aircraft, scenario.folder), dict[str, Path | bytes]()
     model = simulation.vehicle.model
     if model is not None:
-        own[Path(model).name] = read_model(folder / model)
+        written[Path(model).name] = read_model(folder / model)
         renamed = {"model": Path(model).name}
-        table, stated = table | renamed, stated | renamed
-    own[VEHICLE] = b""
-    for name in own:
+        table, whole = table | renamed, whole | renamed
+    written[VEHICLE] = b""
+    for name in written:
         if name in files:
             raise InputError(f"aircraft {scenario.aircraft_name}: another file of the flight has the name {name!r}")
-    files |= own
+    files |= written
     names = engine_files(specs, files)
     called = {(spec.mapping or spec.path).resolve(): names[id(spec)] for spec in specs}
-    table, stated = (_with_engines(aircraft_table, folder, called) for aircraft_table in (table, stated))
+    table, whole = (_with_engines(aircraft_table, folder, called) for aircraft_table in (table, whole))
     files[VEHICLE] = toml_text(_written(table)).encode()
-    return VEHICLE, stated, names
+    return VEHICLE, whole, names
 
 
 def _with_engines(table: dict[str, Any], folder: Path, called: Mapping[Path, str]) -> dict[str, Any]:
@@ -128,30 +126,30 @@ def _with_engines(table: dict[str, Any], folder: Path, called: Mapping[Path, str
     return renamed(table) | jets
 
 
-def copied_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) -> str:
+def copy_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) -> str:
     """Return the name of one of several aircraft of the user's beside a scenario, whose files are added to ``files``.
 
     Its files begin with its name.  Raises InputError as :func:`cosim.spec.vehicle.load_vehicle`, for its engine, and
     where another file has the name of one of them.
     """
-    vehicle, place = load_vehicle(aircraft, folder=folder)
-    table, own = as_read(aircraft, folder), dict[str, Path | bytes]()
+    vehicle, location = load_vehicle(aircraft, folder=folder)
+    table, written = as_read(aircraft, folder), dict[str, Path | bytes]()
     if vehicle.model is not None:
         name = f"{vehicle.name}-{Path(vehicle.model).name}"
-        own[name] = read_model(place / vehicle.model)
+        written[name] = read_model(location / vehicle.model)
         table = table | {"model": name}
-    stated = {
+    changes = {
         engine: None for engine in (vehicle.engine, *(jet.engine for jet in vehicle.jets)) if engine and is_file(engine)
     }
-    step, sources = vehicle.control_step, [place / engine for engine in stated]
+    step, sources = vehicle.control_step, [location / engine for engine in changes]
     specs = {source.resolve(): load_engine(str(source), {}, step, apart=True) for source in sources}
     names = engine_files(list(specs.values()), files)
-    table = _with_engines(table, place, {source: names[id(spec)] for source, spec in specs.items()})
-    own[f"{vehicle.name}-{VEHICLE}"] = toml_text(_written(table)).encode()
-    for name in own:
+    table = _with_engines(table, location, {source: names[id(spec)] for source, spec in specs.items()})
+    written[f"{vehicle.name}-{VEHICLE}"] = toml_text(_written(table)).encode()
+    for name in written:
         if name in files:
             raise InputError(f"aircraft {vehicle.name}: another file has the name {name!r}")
-    files |= own
+    files |= written
     return f"{vehicle.name}-{VEHICLE}"
 
 
@@ -166,35 +164,35 @@ def _written(table: Mapping[str, Any]) -> dict[str, Any]:
 
 def _plugin_names(plugins: Plugins, files: dict[str, Path | bytes]) -> dict[str, Any]:
     """Return the blocks beside the controller, by what they are called beside a resolved scenario, and their hashes."""
-    stated: dict[str, Any] = {}
+    by_key: dict[str, Any] = {}
     hashes: dict[str, str] = {}
     for key, sources in plugins.sources.items():
-        names = [copied_controller(source, files) for source in sources]
-        stated[key] = names if key in ("metrics", "observers") else names[0]
+        names = [copy_controller(source, files) for source in sources]
+        by_key[key] = names if key in ("metrics", "observers") else names[0]
         hashes |= {name: source.sha256 for name, source in zip(names, sources, strict=True)}
-    return stated | ({"own_sha256": hashes} if hashes else {})
+    return by_key | ({"own_sha256": hashes} if hashes else {})
 
 
 def _floats(values: Mapping[str, float]) -> dict[str, float]:
     return {name: float(value) for name, value in values.items()}
 
 
-def copied_controller(own: Source, files: dict[str, Path | bytes]) -> str:
+def copy_controller(source: Source, files: dict[str, Path | bytes]) -> str:
     """Return the name of a controller beside a resolved scenario; the files it is made of are added to ``files``.
 
     Raises InputError where another file has the name of one that it imports.
     """
-    named = file_name(own.name) or FileName("", own.name, "") if own.files and own.copied else None
+    named = file_name(source.name) or FileName("", source.name, "") if source.files and source.copied else None
     if named is None:
-        return own.name
-    first, *others = own.files.items()
+        return source.name
+    first, *others = source.files.items()
     name, number = first[0], len(files)
     while name in files and files[name] != first[1]:
         name, number = f"{number}-{first[0]}", number + 1
     files[name] = first[1]
-    for each, path in others:
-        if files.setdefault(each, path) != path:
-            raise InputError(f"{own.label}: imports {each}, and another file has this name already")
+    for title, path in others:
+        if files.setdefault(title, path) != path:
+            raise InputError(f"{source.label}: imports {title}, and another file has this name already")
     return named._replace(file=name).text
 
 
@@ -203,18 +201,18 @@ def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) ->
 
     A mapping file goes along with its archive and names that archive there.
     """
-    noted = {held.resolve(): name for name, held in files.items() if isinstance(held, Path)}
+    noted = {file.resolve(): name for name, file in files.items() if isinstance(file, Path)}
     copied: dict[Path, str] = {}
 
     def copy(source: Path, content: Path | bytes) -> str:
-        place = source.resolve()
-        if place not in copied:
-            name, number = noted.get(place, source.name), len(copied)
-            while name in files and name != noted.get(place):  # files of one name from several folders
+        target = source.resolve()
+        if target not in copied:
+            name, number = noted.get(target, source.name), len(copied)
+            while name in files and name != noted.get(target):  # files of one name from several folders
                 name, number = f"{number}-{source.name}", number + 1
-            copied[place] = name
+            copied[target] = name
             files[name] = content
-        return copied[place]
+        return copied[target]
 
     names = {}
     for spec in specs:
@@ -228,10 +226,10 @@ def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) ->
 
 def _mapping(path: Path, archive: str) -> Path | bytes:
     """Return a mapping file as it is, or written anew with this name of its archive and its parameter set's values."""
-    stated = read_toml(path)
-    if "parameter_set" in stated:
-        del stated["parameter_set"]
-        stated["parameters"] = find_source(str(path)).mapping.parameters
-    elif stated["fmu"] == archive:
+    table = read_toml(path)
+    if "parameter_set" in table:
+        del table["parameter_set"]
+        table["parameters"] = find_source(str(path)).mapping.parameters
+    elif table["fmu"] == archive:
         return path
-    return toml_text(stated | {"fmu": archive}).encode()
+    return toml_text(table | {"fmu": archive}).encode()

@@ -86,18 +86,20 @@ class Run:
     def _repr_html_(self) -> str:
         """Return a table for notebooks: outcome, what flew, and the metrics."""
         summary = self.summary
-        said = f"{summary.scenario}: {summary.ending}"
-        flown = f"{summary.aircraft}, engine {summary.engine_shown}, controller {summary.controller_shown}, "
-        flown += f"seed {summary.seed}"
-        flown += f"; {summary.by_hand} steps by hand" if summary.by_hand else ""
-        own = summary.own_controller
-        flown += "; an object of a program, which no file makes again" if own is not None and not own.again else ""
+        heading = f"{summary.scenario}: {summary.ending}"
+        configuration = f"{summary.aircraft}, engine {summary.engine_shown}, controller {summary.controller_shown}, "
+        configuration += f"seed {summary.seed}"
+        configuration += f"; {summary.by_hand} steps by hand" if summary.by_hand else ""
+        user = summary.own_controller
+        configuration += (
+            "; an object of a program, which no file makes again" if user is not None and not user.again else ""
+        )
         rows = "".join(
             f"<tr><td>{escape(name)}</td><td>{value:.6g}</td></tr>"
             for name, value in summary.flat_metrics.items()
             if value is not None
         )
-        return f"<p><b>{escape(said)}</b><br>{escape(flown)}</p><table>{rows}</table>"
+        return f"<p><b>{escape(heading)}</b><br>{escape(configuration)}</p><table>{rows}</table>"
 
     def __repr__(self) -> str:
         where = "" if self.folder is None else f", {self.folder}"
@@ -149,9 +151,9 @@ class Recording:
 
     def repeats(self, same: bool | None) -> None:
         """Note whether a controller outside this process answers the same again; None: not asked."""
-        own = self._setup.own_controller
-        if own is not None and same is not None:
-            changed = own.model_copy(update={"repeatable": same})
+        custom = self._setup.own_controller
+        if custom is not None and same is not None:
+            changed = custom.model_copy(update={"repeatable": same})
             self._setup = self._setup.model_copy(update={"own_controller": changed})
 
     def shorten(self, steps: int) -> None:
@@ -298,13 +300,13 @@ def _settle(
     reason: str,
     wall_s: float | None,
     pace: PaceReport | None = None,
-    own: Sequence[CustomMetric] = (),
+    custom: Sequence[CustomMetric] = (),
 ) -> tuple[Summary, ParquetLog]:
     """Make Parquet and summary of a stream, and leave the stream."""
     try:
         stream_to_parquet(folder / STREAM, folder / LOG)
         log = ParquetLog(folder / LOG)
-        summary = summarize(setup, log, outcome, reason, wall_s, pace, own)
+        summary = summarize(setup, log, outcome, reason, wall_s, pace, custom)
         write_whole(folder / SUMMARY, summary_json(summary).encode(), FlightError)
     except FlightError as error:
         raise FlightError(
@@ -325,8 +327,8 @@ def _recover(folder: Path) -> None:
                 setup = Setup.model_validate_json(note)
             except ValidationError as error:
                 raise InputError(f"{stream}: not a stream of this program") from error
-            own = [refuse_metric(block.name) for block in setup.brought if block.key == "metrics"]
-            summary, log = _settle(folder, setup, "failed", "interrupted", None, own=own)
+            custom = [refuse_metric(block.name) for block in setup.brought if block.key == "metrics"]
+            summary, log = _settle(folder, setup, "failed", "interrupted", None, custom=custom)
             _shorten(folder, summary, len(log))
         elif not (folder / LOG).is_file():
             stream_to_parquet(stream, folder / LOG)
@@ -337,18 +339,18 @@ def _shorten(folder: Path, summary: Summary, steps: int) -> None:
     """Let the scenario of a flight that had no planned end, being flown by request, end where its log ends."""
     scenario = Scenario.read(folder / SCENARIO)
     if scenario.requests is not None and steps:
-        flown = {"planned_s": steps * scenario.step_s}
-        write_whole(folder / SCENARIO, scenario_toml(scenario.replace(duration_s=flown["planned_s"])), FlightError)
-        write_whole(folder / SUMMARY, summary_json(summary.model_copy(update=flown)).encode(), FlightError)
+        shortened = {"planned_s": steps * scenario.step_s}
+        write_whole(folder / SCENARIO, scenario_toml(scenario.replace(duration_s=shortened["planned_s"])), FlightError)
+        write_whole(folder / SUMMARY, summary_json(summary.model_copy(update=shortened)).encode(), FlightError)
 
 
 def _refuse_if_used(folder: Path, files: Mapping[str, Path | bytes]) -> None:
     for name in files:
         if name in RUN_FILES or Path(name).name != name:
             raise InputError(f"scenario: a file named {name!r} cannot be copied into a run's folder")
-    held = [name for name in (*RUN_FILES, *files) if (folder / name).exists()]
-    if held:
-        raise InputError(f"{folder}: already holds a run ({held[0]}); choose another folder or remove it")
+    existing = [name for name in (*RUN_FILES, *files) if (folder / name).exists()]
+    if existing:
+        raise InputError(f"{folder}: already holds a run ({existing[0]}); choose another folder or remove it")
 
 
 def scenario_toml(scenario: Scenario) -> bytes:

@@ -39,11 +39,11 @@ from cosim.vehicle.airframe import IN_THE_AIR, METHODS, ON_THE_GROUND, POSITIONS
 def setup_of(simulation: Simulation, resolved: Scenario) -> Setup:
     """Return what is known of a run before its first step; ``resolved`` is its scenario as it flies."""
     scenario, engine = simulation.scenario, simulation.engine
-    flown = flown_parameters(scenario)
+    files = flown_parameters(scenario)
     parameters = [
-        ParametersRecord(kind=each.kind, file=copy.file, sha256=copy.sha256, controller=each.controller,
-                         changed=tuple(each.changed))
-        for each, copy in zip(flown, resolved.parameter_files, strict=True)
+        ParametersRecord(kind=parameter.kind, file=copy.file, sha256=copy.sha256, controller=parameter.controller,
+                         changed=tuple(parameter.changed))
+        for parameter, copy in zip(files, resolved.parameter_files, strict=True)
     ]  # fmt: skip
     model = simulation.vehicle.model or f"{simulation.vehicle.name}.xml"
     model = Path(model).name if is_own(scenario.aircraft) else model
@@ -76,7 +76,7 @@ def setup_of(simulation: Simulation, resolved: Scenario) -> Setup:
         yardstick=yardstick(scenario, simulation.vehicle),
         expectation=expectation(scenario),
         notes=[
-            *design_notes(flown, engine),
+            *design_notes(files, engine),
             *flight_notes(scenario, simulation.vehicle, engine),
             *idle_notes(scenario, simulation.vehicle, simulation.stations),
         ],
@@ -99,18 +99,18 @@ def setup_of(simulation: Simulation, resolved: Scenario) -> Setup:
 
 
 def _own_controller(simulation: Simulation) -> OwnController | None:
-    own, scenario = simulation.controller_source, simulation.scenario
-    if own is None:
+    source, scenario = simulation.controller_source, simulation.scenario
+    if source is None:
         return None
-    named = file_name(own.name)
+    named = file_name(source.name)
     return OwnController(
-        name=own.name if named is None else named.seen_from(scenario.folder).text,
-        level=own.level,
-        sha256=own.sha256,
-        files=own.hashes,
-        version=own.version,
-        parameters=own.values(scenario.controller_parameters, "controller_parameters"),
-        again=not own.name.startswith(OBJECT),
+        name=source.name if named is None else named.seen_from(scenario.folder).text,
+        level=source.level,
+        sha256=source.sha256,
+        files=source.hashes,
+        version=source.version,
+        parameters=source.values(scenario.controller_parameters, "controller_parameters"),
+        again=not source.name.startswith(OBJECT),
     )
 
 
@@ -134,8 +134,8 @@ def reach(simulation: Simulation) -> Reach:
     least, most = (0.0,) * jets, (1.0,) * jets
     if isinstance(simulation.controller, Cascade):
         least, most = (
-            simulation.controller.thrust_map.throttle((share,) * jets)
-            for share in (limits.throttle_min, limits.throttle_max)
+            simulation.controller.thrust_map.throttle((throttle,) * jets)
+            for throttle in (limits.throttle_min, limits.throttle_max)
         )
     return Reach(
         throttle=tuple(zip(least, most, strict=True)),

@@ -101,21 +101,21 @@ def noise_floor(axis: AxisYardstick, step_s: float) -> float:
 
 
 def axis_limits(
-    axes: Sequence[AxisYardstick], log: Columns, step_s: float, span_m: float, stated: Mapping[str, float | None]
+    axes: Sequence[AxisYardstick], log: Columns, step_s: float, span_m: float, chosen: Mapping[str, float | None]
 ) -> dict[str, float]:
-    """Return the limits of every axis by metric; ``stated`` are those of the scenario by key, None for no limit."""
+    """Return the limits of every axis by metric; ``chosen`` are those of the scenario by key, None for no limit."""
     upsets = Upsets(log, WIND_CHANGE * sqrt(GRAVITY * span_m))
     limits: dict[str, float | None] = {}
     for axis, name in zip(axes, AXES, strict=False):
         setpoint, angle = log[f"{name}_setpoint_rad"], log[f"{name}_rad"]
         steps = find_steps(setpoint, angle, step_s)
         error = wrap(setpoint - angle)
-        if "settling_s" in stated:
-            limits[f"{name}.settling_time_s"] = stated["settling_s"] if steps else None
+        if "settling_s" in chosen:
+            limits[f"{name}.settling_time_s"] = chosen["settling_s"] if steps else None
         else:
             limits[f"{name}.settling_time_s"] = _settling(axis, steps, error, upsets, step_s)
-        if "oscillation_rad" in stated:
-            limits[f"{name}.oscillation_rad"] = stated["oscillation_rad"]
+        if "oscillation_rad" in chosen:
+            limits[f"{name}.oscillation_rad"] = chosen["oscillation_rad"]
         else:
             limits[f"{name}.oscillation_rad"] = _oscillation(axis, steps, setpoint, upsets, step_s)
     return {name: value for name, value in limits.items() if value is not None}
@@ -157,16 +157,16 @@ def _oscillation(
     recent = setpoint[max(first, 0) :]
     if first < 0 or not np.all(np.isfinite(recent)) or upsets.struck(first, setpoint.size):
         return None
-    share = SETTLING_BAND * abs(steps[-1].size) if steps else 0.0
+    band = SETTLING_BAND * abs(steps[-1].size) if steps else 0.0
     wind = SWING_IN_WIND_RAD if upsets.blown(first, setpoint.size) else 0.0
     if steps:
-        left = _left_of_steps([step for step in steps if step.first > first], last, settling_limit(axis) / step_s)
+        rest = _residual_of_steps([step for step in steps if step.first > first], last, settling_limit(axis) / step_s)
     else:
-        left = float(np.ptp(np.unwrap(recent)))
-    return max(share, noise_floor(axis, step_s), wind) + left
+        rest = float(np.ptp(np.unwrap(recent)))
+    return max(band, noise_floor(axis, step_s), wind) + rest
 
 
-def _left_of_steps(steps: Sequence[Step], row: int, settling_rows: float) -> float:
+def _residual_of_steps(steps: Sequence[Step], row: int, settling_rows: float) -> float:
     """Return what may be left (rad) on a row of steps that have not had the time to settle.
 
     A step of size s leaves ``s SETTLING_BAND^(t / settling)`` after a time t: all of it at once, 5 % at the time in

@@ -38,7 +38,7 @@ from cosim.spec.scenario import Expectation
 
 _TITLED = ("aircraft", "engine", "controller", "design", "models")  # changes that a title states as what flies
 _LISTED = 3  # further changes in a title
-_AS_STATED = "Of the scenario as its file states it, not of this flight:"
+_AS_IN_FILE = "Of the scenario as its file states it, not of this flight:"
 _WIDTH = 120  # characters of a table or list on one line of the summary
 PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy", "pyarrow")
 
@@ -159,8 +159,8 @@ class Setup(BaseModel):
     @property
     def controller_shown(self) -> str:
         """The controller for people: a design, models or a custom controller by file and first letters of the hash."""
-        own = "" if self.own_controller is None else self.own_controller.sha256
-        return controller_words(self.controller, own, self.parameter_files)
+        sha256 = "" if self.own_controller is None else self.own_controller.sha256
+        return controller_words(self.controller, sha256, self.parameter_files)
 
     @property
     def engine_shown(self) -> str:
@@ -179,7 +179,7 @@ class Setup(BaseModel):
         listed = [*texts[:_LISTED], *([f"{len(texts) - _LISTED} more changes"] if len(texts) > _LISTED else [])]
         title = f"{self.scenario}: {self.aircraft}, {self.engine_shown}, {self.controller_shown}"
         title += f", with {', '.join(listed)}" if listed else ""
-        story = f"{_AS_STATED} {self.description.strip()}" if self.description.strip() else ""
+        story = f"{_AS_IN_FILE} {self.description.strip()}" if self.description.strip() else ""
         return self.model_copy(update={"title": title, "description": story})
 
 
@@ -273,12 +273,12 @@ def summarize(
     reason: str,
     wall_s: float | None,
     pace: PaceReport | None = None,
-    own: Sequence[CustomMetric] = (),
+    custom: Sequence[CustomMetric] = (),
 ) -> Summary:
-    """Return the summary of a flight from its log; ``own`` are the user's metrics, beside the built-in ones."""
+    """Return the summary of a flight from its log; ``custom`` are the user's metrics, beside the built-in ones."""
     metrics = flight_metrics(log, setup.step_s, setup.reach)
-    said, failed = _own_values(own, log, setup.step_s)
-    flat = flatten(metrics) | said
+    values, failed = _evaluate(custom, log, setup.step_s)
+    flat = flatten(metrics) | values
     steps = len(log)
     duration = steps * setup.step_s
     limits = flight_limits(setup.yardstick, log, setup.step_s) if setup.yardstick is not None and steps else {}
@@ -311,7 +311,7 @@ def summarize(
         speed=metrics.speed,
         effort=metrics.effort,
         fuel_burnt_kg=metrics.fuel_burnt_kg,
-        own_metrics=said,
+        own_metrics=values,
         own_metrics_failed=failed,
         limits=limits,
         beyond=above,
@@ -320,13 +320,13 @@ def summarize(
     )
 
 
-def _own_values(metrics: Sequence[CustomMetric], log: Log, step_s: float) -> tuple[dict[str, float | None], list[str]]:
+def _evaluate(metrics: Sequence[CustomMetric], log: Log, step_s: float) -> tuple[dict[str, float | None], list[str]]:
     """Return the values of the user's metrics, and a line for each that failed; without a step all are None."""
     values: dict[str, float | None] = {name: None for metric in metrics for name in metric.names}
     failed = []
-    for each in metrics if len(log) else ():
+    for custom_metric in metrics if len(log) else ():
         try:
-            values |= each.of(log, step_s)
+            values |= custom_metric.of(log, step_s)
         except (FlightError, InputError) as error:
             failed.append(str(error))
     return values, failed

@@ -48,7 +48,7 @@ WORDS = {
     "touchdown": "touchdown speed",
     "fuel_burnt": "fuel burnt",
 }
-WHOLE = {  # what is not of an axis and not said well by its parts
+WHOLE_FLIGHT = {  # what is not of an axis and not said well by its parts
     "position.drift_m": "drift from the start",
     "position.final_drift_m": "drift at the end",
     "speed.max_m_s": "largest ground speed",
@@ -96,16 +96,16 @@ def metric(name: str) -> Metric:
     for end, unit, factor in UNITS:
         if last.endswith(end):
             base = last.removesuffix(end)
-            words = WHOLE.get(name) or " ".join([*axis, WORDS.get(base, base.replace("_", " "))])
+            words = WHOLE_FLIGHT.get(name) or " ".join([*axis, WORDS.get(base, base.replace("_", " "))])
             return Metric(name, words, unit, factor)
-    return Metric(name, WHOLE.get(name) or " ".join([*axis, last.replace("_", " ")]), "", 1.0)
+    return Metric(name, WHOLE_FLIGHT.get(name) or " ".join([*axis, last.replace("_", " ")]), "", 1.0)
 
 
-def unit_shown(unit: str) -> tuple[str, float]:
+def display_unit(unit: str) -> tuple[str, float]:
     """Return the unit in which a log's quantity is shown, and the factor to it."""
     return {"rad": ("deg", degrees(1.0)), "rad/s": ("deg/s", degrees(1.0))}.get(unit, (unit, 1.0))
 
 
-def shown(value: float | None, factor: float = 1.0, digits: int = 3) -> str:
+def show_value(value: float | None, factor: float = 1.0, digits: int = 3) -> str:
     """Format a value of a table; return a dash for what a flight cannot tell."""
     return NONE if value is None else f"{factor * value:.{digits}f}"

@@ -117,7 +117,7 @@ def test_two_flights_in_one_scene_and_what_one_is_less_the_other(
         wanted = np.degrees(second.log["roll_rad"][k] - first.log["roll_rad"][k])
         said = "parseFloat(document.querySelector('[data-figure=difference] .strip b').textContent)"
         page.wait_for_function(f"Math.abs({said} - {wanted}) < 1e-3 * Math.abs({wanted})", timeout=SOON)
-        lines = page.evaluate(f"{strip}.csv()").splitlines()
+        lines = page.evaluate(f"hexjet.files.csvOf({strip})").splitlines()
         assert len(lines) == 1 + len(second.log)  # as far as both flew
 
 
@@ -202,12 +202,14 @@ def test_what_is_seen_goes_out_with_every_sample(browser: Any, flown: tuple[Run,
         page.locator('[data-figure="attitude"]').scroll_into_view_if_needed()
         page.wait_for_function("document.querySelector('[data-figure=attitude] .strip').panel.chart", timeout=SOON)
         page.evaluate("hexjet.setView(1, 2)")
-        lines = page.evaluate("document.querySelector('[data-figure=attitude] .strip').panel.csv()").splitlines()
+        lines = page.evaluate(
+            "hexjet.files.csvOf(document.querySelector('[data-figure=attitude] .strip').panel)"
+        ).splitlines()
         assert lines[0] == "time_s,roll_measured_rad,roll_rad,roll_setpoint_rad"
         assert len(lines) == 1 + 251
         row = [float(cell) for cell in lines[1].split(",")]
         assert row[:3] == pytest.approx([1.0, run.log["roll_measured_rad"][250], run.log["roll_rad"][250]], abs=1e-4)
-        svg = page.evaluate("document.querySelector('[data-figure=attitude] .strip').panel.svg()")
+        svg = page.evaluate("hexjet.files.svgOf(document.querySelector('[data-figure=attitude] .strip').panel)")
         assert svg.count("<path") == 3
         # a sine of 2 at 25 Hz
         tops = page.evaluate(

@@ -24,7 +24,7 @@ from cosim.campaign.surveys.authority_drawing import attainable_moments
 from cosim.control.allocation.authority import Authority, Range, Reach, reach_of
 from cosim.engine import engine_names
 from cosim.flight import fly
-from cosim.results.report.three_views import places, three_views
+from cosim.results.report.three_views import points_of, three_views
 from cosim.simulation.build import build
 from cosim.simulation.engines import engines_of
 from cosim.simulation.model_agreement import NOTED, ModelAgreement, model_agreements
@@ -200,7 +200,7 @@ def _masses(simulation: Simulation) -> Line:
 
 def _sizes(vehicle: Vehicle) -> list[Line]:
     """Compare radii of gyration with how far the parts are from each axis: a wrong unit is far off."""
-    parts, lines = np.array(places(vehicle)), []
+    parts, lines = np.array(points_of(vehicle)), []
     for number, (axis, moment) in enumerate(zip("xyz", vehicle.inertia_kg_m2, strict=True)):
         radius = sqrt(moment / vehicle.mass_kg)
         across = np.delete(parts, number, axis=1)

@@ -11,7 +11,7 @@ from math import cos, inf, isfinite, pi, sin
 
 from cosim.base.signals import AXES
 from cosim.control.allocation.authority import Reach
-from cosim.results.report.svg import begun, ended, text
+from cosim.results.report.svg import begin_drawing, finish_drawing, text
 from cosim.spec.vehicle import Vehicle
 
 DIRECTIONS = 24  # in which a section is looked at, the axes and the diagonals among them
@@ -45,7 +45,7 @@ def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
         A whole SVG document.
     """
     title = f"{vehicle.name}: attainable moments in hover"
-    root = begun(title, VIEW * len(SECTIONS), VIEW + 2 * TITLE, STYLE)
+    root = begin_drawing(title, VIEW * len(SECTIONS), VIEW + 2 * TITLE, STYLE)
     ET.SubElement(root, "rect", {"class": "frame", "width": "100%", "height": "100%"})
     text(root, 12, 22, f"{vehicle.title}: moments in hover, N m", "name")
     caption = "filled: all engines; red: without each one, named by its number; the third moment is 0"
@@ -61,7 +61,7 @@ def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
                 if section:
                     lost[str(jet)] = section
         _draw(root, number * VIEW, (right, up), whole, most, lost)
-    return ended(root)
+    return finish_drawing(root)
 
 
 def _section(reach: Reach, right: int, up: int, directions: int = DIRECTIONS) -> tuple[Corners, Corners]:

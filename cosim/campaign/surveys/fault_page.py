@@ -15,7 +15,7 @@ from cosim.campaign.surveys.faults import SCANS, STARTS, Cell, Limit, Moments, R
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.results.report.marks import table, write_marks
 from cosim.results.report.page import render
-from cosim.results.resolved_scenario import copied_controller
+from cosim.results.resolved_scenario import copy_controller
 from cosim.spec.controller_name import is_design, label
 
 TEMPLATE = Path(__file__).parent / "templates" / "survival.html"
@@ -40,7 +40,7 @@ def write(result: Survival, folder: Path) -> dict[str, Path]:
         render(TEMPLATE, paths["report"], {}, result=result, controllers=named, table=lines, where=folder.name)
         files: dict[str, Path | bytes] = {}
         for own in result.own:
-            copied_controller(own, files)
+            copy_controller(own, files)
         files |= {Path(name).name: Path(name) for name in controllers if is_design(name)}
         for name, source in files.items():
             assert isinstance(source, Path)

@@ -342,7 +342,7 @@ def _text(value: Any) -> str:
 
 
 def _print(item: Mapping[str, Any]) -> None:
-    from cosim.results.wording import unit_shown
+    from cosim.results.wording import display_unit
 
     kind = {"studies": "study", "aircraft": "aircraft"}.get(item["kind"], item["kind"].removesuffix("s"))
     say(f"[bold]{item['name']}[/bold], {kind}: {item['title']}", marked=True)
@@ -350,7 +350,7 @@ def _print(item: Mapping[str, Any]) -> None:
         say(item["description"])
     rows = []
     for number in item["numbers"]:
-        unit, factor = unit_shown(number.unit)
+        unit, factor = display_unit(number.unit)
         value = factor * number.value if factor != 1.0 and isinstance(number.value, float) else number.value
         unit = unit if value is not number.value or factor == 1.0 else number.unit
         rows.append((number.name, _text(value), unit, number.meaning))

@@ -40,7 +40,7 @@ from cosim.control.autopilot.status import Status
 from cosim.results.run import AUTOPILOT
 
 ESTIMATE_S = 0.1  # between two estimates; chosen by us: PX4 logs its local position as often
-_KEPT = 64 * 1024  # bytes that wait for a write: a kill loses as little as a few seconds
+_BUFFER_BYTES = 64 * 1024  # bytes that wait for a write: a kill loses as little as a few seconds
 
 Line = dict[str, Any]
 
@@ -110,8 +110,8 @@ class PilotRecord:
         table, values = self._pilot.parameters.table, self._pilot.parameters.values
         if not self._values:
             self._values = dict(values)
-            told = {name: int(value) if table[name].kind == "int" else value for name, value in values.items()}
-            self._write("parameters", k, values=told)
+            numbers = {name: int(value) if table[name].kind == "int" else value for name, value in values.items()}
+            self._write("parameters", k, values=numbers)
         elif values != self._values:
             for name, value in values.items():
                 if value != self._values[name]:
@@ -123,19 +123,19 @@ class PilotRecord:
             self._last[kind] = now
             self._write(kind, k, **now)
 
-    def _write(self, kind: str, k: int, **rest: Any) -> None:
-        line = (json.dumps({"k": k, "kind": kind, **rest}, allow_nan=False) + "\n").encode()
+    def _write(self, kind: str, k: int, **fields: Any) -> None:
+        line = (json.dumps({"k": k, "kind": kind, **fields}, allow_nan=False) + "\n").encode()
         self._waiting.append(line)
         self._size += len(line)
-        if self._size > _KEPT or kind in ("state", "message"):
+        if self._size > _BUFFER_BYTES or kind in ("state", "message"):
             self._flush()
 
     def _flush(self) -> None:
-        rest = memoryview(b"".join(self._waiting))
+        unwritten = memoryview(b"".join(self._waiting))
         self._waiting, self._size = [], 0
         try:
-            while rest:
-                rest = rest[os.write(self._file, rest) :]
+            while unwritten:
+                unwritten = unwritten[os.write(self._file, unwritten) :]
         except OSError as error:
             raise FlightError(f"{self._path}: {error.strerror or error}") from error
 
@@ -167,17 +167,17 @@ def _lines(path: Path, text: str) -> Iterator[Line]:
 
 
 def _estimate(status: Status) -> Line:
-    fix, seen, trust = status.fix, status.seen, status.trust
+    fix, ages, trust = status.fix, status.seen, status.trust
     deviations = {
         name: getattr(trust, name) for name in ("place_m", "speed_m_s", "height_m", "climb_m_s", "attitude_rad")
     }
-    told: Line = (
+    line: Line = (
         {}
-        if seen is None
+        if ages is None
         else {
-            "height": seen.altitude,
-            "climb": -seen.velocity[2],
-            "attitude": list(to_euler(seen.attitude)),
+            "height": ages.altitude,
+            "climb": -ages.velocity[2],
+            "attitude": list(to_euler(ages.attitude)),
             "deviation": {name: value if isfinite(value) else None for name, value in deviations.items()},
             "valid": {name: value for name, value in trust._asdict().items() if isinstance(value, bool)},
         }
@@ -189,5 +189,5 @@ def _estimate(status: Status) -> Line:
         "positioned": status.positioned,
         "altitude": status.altitude,
         "yaw": status.yaw,
-        **told,
+        **line,
     }

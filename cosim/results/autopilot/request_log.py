@@ -22,7 +22,7 @@ from cosim.control.autopilot.requests import (
 )
 
 REQUESTS = "requests.jsonl"
-_OURS = ("step", "sender", "result", "text", "asked")  # keys of a line that are not the request's
+_ENTRY_KEYS = ("step", "sender", "result", "text", "asked")  # keys of a line that are not the request's
 
 
 class Entry(NamedTuple):
@@ -58,10 +58,10 @@ class RequestLog:
             line["text"] = answer.text
         if not asked:
             line["asked"] = False
-        rest = memoryview((json.dumps(line | to_dict(request), allow_nan=False) + "\n").encode())
+        unwritten = memoryview((json.dumps(line | to_dict(request), allow_nan=False) + "\n").encode())
         try:
-            while rest:
-                rest = rest[os.write(self._file, rest) :]
+            while unwritten:
+                unwritten = unwritten[os.write(self._file, unwritten) :]
         except OSError as error:
             raise FlightError(f"{self.path}: {error.strerror or error}") from error
 
@@ -100,10 +100,10 @@ def _entry(line: str, where: str) -> Entry:
     step = data.get("step")
     if not isinstance(step, int) or isinstance(step, bool) or step < 0:
         raise InputError(f"{where}: step = {step!r}: must be a whole number, 0 or more")
-    rest = {key: value for key, value in data.items() if key not in _OURS}
+    request = {key: value for key, value in data.items() if key not in _ENTRY_KEYS}
     try:
         asked = data.get("asked") is not False
-        return Entry(step, str(data.get("sender", "")), from_dict(rest), str(data.get("result", "")), asked)
+        return Entry(step, str(data.get("sender", "")), from_dict(request), str(data.get("result", "")), asked)
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
 

@@ -70,14 +70,14 @@ class LiveExport:
 
     # --- a flight ---------------------------------------------------------------------------------------------
 
-    def begin(self, scenario: Scenario, own: Sequence[Column] = ()) -> None:
-        """Start a flight whose blocks show ``own``: its channels take the place of the last one's."""
+    def begin(self, scenario: Scenario, custom: Sequence[Column] = ()) -> None:
+        """Start a flight whose blocks show ``custom``: its channels take the place of the last one's."""
         for channel in self._channels:
             channel.close()
         self._schemas, self._channels = [], []
         self._server.clear_session()
         self._vehicle = scenario.resolved_vehicle()[0]
-        columns = log_columns(logged_vehicle(self._vehicle), own)
+        columns = log_columns(logged_vehicle(self._vehicle), custom)
         self._row = OneRow(columns)
         self._columns = self._mcap.channels_of(self, columns)
         self._drawn = self._scene.Scene(self, scenario.step_s, scenario)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.base.errors import InputError
 from cosim.results.autopilot.autopilot_record import read_pilot_record
-from cosim.results.export.output import described, facts, log_lines, output
+from cosim.results.export.output import describe_columns, log_lines, output, run_properties
 from cosim.results.run import open_run
 
 _LONGEST = 63  # MATLAB's namelengthmax
@@ -46,14 +46,14 @@ def export_mat(folder: Path, path: Path) -> None:
             columns[names[name]][first : first + count, 0] = values
         first += count
     events = log_lines(run, read_pilot_record(folder))
-    known = described(run)
+    descriptions = describe_columns(run)
     metrics = {name: value for name, value in run.summary.flat_metrics.items() if value is not None}
     flight: dict[str, Any] = {
         "time": columns[names["time_s"]],
         "columns": columns,
-        "units": {names[column.name]: column.unit for column in known},
-        "frames": {names[column.name]: column.frame for column in known},
-        "meanings": {names[column.name]: column.meaning for column in known},
+        "units": {names[column.name]: column.unit for column in descriptions},
+        "frames": {names[column.name]: column.frame for column in descriptions},
+        "meanings": {names[column.name]: column.meaning for column in descriptions},
         "names": {field: name for name, field in names.items() if field != name},
         "events": {
             "time": np.array([[event.time_s] for event in events]),
@@ -62,7 +62,7 @@ def export_mat(folder: Path, path: Path) -> None:
             "text": _cells([event.text for event in events]),
         },
         "metrics": {field: metrics[name] for name, field in fields(tuple(metrics)).items()},
-        "metadata": facts(run.summary),
+        "metadata": run_properties(run.summary),
     }
     flight = {name: part for name, part in flight.items() if not (isinstance(part, dict) and not part)}
     with output(run, path) as temporary, open(temporary, "wb") as file:
@@ -71,7 +71,7 @@ def export_mat(folder: Path, path: Path) -> None:
 
 def fields(names: tuple[str, ...]) -> dict[str, str]:
     """Return valid field names of a MATLAB structure: at most 63 letters, digits and _, no two alike."""
-    made: dict[str, str] = {}
+    short_names: dict[str, str] = {}
     taken = set(names)
     for name in names:
         field = re.sub(r"\W", "_", name, flags=re.ASCII)
@@ -83,8 +83,8 @@ def fields(names: tuple[str, ...]) -> dict[str, str]:
             number += 1
             field = f"{field[: _LONGEST - len(str(number)) - 1]}_{number}"
         taken.add(field)
-        made[name] = field
-    return made
+        short_names[name] = field
+    return short_names
 
 
 def _cells(texts: list[str]) -> np.ndarray[Any, np.dtype[Any]]:

@@ -23,14 +23,14 @@ from cosim.results.export.output import (
     Block,
     LogLine,
     Timed,
-    described,
-    facts,
+    describe_columns,
     log_lines,
     meaning,
     output,
+    run_properties,
     scenario_of,
 )
-from cosim.results.log.columns import own_columns
+from cosim.results.log.columns import custom_columns
 from cosim.results.run import SCENARIO, SUMMARY, open_run
 
 # What each column of every flight is about; those that blocks show of their own are in /own.
@@ -49,7 +49,7 @@ SUBJECTS = {
     "/vehicle": r"mass_kg|on_ground|hull_contact",
     "/fault": r"fault_\w+|health_\d+",
 }
-OWN, TIME = "/own", "/time"
+CUSTOM, TIME = "/own", "/time"
 _DOUBLE = 1  # Protocol Buffers' wire type of eight bytes
 _LEVELS = {0: 5, 1: 5, 2: 5, 3: 4, 4: 3, 5: 2, 6: 2, 7: 1}  # of syslog to foxglove.Log: 5 fatal ... 1 debug
 
@@ -85,17 +85,17 @@ def export_mcap(folder: Path, path: Path) -> None:
     with output(run, path) as temporary, open(temporary, "wb") as file:
         writer = Writer(file, compression=CompressionType.ZSTD)
         writer.start(profile="", library="hexjet-cosim")
-        writer.add_metadata("hexjet", facts(run.summary))
-        writer.add_metadata("hexjet.columns", {column.name: meaning(column) for column in described(run)})
+        writer.add_metadata("hexjet", run_properties(run.summary))
+        writer.add_metadata("hexjet.columns", {column.name: meaning(column) for column in describe_columns(run)})
         for name, kind in ((SCENARIO, "application/toml"), (SUMMARY, "application/json")):
             if (folder / name).is_file():
                 writer.add_attachment(0, 0, name, kind, (folder / name).read_bytes())
-        channels = channels_of(writer, described(run))
-        drawn = scene.Scene(writer, run.summary.step_s, scenario_of(run))
+        channels = channels_of(writer, describe_columns(run))
+        drawing = scene.Scene(writer, run.summary.step_s, scenario_of(run))
         texts = _texts(writer, log_lines(run, read_pilot_record(folder)))
         done, first, last = 0, 0, len(run.log) - 1
         for block in run.log.blocks(run.log.columns, ROWS):
-            messages = [*messages_of(channels, block, first), *drawn.messages(block, first, last)]
+            messages = [*messages_of(channels, block, first), *drawing.messages(block, first, last)]
             first += len(block["time_s"])
             while done < len(texts) and texts[done][0] < first:
                 messages.append(texts[done])
@@ -112,20 +112,22 @@ def _write(writer: Any, messages: Sequence[Timed]) -> None:
 
 def subjects(columns: Sequence[Column]) -> dict[str, list[Column]]:
     """Return the columns of a log by the channel that has them; ``time_s`` is in one of its own."""
-    own = {column.name for column in own_columns(columns)}
-    made: dict[str, list[Column]] = {}
+    custom = {column.name for column in custom_columns(columns)}
+    groups: dict[str, list[Column]] = {}
     for column in columns:
         matches = [name for name, pattern in SUBJECTS.items() if re.fullmatch(pattern, column.name)]
-        subject = OWN if column.name in own else TIME if column.name == "time_s" else matches[0] if matches else OWN
-        made.setdefault(subject, []).append(column)
-    return made
+        key = (
+            CUSTOM if column.name in custom else TIME if column.name == "time_s" else matches[0] if matches else CUSTOM
+        )
+        groups.setdefault(key, []).append(column)
+    return groups
 
 
 def channels_of(writer: Any, columns: Sequence[Column]) -> list[Channel]:
     """Register and return the channels of a log's columns."""
     from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 
-    made = []
+    channels = []
     for topic, of in subjects(columns).items():
         files = FileDescriptorSet()
         file = files.file.add(name=f"hexjet{topic}.proto", package="hexjet", syntax="proto3")
@@ -139,38 +141,38 @@ def channels_of(writer: Any, columns: Sequence[Column]) -> list[Channel]:
                 label=FieldDescriptorProto.LABEL_OPTIONAL,
             )
         schema = writer.register_schema(f"hexjet.{message.name}", "protobuf", files.SerializeToString())
-        told = {column.name: meaning(column) for column in of}
+        meanings = {column.name: meaning(column) for column in of}
         tags = tuple(_varint(number << 3 | _DOUBLE) for number in range(1, len(of) + 1))
         layout = [part for n, tag in enumerate(tags) for part in ((f"tag{n}", "u1", (len(tag),)), (f"value{n}", "<f8"))]
-        made.append(
+        channels.append(
             Channel(
-                writer.register_channel(topic, "protobuf", schema, told),
+                writer.register_channel(topic, "protobuf", schema, meanings),
                 tuple(column.name for column in of),
                 np.dtype(layout),
                 tags,
             )
         )
-    return made
+    return channels
 
 
 def _varint(number: int) -> bytes:
     """Return a number as Protocol Buffers write it: seven bits a byte, the lowest first."""
-    made = []
+    encoded = []
     while number > 0x7F:
-        made.append(number & 0x7F | 0x80)
+        encoded.append(number & 0x7F | 0x80)
         number >>= 7
-    return bytes([*made, number])
+    return bytes([*encoded, number])
 
 
 def messages_of(channels: Sequence[Channel], block: Block, first: int) -> Iterator[Timed]:
     """Yield a message a row and channel: each field is its tag and eight bytes, so that all rows are of one layout."""
     times = nanoseconds(block)
     for channel in channels:
-        made = np.zeros(len(times), dtype=channel.kind)
+        messages = np.zeros(len(times), dtype=channel.kind)
         for n, (name, tag) in enumerate(zip(channel.columns, channel.tags, strict=True)):
-            made[f"tag{n}"] = np.frombuffer(tag, np.uint8)
-            made[f"value{n}"] = block[name]
-        content, size = made.tobytes(), channel.kind.itemsize
+            messages[f"tag{n}"] = np.frombuffer(tag, np.uint8)
+            messages[f"value{n}"] = block[name]
+        content, size = messages.tobytes(), channel.kind.itemsize
         for row, time in enumerate(times):
             yield first + row, time, channel.number, content[row * size : (row + 1) * size]
 

@@ -57,7 +57,7 @@ def log_lines(run: Run, lines: Sequence[ulog_autopilot.Line]) -> list[LogLine]:
     return sorted(texts, key=lambda line: line.k)
 
 
-def facts(summary: Summary) -> dict[str, str]:
+def run_properties(summary: Summary) -> dict[str, str]:
     """Return what a run is, by names that are the same in every format."""
     return {
         "scenario": summary.scenario,
@@ -75,13 +75,13 @@ def facts(summary: Summary) -> dict[str, str]:
     }
 
 
-def described(run: Run) -> list[Column]:
+def describe_columns(run: Run) -> list[Column]:
     """Return the columns of a log with their meanings: from its file, or as today's where an older file is silent."""
-    stated = {column.name: column for column in run.log.described}
+    columns = {column.name: column for column in run.log.described}
     empty = Column("", "", "", "")
     return [
         column
-        if (column := stated.get(name, empty)).meaning
+        if (column := columns.get(name, empty)).meaning
         else _DESCRIBED.get(name, empty)._replace(name=name, source="")
         for name in run.log.columns
     ]
@@ -109,11 +109,11 @@ def settings(scenario: Scenario | None) -> dict[str, float]:
     """
     if scenario is None:
         return {}
-    stated = scenario.model_dump(mode="json", exclude={"vehicle", "expect"})
+    table = scenario.model_dump(mode="json", exclude={"vehicle", "expect"})
     vehicle = scenario.resolved_vehicle()[0].model_dump(mode="json")
     family = Path(scenario.engine).name.removesuffix("-fmi2")  # what a model is filed under, in either FMI version
     vehicle["identified"] = {name: models for name, models in vehicle["identified"].items() if name == family}
-    return dict([*_leaves("vehicle", vehicle), *_leaves("scenario", stated)])
+    return dict([*_leaves("vehicle", vehicle), *_leaves("scenario", table)])
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, float]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cosim.base.errors import FlightError, InputError
-from cosim.results.export.output import described, facts, output
+from cosim.results.export.output import describe_columns, output, run_properties
 from cosim.results.log.arrow import write_log
 from cosim.results.run import LOG, open_run
 
@@ -22,6 +22,6 @@ def export_parquet(folder: Path, path: Path) -> None:
         raise InputError(f"{path}: the log is Parquet already; --out FILE makes a copy that says what was flown")
     with output(run, path) as temporary:
         try:
-            write_log(temporary, described(run), run.log.blocks(run.log.columns), facts(run.summary))
+            write_log(temporary, describe_columns(run), run.log.blocks(run.log.columns), run_properties(run.summary))
         except FlightError as error:
             raise InputError(f"{path}: {str(error).rpartition(': ')[2]}") from error

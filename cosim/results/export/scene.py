@@ -65,14 +65,14 @@ class Scene:
             self._layout = self._vehicle.layout()
             servos = self._vehicle.actuators[: len(self._layout.turns)]
             self._angles = [f"tilt_{name}_rad" for name in servos]
-            place = scenario.environment
-            self._map = Geodesy(place.latitude_deg, place.longitude_deg, place.ground_m)
+            environment = scenario.environment
+            self._map = Geodesy(environment.latitude_deg, environment.longitude_deg, environment.ground_m)
             kinds |= {"/location": LocationFix, "/scene": SceneUpdate, "/scene/arrows": SceneUpdate}
-        known: dict[Any, int] = {}
+        ids: dict[Any, int] = {}
         for kind in kinds.values():
-            if kind not in known:
-                known[kind] = register_schema(writer, kind)
-        self._channels = {name: writer.register_channel(name, "protobuf", known[kind]) for name, kind in kinds.items()}
+            if kind not in ids:
+                ids[kind] = register_schema(writer, kind)
+        self._channels = {name: writer.register_channel(name, "protobuf", ids[kind]) for name, kind in kinds.items()}
         self._every = {name: max(1, round(seconds / step_s)) for name, seconds in EVERY_S.items()}
 
     def messages(self, block: Block, first: int, last: int) -> Iterator[Timed]:
@@ -99,9 +99,9 @@ class Scene:
         add("ned", "body", _position(block, row), q[row])
         if self._layout is not None:
             angles = [float(block[name][row]) for name in self._angles]
-            axes, places = self._layout.axes(angles), self._layout.standing(angles)
-            for number, (place, group) in enumerate(zip(places, self._layout.groups, strict=True), 1):
-                add("body", f"jet_{number}", place, _upwards_to(axes[group]))
+            axes, positions = self._layout.axes(angles), self._layout.standing(angles)
+            for number, (position, group) in enumerate(zip(positions, self._layout.groups, strict=True), 1):
+                add("body", f"jet_{number}", position, _upwards_to(axes[group]))
         return frames
 
     def _pose(self, block: Block, row: int, q: Array, time: int) -> PoseInFrame:
@@ -140,9 +140,9 @@ def drawing(vehicle: Vehicle, time: int) -> SceneUpdate:
     update, size = SceneUpdate(), reach(vehicle)
     body = _entity(update, "body", "body", time)
     # from the points that the hull touches with, or else the stations, to the centre of gravity
-    places = [contact.position_m for contact in vehicle.contacts if contact.kind == "hull"]
-    places = [*(places or [jet.position_m for jet in vehicle.jets]), (0.0, 0.0, 0.0)]
-    low, high = np.min(places, axis=0), np.max(places, axis=0)
+    positions = [contact.position_m for contact in vehicle.contacts if contact.kind == "hull"]
+    positions = [*(positions or [jet.position_m for jet in vehicle.jets]), (0.0, 0.0, 0.0)]
+    low, high = np.min(positions, axis=0), np.max(positions, axis=0)
     cube = body.cubes.add(pose=_posed(0.5 * (low + high), (1.0, 0.0, 0.0, 0.0)))
     cube.size.x, cube.size.y, cube.size.z = (max(float(length), 0.05 * size) for length in high - low)
     _colour(cube.color, _HULL)
@@ -167,8 +167,8 @@ def drawing(vehicle: Vehicle, time: int) -> SceneUpdate:
 
 def reach(vehicle: Vehicle) -> float:
     """Return how far the farthest station or contact is from the centre of gravity along any axis, m."""
-    places = [*(jet.position_m for jet in vehicle.jets), *(contact.position_m for contact in vehicle.contacts)]
-    return max(max(map(abs, place)) for place in places) or 1.0
+    positions = [*(jet.position_m for jet in vehicle.jets), *(contact.position_m for contact in vehicle.contacts)]
+    return max(max(map(abs, position)) for position in positions) or 1.0
 
 
 def hover_n(vehicle: Vehicle) -> float:

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.export import ulog_autopilot
-from cosim.results.export.output import ROWS, Block, facts, log_lines, meaning, output, scenario_of, settings
-from cosim.results.export.ulog_topics import BY_AUTOPILOT, EVERY_S, OWN, STATES, Field, column, topics
-from cosim.results.log.columns import flown_in, own_columns
+from cosim.results.export.output import ROWS, Block, log_lines, meaning, output, run_properties, scenario_of, settings
+from cosim.results.export.ulog_topics import BY_AUTOPILOT, CUSTOM, EVERY_S, STATES, Field, column, topics
+from cosim.results.log.columns import custom_columns, logged_vehicle_of
 from cosim.results.run import open_run
 from cosim.results.summary import Summary
 
@@ -31,7 +31,7 @@ Rates = Literal["all", "px4"]
 _STRUCT = {"float": "f", "bool": "B", "uint8_t": "B", "int32_t": "i", "uint64_t": "Q"}
 _TYPES = {"float": "<f4", "bool": "<u1", "uint8_t": "<u1", "int32_t": "<i4", "uint64_t": "<u8"}
 _LONGEST = 240  # bytes of a parameter's name, which shares 255 with its type
-_WHOLE = 2**31  # beyond it an integer is no parameter
+_INTEGER_LIMIT = 2**31  # beyond it an integer is no parameter
 
 
 def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
@@ -43,12 +43,12 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
     """
     run = open_run(folder)
     step, lines = run.summary.step_s, read_pilot_record(folder)
-    own = own_columns(run.log.described)
-    held = dict(_of(lines, run.log.columns)) | (
-        {OWN: [column("float", own_column.name, own_column.name) for own_column in own]} if own else {}
+    custom = custom_columns(run.log.described)
+    topics_by_name = dict(_of(lines, run.log.columns)) | (
+        {CUSTOM: [column("float", c.name, c.name) for c in custom]} if custom else {}
     )
     topics_held = {
-        name: _topic(fields, step if rates == "all" else EVERY_S[name], step) for name, fields in held.items()
+        name: _topic(fields, step if rates == "all" else EVERY_S[name], step) for name, fields in topics_by_name.items()
     }
     pilot = ulog_autopilot.states(lines, run.summary.steps, step)
     at_start, changes = ulog_autopilot.parameters(lines)
@@ -56,8 +56,8 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
     with output(run, path) as temporary, open(temporary, "wb") as file:
         file.write(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0))
         file.write(_message(b"B", bytes(40)))
-        file.writelines(_message(b"I", _info(key, value)) for key, value in _facts(run.summary).items())
-        file.writelines(_message(b"I", _info(f"{OWN}_{column.name}", meaning(column))) for column in own)
+        file.writelines(_message(b"I", _info(key, value)) for key, value in _properties(run.summary).items())
+        file.writelines(_message(b"I", _info(f"{CUSTOM}_{column.name}", meaning(column))) for column in custom)
         file.writelines(_message(b"P", ulog_autopilot.parameter(name, value)) for name, value in at_start.items())
         file.writelines(_message(b"F", _format(name, topic.fields)) for name, topic in topics_held.items())
         file.writelines(_message(b"F", _series_format(name, series)) for name, series in pilot.items())
@@ -106,7 +106,7 @@ _Timed = tuple[int, bytes]  # a message and its step
 
 def _of(lines: Sequence[ulog_autopilot.Line], names: Sequence[str]) -> list[tuple[str, list[Field]]]:
     """Return the topics of the rows: those of an autopilot replace what follows from the loops."""
-    rows = topics(flown_in(names))
+    rows = topics(logged_vehicle_of(names))
     if not any(line["kind"] == "state" for line in lines):
         return list(rows.items())
     return [(name, fields) for name, fields in (rows | BY_AUTOPILOT).items() if name not in STATES]
@@ -123,9 +123,9 @@ def _messages(topic: _Topic, number: int, block: Block, first: int, last: int) -
     if first <= last < first + count and last % topic.every:
         steps.append(last)
     rows = {name: values[np.array(steps, dtype=np.intp) - first] for name, values in block.items()}
-    made = np.zeros(len(steps), dtype=topic.kind)
-    _fill(made, number, topic.fields, rows)
-    content, size = made.tobytes(), topic.kind.itemsize
+    messages = np.zeros(len(steps), dtype=topic.kind)
+    _fill(messages, number, topic.fields, rows)
+    content, size = messages.tobytes(), topic.kind.itemsize
     for n, k in enumerate(steps):
         yield k, content[n * size : (n + 1) * size]
 
@@ -161,7 +161,7 @@ def _keyed(numbers: Mapping[str, float]) -> dict[str, float]:
     return {
         name: value
         for name, value in named.items()
-        if len(name) <= _LONGEST and not (isinstance(value, int) and not -_WHOLE <= value < _WHOLE)
+        if len(name) <= _LONGEST and not (isinstance(value, int) and not -_INTEGER_LIMIT <= value < _INTEGER_LIMIT)
     }
 
 
@@ -187,8 +187,8 @@ def _message_type(fields: Iterable[Field]) -> np.dtype[np.void]:
 
 
 def _format(name: str, fields: Iterable[Field]) -> bytes:
-    parts = (f"{f.kind}[{f.length}] {f.name};" if f.length else f"{f.kind} {f.name};" for f in fields)
-    return f"{name}:uint64_t timestamp;{''.join(parts)}".encode()
+    declarations = (f"{f.kind}[{f.length}] {f.name};" if f.length else f"{f.kind} {f.name};" for f in fields)
+    return f"{name}:uint64_t timestamp;{''.join(declarations)}".encode()
 
 
 def _info(key: str, value: str) -> bytes:
@@ -201,14 +201,14 @@ def _message(kind: bytes, content: bytes) -> bytes:
     return struct.pack("<H", len(content)) + kind + content
 
 
-def _facts(summary: Summary) -> dict[str, str]:
-    known = facts(summary)
-    kept = ("scenario", "engine", "controller", "seed", "outcome", "reason")
+def _properties(summary: Summary) -> dict[str, str]:
+    values = run_properties(summary)
+    names = ("scenario", "engine", "controller", "seed", "outcome", "reason")
     return {
         "sys_name": "hexjet-cosim",
-        "ver_sw": known["version"],
+        "ver_sw": values["version"],
         "ver_hw": summary.aircraft,
-        **{f"hexjet_{name}": known[name] for name in kept},
+        **{f"hexjet_{name}": values[name] for name in names},
     }
 
 

@@ -52,15 +52,15 @@ def states(lines: Sequence[Line], steps: int, step: float) -> dict[str, Series]:
         ("home_position", "home", _HOME),
         ("mission_result", "mission", _MISSION),
     ):
-        if series := _repeated([line for line in lines if line["kind"] == kind], fields, steps, again):
+        if series := _repeat([line for line in lines if line["kind"] == kind], fields, steps, again):
             by_state[topic] = series
     return by_state
 
 
 def estimates(lines: Sequence[Line]) -> Series | None:
     """Return position, velocity and set-points as the autopilot had them; None if it said nothing."""
-    said = [line for line in lines if line["kind"] == "estimate"]
-    if not said:
+    found = [line for line in lines if line["kind"] == "estimate"]
+    if not found:
         return None
     nowhere = (np.nan, np.nan)
     names = (
@@ -68,19 +68,19 @@ def estimates(lines: Sequence[Line]) -> Series | None:
         *("z", "vz", "heading", "eph", "evh", "epv", "evv"),
     )
     columns: dict[str, list[float]] = {name: [] for name in names}
-    for line in said:
+    for line in found:
         pairs = (line["position"], line["velocity"], line["track"] or nowhere)
-        values = (*(value for pair in pairs for value in pair), -line["altitude"], line["yaw"], *_trusted(line))
+        values = (*(value for pair in pairs for value in pair), -line["altitude"], line["yaw"], *_quality_fields(line))
         for column, value in zip(columns.values(), values, strict=True):
             column.append(value)
-    return Series(_steps(said), {name: np.array(column, dtype=np.float64) for name, column in columns.items()})
+    return Series(_steps(found), {name: np.array(column, dtype=np.float64) for name, column in columns.items()})
 
 
-def _trusted(line: Line) -> tuple[float, ...]:
+def _quality_fields(line: Line) -> tuple[float, ...]:
     """Return validity, height, climb and heading as estimated, and deviations; NaN for what an older record lacks."""
     positioned = line.get("positioned", True)
     valid, deviation = line.get("valid", {}), line.get("deviation", {})
-    told = [deviation.get(name) for name in ("place_m", "speed_m_s", "height_m", "climb_m_s")]
+    deviations = [deviation.get(name) for name in ("place_m", "speed_m_s", "height_m", "climb_m_s")]
     return (
         float(valid.get("place", positioned)),
         float(valid.get("speed", positioned)),
@@ -89,7 +89,7 @@ def _trusted(line: Line) -> tuple[float, ...]:
         -line.get("height", np.nan),
         -line.get("climb", np.nan),
         line["attitude"][2] if "attitude" in line else np.nan,
-        *(np.nan if value is None else value for value in told),
+        *(np.nan if value is None else value for value in deviations),
     )
 
 
@@ -119,14 +119,12 @@ def mode_changes(lines: Sequence[Line]) -> list[tuple[int, str]]:
 
 def parameter(name: str, value: float) -> bytes:
     """Return the content of a parameter message: an int32 where the vehicle counts, else a float32."""
-    whole = isinstance(value, int)
-    key = f"{'int32_t' if whole else 'float'} {name}".encode()
-    return bytes([len(key)]) + key + struct.pack("<i" if whole else "<f", value)
+    is_integer = isinstance(value, int)
+    key = f"{'int32_t' if is_integer else 'float'} {name}".encode()
+    return bytes([len(key)]) + key + struct.pack("<i" if is_integer else "<f", value)
 
 
-def _repeated(
-    lines: Sequence[Line], fields: dict[str, Callable[[Line], float]], steps: int, again: int
-) -> Series | None:
+def _repeat(lines: Sequence[Line], fields: dict[str, Callable[[Line], float]], steps: int, again: int) -> Series | None:
     """Return the lines' fields at each line, and repeated every ``again`` steps in between; None without lines."""
     if not lines:
         return None

@@ -39,7 +39,7 @@ def column(kind: str, name: str, column: str, factor: float = 1.0) -> Field:
     return Field(kind, name, 0, lambda block: factor * block[column])
 
 
-def _known(kind: str, name: str, *columns: str, length: int = 0) -> Field:
+def _optional(kind: str, name: str, *columns: str, length: int = 0) -> Field:
     """Return a field of columns as they are, NaN for those that an older log has not."""
 
     def values(block: Block) -> Array:
@@ -54,7 +54,7 @@ def _constant(kind: str, name: str, value: float) -> Field:
     return Field(kind, name, 0, lambda block: np.full(len(block["time_s"]), value))
 
 
-def _sampled() -> Field:
+def _sample_time() -> Field:
     """Return the field of the sample's time: there is no delay between sampling and publishing."""
     return Field("uint64_t", "timestamp_sample", 0, lambda block: np.rint(1e6 * block["time_s"]))
 
@@ -88,8 +88,8 @@ def _motors(block: Block) -> Array:
 
 def _mode(block: Block) -> Array:
     """Return PX4's mode by the loops that are closed: rates only, attitude, attitude and height."""
-    held = np.where(np.isnan(block["altitude_setpoint_m"]), _STABILIZED_MODE, _ALTITUDE_MODE)
-    return np.where(np.isnan(block["roll_setpoint_rad"]), _ACRO_MODE, held).astype(float)
+    mode = np.where(np.isnan(block["altitude_setpoint_m"]), _STABILIZED_MODE, _ALTITUDE_MODE)
+    return np.where(np.isnan(block["roll_setpoint_rad"]), _ACRO_MODE, mode).astype(float)
 
 
 def _estimated_position() -> list[Field]:
@@ -99,7 +99,7 @@ def _estimated_position() -> list[Field]:
     are as measured.
     """
 
-    def told(name: str) -> Field:
+    def field(name: str) -> Field:
         return Field("bool", name, 0, lambda block: np.nan_to_num(block[f"autopilot_{name}"]))
 
     def estimate(name: str, column: str, factor: float = 1.0) -> Field:
@@ -110,8 +110,8 @@ def _estimated_position() -> list[Field]:
         return Field("float", name, 0, values)
 
     return [
-        _sampled(),
-        *(told(name) for name in ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")),
+        _sample_time(),
+        *(field(name) for name in ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")),
         *(column("float", name, f"autopilot_{name}") for name in ("x", "y")),
         estimate("z", "altitude_measured_m", -1.0),
         *(column("float", name, f"autopilot_{name}") for name in ("vx", "vy")),
@@ -127,9 +127,9 @@ def _local_position(suffix: str) -> list[Field]:
     names = zip(_XYZ, _NED, strict=True)
     pairs = [(xyz, f"{ned}{suffix}_m", f"velocity_{ned}{suffix}_m_s") for xyz, ned in names]
     return [
-        _sampled(),
+        _sample_time(),
         *(_constant("bool", name, 1.0) for name in ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")),
-        *(column("float", xyz, place) for xyz, place, _ in pairs),
+        *(column("float", xyz, axis) for xyz, axis, _ in pairs),
         *(column("float", f"v{xyz}", speed) for xyz, _, speed in pairs),
         column("float", "heading", f"yaw{suffix}_rad"),
     ]
@@ -148,14 +148,14 @@ def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
         return [pattern.format(jet) for jet in range(1, jets + 1)]
 
     return {
-        "vehicle_attitude": [_sampled(), _quaternion("q", "{}_measured_rad")],
-        "vehicle_attitude_groundtruth": [_sampled(), _quaternion("q", "{}_rad")],
+        "vehicle_attitude": [_sample_time(), _quaternion("q", "{}_measured_rad")],
+        "vehicle_attitude_groundtruth": [_sample_time(), _quaternion("q", "{}_rad")],
         "vehicle_attitude_setpoint": [
             _quaternion("q_d", "{}_setpoint_rad"),
             Field("float", "thrust_body", 3, _thrust_body),
         ],
-        "vehicle_angular_velocity": [_sampled(), _columns("float", "xyz", *_rates("_measured"))],
-        "vehicle_angular_velocity_groundtruth": [_sampled(), _columns("float", "xyz", *_rates(""))],
+        "vehicle_angular_velocity": [_sample_time(), _columns("float", "xyz", *_rates("_measured"))],
+        "vehicle_angular_velocity_groundtruth": [_sample_time(), _columns("float", "xyz", *_rates(""))],
         "vehicle_rates_setpoint": [
             *(column("float", axis, rate) for axis, rate in zip(AXES, _rates("_setpoint"), strict=True)),
             Field("float", "thrust_body", 3, _thrust_body),
@@ -163,7 +163,7 @@ def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
         "vehicle_local_position": _local_position("_measured"),
         "vehicle_local_position_groundtruth": _local_position(""),
         "vehicle_local_position_setpoint": [
-            *(_known("float", xy, f"{place}_setpoint_m") for xy, place in (("x", "north"), ("y", "east"))),
+            *(_optional("float", xy, f"{direction}_setpoint_m") for xy, direction in (("x", "north"), ("y", "east"))),
             column("float", "z", "altitude_setpoint_m", -1.0),
             *(_constant("float", name, np.nan) for name in ("vx", "vy", "vz", "yaw")),
         ],
@@ -172,7 +172,7 @@ def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
             _constant("int32_t", "accelerometer_timestamp_relative", 0.0),
             Field("float", "accelerometer_m_s2", 3, _accelerometer),
         ],
-        "actuator_motors": [_sampled(), Field("float", "control", MOTORS, _motors)],
+        "actuator_motors": [_sample_time(), Field("float", "control", MOTORS, _motors)],
         "vehicle_status": [
             _constant("uint8_t", "arming_state", _ARMED),
             Field("uint8_t", "nav_state", 0, _mode),
@@ -183,7 +183,7 @@ def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
             column("bool", "ground_contact", "on_ground"),
         ],
         "wind": [
-            _sampled(),
+            _sample_time(),
             column("float", "windspeed_north", "wind_north_m_s"),
             column("float", "windspeed_east", "wind_east_m_s"),
         ],
@@ -234,20 +234,20 @@ def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
             _columns("float", "torque", *(f"disturbance_torque_{axis}" for axis in AXES)),
             column("float", "payload_kg", "payload_kg"),
             column("float", "mass_kg", "mass_kg"),
-            _known("float", "air_rate_rad_s", *(f"air_rate_{rate}_rad_s" for rate in RATES), length=len(RATES)),
+            _optional("float", "air_rate_rad_s", *(f"air_rate_{rate}_rad_s" for rate in RATES), length=len(RATES)),
         ],
         "hexjet_fault": [  # 1 where a fault acts; and what the engine monitor believes of each jet, 1 for healthy
-            _known("float", "jet", *of_jets("fault_jet_{}"), length=jets),
-            _known("float", "servo", *(f"fault_servo_{name}" for name in moved), length=len(moved)),
-            _known("float", "sensor", *(f"fault_{name}" for name in SENSORS), length=len(SENSORS)),
-            _known("float", "health", *of_jets("health_{}"), length=jets),
+            _optional("float", "jet", *of_jets("fault_jet_{}"), length=jets),
+            _optional("float", "servo", *(f"fault_servo_{name}" for name in moved), length=len(moved)),
+            _optional("float", "sensor", *(f"fault_{name}" for name in SENSORS), length=len(SENSORS)),
+            _optional("float", "health", *of_jets("health_{}"), length=jets),
         ],
     }
 
 
 TOPICS = topics(HEXJET)
 
-OWN = "hexjet_own"  # what the flight's blocks show of their own; an info message of the file says what each field is
+CUSTOM = "hexjet_own"  # what the flight's blocks show of their own; an info message of the file describes each
 
 # What an autopilot says better than the rows do, and what it adds.
 STATES = ("vehicle_status", "vehicle_land_detected")
@@ -261,7 +261,7 @@ BY_AUTOPILOT: dict[str, list[Field]] = {
     "hexjet_gnss": _local_position("_measured"),  # as received
 }
 # Seconds between two messages of a topic: about PX4's default profile (its logged_topics.cpp), ours by their like.
-EVERY_S = dict.fromkeys((*TOPICS, *BY_AUTOPILOT, OWN), 0.2) | {
+EVERY_S = dict.fromkeys((*TOPICS, *BY_AUTOPILOT, CUSTOM), 0.2) | {
     "vehicle_attitude": 0.05,
     "vehicle_attitude_groundtruth": 0.1,
     "vehicle_attitude_setpoint": 0.05,

@@ -23,7 +23,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Column
 from cosim.base.storage.files import lock, one_line, own_file, replacing
-from cosim.results.log.columns import COLUMNS, known
+from cosim.results.log.columns import COLUMNS, require
 from cosim.results.log.tables import Columnar
 
 if TYPE_CHECKING:
@@ -67,14 +67,14 @@ class StreamSink:
             os.close(self._file)
             self._file = -1
 
-    def _append(self, *parts: bytes | memoryview) -> None:
-        size = sum(map(len, parts))
+    def _append(self, *chunks: bytes | memoryview) -> None:
+        size = sum(map(len, chunks))
         try:
-            written = os.writev(self._file, parts) if hasattr(os, "writev") else 0
+            written = os.writev(self._file, chunks) if hasattr(os, "writev") else 0
             if written < size:
-                rest = memoryview(b"".join(parts))[written:]
-                while rest:
-                    rest = rest[os.write(self._file, rest) :]
+                unwritten = memoryview(b"".join(chunks))[written:]
+                while unwritten:
+                    unwritten = unwritten[os.write(self._file, unwritten) :]
         except OSError as error:
             os.ftruncate(self._file, self._size)  # half a message would hide what is written after it
             raise FlightError(f"{self.path}: {one_line(error)}") from error
@@ -102,7 +102,7 @@ class ParquetLog(Columnar):
     def __init__(self, path: Path) -> None:
         self._path = path
         with _parquet(self._path) as file:
-            self.described = _described(file.schema_arrow)
+            self.described = _columns_of_schema(file.schema_arrow)
             self.columns = tuple(file.schema_arrow.names)
             self._rows: int = file.metadata.num_rows
 
@@ -111,12 +111,12 @@ class ParquetLog(Columnar):
 
     def __getitem__(self, name: str) -> Array:
         with _parquet(self._path) as file:
-            column = file.read([known(name, self.columns)], use_threads=False).column(0)
+            column = file.read([require(name, self.columns)], use_threads=False).column(0)
             return np.concatenate([np.empty(0), *map(_numbers, column.chunks)])
 
     def blocks(self, names: tuple[str, ...], rows: int = ROW_GROUP) -> Iterator[dict[str, Array]]:
         """Yield the named columns, at most ``rows`` rows at a time."""
-        chosen = [known(name, self.columns) for name in names]
+        chosen = [require(name, self.columns) for name in names]
         with _parquet(self._path) as file:
             for batch in file.iter_batches(batch_size=rows, columns=chosen, use_threads=False):
                 yield {name: _numbers(batch.column(name)) for name in names}
@@ -152,7 +152,7 @@ def stream_to_parquet(stream: Path, parquet: Path) -> int:
     try:
         with (
             closing(pa.OSFile(str(stream))) as file,
-            _opened(file) as reader,
+            _open(file) as reader,
             replacing(parquet) as temporary,
             pq.ParquetWriter(
                 temporary,
@@ -162,7 +162,7 @@ def stream_to_parquet(stream: Path, parquet: Path) -> int:
                 column_encoding=dict.fromkeys(reader.schema.names, "BYTE_STREAM_SPLIT"),
             ) as writer,
         ):
-            for table in _regrouped(_complete_batches(reader)):
+            for table in _regroup(_complete_batches(reader)):
                 writer.write_table(table, row_group_size=ROW_GROUP)
                 rows += table.num_rows
     except (OSError, pa.ArrowException) as error:
@@ -215,16 +215,16 @@ def _schema(columns: Sequence[Column], note: str = "") -> pa.Schema:
     return pa.schema(fields, metadata={"note": note})
 
 
-def _described(schema: pa.Schema) -> tuple[Column, ...]:
+def _columns_of_schema(schema: pa.Schema) -> tuple[Column, ...]:
     """Return the columns of a log, with unit, frame and meaning from its file."""
-    made = []
+    columns = []
     for field in schema:
-        said = {str(key, "utf-8"): str(value, "utf-8") for key, value in (field.metadata or {}).items()}
-        made.append(Column(field.name, said.get("unit", ""), said.get("frame", ""), said.get("meaning", "")))
-    return tuple(made)
+        notes = {str(key, "utf-8"): str(value, "utf-8") for key, value in (field.metadata or {}).items()}
+        columns.append(Column(field.name, notes.get("unit", ""), notes.get("frame", ""), notes.get("meaning", "")))
+    return tuple(columns)
 
 
-def _opened(file: pa.OSFile) -> pa.ipc.RecordBatchStreamReader:
+def _open(file: pa.OSFile) -> pa.ipc.RecordBatchStreamReader:
     """Open a stream; return one of no rows if it is torn before its first, where its columns are described."""
     import pyarrow as pa
 
@@ -246,7 +246,7 @@ def _complete_batches(reader: pa.ipc.RecordBatchStreamReader) -> Iterator[pa.Rec
         yield batch
 
 
-def _regrouped(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:
+def _regroup(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:
     """Yield the same rows in tables of ROW_GROUP rows, the last one shorter."""
     import pyarrow as pa
 
@@ -302,10 +302,10 @@ def read_table(
     rows = 0
     for path in [paths] if isinstance(paths, Path) else paths:
         with _parquet(path) as file:
-            held = file.schema_arrow.names
-            table = file.read([name for name in held if names is None or name in names], use_threads=False)
+            names_there = file.schema_arrow.names
+            table = file.read([name for name in names_there if names is None or name in names], use_threads=False)
             length = file.metadata.num_rows
-        for name in held:
+        for name in names_there:
             column = columns.setdefault(name, [None] * rows)
             if name in table.column_names:
                 column.extend(table.column(name).to_pylist())
@@ -314,7 +314,7 @@ def read_table(
             values.extend([None] * (rows - len(values)))
     if names is not None and lacking:
         return {name: columns.get(name, [None] * rows) for name in names}
-    return columns if names is None else {known(name, columns, "table"): columns[name] for name in names}
+    return columns if names is None else {require(name, columns, "table"): columns[name] for name in names}
 
 
 class Sorted(NamedTuple):
@@ -332,7 +332,7 @@ def read_numbers(path: Path) -> Sorted:
     """
     with _parquet(path) as file:
         table = _arrow(path, lambda: file.read(use_threads=False))
-    return _sorted_out(path, table)
+    return _sort_columns(path, table)
 
 
 def read_csv_numbers(path: Path, rows: bytes, names: Sequence[str], separator: str, decimal: str) -> tuple[Sorted, int]:
@@ -353,7 +353,7 @@ def read_csv_numbers(path: Path, rows: bytes, names: Sequence[str], separator: s
         "convert_options": csv.ConvertOptions(decimal_point=decimal, null_values=_NULLS, strings_can_be_null=True),
     }
     table = _arrow(path, lambda: csv.read_csv(pa.BufferReader(rows), **options))
-    return _sorted_out(path, table), odd
+    return _sort_columns(path, table), odd
 
 
 _NULLS = ["", "NaN", "nan", "-nan", "-NaN", "NULL", "null", "None", "N/A", "n/a", "NA", "-"]
@@ -368,28 +368,28 @@ def _arrow(path: Path, read: Callable[[], pa.Table]) -> pa.Table:
         raise InputError(f"{path}: {one_line(error)}") from error
 
 
-def _sorted_out(path: Path, table: pa.Table) -> Sorted:
+def _sort_columns(path: Path, table: pa.Table) -> Sorted:
     import pyarrow as pa
     import pyarrow.compute as pc
 
     names = table.column_names
     if doubled := [name for name in names if names.count(name) > 1]:
         raise InputError(f"{path}: two columns are called {doubled[0]!r}")
-    made = Sorted({}, set(), {})
+    result = Sorted({}, set(), {})
     for name in names:
-        column, kept, unit = table.column(name), table.column(name).type, 1.0
-        if pa.types.is_timestamp(kept) or pa.types.is_time(kept):
-            whole = pa.int32() if pa.types.is_time32(kept) else pa.int64()
-            unit = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kept.unit]
-            column, kept = column.cast(whole), whole
-            made.times.add(name)
-        if pa.types.is_integer(kept) or pa.types.is_floating(kept) or kept in (pa.bool_(), pa.null()):
+        column, kind, unit = table.column(name), table.column(name).type, 1.0
+        if pa.types.is_timestamp(kind) or pa.types.is_time(kind):
+            integer = pa.int32() if pa.types.is_time32(kind) else pa.int64()
+            unit = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kind.unit]
+            column, kind = column.cast(integer), integer
+            result.times.add(name)
+        if pa.types.is_integer(kind) or pa.types.is_floating(kind) or kind in (pa.bool_(), pa.null()):
             column = pc.fill_null(column.cast(pa.float64(), safe=False), float("nan"))
             values = np.concatenate([np.empty(0), *map(_numbers, column.chunks)])
-            made.numbers[name] = unit * np.where(np.isnan(values), np.nan, values)  # a NaN that signals would warn
+            result.numbers[name] = unit * np.where(np.isnan(values), np.nan, values)  # a NaN that signals would warn
         else:
-            made.texts[name] = [None if value is None else str(value) for value in column.to_pylist()]
-    return made
+            result.texts[name] = [None if value is None else str(value) for value in column.to_pylist()]
+    return result
 
 
 def read_table_note(path: Path) -> dict[str, str]:
@@ -399,18 +399,18 @@ def read_table_note(path: Path) -> dict[str, str]:
     return {str(key, "utf-8"): str(value, "utf-8") for key, value in metadata.items()}
 
 
-def _array(name: str, values: Sequence[Value], stated: type[Value] | None) -> pa.Array:
+def _array(name: str, values: Sequence[Value], expected: type[Value] | None) -> pa.Array:
     import pyarrow as pa
 
     types = {float: pa.float64(), int: pa.int64(), bool: pa.bool_(), str: pa.string()}
     types_met = {type(value) for value in values if value is not None}
     kinds = {next((kind for kind in (bool, *types) if issubclass(kind_met, kind)), kind_met) for kind_met in types_met}
     numbers = {float, int}
-    kind = stated or (next(iter(kinds)) if len(kinds) == 1 else float)
+    kind = expected or (next(iter(kinds)) if len(kinds) == 1 else float)
     if kind not in types or not kinds <= (numbers if kind is float else {kind}):
-        held = ", ".join(sorted(kind_met.__name__ for kind_met in kinds))
-        allowed = f"{kind.__name__} or None" if stated else "one of float, int, bool and str in a column, or None"
-        raise InputError(f"column {name!r}: {held}; allowed: {allowed}")
+        kinds_there = ", ".join(sorted(kind_met.__name__ for kind_met in kinds))
+        allowed = f"{kind.__name__} or None" if expected else "one of float, int, bool and str in a column, or None"
+        raise InputError(f"column {name!r}: {kinds_there}; allowed: {allowed}")
     try:
         return pa.array(values, types[kind], from_pandas=False)
     except (pa.ArrowException, OverflowError) as error:

@@ -33,10 +33,10 @@ _XYZ = ("x", "y", "z")
 _NED = ("north", "east", "down")
 _EULER = "body to NED"
 _OUTPUT_UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}
-_OWN = "throttle on roll, rad of tilt on pitch and yaw"
+_ALLOCATED = "throttle on roll, rad of tilt on pitch and yaw"
 
 
-def _each(
+def _cols(
     names: Sequence[str], pattern: str, unit: str, frame: str, meaning: str, source: str, first: int = 0
 ) -> list[Column]:
     """Return one column per name, which stands for ``{}`` in pattern, meaning and source; its index for ``{n}``."""
@@ -83,13 +83,13 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
     numbers = [str(jet) for jet in range(1, max(jets, JETS) + 1)]
 
     def of_jets(pattern: str, unit: str, frame: str, meaning: str, source: str) -> list[Column]:
-        made = _each(numbers, pattern, unit, frame, meaning, source)
-        return [column if n < jets else column._replace(source="") for n, column in enumerate(made)]
+        columns = _cols(numbers, pattern, unit, frame, meaning, source)
+        return [column if n < jets else column._replace(source="") for n, column in enumerate(columns)]
 
     return [
         Column("time_s", "s", "", "start of the step", "time"),
-        *_each(AXES, "{}_rad", "rad", _EULER, "true {} angle", "state.euler.{n}"),
-        *_each(
+        *_cols(AXES, "{}_rad", "rad", _EULER, "true {} angle", "state.euler.{n}"),
+        *_cols(
             AXES,
             "{}_setpoint_rad",
             "rad",
@@ -97,11 +97,11 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
             "{} angle asked for; NaN while rates are commanded instead",
             "command.attitude.{n} unless command.rate",
         ),
-        *_each(
+        *_cols(
             AXES, "{}_measured_rad", "rad", _EULER, "{} angle of the measured quaternion", "{} of measured.attitude"
         ),
-        *_each(RATES, "rate_{}_rad_s", "rad/s", "body", "true angular rate {}", "state.rate.{n}"),
-        *_each(
+        *_cols(RATES, "rate_{}_rad_s", "rad/s", "body", "true angular rate {}", "state.rate.{n}"),
+        *_cols(
             RATES,
             "rate_{}_measured_rad_s",
             "rad/s",
@@ -109,7 +109,7 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
             "angular rate {} as the gyro gives it",
             "measured.rate.{n}",
         ),
-        *_each(
+        *_cols(
             RATES,
             "rate_{}_predicted_rad_s",
             "rad/s",
@@ -117,12 +117,12 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
             "angular rate {} that the rate controller is fed with",
             "control.rate_predicted.{n}",
         ),
-        *_each(
+        *_cols(
             RATES, "rate_{}_setpoint_rad_s", "rad/s", "body", "angular rate {} asked for", "control.rate_setpoint.{n}"
         ),
         *_torques(
             "torque_{}",
-            "rate controller's output on {}" + ("" if vehicle.accelerations else f" ({_OWN})"),
+            "rate controller's output on {}" + ("" if vehicle.accelerations else f" ({_ALLOCATED})"),
             "control.torque.{n}",
             vehicle.accelerations,
         ),
@@ -142,7 +142,7 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
         Column("collective", "throttle", "", "mean throttle asked for, 0 to 1", "control.collective"),
         *of_jets("throttle_{}", "throttle", "", "throttle of jet {}, 0 to 1", "actuation.throttle.{n}"),
         *of_jets("thrust_{}_N", "N", "along the jet", "thrust that jet {} delivers", "engines.thrust.{n}"),
-        *_each(
+        *_cols(
             servos,
             "tilt_{}_rad",
             "rad",
@@ -151,8 +151,8 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
             + ("tilts the thrust forward" if banks else "turns right-handed about its axis"),
             "tilt.{n}",
         ),
-        *_each(servos, "tilt_{}_command_rad", "rad", "body", "where the {} servo is told to go", "actuation.tilt.{n}"),
-        *_each(
+        *_cols(servos, "tilt_{}_command_rad", "rad", "body", "where the {} servo is told to go", "actuation.tilt.{n}"),
+        *_cols(
             vehicle.surfaces,
             "deflection_{}",
             "1",
@@ -161,7 +161,7 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
             "tilt.{n}",
             first=len(servos),
         ),
-        *_each(
+        *_cols(
             vehicle.surfaces,
             "deflection_{}_command",
             "1",
@@ -184,13 +184,13 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
         Column(
             "altitude_measured_m", "m", "", "height above the ground as the barometer gives it", "measured.altitude"
         ),
-        *_each(
+        *_cols(
             ("north", "east"), "{}_setpoint_m", "m", "NED", "place {} asked for; NaN while none is", "command.place.{n}"
         ),
-        *_each(_NED, "velocity_{}_m_s", "m/s", "NED", "true velocity {} over the ground", "state.velocity.{n}"),
-        *_each(_NED, "{}_measured_m", "m", "NED", "position {} as GNSS gives it", "measured.position.{n}"),
-        *_each(_NED, "velocity_{}_measured_m_s", "m/s", "NED", "velocity {} as GNSS gives it", "measured.velocity.{n}"),
-        *_each(
+        *_cols(_NED, "velocity_{}_m_s", "m/s", "NED", "true velocity {} over the ground", "state.velocity.{n}"),
+        *_cols(_NED, "{}_measured_m", "m", "NED", "position {} as GNSS gives it", "measured.position.{n}"),
+        *_cols(_NED, "velocity_{}_measured_m_s", "m/s", "NED", "velocity {} as GNSS gives it", "measured.velocity.{n}"),
+        *_cols(
             _XYZ,
             "specific_force_{}_m_s2",
             "m/s^2",
@@ -198,7 +198,7 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
             "what an accelerometer at the centre of gravity feels, {}",
             "state.specific_force.{n}",
         ),
-        *_each(
+        *_cols(
             _XYZ,
             "specific_force_{}_measured_m_s2",
             "m/s^2",
@@ -206,7 +206,7 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
             "specific force {} as the accelerometer gives it",
             "measured.specific_force.{n}",
         ),
-        *_each(
+        *_cols(
             _NED,
             "wind_{}_m_s",
             "m/s",
@@ -214,7 +214,7 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
             "where the air moves to, {}, gusts and turbulence included",
             "state.wind.{n}",
         ),
-        *_each(
+        *_cols(
             RATES,
             "air_rate_{}_rad_s",
             "rad/s",
@@ -225,7 +225,7 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
         Column("mass_kg", "kg", "", "mass, payload included", "state.mass"),
         Column("on_ground", "0/1", "", "a leg touches the ground", "state.on_ground"),
         Column("hull_contact", "0/1", "", "anything but a leg touches the ground", "state.hull_contact"),
-        *_each(
+        *_cols(
             _XYZ,
             "disturbance_force_{}_N",
             "N",
@@ -233,7 +233,7 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
             "disturbing force {} at the centre of gravity as built",
             "disturbance.force.{n}",
         ),
-        *_each(
+        *_cols(
             _XYZ, "disturbance_moment_{}_N_m", "N m", "body", "disturbing moment about {}", "disturbance.moment.{n}"
         ),
         *_torques(
@@ -244,7 +244,7 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
             vehicle.accelerations,
         ),
         Column("payload_kg", "kg", "", "mass of the payload", "disturbance.payload.0"),
-        *_each(
+        *_cols(
             _XYZ,
             "payload_{}_m",
             "m",
@@ -275,7 +275,7 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
             "engines.fuel_flow.{n}",
         ),
         Column("fuel_kg", "kg", "", "fuel on board; NaN without a tank", "fuel"),
-        *_each(
+        *_cols(
             _XYZ,
             "spool_moment_{}_N_m",
             "N m",
@@ -284,30 +284,30 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
             "spool_moment.{n}",
         ),
         *of_jets("health_{}", "1", "", "share of its command that jet {} gives, as the monitor believes", "health.{n}"),
-        *_each(numbers, "fault_jet_{}", "0/1", "", "a fault acts on jet {}", "faults.{n}"),
-        *_each(moved, "fault_servo_{}", "0/1", "", "a fault acts on the {} servo", "faults.{n}", first=len(numbers)),
-        *_each(SENSORS, "fault_{}", "0/1", "", "a fault acts on the {}", "faults.{n}", first=len(numbers) + len(moved)),
+        *_cols(numbers, "fault_jet_{}", "0/1", "", "a fault acts on jet {}", "faults.{n}"),
+        *_cols(moved, "fault_servo_{}", "0/1", "", "a fault acts on the {} servo", "faults.{n}", first=len(numbers)),
+        *_cols(SENSORS, "fault_{}", "0/1", "", "a fault acts on the {}", "faults.{n}", first=len(numbers) + len(moved)),
     ]
 
 
-def log_columns(vehicle: LoggedVehicle = HEXJET, own: Sequence[Column] = ()) -> tuple[Column, ...]:
-    """Return the log's columns for a vehicle whose blocks show ``own``.
+def log_columns(vehicle: LoggedVehicle = HEXJET, custom: Sequence[Column] = ()) -> tuple[Column, ...]:
+    """Return the log's columns for a vehicle whose blocks show ``custom``.
 
     At least six of everything that a jet has, so that the logs of all vehicles can be laid side by side.  Raises
     InputError for a column of a block's own that cannot be one.
     """
-    made = _columns(vehicle)
-    known = {column.name for column in made}
-    for n, column in enumerate(own):
+    columns = _columns(vehicle)
+    names = {column.name for column in columns}
+    for n, column in enumerate(custom):
         if not column.name.isidentifier() or not column.name.isascii():
             raise InputError(f"column {column.name!r}: a column's name is of letters, digits and _, no digit first")
-        if column.name in known:
+        if column.name in names:
             raise InputError(f"column {column.name!r}: the log has one of that name already")
         if not column.meaning:
             raise InputError(f"column {column.name!r}: what does it mean?")
-        known.add(column.name)
-        made.append(column._replace(source=f"own.{n}"))
-    return tuple(made)
+        names.add(column.name)
+        columns.append(column._replace(source=f"own.{n}"))
+    return tuple(columns)
 
 
 COLUMNS = log_columns()  # of six jets, and nothing shown
@@ -342,20 +342,20 @@ def _named(pattern: str, columns: Iterable[str]) -> tuple[str, ...]:
     return tuple([match[1] for match in matches if match])
 
 
-def flown_in(columns: Iterable[str]) -> LoggedVehicle:
+def logged_vehicle_of(columns: Iterable[str]) -> LoggedVehicle:
     """Return the vehicle that a log with these columns was flown by, as far as their names tell."""
     names = tuple(columns)
     return LoggedVehicle(jets_in(names), servos_in(names), surfaces_in(names))
 
 
-def own_columns(columns: Iterable[Column]) -> list[Column]:
+def custom_columns(columns: Iterable[Column]) -> list[Column]:
     """Return the columns that not every flight with as many engines has: of blocks that show their own."""
     columns = tuple(columns)
-    names = {column.name for column in _columns(flown_in(column.name for column in columns))}
+    names = {column.name for column in _columns(logged_vehicle_of(column.name for column in columns))}
     return [column for column in columns if column.name not in names]
 
 
-def known(name: str, columns: Iterable[str], where: str = "log") -> str:
+def require(name: str, columns: Iterable[str], where: str = "log") -> str:
     """Return ``name``, if it is one of the columns.  Raises InputError with the nearest ones."""
     columns = tuple(columns)
     if name not in columns:

@@ -10,7 +10,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.constants import SERVOS
 from cosim.base.protocols import Column
-from cosim.results.log.columns import flown_in, known, log_columns
+from cosim.results.log.columns import log_columns, logged_vehicle_of, require
 from cosim.results.log.recorder import Log, MemoryLog
 
 _ROWS = 2048  # of a log, read at once: 2 MB
@@ -36,10 +36,10 @@ class Digest:
 
     def hexdigest(self) -> str:
         """Return the digest of the rows so far."""
-        whole = sha256()
+        total = sha256()
         for name, column in self._columns:
-            whole.update(name.encode() + b"\0" + column.digest())
-        return whole.hexdigest()
+            total.update(name.encode() + b"\0" + column.digest())
+        return total.hexdigest()
 
 
 def log_digest(log: Log) -> str:
@@ -60,13 +60,13 @@ class DigestSink:
     def __init__(self, names: Sequence[str], whole: bool = False) -> None:
         self._names, self._whole = tuple(names), whole
         self._kept: list[Array] = []
-        flown = flown_in(self._names)  # until the flight begins
-        self.begin(log_columns(flown._replace(servos=flown.servos or SERVOS)))
+        logged = logged_vehicle_of(self._names)  # until the flight begins
+        self.begin(log_columns(logged._replace(servos=logged.servos or SERVOS)))
 
     def begin(self, columns: Sequence[Column]) -> None:
         """See :class:`cosim.results.log.recorder.KeepingSink`."""
         names = [column.name for column in columns]
-        chosen = names if self._whole else [known(name, names) for name in self._names]
+        chosen = names if self._whole else [require(name, names) for name in self._names]
         self._indices = [names.index(name) for name in chosen]
         self._described = tuple(columns[index] for index in self._indices)
         self._digest = Digest(names)

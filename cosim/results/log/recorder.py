@@ -19,7 +19,7 @@ from cosim.base.protocols import Column
 from cosim.base.signals import Sample
 from cosim.results._rows import Rows
 from cosim.results.log.arrow import ROW_GROUP
-from cosim.results.log.columns import COLUMNS, NAMES, known
+from cosim.results.log.columns import COLUMNS, NAMES, require
 from cosim.results.log.row_program import Program, program
 from cosim.results.log.tables import Columnar
 
@@ -212,11 +212,11 @@ class MemoryLog(Columnar):
         return sum(table.shape[1] for table in self._tables)
 
     def __getitem__(self, name: str) -> Array:
-        index = self.columns.index(known(name, self.columns))
+        index = self.columns.index(require(name, self.columns))
         return np.concatenate([np.empty(0), *(table[index] for table in self._tables)])
 
     def blocks(self, names: tuple[str, ...], rows: int = ROW_GROUP) -> Iterator[dict[str, Array]]:
         """Yield the named columns, block by block; ``rows`` does not matter here."""
-        indices = [self.columns.index(known(name, self.columns)) for name in names]
+        indices = [self.columns.index(require(name, self.columns)) for name in names]
         for table in self._tables:
             yield {name: table[index] for name, index in zip(names, indices, strict=True)}

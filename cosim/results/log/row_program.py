@@ -21,7 +21,7 @@ from cosim.base.signals import (
     State,
     Unallocated,
 )
-from cosim.results.log.columns import known
+from cosim.results.log.columns import require
 
 _RECORDS = {  # what stands at a place of a sample, where that has named fields
     "": Sample, "command": Command, "state": State, "measured": Measured, "control": ControlSignals,
@@ -111,8 +111,8 @@ class _Compiler:
         self._reads: list[tuple[int, int, int, int, int, int, bool]] = []
         self._open("")
 
-    def read(self, place: str, column: int, other: str = "", add: bool = False) -> None:
-        node, element = self._find(place)
+    def read(self, source: str, column: int, other: str = "", add: bool = False) -> None:
+        node, element = self._find(source)
         unless = self._find(other) if other else (-1, 0)
         last = self._reads[-1] if self._reads else None
         if last and (last[0], last[1] + last[2], last[3] + last[2], *last[4:]) == (node, element, column, *unless, add):
@@ -127,13 +127,13 @@ class _Compiler:
         ]
         return nodes, self._reads
 
-    def _find(self, place: str) -> tuple[int, int]:
+    def _find(self, source: str) -> tuple[int, int]:
         """Return the node that holds a source, opened if need be, and the element there."""
-        parent, _, element = place.rpartition(".")
+        parent, _, element = source.rpartition(".")
         node = self._open(parent)
         if parent in _RECORDS:
             fields: tuple[str, ...] = _RECORDS[parent]._fields  # type: ignore[attr-defined]
-            index = int(element) if element.isdigit() else fields.index(known(element, fields, f"record {parent!r}"))
+            index = int(element) if element.isdigit() else fields.index(require(element, fields, f"record {parent!r}"))
         else:
             index = int(element)
             self._sizes[parent] = max(self._sizes[parent], index + 1)

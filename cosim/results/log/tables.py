@@ -11,7 +11,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.protocols import Column
-from cosim.results.log.columns import known
+from cosim.results.log.columns import require
 
 TIME = "time_s"
 
@@ -33,8 +33,8 @@ class Columnar:
 
     def _read(self, names: Sequence[str]) -> dict[str, Array]:
         """Return these columns, in one reading."""
-        parts = list(self.blocks(tuple(names)))
-        return {name: np.concatenate([np.empty(0), *[part[name] for part in parts]]) for name in names}
+        blocks = list(self.blocks(tuple(names)))
+        return {name: np.concatenate([np.empty(0), *[part[name] for part in blocks]]) for name in names}
 
     def keys(self) -> tuple[str, ...]:
         """Return the columns' names."""
@@ -70,22 +70,22 @@ class Columnar:
             raise InputError(
                 "a table needs pandas, which is not installed: pip install 'hexjet-cosim[notebook]'"
             ) from None
-        chosen = [known(name, self.columns) for name in names or self.columns]
+        chosen = [require(name, self.columns) for name in names or self.columns]
         values = self._read(list(dict.fromkeys([TIME, *chosen])))
         frame = DataFrame(values, index=Index(values.pop(TIME), name=TIME))
-        said = {column.name: column for column in self.described if column.name in chosen}
+        described = {column.name: column for column in self.described if column.name in chosen}
         frame.attrs = {
-            f"{what}s": {name: getattr(column, what) for name, column in said.items()}
-            for what in ("unit", "frame", "meaning")
+            f"{key}s": {name: getattr(column, key) for name, column in described.items()}
+            for key in ("unit", "frame", "meaning")
         }
         return frame
 
     def _repr_html_(self) -> str:
         """Return a table for notebooks: every column, what it means, and from where to where it goes."""
-        said = {column.name: column for column in self.described}
+        described = {column.name: column for column in self.described}
         rows = []
         for name, values in self._read(self.columns).items():
-            column = said.get(name, Column(name, "", "", ""))
+            column = described.get(name, Column(name, "", "", ""))
             finite = values[np.isfinite(values)]
             span = [f"{value:.6g}" for value in (finite.min(), finite.max())] if finite.size else ["", ""]
             cells = (name, column.unit, column.frame, column.meaning, *span)

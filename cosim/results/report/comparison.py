@@ -20,7 +20,7 @@ from cosim.results.report.plot import run_colour
 from cosim.results.report.signals_data import FlightData, run_data, vehicle_of
 from cosim.results.run import REPORT, Run
 from cosim.results.summary import Summary
-from cosim.results.wording import AXIS_ROWS, NONE, WHOLE_ROWS, metric, shown, unit_shown
+from cosim.results.wording import AXIS_ROWS, NONE, WHOLE_ROWS, display_unit, metric, show_value
 
 
 def compare_report(runs: Sequence[Run], path: Path) -> None:
@@ -36,8 +36,8 @@ def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[Pair]
     Raises FlightError if the file cannot be written.
     """
     summaries = [None if flight.run is None else flight.run.summary for flight in flights]
-    known = [summary for summary in summaries if summary is not None]
-    title, description = _headline(known)
+    with_run = [summary for summary in summaries if summary is not None]
+    title, description = _headline(with_run)
     less = subtract_first(flights)
     strips = comparison_figures(flights, less)
     data = [flight_data(flight, number) for number, flight in enumerate(flights)]
@@ -124,18 +124,18 @@ def describe_pair(pair: Pair) -> list[str]:
     if pair.same:
         return [f"{pair.second} is the same as {pair.first} to the last bit: {pair.steps} steps, all columns."]
     alike = sum(signal.same for signal in pair.signals)
-    said = [
+    sentences = [
         f"{pair.second} less {pair.first}, on the {pair.steps} steps of {pair.steps_of} "
         f"from {pair.begins_s:g} s to {pair.ends_s:g} s."
     ]
     if pair.held:
-        said.append(f"The steps differ: values of {pair.held} are held until its next step.")
-    said.append(f"{alike} of {len(pair.signals)} signals are the same to the last bit.")
+        sentences.append(f"The steps differ: values of {pair.held} are held until its next step.")
+    sentences.append(f"{alike} of {len(pair.signals)} signals are the same to the last bit.")
     for whose, names in ((pair.first, pair.only_first), (pair.second, pair.only_second)):
         if names:
             more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-            said.append(f"Only {whose} has {', '.join(names[:3])}{more}.")
-    return said
+            sentences.append(f"Only {whose} has {', '.join(names[:3])}{more}.")
+    return sentences
 
 
 def by_time(signals: Sequence[Signal]) -> list[Signal]:
@@ -146,7 +146,7 @@ def by_time(signals: Sequence[Signal]) -> list[Signal]:
 
 def signal_cells(signal: Signal) -> tuple[str, str, str, str, str, str]:
     """Return a signal's name, first differing step [s], largest difference, its time [s], RMS and unit, as texts."""
-    unit, factor = unit_shown(signal.unit)
+    unit, factor = display_unit(signal.unit)
     numbers = [signal.largest, signal.rms]
     largest, rms = (NONE if value is None else f"{factor * value:.3g}" for value in numbers)
     times = (signal.first_s, signal.largest_s)
@@ -164,8 +164,8 @@ def comparison_rows(summaries: Sequence[Summary | None]) -> list[dict[str, Any]]
 
     The least of a row is marked where all fly the same scenario: of different ones it would say nothing.
     """
-    known = [summary for summary in summaries if summary is not None]
-    alike = len({summary.scenario for summary in known}) == 1
+    with_run = [summary for summary in summaries if summary is not None]
+    alike = len({summary.scenario for summary in with_run}) == 1
     rows: list[dict[str, Any]] = []
     for axis in AXES:
         by_run = [None if summary is None else summary.metrics[axis] for summary in summaries]
@@ -173,19 +173,19 @@ def comparison_rows(summaries: Sequence[Summary | None]) -> list[dict[str, Any]]
             for title, key, unit, factor, digits in AXIS_ROWS:
                 texts = [NONE if metrics is None else axis_cell(metrics, key, factor, digits) for metrics in by_run]
                 values = [None if metrics is None else getattr(metrics, key) for metrics in by_run]
-                rows.append({"axis": axis, "title": title, "unit": unit, "cells": _marked(texts, values, alike)})
-    whole = [{} if summary is None else summary.flat_metrics for summary in summaries]
-    own = dict.fromkeys(name for summary in known for name in summary.own_metrics)
-    for name, digits in [*WHOLE_ROWS, *((name, 4) for name in own)]:
+                rows.append({"axis": axis, "title": title, "unit": unit, "cells": _mark(texts, values, alike)})
+    metrics_by_run = [{} if summary is None else summary.flat_metrics for summary in summaries]
+    custom = dict.fromkeys(name for summary in with_run for name in summary.own_metrics)
+    for name, digits in [*WHOLE_ROWS, *((name, 4) for name in custom)]:
         of = metric(name)
-        values = [flat.get(name) for flat in whole]
-        texts = [shown(value, of.factor, digits) for value in values]
+        values = [flat.get(name) for flat in metrics_by_run]
+        texts = [show_value(value, of.factor, digits) for value in values]
         title = of.label[0].upper() + of.label[1:]
-        rows.append({"axis": "whole flight", "title": title, "unit": of.unit, "cells": _marked(texts, values, alike)})
+        rows.append({"axis": "whole flight", "title": title, "unit": of.unit, "cells": _mark(texts, values, alike)})
     return [row for row in rows if any(cell["text"] != NONE for cell in row["cells"])]
 
 
-def _marked(texts: Sequence[str], values: Sequence[float | None], alike: bool) -> list[dict[str, Any]]:
+def _mark(texts: Sequence[str], values: Sequence[float | None], alike: bool) -> list[dict[str, Any]]:
     least = min((value for value in values if value is not None), default=None)
     differ = alike and len(set(texts)) > 1
     return [
@@ -196,11 +196,11 @@ def _marked(texts: Sequence[str], values: Sequence[float | None], alike: bool) -
 
 def run_labels(summaries: Sequence[Summary]) -> list[str]:
     """Return short names that tell runs apart: whatever of controller, engine, scenario, aircraft and seed differs."""
-    parts = [
+    properties = [
         [str(getattr(summary, key)) for summary in summaries]
         for key in ("controller_shown", "engine_shown", "scenario", "aircraft", "seed")
     ]
-    telling = [values for values in parts if len(set(values)) > 1] or parts[:1]
+    telling = [values for values in properties if len(set(values)) > 1] or properties[:1]
     labels = [", ".join(words) for words in zip(*telling, strict=True)]
     repeated = {label for label in labels if labels.count(label) > 1}
     return [f"{label} #{number}" if label in repeated else label for number, label in enumerate(labels, start=1)]

@@ -38,14 +38,14 @@ def check_figures(report: CheckReport) -> dict[str, Figure]:
         (label, colour, getattr(report, f"course_{way}"), getattr(report, f"course_step_{way}"))
         for way, label, colour in WAYS
     ]
-    drawn = [(label, colour, course, step) for label, colour, course, step in courses if course and step]
-    if drawn:
+    complete = [(label, colour, course, step) for label, colour, course, step in courses if course and step]
+    if complete:
         layout = _layout("time since the throttle was moved [s]", ".3f")
         layout["shapes"] = [_mark(report, way, colour) for way, _, colour in WAYS if _delay(report, way)]
         figures["response"] = {
             "data": [
                 _trace(label, colour, [k * step for k in range(len(course))], course, "lines")
-                for label, colour, course, step in drawn
+                for label, colour, course, step in complete
             ],
             "layout": layout,
         }
@@ -69,7 +69,7 @@ def _trace(label: str, colour: str, x: list[float], y: list[float], mode: str) -
 
 
 def _layout(title: str, form: str) -> Figure:
-    made = panels(360, title, ["thrust [N]"], log=False) | HOVER
-    made["xaxis"]["hoverformat"] = form
-    made["yaxis"]["rangemode"] = "tozero"
-    return made
+    figure_layout = panels(360, title, ["thrust [N]"], log=False) | HOVER
+    figure_layout["xaxis"]["hoverformat"] = form
+    figure_layout["yaxis"]["rangemode"] = "tozero"
+    return figure_layout

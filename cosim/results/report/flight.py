@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from cosim.base.outcomes import Verdict
 from cosim.results.events import Event, events_of
-from cosim.results.log.columns import own_columns
+from cosim.results.log.columns import custom_columns
 from cosim.results.metrics import AxisMetrics
 from cosim.results.report.flight_figures import run_figures
 from cosim.results.report.log_reader import Reader
@@ -26,7 +26,7 @@ from cosim.results.wording import (
     NONE,
     WHOLE_ROWS,
     metric,
-    shown,
+    show_value,
 )
 
 KINDS = {
@@ -49,7 +49,7 @@ def write_report(run: Run, path: Path, shared_assets: bool = False) -> None:
     flights = None
     if summary.steps:
         vehicle = vehicle_of(run)
-        said = run_data(
+        data = run_data(
             FlightData(
                 run.log,
                 summary.controller_shown,
@@ -63,7 +63,7 @@ def write_report(run: Run, path: Path, shared_assets: bool = False) -> None:
                 reach=summary.reach,
             )
         )
-        flights = Flights(summary.scenario, [said], run_figures(run.log, summary))
+        flights = Flights(summary.scenario, [data], run_figures(run.log, summary))
     strips = {} if flights is None else flights.figures
     render(
         TEMPLATES / "report.html",
@@ -90,7 +90,7 @@ def write_report(run: Run, path: Path, shared_assets: bool = False) -> None:
         expectations=expectation_rows(summary),
         ledgers=ledgers(summary),
         jets=jet_drawing(summary),
-        own=own_columns(run.log.described),
+        own=custom_columns(run.log.described),
         files={"log": LOG, "scenario": SCENARIO},
         folder=run.folder,
         command_path=shlex.quote((run.folder / SCENARIO).as_posix()) if run.folder is not None else "",
@@ -109,40 +109,40 @@ def verdict_badge(summary: Summary) -> tuple[str, str]:
 
 def verdict(summary: Summary) -> str:
     """Describe the outcome of the flight in a few sentences."""
-    flown = f"{summary.duration_s:.2f} s"
+    duration = f"{summary.duration_s:.2f} s"
     if summary.outcome == "completed":
-        parts = [f"Flew all {flown}{', but beyond its limits' if summary.beyond else ''}."]
+        sentences = [f"Flew all {duration}{', but beyond its limits' if summary.beyond else ''}."]
     else:
-        parts = [f"{summary.outcome.capitalize()} after {flown} of {summary.planned_s:g} s: {summary.reason}."]
-    parts += [f"{text[0].upper()}{text[1:]}." for text in summary.exceeded]
+        sentences = [f"{summary.outcome.capitalize()} after {duration} of {summary.planned_s:g} s: {summary.reason}."]
+    sentences += [f"{text[0].upper()}{text[1:]}." for text in summary.exceeded]
     if summary.verdict == Verdict.NOTHING_CHECKED:
-        parts.append("Nothing was expected of it, so that nothing but its limits was checked.")
+        sentences.append("Nothing was expected of it, so that nothing but its limits was checked.")
     commanded = [_axis_verdict(axis, metrics) for axis, metrics in summary.metrics.items() if metrics.commanded]
-    parts += commanded or [_worst_error(summary)]
+    sentences += commanded or [_worst_error(summary)]
     if summary.touchdown_m_s is not None:
-        parts.append(f"Touched down at {summary.touchdown_m_s:.2f} m/s.")
-    return " ".join(part for part in parts if part)
+        sentences.append(f"Touched down at {summary.touchdown_m_s:.2f} m/s.")
+    return " ".join(part for part in sentences if part)
 
 
 def _axis_verdict(axis: str, metrics: AxisMetrics) -> str:
-    said = []
+    clauses = []
     if metrics.overshoot_percent is not None:
-        said.append(f"{metrics.overshoot_percent:.0f} % overshoot")
+        clauses.append(f"{metrics.overshoot_percent:.0f} % overshoot")
         settling = metrics.settling_time_s
-        said.append("not settled" if settling is None else f"settled within {settling:.2f} s")
+        clauses.append("not settled" if settling is None else f"settled within {settling:.2f} s")
     if metrics.oscillation_rad is not None and degrees(metrics.oscillation_rad) >= 1.0:
-        said.append(f"residual oscillation ±{degrees(metrics.oscillation_rad):.1f}°")
+        clauses.append(f"residual oscillation ±{degrees(metrics.oscillation_rad):.1f}°")
     elif metrics.final_error_rad is not None:
-        said.append(f"{degrees(metrics.final_error_rad):.2g}° off at the end")
-    return f"{axis.capitalize()}: {', '.join(said)}." if said else ""
+        clauses.append(f"{degrees(metrics.final_error_rad):.2g}° off at the end")
+    return f"{axis.capitalize()}: {', '.join(clauses)}." if clauses else ""
 
 
 def _worst_error(summary: Summary) -> str:
     errors = [(metrics.max_abs_error_rad, axis) for axis, metrics in summary.metrics.items()]
-    known = [(error, axis) for error, axis in errors if error is not None]
-    if not known:
+    finite = [(error, axis) for error, axis in errors if error is not None]
+    if not finite:
         return ""
-    error, axis = max(known)
+    error, axis = max(finite)
     return f"Largest attitude error: {degrees(error):.2g}°, in {axis}."
 
 
@@ -163,8 +163,8 @@ def metric_table(summary: Summary) -> list[dict[str, Any]]:
 def axis_limits_line(summary: Summary) -> str:
     """Return the limits of the axes in words; an empty string for a flight that has none."""
     limits = [(metric(name), most) for name, most in summary.limits.items() if name.split(".")[0] in summary.metrics]
-    said = ", ".join(f"{of.label} {of.factor * most:.4g} {of.unit}" for of, most in limits)
-    return f"Limits: {said}." if said else ""
+    texts = ", ".join(f"{of.label} {of.factor * most:.4g} {of.unit}" for of, most in limits)
+    return f"Limits: {texts}." if texts else ""
 
 
 def whole_rows(summary: Summary) -> list[dict[str, Any]]:
@@ -174,7 +174,7 @@ def whole_rows(summary: Summary) -> list[dict[str, Any]]:
         of, value, most = metric(name), flat.get(name), summary.limits.get(name)
         if value is not None:
             limit = "" if most is None else f"{of.factor * most:.4g}"
-            cell = shown(value, of.factor, digits)
+            cell = show_value(value, of.factor, digits)
             label = of.label[0].upper() + of.label[1:]
             rows.append(
                 {"label": label, "value": cell, "unit": of.unit, "limit": limit, "beyond": name in summary.beyond}
@@ -246,12 +246,12 @@ def ledgers(summary: Summary) -> list[AxisLedger]:
     for axis in dict.fromkeys(row.axis for row in summary.delay_ledger):
         rows = tuple([row.model_copy(update={"axis": ""}) for row in summary.delay_ledger if row.axis == axis])
         axes_of.setdefault(rows, []).append(axis)
-    found = []
+    axis_ledgers = []
     for rows, axes in axes_of.items():
-        known = [row.samples for row in rows if row.samples is not None]
-        total = sum(known) if len(known) == len(rows) else None
-        found.append(AxisLedger(" and ".join(axes).capitalize(), list(rows), total))
-    return found
+        samples = [row.samples for row in rows if row.samples is not None]
+        total = sum(samples) if len(samples) == len(rows) else None
+        axis_ledgers.append(AxisLedger(" and ".join(axes).capitalize(), list(rows), total))
+    return axis_ledgers
 
 
 def jet_drawing(summary: Summary) -> list[dict[str, Any]]:
@@ -269,4 +269,4 @@ def axis_cell(metrics: AxisMetrics, key: str, factor: float, digits: int) -> str
     """Return one metric of an axis as a table has it."""
     if key == "settling_time_s" and metrics.settling_time_s is None and metrics.overshoot_percent is not None:
         return "not settled"
-    return shown(getattr(metrics, key), factor, digits)
+    return show_value(getattr(metrics, key), factor, digits)

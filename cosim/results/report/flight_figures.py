@@ -13,7 +13,7 @@ import numpy as np
 from cosim.base.protocols import Column
 from cosim.base.signals import AXES
 from cosim.results.comparison import ComparedFlight, base_of, difference
-from cosim.results.log.columns import own_columns
+from cosim.results.log.columns import custom_columns
 from cosim.results.log.recorder import Log, MemoryLog
 from cosim.results.log.tables import TIME
 from cosim.results.report.log_reader import Reader
@@ -23,7 +23,7 @@ from cosim.results.report.panels import (
     EFFORT,
     HEIGHT,
     OUTSIDE,
-    PLACE,
+    POSITION,
     RATE,
     Panel,
     Trace,
@@ -68,15 +68,15 @@ def run_figures(log: Log, summary: Summary) -> dict[str, Figure]:
         "height": strips(reader, HEIGHT),
         "track": strips(reader, [Panel("Track", "m", east_north)]) | {"equal": True},
     }
-    if any(reader.known(trace.column) for panel in PLACE for trace in panel.traces if trace.label == "set-point"):
-        figures["place"] = strips(reader, PLACE)
+    if any(reader.known(trace.column) for panel in POSITION for trace in panel.traces if trace.label == "set-point"):
+        figures["place"] = strips(reader, POSITION)
     outside = [panel for panel in OUTSIDE if any(reader.moves(trace.column) for trace in panel.traces)]
     if outside:
         figures["outside"] = strips(reader, outside)
-    own = [column for column in own_columns(log.described) if reader.known(column.name)]
-    if own:
+    custom = [column for column in custom_columns(log.described) if reader.known(column.name)]
+    if custom:
         figures["own"] = strips(
-            reader, [Panel(column.name, column.unit, [Trace(column.name, column.name)]) for column in own]
+            reader, [Panel(column.name, column.unit, [Trace(column.name, column.name)]) for column in custom]
         )
     inside = engine_panels(reader)
     if inside:
@@ -136,24 +136,24 @@ def comparison_figures(flights: Sequence[ComparedFlight], less: Mapping[int, Log
     figures["difference"] = []
     for panel in LESS:
         name = panel.traces[0].column
-        found = [
+        apart = [
             (len(flights) + n, Trace(name, labels[number], run_colour(number), width=1.4))
             for n, (number, log) in enumerate(less.items())
             if name in log.columns
         ]
-        if found:
-            figures["difference"].append((panel, found))
+        if apart:
+            figures["difference"].append((panel, apart))
     placed = [n for n, flight in enumerate(flights) if {"north_m", "east_m"} <= set(flight.log.columns)]
     track = [(n, Trace(f"{way}_m", f"{labels[n]}, {way}", run_colour(n))) for n in placed for way in ("east", "north")]
     figures["track"] = [(Panel("Track", "m", []), track)] if track else []
-    told: dict[str, Figure] = {
+    strips_by_name: dict[str, Figure] = {
         name: {"panels": [_strip(panel, traces) for panel, traces in panels]}
         for name, panels in figures.items()
         if panels
     }
-    if "track" in told:
-        told["track"]["equal"] = True
-    return told
+    if "track" in strips_by_name:
+        strips_by_name["track"]["equal"] = True
+    return strips_by_name
 
 
 def subtract_first(flights: Sequence[ComparedFlight]) -> dict[int, MemoryLog]:
@@ -164,12 +164,12 @@ def subtract_first(flights: Sequence[ComparedFlight]) -> dict[int, MemoryLog]:
     """
     first, differences = flights[0].log, {}
     level = ("north_m", "east_m")
-    wanted = [((name.removesuffix(_LESS),), name) for name in LESS_NAMES[:-1]] + [(level, LESS_NAMES[-1])]
+    sources = [((name.removesuffix(_LESS),), name) for name in LESS_NAMES[:-1]] + [(level, LESS_NAMES[-1])]
     for number, flight in enumerate(flights[1:], 1):
         base = base_of(first, flight.log)
         common = {*first.columns} & {*flight.log.columns}
         columns = {TIME: base.times}
-        for names, name in wanted:
+        for names, name in sources:
             if common.issuperset(names):
                 apart = [difference(first, flight.log, one, base) for one in names]
                 columns[name] = apart[0] if len(apart) == 1 else np.hypot(*apart)
@@ -186,27 +186,28 @@ def overlay_panels(
     The set-point is the longest run's where the others ask for the same as long as they last, else each run's own.
     """
     longest = max(range(len(readers)), key=lambda run: len(readers[run].log))
-    drawn = []
+    overlaid = []
     for panel in panels:
-        own = [trace for trace in panel.traces if trace.label == which]
+        chosen = [trace for trace in panel.traces if trace.label == which]
         traces = [
             (run, trace._replace(label=labels[run], colour=run_colour(run)))
             for run, reader in enumerate(readers)
-            for trace in own
+            for trace in chosen
             if trace.column in reader.log.columns
         ]
         if not traces:
             continue
         for setpoint in (trace for trace in panel.traces if trace.label == "set-point" and which == "true"):
-            asked = [run for run, reader in enumerate(readers) if reader.known(setpoint.column)]
-            if asked and all(_asks_as(readers[run], readers[longest], setpoint.column) for run in asked):
+            having = [run for run, reader in enumerate(readers) if reader.known(setpoint.column)]
+            if having and all(_asks_as(readers[run], readers[longest], setpoint.column) for run in having):
                 traces.append((longest, setpoint))
             else:
                 traces += [
-                    (run, setpoint._replace(label=f"{labels[run]}, set-point", colour=run_colour(run))) for run in asked
+                    (run, setpoint._replace(label=f"{labels[run]}, set-point", colour=run_colour(run)))
+                    for run in having
                 ]
-        drawn.append((panel, traces))
-    return drawn
+        overlaid.append((panel, traces))
+    return overlaid
 
 
 def _asks_as(reader: Reader, other: Reader, column: str) -> bool:
@@ -215,5 +216,5 @@ def _asks_as(reader: Reader, other: Reader, column: str) -> bool:
         return True
     if column not in other.log.columns or reader.step_s != other.step_s:
         return False
-    ours = reader.log[column]
-    return np.array_equal(ours, other.log[column][: ours.size], equal_nan=True)
+    values = reader.log[column]
+    return np.array_equal(values, other.log[column][: values.size], equal_nan=True)

@@ -89,8 +89,8 @@ def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp] | None:
     padded = np.full(ceil(inner.size / length) * length, np.nan)
     padded[: inner.size] = inner
     stretches = padded.reshape(-1, length)
-    known = np.isfinite(stretches)
+    finite = np.isfinite(stretches)
     starts = 1 + length * np.arange(len(stretches))
-    low = starts + np.argmin(np.where(known, stretches, np.inf), axis=1)
-    high = starts + np.argmax(np.where(known, stretches, -np.inf), axis=1)
+    low = starts + np.argmin(np.where(finite, stretches, np.inf), axis=1)
+    high = starts + np.argmax(np.where(finite, stretches, -np.inf), axis=1)
     return np.unique(np.concatenate(([0], low, high, [values.size - 1])))

@@ -33,9 +33,9 @@ def filled(page: str, parts: Mapping[str, str], where: Path | str) -> str:
 
     Raises InputError for marks that do not come in pairs and for a part that has no mark.
     """
-    known = parts_of(page, where)
-    if missing := [name for name in parts if name not in known]:
-        raise InputError(f"{where}: no mark <!-- measured: {missing[0]} -->; there are {', '.join(known) or 'none'}")
+    marked = parts_of(page, where)
+    if missing := [name for name in parts if name not in marked]:
+        raise InputError(f"{where}: no mark <!-- measured: {missing[0]} -->; there are {', '.join(marked) or 'none'}")
 
     def part(match: re.Match[str]) -> str:
         name = match.group(1)
@@ -46,10 +46,10 @@ def filled(page: str, parts: Mapping[str, str], where: Path | str) -> str:
 
 def check_marks(path: Path, names: Iterable[str]) -> None:
     """Raise InputError if the page cannot be read or written, or lacks one of the marks: before hours of measuring."""
-    known = parts_of(_read(path), path)
+    marked = parts_of(_read(path), path)
     for name in names:
-        if name not in known:
-            raise InputError(f"{path}: no mark <!-- measured: {name} -->; there are {', '.join(known) or 'none'}")
+        if name not in marked:
+            raise InputError(f"{path}: no mark <!-- measured: {name} -->; there are {', '.join(marked) or 'none'}")
     if not os.access(path, os.W_OK):
         raise InputError(f"{path}: cannot be written to")
 

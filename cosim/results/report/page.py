@@ -25,9 +25,10 @@ TEMPLATES = Path(__file__).resolve().parent / "templates"
 ASSETS = Path(__file__).resolve().parent / "assets"
 STYLES = ("vendor/uPlot.min.css", "strips.css")
 SCENE = "scene.js"
-SCRIPTS = ("vendor/uPlot.iife.min.js", "strips.js", SCENE, "replay.js")
+SCRIPTS = ("vendor/uPlot.iife.min.js", "signals.js", "strips.js", "strip_files.js", "workbench.js", SCENE, "replay.js")
 THREE = "vendor/three.iife.min.js"
-FIGURES = ("figures.css", "figures.js")
+FIGURES = ("figure_axes.js", "figure_marks.js", "figures.js")
+FIGURE_STYLE = "figures.css"
 # The licences of what others wrote, by what a page holds of it: each asks that its text goes with every copy.
 NOTICES = {
     "vendor/uPlot.iife.min.js": ("uPlot",),
@@ -70,7 +71,7 @@ def render(
     )
     page = environment.get_template(template.name).render(
         figures={name: figure_json(figure) for name, figure in figures.items()},
-        drawing=[_asset(name) for name in FIGURES] if figures else None,
+        drawing=(_asset(FIGURE_STYLE), "".join(map(_asset, FIGURES))) if figures else None,
         notices=notices(*((*SCRIPTS, THREE) if flights is not None else ())),
         flights=flight_parts(flights, path, shared) if flights is not None else None,
         **values,

@@ -141,7 +141,7 @@ HEIGHT = [
     _tracking_panel("altitude", "m", "m", 1.0, 2.0),
     Panel("Climb rate", "m/s", [Trace("velocity_down_m_s", "true", BLUE)], scale=-1.0, least_span=1.0),
 ]
-PLACE = [_tracking_panel(name, "m", "m", 1.0, 2.0) for name in ("north", "east")]
+POSITION = [_tracking_panel(name, "m", "m", 1.0, 2.0) for name in ("north", "east")]
 OUTSIDE = [  # a panel is left out where it is 0 throughout
     Panel("Force", "N", _vector("disturbance_force_{}_N", ("x", "y", "z"))),
     Panel("Moment", "N m", _vector("disturbance_moment_{}_N_m", ("x", "y", "z"))),
@@ -163,13 +163,13 @@ def engine_panels(reader: Reader) -> list[Panel]:
     jets = range(1, jets_in(reader.log.columns) + 1)
     for title, unit, pattern, scale in ENGINES:
         traces = [Trace(pattern.format(jet), f"jet {jet}", run_colour(jet - 1), width=1.4) for jet in jets]
-        known = [trace for trace in traces if reader.known(trace.column)]
-        if known:
-            panels.append(Panel(title, unit, known, scale))
+        present = [trace for trace in traces if reader.known(trace.column)]
+        if present:
+            panels.append(Panel(title, unit, present, scale))
     healths = [Trace(f"health_{jet}", f"jet {jet}", run_colour(jet - 1), width=1.4) for jet in jets]
-    given_up = [trace for trace in healths if reader.known(trace.column) and np.nanmin(reader.log[trace.column]) < 1.0]
-    if given_up:
-        panels.append(Panel("Health, as monitored", "1", given_up, least_span=1.2))
+    failed = [trace for trace in healths if reader.known(trace.column) and np.nanmin(reader.log[trace.column]) < 1.0]
+    if failed:
+        panels.append(Panel("Health, as monitored", "1", failed, least_span=1.2))
     return panels + [panel for panel in (SPOOLS, TANK) if reader.known(panel.traces[0].column)]
 
 
@@ -203,19 +203,19 @@ def at_rest(log: Log, summary: Summary) -> dict[str, Array]:
 
 def thrust_curves(summary: Summary) -> list[list[tuple[float, float]]]:
     """Return throttle and thrust at rest of the engine at each station, empty where it is not known."""
-    own = [list(station.curve) for station in summary.stations]
-    return [curve or summary.engine_curve for curve in own + [[]] * (max(JETS, len(summary.jets_m)) - len(own))]
+    curves = [list(station.curve) for station in summary.stations]
+    return [curve or summary.engine_curve for curve in curves + [[]] * (max(JETS, len(summary.jets_m)) - len(curves))]
 
 
 def jet_rows(jets_m: Sequence[Sequence[float]]) -> tuple[tuple[int, ...], ...]:
     """Return jet numbers from front to back, (left, right), by their positions in the body frame if these are known."""
     if not jets_m:
         return JET_ROWS
-    places = sorted((-x, y, number) for number, (x, y, _) in enumerate(jets_m, start=1))
-    left = [number for _, y, number in places if y < 0.0]
-    right = [number for _, y, number in places if y >= 0.0]
-    if len(left) == len(right):
-        return tuple(zip(left, right, strict=True))
+    ordered = sorted((-x, y, number) for number, (x, y, _) in enumerate(jets_m, start=1))
+    port = [number for _, y, number in ordered if y < 0.0]
+    starboard = [number for _, y, number in ordered if y >= 0.0]
+    if len(port) == len(starboard):
+        return tuple(zip(port, starboard, strict=True))
     if len(jets_m) <= JETS:
         return JET_ROWS
     return tuple(tuple(range(n, min(n + 2, len(jets_m) + 1))) for n in range(1, len(jets_m) + 1, 2))

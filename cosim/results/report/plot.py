@@ -40,7 +40,7 @@ def share(position: int, count: int, gap: float, *, from_top: bool = True) -> tu
 
 def trace(label: str, colour: str, x: ArrayLike, y: ArrayLike, panel: int = 0, **more: Any) -> Figure:
     """Return a line in one of the panels, which share the horizontal axis."""
-    drawn: Figure = {
+    line: Figure = {
         "type": "scatter",
         "mode": "lines",
         "name": label,
@@ -51,7 +51,7 @@ def trace(label: str, colour: str, x: ArrayLike, y: ArrayLike, panel: int = 0, *
         "y": np.asarray(y, np.float64),
         "yaxis": axis_name("y", panel),
     }
-    return drawn | more
+    return line | more
 
 
 def beneath(colour: str) -> Figure:
@@ -66,20 +66,20 @@ def panels(
 
     ``domains``: from which share of the height to which each goes; all alike where there are none.
     """
-    made = layout(
+    figure_layout = layout(
         height, 64, 12, 36, 44,
         legend={"orientation": "h", "x": 0, "y": 1.0, **ABOVE},
         xaxis={"title": {"text": x}, "anchor": axis_name("y", len(titles) - 1)},
     )  # fmt: skip
     if log:
-        made["xaxis"]["type"] = "log"
+        figure_layout["xaxis"]["type"] = "log"
     part = 1.0 / len(titles)
     tops = [1.0 - k * part for k in range(len(titles))]
     alike = [(max(0.0, top - part + 0.05), top) for top in tops]
     for k, (title, domain) in enumerate(zip(titles, domains or alike, strict=True)):
-        made[axis_name("yaxis", k)] = {
+        figure_layout[axis_name("yaxis", k)] = {
             "domain": list(domain),
             "anchor": "x",
             "title": {"text": title},
         }
-    return made
+    return figure_layout

@@ -49,28 +49,28 @@ class Packed(NamedTuple):
     data: str  # deflated, base64; empty where all rows are ``base``
 
 
-def packed(values: Array) -> Packed | None:
+def pack(values: Array) -> Packed | None:
     """Pack a column; return None where it has no number at all."""
-    known = np.isfinite(values)
-    if not known.any():
+    finite = np.isfinite(values)
+    if not finite.any():
         return None
-    gaps = not known.all()
-    whole = values if not gaps else _fill_gaps(values, known)
-    low, high = float(whole.min()), float(whole.max())
+    gaps = not finite.all()
+    values_filled = values if not gaps else _fill_gaps(values, finite)
+    low, high = float(values_filled.min()), float(values_filled.max())
     if low == high and not gaps:
         return Packed(low, 1.0, 0, 0, False, "")
-    step = step_of(whole, low, high)
+    step = step_of(values_filled, low, high)
     base = 0.0 if max(abs(low), abs(high)) / step < _MOST else step * floor(low / step)
-    numbers = np.rint((whole - base) / step).astype(np.int64)
+    numbers = np.rint((values_filled - base) / step).astype(np.int64)
     middle = max(0, numbers.size // 2 - _TRIED // 2)
     tried = numbers[middle : middle + _TRIED]
-    order = min(range(3), key=lambda order: _cost(_differenced(tried, order)))
-    best = _differenced(numbers, order)
+    order = min(range(3), key=lambda order: _cost(_difference(tried, order)))
+    best = _difference(numbers, order)
     zigzag = ((best << 1) ^ (best >> 63)).astype("<u4")
     planes = zigzag.view(np.uint8).reshape(-1, 4).T
-    kept = max((n + 1 for n in range(4) if planes[n].any()), default=0)
-    raw = planes[:kept].tobytes() + ((~known).astype(np.uint8).tobytes() if gaps else b"")
-    return Packed(base, step, order, kept, gaps, base64.b64encode(zlib.compress(raw, _LEVEL)).decode())
+    bytes_used = max((n + 1 for n in range(4) if planes[n].any()), default=0)
+    raw = planes[:bytes_used].tobytes() + ((~finite).astype(np.uint8).tobytes() if gaps else b"")
+    return Packed(base, step, order, bytes_used, gaps, base64.b64encode(zlib.compress(raw, _LEVEL)).decode())
 
 
 def step_of(values: Array, low: float, high: float) -> float:
@@ -84,8 +84,8 @@ def step_of(values: Array, low: float, high: float) -> float:
     return float(2.0 ** floor(max(finest, log2(max(high - low, 1e-300)) - log2(_MOST) + 1.0, -1000.0)))
 
 
-def unpacked(column: Packed, rows: int) -> Array:
-    """Return the values of a packed column as a page restores them: the inverse of :func:`packed`."""
+def unpack(column: Packed, rows: int) -> Array:
+    """Return the values of a packed column as a page restores them: the inverse of :func:`pack`."""
     if not column.data:
         return np.full(rows, column.base)
     raw = np.frombuffer(zlib.decompress(base64.b64decode(column.data)), dtype=np.uint8)
@@ -101,15 +101,15 @@ def unpacked(column: Packed, rows: int) -> Array:
     return values
 
 
-def _fill_gaps(values: Array, known: NDArray[np.bool_]) -> Array:
+def _fill_gaps(values: Array, finite: NDArray[np.bool_]) -> Array:
     """Return the values with gaps filled by the last number before them, or the first of all."""
-    rows = np.maximum.accumulate(np.where(known, np.arange(values.size), -1))
-    rows[rows < 0] = int(np.argmax(known))
+    rows = np.maximum.accumulate(np.where(finite, np.arange(values.size), -1))
+    rows[rows < 0] = int(np.argmax(finite))
     filled: Array = values[rows]
     return filled
 
 
-def _differenced(numbers: NDArray[np.int64], order: int) -> NDArray[np.int64]:
+def _difference(numbers: NDArray[np.int64], order: int) -> NDArray[np.int64]:
     for _ in range(order):
         numbers = np.diff(numbers, prepend=np.int64(0))
     return numbers
@@ -141,7 +141,7 @@ class FlightData(NamedTuple):
 def run_data(flight: FlightData) -> tuple[dict[str, Any], dict[str, str]]:
     """Return what a page says of a run, as JSON has it, and its columns' data by name."""
     log = flight.log
-    columns, data, empty = _packed_columns(flight)
+    columns, data, empty = _pack_columns(flight)
     described = {
         "label": flight.label,
         "colour": flight.colour,
@@ -151,7 +151,7 @@ def run_data(flight: FlightData) -> tuple[dict[str, Any], dict[str, str]]:
         "columns": columns,
         "empty": empty,
         "events": [
-            {"t": event.time_s, "end": event.end_s, "kind": event.kind, "text": event.text, "banded": _banded(event),
+            {"t": event.time_s, "end": event.end_s, "kind": event.kind, "text": event.text, "banded": _is_banded(event),
              "lasts": event.lasts, "severity": event.severity}
             for event in flight.events
         ],
@@ -162,7 +162,7 @@ def run_data(flight: FlightData) -> tuple[dict[str, Any], dict[str, str]]:
     return described, data
 
 
-def _packed_columns(flight: FlightData) -> tuple[list[dict[str, Any]], dict[str, str], list[str]]:
+def _pack_columns(flight: FlightData) -> tuple[list[dict[str, Any]], dict[str, str], list[str]]:
     """Return the columns' descriptions, the packed data of those that differ, and the names of empty columns."""
     columns: list[dict[str, Any]] = []
     data: dict[str, str] = {}
@@ -173,7 +173,7 @@ def _packed_columns(flight: FlightData) -> tuple[list[dict[str, Any]], dict[str,
     for name in (*log.columns, *derived):
         if name == TIME and flight.times is None:
             continue
-        column = packed(np.asarray(derived[name] if name in derived else log[name], dtype=np.float64))
+        column = pack(np.asarray(derived[name] if name in derived else log[name], dtype=np.float64))
         if column is None:
             empty.append(name)
             continue
@@ -194,7 +194,7 @@ def _packed_columns(flight: FlightData) -> tuple[list[dict[str, Any]], dict[str,
     return columns, data, empty
 
 
-def _banded(event: Event) -> bool:
+def _is_banded(event: Event) -> bool:
     """Return whether an event is a band of its own: faults, gusts and changes of the wind; the rest is in the log."""
     wind = event.kind == "disturbance" and event.text.startswith(("gust", "wind"))
     return event.banded and (event.kind == "fault" or wind)
@@ -254,7 +254,7 @@ def shape(vehicle: Vehicle) -> dict[str, Any]:
 
 def _jets_only(jets_m: Sequence[Sequence[float]]) -> dict[str, Any]:
     """Return a vehicle of which no more is known than the positions of its jets."""
-    jets = [{"position": list(place), "axis": UP, "turns": []} for place in jets_m]
+    jets = [{"position": list(position), "axis": UP, "turns": []} for position in jets_m]
     return {"name": "", "title": "", "mass": None, "jets": jets, "contacts": [], "panels": []}
 
 

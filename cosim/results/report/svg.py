@@ -5,7 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 
 
-def begun(name: str, width: float, height: float, style: str) -> ET.Element:
+def begin_drawing(name: str, width: float, height: float, style: str) -> ET.Element:
     """Return the root of a drawing [px] with its title and its style sheet."""
     root = ET.Element("svg", xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {width:g} {height:g}", role="img")
     ET.SubElement(root, "title").text = name
@@ -18,6 +18,6 @@ def text(root: ET.Element, x: float, y: float, words: str, kind: str, anchor: st
     ET.SubElement(root, "text", {"class": kind, "x": f"{x:g}", "y": f"{y:g}", "text-anchor": anchor}).text = words
 
 
-def ended(root: ET.Element) -> str:
+def finish_drawing(root: ET.Element) -> str:
     """Return the document as text."""
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from math import hypot
 
 from cosim.base.signals import Vector3
-from cosim.results.report.svg import begun, ended, text
+from cosim.results.report.svg import begin_drawing, finish_drawing, text
 from cosim.spec.vehicle import Vehicle
 
 VIEW, MARGIN, TITLE = 300.0, 34.0, 44.0  # px
@@ -41,9 +41,9 @@ def three_views(vehicle: Vehicle) -> str:
     str
         A whole SVG document.
     """
-    reach = max(max(map(abs, place)) for place in places(vehicle)) or 1.0
+    reach = max(max(map(abs, point)) for point in points_of(vehicle)) or 1.0
     scale = (VIEW / 2.0 - MARGIN) / reach
-    root = begun(f"{vehicle.name}: three views", VIEW * len(VIEWS), VIEW + 2 * TITLE, STYLE)
+    root = begin_drawing(f"{vehicle.name}: three views", VIEW * len(VIEWS), VIEW + 2 * TITLE, STYLE)
     tip = ET.SubElement(
         ET.SubElement(root, "defs"), "marker", id="tip", viewBox="0 0 6 6", refX="5", refY="3", markerWidth="6",
         markerHeight="6", orient="auto",
@@ -59,14 +59,14 @@ def three_views(vehicle: Vehicle) -> str:
         "dim",
     )
     for number, (name, right, down) in enumerate(VIEWS):
-        view = _View(root, number * VIEW + VIEW / 2.0, TITLE + VIEW / 2.0, scale, right, down)
+        view = _Projection(root, number * VIEW + VIEW / 2.0, TITLE + VIEW / 2.0, scale, right, down)
         text(root, number * VIEW + 12, TITLE + VIEW + 12, name, "dim")
         _one(view, vehicle, reach)
     _ruler(root, scale, reach)
-    return ended(root)
+    return finish_drawing(root)
 
 
-class _View:
+class _Projection:
     """One projection: places of the body to the drawing."""
 
     def __init__(
@@ -75,12 +75,12 @@ class _View:
         self.root, self._x, self._y, self._scale = root, x, y, scale
         self._right, self._down = right, down
 
-    def at(self, place: Sequence[float]) -> tuple[float, float]:
+    def at(self, point: Sequence[float]) -> tuple[float, float]:
         """Return where a point [m, body] is drawn, px."""
         (right, to_right), (down, downwards) = self._right, self._down
         return (
-            round(self._x + self._scale * to_right * place[right], 2),
-            round(self._y + self._scale * downwards * place[down], 2),
+            round(self._x + self._scale * to_right * point[right], 2),
+            round(self._y + self._scale * downwards * point[down], 2),
         )
 
     def line(self, kind: str, start: Sequence[float], end: Sequence[float]) -> None:
@@ -90,9 +90,9 @@ class _View:
             self.root, "line", {"class": kind, "x1": f"{a:g}", "y1": f"{b:g}", "x2": f"{c:g}", "y2": f"{d:g}"}
         )
 
-    def circle(self, kind: str, place: Sequence[float], radius: float) -> None:
+    def circle(self, kind: str, point: Sequence[float], radius: float) -> None:
         """Draw a circle around a point [m, body], its radius in px."""
-        x, y = self.at(place)
+        x, y = self.at(point)
         ET.SubElement(self.root, "circle", {"class": kind, "cx": f"{x:g}", "cy": f"{y:g}", "r": f"{radius:g}"})
 
     def polygon(self, kind: str, corners: Sequence[tuple[float, float]]) -> None:
@@ -101,7 +101,7 @@ class _View:
         ET.SubElement(self.root, "polygon", {"class": kind, "points": points})
 
 
-def places(vehicle: Vehicle) -> list[Vector3]:
+def points_of(vehicle: Vehicle) -> list[Vector3]:
     """Return the positions of jets, contacts and panels [m, body]."""
     return [*_carrying(vehicle), *(corner for panel in vehicle.panels for corner in panel.corners_m)]
 
@@ -110,8 +110,8 @@ def _carrying(vehicle: Vehicle) -> list[Vector3]:
     return [*(jet.position_m for jet in vehicle.jets), *(contact.position_m for contact in vehicle.contacts)]
 
 
-def _one(view: _View, vehicle: Vehicle, reach: float) -> None:
-    view.polygon("body", _hull([view.at(place) for place in _carrying(vehicle)]))
+def _one(view: _Projection, vehicle: Vehicle, reach: float) -> None:
+    view.polygon("body", _hull([view.at(point) for point in _carrying(vehicle)]))
     for panel in vehicle.panels:
         view.polygon("panel", [view.at(corner) for corner in panel.corners_m])
     for contact in vehicle.contacts:
@@ -132,9 +132,9 @@ def _one(view: _View, vehicle: Vehicle, reach: float) -> None:
             (a, b), (c, d) = view.at(start), view.at(end)
             if hypot(c - a, d - b) > 3.0:
                 view.line(kind, start, end)
-        place = layout.standing(rest)[jet]
-        view.circle("jet", place, 9.0)
-        named.setdefault(view.at(place), []).append(str(jet + 1))
+        point = layout.standing(rest)[jet]
+        view.circle("jet", point, 9.0)
+        named.setdefault(view.at(point), []).append(str(jet + 1))
     for (x, y), numbers in named.items():
         text(view.root, x, y + (4 if len(numbers) == 1 else 22), ", ".join(numbers), "name", "middle")
     x, y = view.at((0.0, 0.0, 0.0))
@@ -145,8 +145,8 @@ def _one(view: _View, vehicle: Vehicle, reach: float) -> None:
         )  # fmt: skip
 
 
-def _along(place: Vector3, axis: Vector3, length: float) -> Vector3:
-    x, y, z = (p + length * a for p, a in zip(place, axis, strict=True))
+def _along(start: Vector3, axis: Vector3, length: float) -> Vector3:
+    x, y, z = (p + length * a for p, a in zip(start, axis, strict=True))
     return (x, y, z)
 
 

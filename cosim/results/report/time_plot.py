@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.results.log.columns import known
+from cosim.results.log.columns import require
 from cosim.results.report.flight_figures import overlay_panels
 from cosim.results.report.log_reader import Reader
 from cosim.results.report.page import drawn
@@ -47,11 +47,11 @@ def plot(runs: Run | Sequence[Run], *columns: str) -> Any:
             f"{n}: {run.summary.controller_shown}, {run.summary.engine_shown}" for n, run in enumerate(flights, 1)
         ]
         one = len(flights) == 1
-        return drawn(stacked(readers[0], ATTITUDE) if one else overlaid(readers, labels, ATTITUDE, "true"))
+        return drawn(stack_panels(readers[0], ATTITUDE) if one else overlay(readers, labels, ATTITUDE, "true"))
     units = {column.name: column.unit for run in flights for column in run.log.described}
     for name in columns:
         for run in flights:
-            known(name, run.log.columns)
+            require(name, run.log.columns)
     shared = list(dict.fromkeys(units.get(name, "") for name in columns))
     panels = [Panel("", unit, []) for unit in shared]
     data = []
@@ -61,10 +61,10 @@ def plot(runs: Run | Sequence[Run], *columns: str) -> Any:
             label = name if len(readers) == 1 else f"{number + 1}: {name}"
             trace = Trace(name, label, run_colour(n), _DASHES[number % len(_DASHES)])
             data.append(_line(reader, panels[at], at, trace))
-    return drawn({"data": _named_once(data), "layout": _stacked_layout(panels, data)})
+    return drawn({"data": _show_once(data), "layout": _layout_of_panels(panels, data)})
 
 
-def stacked(reader: Reader, panels: Sequence[Panel]) -> Figure:
+def stack_panels(reader: Reader, panels: Sequence[Panel]) -> Figure:
     """Return panels above each other over one time axis."""
     data = [
         _line(reader, panel, number, trace)
@@ -72,14 +72,14 @@ def stacked(reader: Reader, panels: Sequence[Panel]) -> Figure:
         for trace in panel.traces
         if not trace.only_if_moving or reader.moves(trace.column)
     ]
-    return {"data": _named_once(data), "layout": _stacked_layout(panels, data)}
+    return {"data": _show_once(data), "layout": _layout_of_panels(panels, data)}
 
 
-def overlaid(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str) -> Figure:
+def overlay(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str) -> Figure:
     """Return the panels of :func:`~cosim.results.report.flight_figures.overlay_panels` as a figure of Plotly."""
     figures = overlay_panels(readers, labels, panels, which)
     data = [_line(readers[run], panel, n, trace) for n, (panel, traces) in enumerate(figures) for run, trace in traces]
-    return {"data": _named_once(data), "layout": _stacked_layout([panel for panel, _ in figures], data)}
+    return {"data": _show_once(data), "layout": _layout_of_panels([panel for panel, _ in figures], data)}
 
 
 def _line(reader: Reader, panel: Panel, number: int, trace: Trace) -> Figure:
@@ -104,7 +104,7 @@ def _values(reader: Reader, values: Array, panel: Panel, trace: Trace) -> Figure
     }
 
 
-def _named_once(data: list[Figure]) -> list[Figure]:
+def _show_once(data: list[Figure]) -> list[Figure]:
     """Show each label once in the legend; a click on it works on all panels."""
     seen: set[str] = set()
     for trace in data:
@@ -113,25 +113,25 @@ def _named_once(data: list[Figure]) -> list[Figure]:
     return data
 
 
-def _stacked_layout(panels: Sequence[Panel], data: Sequence[Mapping[str, Any]]) -> Figure:
-    made = _layout(len(panels) * PANEL_PX + 80)
+def _layout_of_panels(panels: Sequence[Panel], data: Sequence[Mapping[str, Any]]) -> Figure:
+    figure_layout = _layout(len(panels) * PANEL_PX + 80)
     for number, panel in enumerate(panels):
         low, high = share(number, len(panels), gap=0.04)
         axis = {"domain": [low, high], "anchor": "x", "title": {"text": f"{panel.title} [{panel.unit}]".lstrip()}}
-        drawn = [trace["y"] for trace in data if trace["yaxis"] == axis_name("y", number)]
-        narrow = _span(drawn, panel.least_span)
+        values = [trace["y"] for trace in data if trace["yaxis"] == axis_name("y", number)]
+        narrow = _span(values, panel.least_span)
         if narrow[1] - narrow[0] <= panel.least_span:
             axis["range"] = narrow
-        made[axis_name("yaxis", number)] = axis
-    made["xaxis"] = _time_axis(data) | {"anchor": axis_name("y", len(panels) - 1)}
-    return made
+        figure_layout[axis_name("yaxis", number)] = axis
+    figure_layout["xaxis"] = _time_axis(data) | {"anchor": axis_name("y", len(panels) - 1)}
+    return figure_layout
 
 
 def _layout(height: int) -> Figure:
-    place = {"xref": "paper", "yref": "paper", "x": 0, "y": 1}
+    corner = {"xref": "paper", "yref": "paper", "x": 0, "y": 1}
     return layout(
         height, 64, 12, 40, 44, hovermode="x unified", hoversubplots="axis",
-        legend={"orientation": "h", "traceorder": "normal", **place, **ABOVE},
+        legend={"orientation": "h", "traceorder": "normal", **corner, **ABOVE},
     )  # fmt: skip
 
 
@@ -146,7 +146,7 @@ def _time_axis(data: Sequence[Mapping[str, Any]]) -> Figure:
 
 def _span(values: Sequence[Array], least: float) -> list[float]:
     """Return the range from least to greatest with a margin, widened to ``least`` around the middle."""
-    known = np.concatenate([np.empty(0), *(part[np.isfinite(part)] for part in values)])
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    finite = np.concatenate([np.empty(0), *(part[np.isfinite(part)] for part in values)])
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
     margin = max(0.06 * (high - low), 0.5 * (least - (high - low)))
     return [low - margin, high + margin]

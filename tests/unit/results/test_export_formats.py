@@ -23,7 +23,7 @@ from cosim.base.frames import jet_axis
 from cosim.base.protocols import Column
 from cosim.base.signals import EngineOutput
 from cosim.results.export.mat import export_mat, fields
-from cosim.results.export.mcap_file import OWN, SUBJECTS, TIME, export_mcap, subjects
+from cosim.results.export.mcap_file import CUSTOM, SUBJECTS, TIME, export_mcap, subjects
 from cosim.results.export.parquet import export_parquet
 from cosim.results.export.scene import hover_n
 from cosim.results.log.columns import COLUMNS, NAMES, log_columns
@@ -42,7 +42,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
         setup(scenario="doublet-ä"),
         scenario(name="roll-doublet", fault=[FAULT]),
         tmp_path_factory.mktemp("runs") / "run",
-        columns=log_columns(own=[LONG]),
+        columns=log_columns(custom=[LONG]),
     )
     for sample in samples(STEPS):
         acts = tuple(float(n == 5 and 25 <= sample.k < 75) for n in range(len(sample.faults)))
@@ -94,7 +94,7 @@ def test_mcap_has_every_digit_of_every_column_with_its_unit(run: Run, mcap: dict
             found = [getattr(message, column.name) for _, message in rows]
             np.testing.assert_array_equal(found, run.log[column.name], err_msg=column.name)  # NaN equals NaN here
             assert mcap["channels"][topic].metadata[column.name].startswith(f"[{column.unit}] ")
-    assert [column.name for column in subjects(run.log.described)[OWN]] == [LONG.name]
+    assert [column.name for column in subjects(run.log.described)[CUSTOM]] == [LONG.name]
     assert mcap["compression"] == {"zstd"}
 
 
@@ -276,5 +276,5 @@ def test_short_flights_and_bad_targets(run: Run, tmp_path: Path, export: Any) ->
 
 def test_the_page_lists_the_topics() -> None:
     page = (ROOT / "docs" / "log-export.md").read_text(encoding="utf-8")
-    for topic in (*SUBJECTS, OWN, TIME, "/tf", "/pose", "/location", "/scene", "/scene/arrows", "/log"):
+    for topic in (*SUBJECTS, CUSTOM, TIME, "/tf", "/pose", "/location", "/scene", "/scene/arrows", "/log"):
         assert f"`{topic}`" in page, topic

@@ -17,7 +17,7 @@ from cosim.base.arrays import Array
 from cosim.results.log.columns import NAMES
 from cosim.results.log.recorder import MemorySink, Recorder
 from cosim.results.metrics import (
-    PLACE,
+    POSITION_SETPOINT,
     AxisMetrics,
     EffortMetrics,
     PositionMetrics,
@@ -259,7 +259,9 @@ class Made(dict[str, Array]):
     def __missing__(self, name: str) -> Array:
         if name.startswith("health_"):
             return np.ones(self.rows)
-        return np.full(self.rows, nan if name in PLACE or name.startswith(("fuel_", "altitude_set")) else 0.0)
+        return np.full(
+            self.rows, nan if name in POSITION_SETPOINT or name.startswith(("fuel_", "altitude_set")) else 0.0
+        )
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -29,7 +29,7 @@ def test_every_limit_and_its_default_are_there() -> None:
         assert any(f"`{key}`" in cell for cell in rows), key
     row = {key: next(line for cell, line in rows.items() if f"`{key}`" in cell) for key in FlightLimits.model_fields}
     assert f"{limits.HEIGHT_SPANS:g} spans" in row["height_error_m"]
-    assert f"{limits.PLACE_SPANS:g} spans" in row["place_error_m"]
+    assert f"{limits.POSITION_SPANS:g} spans" in row["place_error_m"]
     assert f"{limits.DRIFT_SPANS:g} spans" in row["drift_m"]
     assert f"{limits.SPEEDS:g} sqrt(g span)" in row["speed_m_s"]
     assert f"{limits.SATURATED_PERCENT:g} %" in row["saturated_percent"]

@@ -163,9 +163,9 @@ def test_predictors_show_through_the_cascade_under_their_axes(monkeypatch: pytes
 )
 def test_a_column_that_cannot_be_one_is_refused(column: Column, complaint: str) -> None:
     with pytest.raises(InputError, match=complaint):
-        log_columns(own=[column])
+        log_columns(custom=[column])
     with pytest.raises(InputError, match="the log has one of that name already"):
-        log_columns(own=[GAIN, GAIN])
+        log_columns(custom=[GAIN, GAIN])
 
 
 def test_a_block_that_shows_less_than_it_said_ends_the_flight() -> None:

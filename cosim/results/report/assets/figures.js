@@ -2,14 +2,10 @@
 // part of Plotly's schema that report/plot.py and its users write. Colours of text and grid are the page's.
 "use strict";
 (() => {
-  const DASHES = { dash: "7 4", dot: "2 3", dashdot: "7 3 2 3" };
+  const { escaped, bare, lines, finite, format, filled, Axis, prepared, DASHES, drawTrace, barRectangles } = window.hexjetFigures;
   const PAPER = { width: 690, share: 0.78 };  // on paper: the width of a page, and two figures a page
   const LINE = 15;  // px from one line of text to the next
   const CHARACTER = 6.4;  // px of a character, on average
-  const escaped = (text) => String(text).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;").replace(/"/g, "&quot;");
-  const bare = (text) => String(text).replace(/<\/?b>/g, "");
-  const lines = (text) => bare(text).split("<br>");
-  const finite = (value) => typeof value === "number" && Number.isFinite(value);
   const element = (kind, attributes, ...children) => {
     const made = document.createElement(kind);
     for (const [key, value] of Object.entries(attributes)) key.startsWith("on") ? made.addEventListener(key.slice(2), value) : made.setAttribute(key, value);
@@ -17,137 +13,8 @@
     return made;
   };
 
-  // ---- values
-
-  const KINDS = { f4: Float32Array, f8: Float64Array };
-  const list = (values) => {
-    if (values === undefined || Array.isArray(values)) return values || [];
-    const bytes = Uint8Array.from(atob(values.bdata), (each) => each.charCodeAt(0));
-    return Array.from(new KINDS[values.dtype](bytes.buffer), (value) => Number.isNaN(value) ? null : value);
-  };
-
-  // d3's formats as far as templates use them: sign, digits, ~ without zeros at the end, and g, f or d
-  const format = (value, how) => {
-    if (!finite(value) || !how) return String(finite(value) ? Number(value.toPrecision(6)) : value);
-    const [, sign, digits, trimmed, kind] = /^(\+?)(?:\.(\d+))?(~?)([gfd]?)$/.exec(how) || [null, "", "6", "~", "g"];
-    let text = kind === "d" ? value.toFixed(0) : kind === "f" ? value.toFixed(Number(digits)) : value.toPrecision(Math.max(1, Number(digits || 6)));
-    if (kind !== "f" && kind !== "d" && Math.abs(value) >= 1e-4 && Math.abs(value) < 1e9 && text.includes("e")) text = String(Number(text));
-    if (trimmed) text = text.replace(/(\.\d*?)0+(?=e|$)/, "$1").replace(/\.(?=e|$)/, "");
-    return (sign && value > 0 ? "+" : "") + text;
-  };
-  const filled = (template, point) => template.replace("<extra></extra>", "")
-    .replace(/%\{(\w+)(?::([^}]*))?\}/g, (_, name, how) => format(point[name], how));
-
-  const channels = (colour) => [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
-  const shade = (scale, place) => {
-    const at = Math.min(1, Math.max(0, place));
-    const next = Math.max(1, scale.findIndex(([end]) => end >= at));
-    const [[from, first], [to, second]] = [scale[next - 1], scale[next]];
-    if (first === second) return first;
-    const part = (at - from) / (to - from), [a, b] = [channels(first), channels(second)];
-    return `rgb(${a.map((value, n) => Math.round(value + part * (b[n] - value))).join(",")})`;
-  };
-
-  // ---- axes
-
-  const nice = (span, most) => {
-    const raw = span / Math.max(1, most), power = 10 ** Math.floor(Math.log10(raw));
-    return power * ([1, 2, 5].find((each) => each * power >= raw * 0.999) || 10);
-  };
-  const tickText = (value, step) => {
-    if (value === 0) return "0";
-    if (Math.abs(value) >= 1e6 || Math.abs(value) < 1e-4) return Number(value.toPrecision(4)).toExponential().replace("e+", "e").replaceAll("-", "−");
-    const text = step ? value.toFixed(Math.max(0, Math.min(10, -Math.floor(Math.log10(step) + 1e-9)))) : String(Number(value.toPrecision(6)));
-    return text.replace("-", "−");
-  };
-
-  class Axis {
-    constructor(name, about, traces) {
-      Object.assign(this, { name, about, letter: name[0], id: name[0] + name.slice(5) });
-      const own = traces.filter((trace) => (trace[this.letter + "axis"] || this.letter) === this.id);
-      this.own = own;
-      const texts = about.categoryarray || [...new Set(own.flatMap((trace) => trace.values[this.letter]).filter((value) => typeof value === "string"))];
-      this.categories = about.type === "category" || (!about.type && texts.length) ? [...new Set(own.length && !about.categoryarray ? own.flatMap((trace) => trace.values[this.letter]).map(String) : texts)] : null;
-      this.log = about.type === "log";
-    }
-
-    // a value in the axis' own measure, in which it is even: its logarithm, or the number of a category
-    even(value) {
-      if (value === null || value === undefined) return NaN;
-      if (this.categories) return typeof value === "number" ? value : this.categories.indexOf(String(value));
-      return this.log ? Math.log10(value) : value;
-    }
-
-    value(even) { return this.log ? 10 ** even : even; }
-
-    px(value) { return this.at(this.even(value)); }
-
-    at(even) { return this.from + (even - this.range[0]) / (this.range[1] - this.range[0]) * (this.to - this.from); }
-
-    back(px) { return this.range[0] + (px - this.from) / (this.to - this.from) * (this.range[1] - this.range[0]); }
-
-    // around everything that is drawn
-    ends(shown, stacked) {
-      const { letter, about } = this;
-      if (about.range) return [...about.range];
-      let [low, high] = [Infinity, -Infinity], padded = letter === "y";
-      const take = (value) => { const even = this.even(value); if (finite(even)) { low = Math.min(low, even); high = Math.max(high, even); } };
-      for (const trace of shown.filter((each) => this.own.includes(each))) {
-        const along = trace.type === "bar" && (trace.orientation === "h") === (letter === "x");
-        if (trace.type === "heatmap" || trace.type === "contour") { trace.edges(this).forEach((even) => { low = Math.min(low, even); high = Math.max(high, even); }); padded = false; continue; }
-        trace.values[letter].forEach((value, n) => {
-          take(along && stacked ? (trace.base ? trace.base[n] : 0) + value : value);
-          const error = trace["error_" + letter];
-          if (error && finite(value)) { take(value + (error.array[n] || 0)); take(value - ((error.arrayminus || error.array)[n] || 0)); }
-        });
-        if (along) { take(0); padded = true; }
-        if ((trace.mode || "").includes("markers")) padded = true;
-      }
-      if (this.categories) [low, high] = [-0.5, this.categories.length - 0.5];
-      else {
-        if (about.rangemode === "tozero") { low = Math.min(low, 0); high = Math.max(high, 0); }
-        if (low > high) [low, high] = this.log ? [-1, 1] : [0, 1];
-        const margin = low === high ? (this.log ? 0.5 : Math.abs(low) / 2 || 1) : padded ? 0.055 * (high - low) : 0;
-        if (!(about.rangemode === "tozero" && low === 0)) low -= margin;
-        high += margin;
-      }
-      return about.autorange === "reversed" ? [high, low] : [low, high];
-    }
-
-    ticks() {
-      const [low, high] = [Math.min(...this.range), Math.max(...this.range)], { about } = this, length = Math.abs(this.to - this.from);
-      const inside = (tick) => tick.even >= low - 1e-9 * Math.abs(high - low) && tick.even <= high + 1e-9 * Math.abs(high - low);
-      const made = (value, text) => ({ even: this.even(value), text });
-      if (about.tickvals) return about.tickvals.map((value, n) => made(value, about.ticktext ? about.ticktext[n] : tickText(value))).filter(inside);
-      if (this.categories) return this.categories.map((name, n) => ({ even: n, text: name })).filter(inside);
-      const most = Math.min(about.nticks || 99, Math.max(2, length / (this.letter === "x" ? 70 : 30)));
-      if (this.log && high - low > 0.7) {
-        const found = [], every = Math.max(1, Math.ceil((high - low) / most));
-        const steps = about.dtick || (high - low) * 3 > most * 1.4 ? [1] : [1, 2, 5];
-        for (let power = Math.floor(low); power <= Math.ceil(high); power++) for (const step of steps) if (power % every === 0) found.push(made(step * 10 ** power, tickText(step * 10 ** power)));
-        return found.filter(inside);
-      }
-      const [from, to] = [this.value(low), this.value(high)], step = nice(to - from, most), found = [];
-      for (let n = Math.ceil(from / step - 1e-9); n * step <= to + 1e-9 * step; n++) found.push(made(n * step, tickText(n * step, step)));
-      return found;
-    }
-  }
-
   // ---- a figure
 
-  const prepared = (trace) => {
-    const made = { ...trace, type: trace.type || "scatter", values: { x: list(trace.x), y: list(trace.y) } };
-    // edges of cells in an axis' own measure: given, or halfway between their middles
-    made.edges = (axis) => {
-      const even = made.values[axis.letter].map((value) => axis.even(value));
-      const count = axis.letter === "x" ? made.z[0].length : made.z.length;
-      if (even.length > count) return even;
-      const middle = even.slice(1).map((value, n) => (value + even[n]) / 2);
-      if (!middle.length) return [even[0] - 0.5, even[0] + 0.5];
-      return [2 * even[0] - middle[0], ...middle, 2 * even[even.length - 1] - middle[middle.length - 1]];
-    };
-    return made;
-  };
   const group = (trace) => trace.legendgroup || trace.name;
 
   class Figure {
@@ -302,11 +169,11 @@
       }
       this.pairs.forEach((pair, n) => {
         const own = this.shown.filter((trace) => axes[trace.xaxis || "x"] === pair[0] && axes[trace.yaxis || "y"] === pair[1]);
-        parts.push(`<g clip-path="url(#${id}-${n})">${own.map((trace) => this.trace(trace, ...pair)).join("")}</g>`);
+        parts.push(`<g clip-path="url(#${id}-${n})">${own.map((trace) => drawTrace(this, trace, ...pair)).join("")}</g>`);
       });
       over.forEach((shape) => parts.push(this.shape(shape)));
       for (const note of layout.annotations || []) {
-        const [x, y] = [this.place_of(note.xref, note.x, "x"), this.place_of(note.yref, note.y, "y")];
+        const [x, y] = [this.pixelOf(note.xref, note.x, "x"), this.pixelOf(note.yref, note.y, "y")];
         const anchor = { left: "start", right: "end" }[note.xanchor] || "middle";
         text(x, y - (note.yshift || 0) - (note.yanchor === "bottom" ? 6 : -4), note.text, anchor, /<b>/.test(note.text) ? 'class="heading"' : "");
       }
@@ -316,7 +183,7 @@
     }
 
     // px of a place that is said in data, in parts of a panel ("x2 domain") or of the figure ("paper")
-    place_of(of, value, letter) {
+    pixelOf(of, value, letter) {
       const { margin } = this, [id, domain] = (of || letter).split(" ");
       if (id === "paper") return letter === "x" ? margin.l + value * (this.width - margin.l - margin.r) : margin.t + (1 - value) * (this.height - margin.t - margin.b);
       const axis = this.axes[id];
@@ -325,94 +192,12 @@
     }
 
     shape(shape) {
-      const at = (end, letter) => { const of = shape[letter + "ref"] || letter, axis = this.axes[of]; return axis && !axis.categories ? axis.px(shape[letter + end]) : this.place_of(of, shape[letter + end], letter); };
+      const at = (end, letter) => { const of = shape[letter + "ref"] || letter, axis = this.axes[of]; return axis && !axis.categories ? axis.px(shape[letter + end]) : this.pixelOf(of, shape[letter + end], letter); };
       const [x0, x1, y0, y1] = [at(0, "x"), at(1, "x"), at(0, "y"), at(1, "y")];
       if (![x0, x1, y0, y1].every(Number.isFinite)) return "";
       const { line = {} } = shape;
       if (shape.type === "rect") return `<rect x="${Math.min(x0, x1)}" y="${Math.min(y0, y1)}" width="${Math.abs(x1 - x0)}" height="${Math.abs(y1 - y0)}" fill="${shape.fillcolor}" opacity="${shape.opacity ?? 1}"/>`;
       return `<path d="M${x0} ${y0}L${x1} ${y1}" stroke="${line.color}" stroke-width="${line.width || 1}" stroke-dasharray="${DASHES[line.dash] || ""}"/>`;
-    }
-
-    trace(trace, x, y) {
-      if (trace.type === "bar") return this.bars(trace, x, y);
-      if (trace.type === "heatmap") return this.cells(trace, x, y);
-      if (trace.type === "contour") return this.contour(trace, x, y);
-      const parts = [], { line = {}, marker = {}, mode = "lines" } = trace, colour = line.color || marker.color;
-      const points = trace.values.x.map((value, n) => [x.px(value), y.px(trace.values.y[n])]);
-      if (mode.includes("lines")) {
-        let d = "", pen = false;
-        for (const [px, py] of points) {
-          if (!Number.isFinite(px) || !Number.isFinite(py)) { pen = false; continue; }
-          const [a, b] = [px.toFixed(1), Math.max(-1e5, Math.min(1e5, py)).toFixed(1)];
-          d += pen ? (line.shape === "hv" ? `H${a}V${b}` : `L${a} ${b}`) : `M${a} ${b}`;
-          pen = true;
-        }
-        parts.push(`<path d="${d}" stroke="${colour}" stroke-width="${line.width || 1.8}" stroke-dasharray="${DASHES[line.dash] || ""}" opacity="${trace.opacity ?? 1}" stroke-linejoin="round"/>`);
-      }
-      for (const letter of ["x", "y"]) this.errors(trace, letter, x, y, points, colour, parts);
-      if (mode.includes("markers")) for (const [px, py] of points) if (Number.isFinite(px) && Number.isFinite(py)) parts.push(symbol(px, py, marker, colour));
-      return parts.join("");
-    }
-
-    errors(trace, letter, x, y, points, colour, parts) {
-      const error = trace["error_" + letter];
-      if (!error) return;
-      const axis = letter === "x" ? x : y;
-      trace.values[letter].forEach((value, n) => {
-        if (!finite(value)) return;
-        const ends = [value - ((error.arrayminus || error.array)[n] || 0), value + (error.array[n] || 0)].map((end) => axis.px(end)), [px, py] = points[n], w = error.width || 2;
-        const d = letter === "y" ? `M${px} ${ends[0]}V${ends[1]}M${px - w} ${ends[0]}h${2 * w}M${px - w} ${ends[1]}h${2 * w}` : `M${ends[0]} ${py}H${ends[1]}M${ends[0]} ${py - w}v${2 * w}M${ends[1]} ${py - w}v${2 * w}`;
-        if (ends.every(Number.isFinite)) parts.push(`<path d="${d}" stroke="${error.color || colour}" stroke-width="${error.thickness || 1}"/>`);
-      });
-    }
-
-    // where each bar of a trace is: across [from, to] and along [from, to], px
-    rectangles(trace, x, y) {
-      const flat = trace.orientation === "h", [across, along] = flat ? [y, x] : [x, y], stacked = this.layout.barmode === "stack";
-      const beside = stacked ? [trace] : this.shown.filter((each) => each.type === "bar" && (each.xaxis || "x") === x.id && (each.yaxis || "y") === y.id);
-      const wide = 1 - (this.layout.bargap ?? 0.2), each = wide / beside.length, first = -wide / 2 + each * beside.indexOf(trace);
-      return trace.values[flat ? "y" : "x"].map((key, n) => {
-        const middle = across.even(key), base = stacked && trace.base ? trace.base[n] : 0, value = trace.values[flat ? "x" : "y"][n];
-        return { across: [across.at(middle + first), across.at(middle + first + each)], along: [along.px(base), along.px(base + value)] };
-      });
-    }
-
-    bars(trace, x, y) {
-      const flat = trace.orientation === "h", marker = trace.marker || {}, parts = [];
-      const boxes = this.rectangles(trace, x, y);
-      boxes.forEach(({ across, along }, n) => {
-        const [a, b, c, d] = [Math.min(...across), Math.max(...across), Math.min(...along), Math.max(...along)], opacity = Array.isArray(marker.opacity) ? marker.opacity[n] : marker.opacity ?? 1;
-        if ([a, b, c, d].every(Number.isFinite)) parts.push(flat ? `<rect x="${c}" y="${a}" width="${d - c}" height="${b - a}" fill="${marker.color}" opacity="${opacity}"/>` : `<rect x="${a}" y="${c}" width="${b - a}" height="${d - c}" fill="${marker.color}" opacity="${opacity}"/>`);
-      });
-      const middles = boxes.map(({ across, along }) => { const half = (across[0] + across[1]) / 2; return flat ? [along[1], half] : [half, along[1]]; });
-      for (const letter of ["x", "y"]) this.errors(trace, letter, x, y, middles, marker.color, parts);
-      return parts.join("");
-    }
-
-    cells(trace, x, y) {
-      const [ex, ey] = [trace.edges(x).map((even) => x.at(even)), trace.edges(y).map((even) => y.at(even))];
-      const scale = trace.coloraxis ? this.layout.coloraxis : null;
-      const [low, high, colours] = scale ? [scale.cmin, scale.cmax, scale.colorscale] : [trace.zmin ?? 0, trace.zmax ?? 1, trace.colorscale];
-      const parts = [];
-      trace.z.forEach((row, j) => row.forEach((value, i) => {
-        if (!finite(value)) return;
-        const [a, b, c, d] = [Math.min(ex[i], ex[i + 1]), Math.max(ex[i], ex[i + 1]), Math.min(ey[j], ey[j + 1]), Math.max(ey[j], ey[j + 1])];
-        parts.push(`<rect x="${a.toFixed(2)}" y="${c.toFixed(2)}" width="${(b - a).toFixed(2)}" height="${(d - c).toFixed(2)}" fill="${shade(colours, high > low ? (value - low) / (high - low) : 0)}"/>`);
-      }));
-      return `<g shape-rendering="crispEdges">${parts.join("")}</g>`;
-    }
-
-    // where the values between the middles of cells cross the level
-    contour(trace, x, y) {
-      const level = trace.contours.start, px = trace.values.x.map((value) => x.px(value)), py = trace.values.y.map((value) => y.px(value)), { z } = trace;
-      let d = "";
-      for (let j = 0; j + 1 < z.length; j++) for (let i = 0; i + 1 < z[j].length; i++) {
-        const corners = [[i, j], [i + 1, j], [i + 1, j + 1], [i, j + 1]].map(([a, b]) => [px[a], py[b], z[b][a]]);
-        if (!corners.every(([, , value]) => finite(value))) continue;
-        const crossed = corners.map((from, n) => [from, corners[(n + 1) % 4]]).filter(([from, to]) => (from[2] < level) !== (to[2] < level)).map(([from, to]) => { const part = (level - from[2]) / (to[2] - from[2]); return [from[0] + part * (to[0] - from[0]), from[1] + part * (to[1] - from[1])]; });
-        for (let n = 0; n + 1 < crossed.length; n += 2) d += `M${crossed[n].map((value) => value.toFixed(1))}L${crossed[n + 1].map((value) => value.toFixed(1))}`;
-      }
-      return `<path d="${d}" stroke="${trace.line.color}" stroke-width="${trace.line.width}"/>`;
     }
 
     // ---- pointer: values, zoom
@@ -432,7 +217,7 @@
       }
       const point = (n) => ({ x: trace.values.x[n], y: trace.values.y[n], text: Array.isArray(trace.text) ? trace.text[n] : trace.text, customdata: trace.customdata && trace.customdata[n] });
       if (trace.type === "bar") {
-        this.rectangles(trace, x, y).forEach(({ across, along }, n) => {
+        barRectangles(this, trace, x, y).forEach(({ across, along }, n) => {
           const [a, b] = trace.orientation === "h" ? [py, px] : [px, py], inside = (at, [from, to]) => (at - from) * (at - to) <= 0;
           if (inside(a, across) && inside(b, along)) say({ px, py, ...point(n) }, 0);
         });
@@ -560,21 +345,6 @@
 
     saveCsv() { this.save(new Blob([this.csv()], { type: "text/csv" }), "csv"); }
   }
-
-  const symbol = (x, y, marker, colour) => {
-    const kind = marker.symbol || "circle", open = kind.endsWith("-open"), fill = marker.color || colour, r = (marker.size || 6) / 2, edge = marker.line || {};
-    const stroke = open || kind.includes("thin") ? `stroke="${edge.color || fill}" stroke-width="${edge.width || 1.5}"` : edge.width ? `stroke="${edge.color}" stroke-width="${edge.width}"` : "";
-    const paint = `fill="${open || kind.includes("thin") ? "none" : fill}" ${stroke} opacity="${marker.opacity ?? 1}"`;
-    const [a, b] = [x.toFixed(1), y.toFixed(1)], shape = kind.replace("-open", "");
-    if (shape === "circle") return `<circle cx="${a}" cy="${b}" r="${r}" ${paint}/>`;
-    const t = r / 2.6, paths = {
-      square: `M${-r} ${-r}H${r}V${r}H${-r}Z`, diamond: `M0 ${-1.25 * r}L${1.25 * r} 0L0 ${1.25 * r}L${-1.25 * r} 0Z`,
-      "triangle-up": `M0 ${-1.2 * r}L${1.1 * r} ${0.8 * r}H${-1.1 * r}Z`, "triangle-down": `M0 ${1.2 * r}L${1.1 * r} ${-0.8 * r}H${-1.1 * r}Z`,
-      cross: `M${-r} ${-t}H${-t}V${-r}H${t}V${-t}H${r}V${t}H${t}V${r}H${-t}V${t}H${-r}Z`, x: `M${-r} ${-t}H${-t}V${-r}H${t}V${-t}H${r}V${t}H${t}V${r}H${-t}V${t}H${-r}Z`,
-      "x-thin": `M${-r} ${-r}L${r} ${r}M${r} ${-r}L${-r} ${r}`,
-    };
-    return `<path d="${paths[shape] || paths.square}" transform="translate(${a} ${b})${shape === "x" ? " rotate(45)" : ""}" ${paint}/>`;
-  };
 
   // ---- begin
 

@@ -1,7 +1,7 @@
 // The replay of flights: the vehicle in three dimensions, moved by the log, and the time line.
 "use strict";
 (() => {
-  const { told, flights, state, setTime, setView, zoom, setMark, element, style, KINDS, number, inflate } = window.hexjet;
+  const { pageData, flights, state, setTime, setView, zoom, setMark, element, style, KINDS, number, inflate } = window.hexjet;
   const place = document.getElementById("replay");
   if (!place) return;
   const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 5, 10, 30];

@@ -1,11 +1,12 @@
-// Strips with every sample: columns of flights over time, drawn by uPlot from a pyramid of least and greatest values.
-// What the page carries is described in signals_data.py; `pageData()` reads it.
+// Strips: panels of columns over time, as spectra or as cross-plots, drawn by uPlot, with one cursor and one window of
+// time for all of them and for the picture.
 "use strict";
 (() => {
-  const told = JSON.parse(document.getElementById("flight-data").textContent);
+  const { flights, windowOf, amplitudes } = window.hexjet;
   // on paper: the colours of the page's print style, which scripts do not see in time, and the width of a page
   const PAPER = { "--ink": "#000", "--dim": "#444", "--grid": "#ddd", "--card": "#fff", width: 690 };
   let printing = false;
+  const setPrinting = (on) => { printing = on; panels.forEach((panel) => panel.again()); };
   const style = (name) => printing && PAPER[name] || getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const element = (kind, attributes = {}, ...children) => {
     const made = document.createElement(kind);
@@ -17,143 +18,14 @@
     return made;
   };
 
-  // ---- columns
-
-  const bytesOf = (text) => {
-    const binary = atob(text);
-    const bytes = new Uint8Array(binary.length);
-    for (let i = 0; i < binary.length; i++) bytes[i] = binary.charCodeAt(i);
-    return bytes;
-  };
-  const inflate = async (text) => {
-    const stream = new Blob([bytesOf(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
-    return new Uint8Array(await new Response(stream).arrayBuffer());
-  };
-
-  // the inverse of `packed` in signals_data.py
-  const unpack = async (about, rows, text) => {
-    const values = new Float64Array(rows);
-    if (!text) return values.fill(about.base);
-    const raw = await inflate(text);
-    const numbers = new Int32Array(rows);
-    for (let plane = 0; plane < about.planes; plane++) {
-      const from = plane * rows, shift = 8 * plane;
-      for (let i = 0; i < rows; i++) numbers[i] |= raw[from + i] << shift;
-    }
-    for (let i = 0; i < rows; i++) numbers[i] = (numbers[i] >>> 1) ^ -(numbers[i] & 1);
-    for (let turn = 0; turn < about.order; turn++) {
-      for (let i = 1; i < rows; i++) numbers[i] = (numbers[i] + numbers[i - 1]) | 0;
-    }
-    for (let i = 0; i < rows; i++) values[i] = about.base + about.step * numbers[i];
-    if (about.gaps) {
-      const from = about.planes * rows;
-      for (let i = 0; i < rows; i++) if (raw[from + i]) values[i] = NaN;
-    }
-    return values;
-  };
-
-  const FAN = 16; // rows of one level in a row of the next
-
-  // least and greatest of any stretch of rows, in a time that does not grow with the flight
-  class Pyramid {
-    constructor(values) {
-      this.values = values;
-      this.levels = [];
-      let low = values, high = values;
-      while (low.length > FAN) {
-        const size = Math.ceil(low.length / FAN);
-        const lows = new Float64Array(size).fill(Infinity), highs = new Float64Array(size).fill(-Infinity);
-        for (let i = 0; i < low.length; i++) {
-          const at = (i / FAN) | 0;
-          if (low[i] < lows[at]) lows[at] = low[i];
-          if (high[i] > highs[at]) highs[at] = high[i];
-        }
-        this.levels.push([lows, highs]);
-        [low, high] = [lows, highs];
-      }
-    }
-
-    // of rows first to end - 1; [Infinity, -Infinity] where there is no number
-    span(first, end) {
-      let low = Infinity, high = -Infinity;
-      const take = (level, from, to) => {
-        const [lows, highs] = level < 0 ? [this.values, this.values] : this.levels[level];
-        for (let i = from; i < to; i++) {
-          if (lows[i] < low) low = lows[i];
-          if (highs[i] > high) high = highs[i];
-        }
-      };
-      let a = first, b = end, level = -1;
-      while (b - a > 2 * FAN && level + 1 < this.levels.length) {
-        const up = Math.ceil(a / FAN), down = Math.floor(b / FAN);
-        take(level, a, up * FAN);
-        take(level, down * FAN, b);
-        [a, b] = [up, down];
-        level++;
-      }
-      take(level, a, b);
-      return [low, high];
-    }
-  }
-
-  class Flight {
-    constructor(about, number) {
-      Object.assign(this, about);
-      this.number = number;
-      this.known = new Map(about.columns.map((column) => [column.name, column]));
-      this.read = new Map();
-      this.times = null;
-    }
-
-    get end() { return this.uniform ? (this.rows - 1) * this.step : this.times[this.rows - 1]; }
-
-    time(row) { return this.uniform ? row * this.step : this.times[row]; }
-
-    // the last row at or before a time; -1 before the first
-    row(time) {
-      if (this.uniform) return Math.min(this.rows - 1, Math.floor(time / this.step + 1e-6));
-      let low = -1, high = this.rows - 1;
-      while (low < high) {
-        const middle = (low + high + 1) >> 1;
-        if (this.times[middle] <= time + 1e-9) low = middle; else high = middle - 1;
-      }
-      return low;
-    }
-
-    // a column's Pyramid; null where the flight has no such column, or no number in it
-    column(name) {
-      const about = this.known.get(name);
-      if (!about) return Promise.resolve(null);
-      if (!this.read.has(name)) {
-        const place = document.getElementById(`data-${this.number}-${about.data}`);
-        const work = unpack(about, this.rows, place ? place.textContent : "").then((values) => {
-          const made = new Pyramid(values);
-          made.about = about;
-          this.read.set(name, made);
-          return made;
-        });
-        this.read.set(name, work);
-      }
-      return Promise.resolve(this.read.get(name));
-    }
-
-    // a value that is there already; NaN if not
-    at(name, row) {
-      const column = this.read.get(name);
-      return column instanceof Pyramid && row >= 0 ? column.values[row] : NaN;
-    }
-  }
-
-  const flights = told.runs.map((about, number) => new Flight(about, number));
-
   // ---- time: one cursor, one window, for picture and all strips
 
   const state = { t: 0, from: 0, to: 1, marks: [null, null], listeners: [], views: [] };
   state.end = 1;
-  const heard = (list, ...what) => list.forEach((each) => each(...what));
+  const notify = (list, ...what) => list.forEach((each) => each(...what));
   const setTime = (t, source) => {
     state.t = Math.max(0, Math.min(state.end, t));
-    heard(state.listeners, source);
+    notify(state.listeners, source);
   };
   const setView = (from, to) => {
     const least = 4 * Math.min(...flights.map((flight) => flight.step || 1e-3));
@@ -161,7 +33,7 @@
     const span = Math.min(to - from, state.end);
     from = Math.max(0, Math.min(from, state.end - span));
     [state.from, state.to] = [from, from + span];
-    heard(state.views);
+    notify(state.views);
   };
   const zoom = (factor, about = state.t) => {
     const at = about < state.from || about > state.to ? (state.from + state.to) / 2 : about;
@@ -169,53 +41,8 @@
   };
   const setMark = (which) => {
     state.marks[which] = state.marks[which] === null || state.marks[which] !== state.t ? state.t : null;
-    heard(state.listeners, "marks");
-    heard(state.views);
-  };
-
-  // ---- what is drawn of a window: every sample where there is room, least and greatest of a pixel where not
-
-  const ROOM = 3; // samples a pixel that are still drawn one by one
-
-  const windowOf = (lines, from, to, pixels) => {
-    const base = lines.map((line) => line.flight).sort((a, b) => (a.step || 1) - (b.step || 1))[0];
-    if (!base || !base.rows) return [[0], ...lines.map(() => [null])];
-    const last = Math.max(...lines.map((line) => line.flight.rows && line.flight.end));
-    const own = lines.every((line) => line.flight.uniform && line.flight.step === base.step);
-    const longest = own ? lines.map((line) => line.flight).sort((a, b) => b.rows - a.rows)[0] : base;
-    const first = Math.max(0, longest.row(from)), end = Math.min(longest.rows, longest.row(to) + 2);
-    if (end - first <= ROOM * pixels && (own || last <= base.end + 1e-9)) {
-      const x = new Float64Array(Math.max(1, end - first));
-      for (let i = 0; i < x.length; i++) x[i] = longest.time(first + i);
-      return [x, ...lines.map((line) => {
-        const y = new Array(x.length), values = line.column.values, scale = line.scale;
-        for (let i = 0; i < x.length; i++) {
-          const row = own ? first + i : line.flight.row(x[i]);
-          const value = row >= 0 && row < values.length && x[i] <= line.flight.end + 1e-9 ? values[row] : NaN;
-          y[i] = Number.isNaN(value) ? null : scale * value;
-        }
-        return y;
-      })];
-    }
-    const buckets = Math.max(2, pixels), width = (to - from) / buckets;
-    const x = new Float64Array(2 * buckets);
-    const all = lines.map(() => new Array(2 * buckets));
-    for (let i = 0; i < buckets; i++) {
-      x[2 * i] = from + (i + 0.25) * width;
-      x[2 * i + 1] = from + (i + 0.75) * width;
-      for (let n = 0; n < lines.length; n++) {
-        const { flight, column, scale } = lines[n];
-        let a = flight.row(from + i * width) + 1, b = flight.row(from + (i + 1) * width) + 1;
-        if (i === 0) a = Math.max(0, a - 1);
-        if (b <= a) { a = b - 1; if (from + i * width > flight.end) a = b = -1; }
-        const [low, high] = a < 0 ? [Infinity, -Infinity] : column.span(a, b);
-        const none = low > high;
-        const falling = !none && column.values[a] > column.values[b - 1];
-        all[n][2 * i] = none ? null : scale * (falling !== scale < 0 ? high : low);
-        all[n][2 * i + 1] = none ? null : scale * (falling !== scale < 0 ? low : high);
-      }
-    }
-    return [x, ...all];
+    notify(state.listeners, "marks");
+    notify(state.views);
   };
 
   // ---- a panel
@@ -234,6 +61,8 @@
       if (next) drawRest(); else document.documentElement.dataset.drawn = "all";
     });
   };
+
+  const finishLoading = () => { loaded = true; drawRest(); };
 
   const COLOURS = ["#2f7de1", "#f08c00", "#2f9e44", "#c2339b", "#e03131", "#7048e8", "#1098ad", "#a0522d"];
   const DASHES = { solid: [], dash: [7, 4], dot: [2, 3], dashdot: [7, 3, 2, 3] };
@@ -280,7 +109,7 @@
         element("div", {},
           item("over time", () => this.turn("time")), item("spectrum of what is seen", () => this.turn("spectrum")),
           item("cross-plot of the first two", () => this.turn("cross")),
-          item("save PNG", () => this.savePng()), item("save SVG", () => this.saveSvg()), item("save CSV", () => this.saveCsv()),
+          item("save PNG", () => hexjet.files.savePng(this)), item("save SVG", () => hexjet.files.saveSvg(this)), item("save CSV", () => hexjet.files.saveCsv(this)),
           ...(this.free ? [item("remove panel", () => this.remove())] : [])));
       return box;
     }
@@ -292,10 +121,8 @@
       near.unobserve(this.root);
       if (this.chart) this.chart.destroy();
       this.root.remove();
-      if (current === this) current = null;
+      if (this.onRemove) this.onRemove();
     }
-
-    add(signal) { this.signals.push(signal); this.changed(); }
 
     // what is drawn is another
     changed() {
@@ -317,7 +144,7 @@
     // draws what is seen; with `unseen` in any case
     async refresh(unseen = false) {
       if (!(this.seen || unseen) || this.building) return;
-      if (this.chart) { if (this.drawnFor !== this.wanted()) this.redraw(); else this.values(); return; }
+      if (this.chart) { if (this.drawnFor !== this.viewKey()) this.redraw(); else this.values(); return; }
       this.building = true;
       const wanted = this.signals.slice();
       const lines = [];
@@ -332,7 +159,7 @@
       this.build();
     }
 
-    wanted() { return `${state.from} ${state.to} ${this.width()} ${state.marks}`; }
+    viewKey() { return `${state.from} ${state.to} ${this.width()} ${state.marks}`; }
 
     width() { return printing ? PAPER.width : Math.max(120, this.body.clientWidth); }
 
@@ -365,7 +192,7 @@
     build() {
       this.heading();
       this.body.replaceChildren();
-      this.drawnFor = this.wanted();
+      this.drawnFor = this.viewKey();
       if (!this.lines.length) { this.body.append(element("p", { class: "dim small" }, this.free ? "Nothing in this panel yet: find a column above and add it." : "Not in this log.")); return; }
       const width = this.width();
       if (this.mode === "time") this.buildTime(width);
@@ -430,11 +257,11 @@
     redraw() {
       if (!this.chart) return;
       const width = this.width();
-      if (this.mode !== "time") { if (this.drawnFor !== this.wanted()) this.changed(); return; }
+      if (this.mode !== "time") { if (this.drawnFor !== this.viewKey()) this.changed(); return; }
       if (this.chart.width !== width) this.chart.setSize({ width, height: this.height });
       this.data = windowOf(this.lines, state.from, state.to, width - 66);
       this.chart.setData(this.data);
-      this.drawnFor = this.wanted();
+      this.drawnFor = this.viewKey();
       this.values();
     }
 
@@ -493,8 +320,8 @@
         this.cursor.style.visibility = inside ? "visible" : "hidden";
       }
       const now = performance.now();
-      if (state.playing && now - (this.told || 0) < 80) return;
-      this.told = now;
+      if (state.playing && now - (this.valuesAt || 0) < 80) return;
+      this.valuesAt = now;
       const [a, b] = state.marks;
       for (const line of this.lines) {
         const value = (t) => t > line.flight.end + 1e-9 ? NaN : line.scale * line.column.values[line.flight.row(t)];
@@ -580,197 +407,7 @@
       this.chart = new uPlot(options, this.data, this.body);
       this.values();
     }
-
-    // ---- out
-
-    name() { return `${told.name}-${(this.title || this.lines.map((line) => line.column.about.name).join("-") || "panel").toLowerCase().replace(/[^a-z0-9]+/g, "-")}`.slice(0, 80); }
-
-    save(blob, ending) {
-      const link = element("a", { href: URL.createObjectURL(blob), download: `${this.name()}.${ending}` });
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-    }
-
-    savePng() {
-      const source = this.chart.ctx.canvas, ratio = devicePixelRatio;
-      const canvas = element("canvas", { width: source.width, height: source.height + 22 * ratio });
-      const ctx = canvas.getContext("2d");
-      ctx.fillStyle = style("--card");
-      ctx.fillRect(0, 0, canvas.width, canvas.height);
-      ctx.drawImage(source, 0, 22 * ratio);
-      ctx.font = `${12 * ratio}px sans-serif`;
-      ctx.fillStyle = style("--ink");
-      let x = 8 * ratio;
-      ctx.fillText(this.head.firstChild.textContent, x, 15 * ratio);
-      x += ctx.measureText(this.head.firstChild.textContent).width + 14 * ratio;
-      for (const line of this.lines) { ctx.fillStyle = line.colour; ctx.fillText(this.label(line), x, 15 * ratio); x += ctx.measureText(this.label(line)).width + 12 * ratio; }
-      canvas.toBlob((blob) => this.save(blob, "png"));
-    }
-
-    svg() {
-      const u = this.chart, r = devicePixelRatio, { left, top, width, height } = u.bbox;
-      const box = { x: left / r, y: top / r + 22, w: width / r, h: height / r };
-      const text = (value) => String(value).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
-      const parts = [`<svg xmlns="http://www.w3.org/2000/svg" width="${u.width}" height="${u.height + 40}" font-family="sans-serif" font-size="11">`,
-        `<rect width="100%" height="100%" fill="${style("--card")}"/>`,
-        `<clipPath id="c"><rect x="${box.x}" y="${box.y}" width="${box.w}" height="${box.h}"/></clipPath>`];
-      let along = 8;
-      const write = (value, colour) => { parts.push(`<text x="${along}" y="15" fill="${colour}">${text(value)}</text>`); along += 6.2 * String(value).length + 12; };
-      write(this.head.firstChild.textContent, style("--ink"));
-      for (const line of this.lines) write(this.label(line), line.colour);
-      const X = (value) => (u.valToPos(value, "x", true) / r).toFixed(2), Y = (value) => (u.valToPos(value, "y", true) / r + 22).toFixed(2);
-      for (const [n, axis] of u.axes.entries()) {
-        const labels = axis._values || [];
-        (axis._splits || []).forEach((at, i) => {
-          if (labels[i] === null || labels[i] === undefined || labels[i] === "") return;
-          parts.push(n === 0
-            ? `<line x1="${X(at)}" x2="${X(at)}" y1="${box.y}" y2="${box.y + box.h}" stroke="${style("--grid")}"/><text x="${X(at)}" y="${box.y + box.h + 15}" text-anchor="middle" fill="${style("--dim")}">${text(labels[i])}</text>`
-            : `<line y1="${Y(at)}" y2="${Y(at)}" x1="${box.x}" x2="${box.x + box.w}" stroke="${style("--grid")}"/><text x="${box.x - 6}" y="${Number(Y(at)) + 4}" text-anchor="end" fill="${style("--dim")}">${text(labels[i])}</text>`);
-        });
-      }
-      const path = (xs, ys, colour, dash, held) => {
-        let d = "", pen = false, before = 0;
-        for (let i = 0; i < xs.length; i++) {
-          if (ys[i] === null || ys[i] === undefined || !Number.isFinite(ys[i])) { pen = false; continue; }
-          if (pen && held) d += `H${X(xs[i])}`;
-          d += `${pen ? "L" : "M"}${X(xs[i])} ${Y(ys[i])}`;
-          pen = true;
-          before = i;
-        }
-        if (before >= 0 && d) parts.push(`<path clip-path="url(#c)" d="${d}" fill="none" stroke="${colour}" stroke-width="1.4"${dash && dash !== "solid" ? ` stroke-dasharray="${DASHES[dash].join(" ")}"` : ""}/>`);
-      };
-      if (this.mode === "cross") for (const track of this.tracks) path(track.xs, track.ys, track.colour);
-      else this.lines.forEach((line, n) => u.series[n + 1].show && path(u.data[0], u.data[n + 1], line.colour, line.dash, line.held && this.mode === "time"));
-      parts.push(`<text x="${box.x + box.w}" y="${u.height + 34}" text-anchor="end" fill="${style("--dim")}">${this.mode === "time" ? "time [s]" : ""}</text></svg>`);
-      return parts.join("\n");
-    }
-
-    saveSvg() { this.save(new Blob([this.svg()], { type: "image/svg+xml" }), "svg"); }
-
-    csv() {
-      if (this.mode === "spectrum") {
-        const rows = [["frequency_Hz", ...this.lines.map((line) => this.label(line))].join(",")];
-        for (let i = 0; i < this.data[0].length; i++) rows.push(this.data.map((list) => list[i] === null || list[i] === undefined ? "" : list[i]).join(","));
-        return rows.join("\n") + "\n";
-      }
-      const quoted = (value) => /[",\n]/.test(value) ? `"${value.replace(/"/g, '""')}"` : value;
-      const one = flights.length === 1;
-      const rows = [["time_s", ...this.lines.map((line) => quoted(`${line.column.about.name}${one ? "" : ` (${line.flight.label})`}`))].join(",")];
-      const base = this.lines[0];
-      const [first, end] = this.seenRows(base);
-      for (let row = first; row < end; row++) {
-        const t = base.flight.time(row);
-        rows.push([Number(t.toPrecision(12)), ...this.lines.map((line) => {
-          const value = line.column.values[line.flight === base.flight ? row : line.flight.row(t)];
-          return value === undefined || Number.isNaN(value) || t > line.flight.end + 1e-9 ? "" : Number(value.toPrecision(9));
-        })].join(","));
-      }
-      return rows.join("\n") + "\n";
-    }
-
-    saveCsv() { this.save(new Blob([this.csv()], { type: "text/csv" }), "csv"); }
   }
 
-  // one-sided amplitude of each frequency: mean removed, Hann's window, its sum divided out; gaps hold the last value
-  const amplitudes = (values, step, scale) => {
-    let size = 1;
-    const least = Math.max(4, values.length);
-    while (2 * size <= Math.min(least, 1 << 18)) size *= 2;
-    const re = new Float64Array(size), im = new Float64Array(size);
-    let mean = 0, last = 0;
-    for (let i = 0; i < size; i++) { const value = values[Math.min(i, values.length - 1)]; if (Number.isFinite(value)) last = value; re[i] = last; mean += last / size; }
-    for (let i = 0; i < size; i++) re[i] = (re[i] - mean) * (0.5 - 0.5 * Math.cos(2 * Math.PI * i / size));
-    fft(re, im);
-    const frequencies = [], all = [];
-    for (let i = 1; i < size / 2; i++) { frequencies.push(i / (size * step)); all.push(Math.abs(scale) * 4 * Math.hypot(re[i], im[i]) / size || 1e-300); }
-    return [frequencies, all.map((value) => value > 1e-15 ? value : null)];
-  };
-
-  // in place, by Cooley and Tukey; the size is a power of two
-  const fft = (re, im) => {
-    const size = re.length;
-    for (let i = 1, j = 0; i < size; i++) {
-      let bit = size >> 1;
-      for (; j & bit; bit >>= 1) j ^= bit;
-      j ^= bit;
-      if (i < j) { [re[i], re[j]] = [re[j], re[i]]; [im[i], im[j]] = [im[j], im[i]]; }
-    }
-    for (let length = 2; length <= size; length *= 2) {
-      const half = length / 2;
-      for (let k = 0; k < half; k++) {
-        const angle = -2 * Math.PI * k / length, c = Math.cos(angle), s = Math.sin(angle);
-        for (let i = k; i < size; i += length) {
-          const a = re[i + half] * c - im[i + half] * s, b = re[i + half] * s + im[i + half] * c;
-          re[i + half] = re[i] - a; im[i + half] = im[i] - b;
-          re[i] += a; im[i] += b;
-        }
-      }
-    }
-  };
-
-  // ---- the workbench: any column of any run in any panel
-
-  let current = null;
-  const bench = (place) => {
-    const search = element("input", { type: "search", id: "signal-search", placeholder: "name or meaning, such as rate p, throttle, refused", "aria-label": "search columns", autocomplete: "off" });
-    const list = element("ul", { class: "signals", "aria-label": "columns found" });
-    const where = element("div", { class: "bench-panels" });
-    const open = () => { current = new Panel(where, { free: true, height: 190 }); };
-    const names = new Map();
-    for (const flight of flights) for (const about of flight.known.values()) if (!names.has(about.name)) names.set(about.name, about);
-    const put = (name) => {
-      if (!current) open();
-      const [unit, scale] = SHOWN[names.get(name).unit] || [names.get(name).unit, 1];
-      for (const flight of flights) {
-        if (!flight.known.has(name) || current.signals.some((each) => each.column === name && (each.run || 0) === flight.number)) continue;
-        current.signals.push({ run: flight.number, column: name, label: flights.length > 1 ? `${name}, ${flight.label}` : name, scale, shown: unit,
-          colour: COLOURS[current.signals.length % COLOURS.length] });
-      }
-      current.changed();
-    };
-    const show = () => {
-      const words = search.value.toLowerCase().split(/\s+/).filter(Boolean);
-      const found = [...names.values()].filter((about) => words.every((word) => `${about.name.replaceAll("_", " ")} ${about.name} ${about.meaning} ${about.unit}`.toLowerCase().includes(word)));
-      list.replaceChildren(...found.map((about) => element("li", {}, element("button", { type: "button", title: about.meaning, onclick: () => put(about.name) },
-        element("code", {}, about.name), element("span", { class: "dim small" }, ` ${about.unit ? `[${about.unit}] ` : ""}${about.meaning}`)))));
-      if (!found.length) list.append(element("li", { class: "dim small" }, "No column has these words."));
-    };
-    search.addEventListener("input", show);
-    search.addEventListener("keydown", (event) => { if (event.key === "Enter") { const first = list.querySelector("button"); if (first) first.click(); } });
-    place.append(element("div", { class: "bench-find" }, search, element("button", { type: "button", class: "act", onclick: open }, "New panel")), list, where);
-    const empty = [...new Set(flights.flatMap((flight) => flight.empty))];
-    if (empty.length) place.append(element("p", { class: "dim small" }, `${empty.length} columns have no number in ${flights.length > 1 ? "one of these logs" : "this log"}: ${empty.slice(0, 6).join(", ")}${empty.length > 6 ? ", …" : ""}.`));
-    show();
-    open();
-  };
-
-  // ---- begin
-
-  const begin = async () => {
-    for (const flight of flights) if (!flight.uniform) flight.times = (await flight.column("time_s")).values;
-    state.end = Math.max(1e-3, ...flights.map((flight) => flight.rows ? flight.end : 0));
-    state.to = state.end;
-    for (const place of document.querySelectorAll(".strips")) {
-      const figure = told.figures[place.dataset.figure];
-      if (!figure) continue;
-      const group = figure.shared ? [] : null;
-      for (const panel of figure.panels) new Panel(place, { ...panel, group, equal: figure.equal, mode: figure.equal ? "cross" : "time" });
-    }
-    const place = document.getElementById("bench");
-    if (place) bench(place);
-    state.views.push(() => panels.forEach((panel) => panel.refresh()));
-    state.listeners.push(() => panels.forEach((panel) => panel.seen && panel.values()));
-    let wait = 0;
-    new ResizeObserver(() => { clearTimeout(wait); wait = setTimeout(() => panels.forEach((panel) => panel.refresh()), 60); }).observe(document.body);
-    const repaint = () => panels.forEach((panel) => panel.changed());
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
-    const paper = (on) => () => { printing = on; panels.forEach((panel) => panel.again()); };
-    addEventListener("beforeprint", paper(true));
-    addEventListener("afterprint", paper(false));
-    const finish = () => { loaded = true; drawRest(); };
-    if (document.readyState === "complete") finish(); else addEventListener("load", finish);
-    document.documentElement.dataset.strips = "ready";
-  };
-
-  window.hexjet = { told, flights, state, setTime, setView, zoom, setMark, panels, inflate, element, style, KINDS, number, Panel, amplitudes, ready: begin() };
+  Object.assign(window.hexjet, { state, setTime, setView, zoom, setMark, panels, element, style, setPrinting, finishLoading, COLOURS, DASHES, KINDS, SHOWN, number, Panel });
 })();
