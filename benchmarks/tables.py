@@ -58,7 +58,7 @@ def tables(result: Result) -> dict[str, list[Table]]:
     measured: dict[str, tuple[Any, Callable[[Any], Iterable[Table]]]] = {
         STEP: (result.step, lambda runs: starmap(_step, runs.items())),
         BLOCKS: (result.blocks, lambda part: [_blocks(part)]),
-        OTHERS: (result.others, lambda part: [_others(part)]),
+        OTHERS: (result.others, _others),
         OWN: (result.own, lambda part: [_own(part)]),
         PEERS: (result.peers, lambda part: [_peers(part)]),
         ROTORPY: (result.rotorpy, lambda part: [_rotorpy(part)]),
@@ -120,10 +120,14 @@ def _blocks(breakdown: Breakdown) -> Table:
     return Table(title, ("us alone", "us in flight", "units", "%"), rows)
 
 
-def _others(others: Others) -> Table:
+def _others(others: Others) -> Iterator[Table]:
     rows = [(name, *(spread(cost.units) for cost in costs.values())) for name, costs in others.outside.items()]
     columns = tuple(map(runs_a_step, next(iter(others.outside.values()))))
-    return Table("not JSBSim, recorded to disk, in other flights; units", columns, rows)
+    yield Table("not JSBSim, recorded to disk, in other flights; units", columns, rows)
+    rows = [(name, *map(spread, ratios.values())) for name, ratios in others.vehicles.items()]
+    yield Table(
+        "a step of each vehicle in hover, recorded to disk, by the Hex-Jet's with as many JSBSim runs", columns, rows
+    )
 
 
 def _own(found: OwnBlocks) -> Table:

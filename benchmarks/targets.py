@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from benchmarks.measures.browser import Seen
+from benchmarks.measures.others import Others
 from benchmarks.measures.own_blocks import CLASSES, PROCESSES
 from benchmarks.measures.speed import ENGINES, OUTSIDE, RECORDED
 from benchmarks.suite import Result
@@ -15,6 +16,7 @@ from benchmarks.timing import Spread
 RUNS = "JSBSim runs"
 OUTSIDE_UNITS = 1.5  # JSBSim runs, a control step of the standard flight
 DEAREST_UNITS = 3.5  # of any other flight that is measured
+VEHICLE_TIMES = 2.0  # a step of any vehicle by the Hex-Jet's with as many JSBSim runs
 BY_BARE = {1: 4.5, 4: 2.0}  # whole flight by bare JSBSim, by runs a step
 ENGINE_UNITS = 1.5  # JSBSim runs: six engine FMUs, a control step
 CLASS_UNITS = 1.5  # JSBSim runs more: a controller from outside, as a class
@@ -75,6 +77,7 @@ def _step(result: Result) -> Iterator[TargetResult]:
         units = [cost.units for costs in result.others.outside.values() for cost in costs.values()]
         dearest = max(units, key=lambda each: each.median)
         yield TargetResult("the dearest of the other flights, recorded in full", dearest, DEAREST_UNITS, RUNS)
+        yield from vehicle_targets(result.others)
     if result.own:
         for name in CLASSES:
             yield TargetResult(f"more by {name}", result.own.more[name].units, CLASS_UNITS, RUNS)
@@ -86,6 +89,14 @@ def _step(result: Result) -> Iterator[TargetResult]:
         shortest, longest = min(result.time.steps), max(result.time.steps)
         name = f"a step of {longest} s flown by one of {shortest} s"
         yield TargetResult(name, result.time.growth, STEP_GROWTH, "times")
+
+
+def vehicle_targets(others: Others) -> Iterator[TargetResult]:
+    """Return the dearest vehicle by the Hex-Jet, with each number of runs a step."""
+    for runs in next(iter(others.vehicles.values())):
+        dearest = max(others.vehicles, key=lambda name: others.vehicles[name][runs].median)
+        name = f"a step of the dearest vehicle, {dearest}, by the Hex-Jet's, {runs_a_step(runs)}"
+        yield TargetResult(name, others.vehicles[dearest][runs], VEHICLE_TIMES, "times")
 
 
 def _processes(result: Result) -> Iterator[TargetResult]:

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
-from places import DOCS
+from places import DOCS, ROOT
 
 from benchmarks.machine import package_versions
 from benchmarks.measures import (
@@ -51,7 +51,7 @@ from benchmarks.suite import (
     measure,
 )
 from benchmarks.tables import spread
-from benchmarks.targets import TargetResult, judge, to_dict
+from benchmarks.targets import TargetResult, judge, to_dict, vehicle_targets
 from benchmarks.timing import (
     Clocked,
     Cost,
@@ -370,6 +370,25 @@ def test_other_flights_are_less_jsbsims_own_runs(monkeypatch: pytest.MonkeyPatch
     found = others.measure_others(0.1, 1, tmp_path, lambda: None)
     units = {name: {runs: cost.units.median for runs, cost in costs.items()} for name, costs in found.outside.items()}
     assert units == {name: {1: pytest.approx(9.0), 4: pytest.approx(6.0)} for name in "ab"}
+    shipped = sorted(path.parent.name for path in (ROOT / "aircraft").glob("*/vehicle.toml"))
+    assert sorted(found.vehicles) == shipped
+    assert all(ratios[runs].median == pytest.approx(1.0) for ratios in found.vehicles.values() for runs in (1, 4))
+
+
+def test_a_vehicle_is_compared_with_the_hexjet_round_by_round() -> None:
+    """Twice its microseconds while the unit took twice as long is the same step."""
+    slow, quick = Clocked(8e-6, 8e-6, 8e-6), Clocked(4e-6, 4e-6, 4e-6)
+    own = [Pair(Clocked(80e-6, 80e-6, 80e-6), slow), Pair(Clocked(60e-6, 60e-6, 60e-6), quick)]
+    hexjet = [Pair(Clocked(40e-6, 40e-6, 40e-6), quick), Pair(Clocked(20e-6, 20e-6, 20e-6), quick)]
+    assert others.ratio(own, hexjet).median == pytest.approx(2.0)  # of 1 and 3
+
+
+def test_the_dearest_vehicle_is_judged() -> None:
+    ratios = {"even": (1.0, 1.0), "winged": (2.1, 1.9)}
+    vehicles = {name: {1: Spread.of([once]), 4: Spread.of([often])} for name, (once, often) in ratios.items()}
+    judged = list(vehicle_targets(others.Others({}, vehicles)))
+    assert [(row.measured.median, row.met) for row in judged] == [(2.1, False), (1.9, True)]
+    assert all("winged" in row.name for row in judged)
 
 
 @pytest.mark.long
