@@ -7,8 +7,8 @@ from typing import Any, get_args
 from cosim.base.errors import InputError
 from cosim.base.protocols import EngineState, Predictor
 from cosim.base.storage.toml import validate
-from cosim.control.autopilot.answers import FaultCommands
 from cosim.control.autopilot.autopilot import Autopilot, Thrust
+from cosim.control.autopilot.request_handler import FaultCommands
 from cosim.control.autopilot.requests import InjectFault
 from cosim.control.autopilot.tuning import ControlLoops
 from cosim.simulation.controllers.models import predictors
@@ -78,7 +78,7 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
         EngineState.FLY if airborne else EngineState(scenario.initial.engines),
         scenario.sensor_noise,
     )
-    pilot.energy.hovering = _burn_in_hover(simulation)
+    pilot.energy.hover_burn = _burn_in_hover(simulation)
     pilot.reset(simulation.measured)
     simulation.pilot = pilot
     return pilot

@@ -20,7 +20,7 @@ from cosim.base.protocols import Column, EngineState, Report
 from cosim.base.signals import Command, Measured
 from cosim.control.autopilot.estimation.position import Estimator, Fix
 from cosim.control.autopilot.geometry import Pair, lean_for, wrap
-from cosim.control.autopilot.guidance.descent import descent_for, height_limits, thrust_margins
+from cosim.control.autopilot.guidance.descent import descent_rate, height_limits, thrust_margins
 from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Track, Tracker
 from cosim.control.cascade import Cascade
@@ -165,15 +165,15 @@ class PlacePilot:
             self._tracker.start(track.position, track.velocity)
             if height is not None:
                 self._height.start((height[0], 0.0), (height[1], 0.0))
-                self._to_altitude = self._height.ahead[0]
+                self._to_altitude = self._height.stop_position[0]
             self._drawn = None
         elif self._number < 0:
             self._tracker.start(fix.position, fix.velocity)
         self._number = number
         if self._climb is not None:  # comes to rest where it can
-            self._to_altitude, self._climb = self._height.ahead[0], None
+            self._to_altitude, self._climb = self._height.stop_position[0], None
         if isinstance(aim, PlaceCommand):
-            north, east = self._tracker.ahead
+            north, east = self._tracker.stop_position
             self._target = (north if aim.north_m is None else aim.north_m, east if aim.east_m is None else aim.east_m)
             self._most = aim.speed_m_s or self._speed
             self._rise_and_turn(aim.altitude_m, aim.yaw_deg, command)
@@ -241,7 +241,7 @@ class PlacePilot:
         if self._drawn is not None and self._drawn[1] is not None:
             return self._to_altitude
         here, (up, down) = self._height.track.position[0], self._rates
-        sink = min(down, descent_for(here, self._limits.braking, self._limits.late))
+        sink = min(down, descent_rate(here, self._limits.braking, self._limits.late))
         if self._climb is not None:
             return self._height.at_velocity((min(max(self._climb, -sink), up), 0.0)).position[0]
         return self._height.towards((self._to_altitude, 0.0), up if self._to_altitude > here else sink).position[0]

@@ -186,7 +186,7 @@ class _Flight:
         self.fly(STANDING_S)
         self.ask((Arm(),))
         if self.task.case.waits:
-            self.refused = self.pilot.energy.short_of_climb(self.pilot.status.altitude + height)
+            self.refused = self.pilot.energy.describe_climb_shortage(self.pilot.status.altitude + height)
             if self.refused:
                 return False
         self.ask((Takeoff(height),))

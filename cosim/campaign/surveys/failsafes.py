@@ -225,13 +225,13 @@ def draw_flight(task: Task, vehicle: Vehicle, energy: Energy, seed: int) -> Task
     initial: dict[str, Any] = {"on_ground": True}
     if case.waits:
         # of the tank at the end of the hover: what the way down takes with its margin, or the least in per cent
-        seconds = (1.0 + energy.margin) * energy.down(start.height)
-        least = energy.least
+        seconds = (1.0 + energy.margin) * energy.descent_time(start.height)
+        least = energy.floor
         if vehicle.fuel is None:
             endurance = max(hover / (1.0 - least), hover + seconds)
             case = case._replace(before=(SetParameter("HJ_ENDURANCE", float(round(endurance))),))
         else:
-            up = energy.burn * (energy.climbing(start.height) + hover)
+            up = energy.burn * (energy.climb_time(start.height) + hover)
             initial["fuel"] = min(1.0, round(up + max(least, energy.burn * seconds), 3))
     scenario = task.scenario.replace(initial=initial, seed=draw.randrange(2**31))
     return task._replace(case=case, scenario=scenario, hover=hover)

@@ -18,7 +18,7 @@ class Arming:
     """``since``: the step of arming, of the begin of a take-off, or of standing again; ``flew``: since arming."""
 
     def __init__(self, course: Course, remote: Remote, watch: Watch, step: float) -> None:
-        self._parameters, self._estimates, self._places = course.parameters, course.estimates, course.places
+        self._parameters, self._estimates, self._landmarks = course.parameters, course.estimates, course.landmarks
         self._remote = remote
         self._watch = watch
         self._step = step
@@ -31,7 +31,7 @@ class Arming:
         self.since = 0
 
     def arm(self, k: int, flying: bool) -> None:
-        """From now on it may fly, or does."""
+        """Arm the vehicle, which stands or is flying."""
         self.armed = True
         self.engines = EngineState.FLY if flying else EngineState.IDLE
         self.flew = flying
@@ -43,12 +43,12 @@ class Arming:
         self.since = k
 
     def stand(self, k: int) -> None:
-        """On the ground: the engines idle."""
+        """Let the engines idle, on the ground."""
         self.engines = EngineState.IDLE
         self.since = k
 
     def disarm(self) -> None:
-        """Standing: the engines are off."""
+        """Disarm the standing vehicle: the engines are off."""
         self.shut_off()
         self.flew = False
 
@@ -58,7 +58,7 @@ class Arming:
         self.engines = EngineState.OFF
 
     def wait_for_engines(self, k: int) -> None:
-        """Let the time that it may stand armed begin at step ``k``."""
+        """Restart the time that it may stand armed at step ``k``."""
         self.since = k
 
     def idle_too_long(self, k: int) -> bool:
@@ -67,7 +67,7 @@ class Arming:
         return (k - self.since) * self._step >= wait and (wait > 0.0 or self.flew)
 
     def refusals(self, mode: Mode, landed: LandedState, report: Report, k: int) -> tuple[str, ...]:
-        """Every reason for which arming would be refused at step ``k``."""
+        """Return every reason for which arming would be refused at step ``k``."""
         estimates = self._estimates
         if estimates.measured is None:
             return ("no measurements yet",)
@@ -86,24 +86,24 @@ class Arming:
         remaining = self._watch.energy.remaining
         if remaining is not None and 100.0 * remaining <= self._parameters["HJ_FUEL_CRIT"]:
             reasons.append(f"fuel or battery at {100.0 * remaining:.0f} %")
-        if self._places.home is None:
+        if self._landmarks.home is None:
             reasons.append("no home: waiting for the position")
         if landed is not LandedState.ON_GROUND:
             reasons.append("it is in the air")
-        reasons.extend(estimates.senses.failed)
-        if blind := self.blind(mode):
-            reasons.append(blind)
+        reasons.extend(estimates.senses.failures)
+        if refusal := self.find_position_refusal(mode):
+            reasons.append(refusal)
         return (*reasons, *self._remote.refusals(mode, k))
 
-    def grounded(self, mode: Mode, report: Report) -> str:
-        """Why a mode cannot leave the ground: a failed engine's failsafe would end it at once, or :meth:`blind`."""
+    def find_take_off_refusal(self, mode: Mode, report: Report) -> str:
+        """Return why a mode cannot leave the ground: an engine has failed, or no position; empty: it can."""
         if report.lost and int(self._parameters["HJ_ENG_ACT"]) != NOTHING:
             return _describe_failure(report)
-        return self.blind(mode)
+        return self.find_position_refusal(mode)
 
-    def blind(self, mode: Mode) -> str:
-        """Why a mode cannot be flown from the ground for want of a position; empty: it can."""
-        if self._estimates.positioned or mode in (*DIRECT, Mode.ALTCTL) or self._remote.gives_collective(mode):
+    def find_position_refusal(self, mode: Mode) -> str:
+        """Return why a mode cannot be flown from the ground for want of a position; empty: it can."""
+        if self._estimates.has_position or mode in (*DIRECT, Mode.ALTCTL) or self._remote.gives_collective(mode):
             return ""
         return f"mode {mode.value} needs the position, and the GNSS receiver has stopped"
 

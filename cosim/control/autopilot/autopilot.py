@@ -12,13 +12,12 @@ from typing import NamedTuple
 from cosim.base.errors import InputError
 from cosim.base.protocols import EngineState, Report
 from cosim.base.signals import Command, Measured
-from cosim.control.autopilot.answers import ANSWERS, Answers, FaultCommands, no
 from cosim.control.autopilot.arming import Arming
 from cosim.control.autopilot.energy import Energy
 from cosim.control.autopilot.estimation.estimates import Estimates
 from cosim.control.autopilot.failsafes import OUTSIDE, Watch
-from cosim.control.autopilot.flight_state import FlightState, Parts
-from cosim.control.autopilot.guidance.course import Course, Places
+from cosim.control.autopilot.flight_state import AutopilotComponents, FlightState
+from cosim.control.autopilot.guidance.course import Course, Landmarks
 from cosim.control.autopilot.guidance.envelope import Envelope
 from cosim.control.autopilot.guidance.guide import Guide
 from cosim.control.autopilot.guidance.headway import Headway
@@ -33,22 +32,23 @@ from cosim.control.autopilot.manoeuvres.remote import Remote
 from cosim.control.autopilot.manoeuvres.touchdown import Touchdown
 from cosim.control.autopilot.modes import BY_STICK, DIRECT, Home, LandedState, Message, Mode, Severity
 from cosim.control.autopilot.parameters import LAND, Parameters, table
+from cosim.control.autopilot.request_handler import HANDLERS, FaultCommands, RequestHandler, refuse
 from cosim.control.autopilot.requests import Answer, ItemKind, Request, Result
 from cosim.control.autopilot.status import Status
 from cosim.control.autopilot.tuning import Blocks, ControlLoops, Live
 from cosim.spec.vehicle import PilotSettings, PositionGains, Vehicle
 
 # Chosen by us, with the reason.
-_APART = 2.5  # attitude gain over velocity gain, at least: nearer, the loop that the law takes for done is not
-_KNOWN_S = 1.0  # a second of GNSS before its place may be called home
-# That hinges which turn engines push it aside when one is lost: by then throttles have followed.  Taken for wind, this
-# had it lean across when it was over.
+_GAIN_RATIO = 2.5  # attitude gain over velocity gain, at least: else the position law is too fast
+_HOME_DELAY_S = 1.0  # s of GNSS before its position may become home
+# Hinges that turn engines push the vehicle aside for so long when one is lost: by then throttles have followed.  Taken
+# for wind, the push made it lean when it was over.
 _PUSHED_S = 3.0
 _SETTLE_SINK = 1.0  # m/s: sinking faster than this is no contact
 
 
 class Thrust(NamedTuple):
-    """The vehicle's thrust as the autopilot knows it."""
+    """The nominal thrust of the vehicle."""
 
     hover: float  # collective at which it hovers
     idle: float = 0.0  # thrust of an engine without throttle, as a fraction of what full throttle adds to it
@@ -59,7 +59,7 @@ class Autopilot:
     """Flight modes of one vehicle: the requests of ground stations become the command of every control step.
 
     ``engines``: at the start; where they fly, it begins in the air, armed, holding.  ``noisy``: the sensors have their
-    noise, by which a receiver that has stopped is told from one that stands.
+    noise, which distinguishes a receiver that has stopped from one that stands still.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Autopilot:
         hover, idle, answer = thrust
         gains, settings, slowest = _settings(vehicle)
         limits = vehicle.control.allocation
-        least = limits.throttle_min
+        least_throttle = limits.throttle_min
         self.parameters = parameters = Parameters(
             table(vehicle.control, settings, loops.controller, loops.delay, loops.level, vehicle.jets)
         )
@@ -85,44 +85,45 @@ class Autopilot:
         live = Live(parameters, vehicle.control, blocks, step)
         self._estimates = estimates = Estimates(vehicle.sensors, gains, step, slowest, noisy)
         self._envelope = Envelope(vehicle, hover, idle, answer, parameters, estimates, step)
-        self._places = places = Places()
+        self._landmarks = landmarks = Landmarks()
         guide = Guide(tracker, position, parameters, self._envelope.height_limits(), step)
-        self._course = course = Course(parameters, estimates, places, guide)
+        self._course = course = Course(parameters, estimates, landmarks, guide)
         self.energy = Energy(course, Headway(course, vehicle, gains.catch_up_m_s, step), hover, step)
-        self._watch = watch = Watch(parameters, self.energy, step, self._fail_safe)
+        self._watch = watch = Watch(parameters, self.energy, step, self._activate_failsafe)
         self._remote = Remote(course, limits, hover, step)
         self._arming = Arming(course, self._remote, watch, step)
-        self._take_off = TakeOff(course, hover, least, step)
+        self._take_off = TakeOff(course, hover, least_throttle, step)
         touchdown = Touchdown(hover, step, idle, settings.spool_s)
-        self._landing = Landing(course, touchdown, hover, least, step)
+        self._landing = Landing(course, touchdown, hover, least_throttle, step)
         self._homeward = Homeward(course)
         self._circle = Circle(course, watch)
         self._mission = MissionFlight(course, self._circle, self._homeward, step)
-        parts = Parts(
-            parameters, live, estimates, self._envelope, places, course, watch, self._remote, self._arming,
+        components = AutopilotComponents(
+            parameters, live, estimates, self._envelope, landmarks, course, watch, self._remote, self._arming,
             self._take_off, self._landing, self._homeward, self._circle, self._mission,
         )  # fmt: skip
         airborne = engines is EngineState.FLY
-        self._state = FlightState(parts, airborne)
-        self._answers = Answers(parts, self._state, faults)
+        self._state = FlightState(components, airborne)
+        self._request_handler = RequestHandler(components, self._state, faults)
         self._airborne, self._engines = airborne, engines
-        # whether without an engine it is carried aside, by hinges that turn engines, before it is caught
+        # whether hinges that turn engines push it aside after a loss, before throttles have followed
         catch = vehicle.control.monitor is not None and vehicle.control.monitor.catch
-        self._carried = catch and vehicle.layout().moves
-        self._pushed = round(_PUSHED_S / step)
-        self._spins = self._carried or vehicle.allocation == "rotors"  # whether without one it holds no heading
-        # a flight that begins in the air knows the ground as 0: it stands on its legs there
+        self._is_pushed_by_hinges = catch and vehicle.layout().moves
+        self._push_steps = round(_PUSHED_S / step)
+        # whether it cannot hold its heading without an engine
+        self._loses_heading = self._is_pushed_by_hinges or vehicle.allocation == "rotors"
+        # A flight that begins in the air assumes the ground at height 0, where the vehicle would stand on its legs.
         legs = (contact.position_m[2] for contact in vehicle.contacts if contact.kind == "leg")
-        self._standing = max(legs, default=0.0) if airborne else 0.0
-        self._known = round(_KNOWN_S / step)
+        self._leg_height = max(legs, default=0.0) if airborne else 0.0
+        self._home_delay = round(_HOME_DELAY_S / step)
         self.reset()
 
     def reset(self, measured: Measured | None = None) -> None:
-        """As at the start, where the sensors say ``measured``; parameters, mission, fence and rally points stay."""
-        self._whole = 0  # the last step with all engines
+        """Start a flight where the sensors read ``measured``; parameters, mission, fence and rally points stay."""
+        self._last_healthy_step = 0  # the last step with all engines
         self._state.reset()
         self._estimates.reset(measured)
-        self._places.reset(self._standing)
+        self._landmarks.reset(self._leg_height)
         self._course.reset()
         self._remote.reset()
         self._arming.reset(self._engines)
@@ -134,8 +135,8 @@ class Autopilot:
         self._envelope.reset(self._airborne)
         self._watch.reset()
 
-    def _fail_safe(self, action: int, reason: str) -> None:
-        self._state.fail_safe(action, reason)
+    def _activate_failsafe(self, action: int, reason: str) -> None:
+        self._state.activate_failsafe(action, reason)
 
     # --- what there is to see --------------------------------------------------------------------------------------
 
@@ -149,7 +150,7 @@ class Autopilot:
 
     @property
     def failsafe(self) -> str:
-        """Why one acts; empty where none does."""
+        """Why a failsafe acts; empty where none does."""
         return self._state.failsafe
 
     @property
@@ -162,12 +163,12 @@ class Autopilot:
 
     @property
     def seen(self) -> Measured:
-        """What the loops are to fly the present step with."""
+        """The measurements, sensed or estimated, that the loops fly the present step with."""
         return self._estimates.now
 
     @property
     def home(self) -> Home | None:
-        return self._places.home
+        return self._landmarks.home
 
     @property
     def mission(self) -> Mission:
@@ -175,11 +176,11 @@ class Autopilot:
 
     @property
     def messages(self) -> deque[Message]:
-        """The last lines for the people on the ground."""
+        """The last messages to ground stations."""
         return self._state.messages.lines
 
     def refusals(self) -> tuple[str, ...]:
-        """Every reason for which arming would be refused now."""
+        """Return every reason for which arming would be refused now."""
         return self._state.refusals()
 
     @property
@@ -188,10 +189,10 @@ class Autopilot:
         refusals = () if self.armed else self.refusals()
         course, guide, mission = self._course, self._course.guide, self.mission
         track = None if guide.track is None else guide.track.position
-        place = track if course.place is None else course.place
+        position = track if course.position is None else course.position
         target = None
-        if place is not None and self._state.flying():
-            target = Home(*place, course.height if course.height is not None else guide.altitude)
+        if position is not None and self._state.is_flying():
+            target = Home(*position, course.height if course.height is not None else guide.altitude)
         return Status(
             self._state.k,
             self.mode,
@@ -215,9 +216,9 @@ class Autopilot:
             self._remote.sticks_fresh(self._state.k),
             self._watch.link_lost >= 0,
             self._watch.zones,
-            self._places.rally,
+            self._landmarks.rally,
             self._circle.orbit if self.mode is Mode.ORBIT else None,
-            self._estimates.positioned,
+            self._estimates.has_position,
             self._estimates.measured,
             self._estimates.trust,
         )
@@ -226,53 +227,53 @@ class Autopilot:
 
     def update(self, k: int, measured: Measured, report: Report) -> Command:
         """Return the command of step ``k``; :attr:`engines` says what the engines do with it."""
-        self._notice(k, measured, report)
-        self._guard(k)
-        command = self._fly(k)
+        self._update_estimates(k, measured, report)
+        self._check_failsafes(k)
+        command = self._command_step(k)
         if self.engines is not EngineState.FLY:
             self._envelope.reset(airborne=False)
             return command
-        return self._envelope.shaped(command)._replace(collective=self._caught(k, command.collective))
+        return self._envelope.shape(command)._replace(collective=self._limit_fall(k, command.collective))
 
-    def _notice(self, k: int, measured: Measured, report: Report) -> None:
+    def _update_estimates(self, k: int, measured: Measured, report: Report) -> None:
         """Update the estimates from the sensors and the engines' report."""
-        self._notice_starts(k, report)
+        self._report_starts(k, report)
         self._state.k, self._state.report = k, report
-        standing = not self._state.flying()
-        rising = self.landed is LandedState.TAKING_OFF
-        grounded = standing or (rising and not self._landing.touchdown.off)
-        lost = bool(report.lost)
-        if not lost:
-            self._whole = k
-        pushed = self._carried and 0 < k - self._whole < self._pushed
-        self._estimates.update(k, measured, standing, grounded, pushed)
-        if self.home is None and k >= self._known and standing:
+        is_standing = not self._state.is_flying()
+        is_rising = self.landed is LandedState.TAKING_OFF
+        is_grounded = is_standing or (is_rising and not self._landing.touchdown.is_off_ground)
+        has_failed = bool(report.lost)
+        if not has_failed:
+            self._last_healthy_step = k
+        is_pushed = self._is_pushed_by_hinges and 0 < k - self._last_healthy_step < self._push_steps
+        self._estimates.update(k, measured, is_standing, is_grounded, is_pushed)
+        if self.home is None and k >= self._home_delay and is_standing:
             self._state.home_here()
-        elif self.home is None and not standing:
-            # the flight began in the air
-            self._places.home = Home(*self._estimates.fix.position, 0.0)
-        if self.landed is LandedState.IN_AIR:  # beside the set-point that was flown until now
+        elif self.home is None and not is_standing:
+            # The flight began in the air.
+            self._landmarks.home = Home(*self._estimates.fix.position, 0.0)
+        if self.landed is LandedState.IN_AIR:
             self.energy.headway.learn()
-        self._course.begin(k, self._spins and lost, self._carried and lost)
+        self._course.begin(k, self._loses_heading and has_failed, self._is_pushed_by_hinges and has_failed)
         self._landing.look(report, self.landed is LandedState.IN_AIR and not self._course.descending)
         self.energy.consume(report, self.engines is EngineState.FLY, self.landed is LandedState.IN_AIR)
 
-    def _notice_starts(self, k: int, report: Report) -> None:
-        """Say when engines that start have come up; a vehicle that stands armed waits for them."""
+    def _report_starts(self, k: int, report: Report) -> None:
+        """Report engines that start and have started; a vehicle that stands armed waits for them."""
         off = self.engines is EngineState.OFF
         if self._state.report.starting and not report.starting and not off:
             self._state.say(Severity.INFO, "all engines run", k)
-        if report.starting and self.armed and not self._state.flying():
+        if report.starting and self.armed and not self._state.is_flying():
             if not self._state.report.starting:
                 self._state.say(Severity.INFO, "the engines start", k)
             self._arming.wait_for_engines(k)
 
-    def _guard(self, k: int) -> None:
-        """Everything that may end what is being done."""
+    def _check_failsafes(self, k: int) -> None:
+        """Check everything that may end the present mode."""
         if not self.armed:
             return
         estimates, report = self._estimates, self._state.report
-        if self._watch.tipped(estimates.now):
+        if self._watch.detect_tipping(estimates.now):
             if self.landed in (LandedState.ON_GROUND, LandedState.TAKING_OFF):
                 self._state.say(Severity.CRITICAL, "tipped over", k)
                 self._state.shut_off(k)
@@ -280,47 +281,46 @@ class Autopilot:
                 self._state.say(Severity.CRITICAL, "leans as if control were lost", k)
                 self._state.failsafe = "leans as if control were lost"
             return
-        if self._state.flying():
-            # what was taken over is watched anew
+        if self._state.is_flying():
             acting = self.failsafe.startswith(OUTSIDE)
             self._watch.update(k, estimates.now, estimates.fix, self.home, report, self.mode, acting)
-            self._watch.sensors(estimates.senses.failed)
-            if not estimates.positioned and self.mode not in (*DIRECT, Mode.ALTCTL, Mode.LAND):
-                self._state.fail_safe(LAND, "position lost")
-        if self.mode in BY_STICK and self._state.flying() and not self._remote.sticks_fresh(k):
+            self._watch.check_sensors(estimates.senses.failures)
+            if not estimates.has_position and self.mode not in (*DIRECT, Mode.ALTCTL, Mode.LAND):
+                self._state.activate_failsafe(LAND, "position lost")
+        if self.mode in BY_STICK and self._state.is_flying() and not self._remote.sticks_fresh(k):
             self._state.say(Severity.WARNING, "sticks lost, holding", k)
             self._state.enter(Mode.HOLD, k)
         if self.mode is Mode.OFFBOARD and not self._remote.setpoint_fresh(k):
             self._state.say(Severity.WARNING, "no more set-points, holding", k)
             self._state.enter(Mode.HOLD, k)
 
-    def _fly(self, k: int) -> Command:
+    def _command_step(self, k: int) -> Command:
         """Return the command of step ``k`` before it is shaped for the loops."""
         self._course.descending = self._course.landing = False
         if self.engines is EngineState.OFF or not self.armed:
-            if self._landing.touchdown.standing:
+            if self._landing.touchdown.is_standing:
                 self._state.landed = LandedState.ON_GROUND
-            return self._idle()
+            return self._idle_command()
         if self.landed is LandedState.ON_GROUND:
-            return self._on_ground(k)
+            return self._command_on_ground(k)
         if self.landed is LandedState.TAKING_OFF:
-            return self._taking_off(k)
-        return self._in_air(k)
+            return self._command_take_off(k)
+        return self._command_in_air(k)
 
-    def _caught(self, k: int, collective: float | None) -> float | None:
+    def _limit_fall(self, k: int, collective: float | None) -> float | None:
         """Return the requested collective, or the greater one that it takes not to hit the ground."""
         floor = self._envelope.floor
         if collective is None or self._landing.collective is not None or not self._gives_collective():
-            # nothing was allocated before the first step
+            # Nothing was allocated before the first step.
             if k > 0:
                 floor.level(self._state.report.collective)
             return collective
-        if not self._landing.touchdown.off:
-            return floor.slowed(collective)
-        return self._envelope.caught(collective, self._places.ground, self._state.report.remaining)
+        if not self._landing.touchdown.is_off_ground:
+            return floor.limit_rate(collective)
+        return self._envelope.limit_fall(collective, self._landmarks.ground, self._state.report.remaining)
 
-    def _on_ground(self, k: int) -> Command:
-        """Armed and standing: waits for a reason to leave, not for ever."""
+    def _command_on_ground(self, k: int) -> Command:
+        """Return the command of the armed, standing vehicle; disarm it after some time."""
         arming = self._arming
         if self._wants_up(k) and not self._state.report.starting:
             self._state.landed = LandedState.TAKING_OFF
@@ -328,10 +328,10 @@ class Autopilot:
             self._mission.leave_ground(self.mode is Mode.MISSION)
             self._landing.touchdown.reset()
             self._take_off.leave(k)
-            return self._taking_off(k)
+            return self._command_take_off(k)
         if arming.idle_too_long(k):
             self._state.stand_down(k, "landed, disarmed" if arming.flew else "not taken off, disarmed")
-        return self._idle()
+        return self._idle_command()
 
     def _wants_up(self, k: int) -> bool:
         """Return whether the mode or the request needs the vehicle to leave the ground."""
@@ -342,78 +342,78 @@ class Autopilot:
             return item is not None and (not self._arming.flew or item.kind is ItemKind.TAKEOFF)
         return self._remote.wants_up(self.mode, k)
 
-    def _taking_off(self, k: int) -> Command:
-        """From idle to the air."""
-        if self._landing.lifted:
+    def _command_take_off(self, k: int) -> Command:
+        """Return the command of a take-off."""
+        if self._landing.has_lifted:
             self._state.landed = LandedState.IN_AIR
             self._arming.flew = True
             self._landing.lift_off()
-            return self._in_air(k)
+            return self._command_in_air(k)
         if not self._wants_up(k):
-            return self._give_up(k, "")
+            return self._end_take_off(k, "")
         if self._gives_collective():
-            return self._by_mode(k)
+            return self._command_mode(k)
         command = self._take_off.rise(k - self._arming.since)
-        return self._give_up(k, "did not leave the ground") if command is None else command
+        return self._end_take_off(k, "did not leave the ground") if command is None else command
 
-    def _give_up(self, k: int, why: str) -> Command:
-        """Off the take-off: in the air already, or back to standing; with a reason, disarmed."""
-        if self._landing.touchdown.off:
+    def _end_take_off(self, k: int, why: str) -> Command:
+        """End a take-off: in the air already, or back to standing; with a reason, disarmed."""
+        if self._landing.touchdown.is_off_ground:
             self._state.landed = LandedState.IN_AIR
-            return self._in_air(k)
+            return self._command_in_air(k)
         self._state.stand(k)
         if why:
             self._state.say(Severity.ERROR, why, k)
             self._state.stand_down(k, "disarmed")
-        return self._idle()
+        return self._idle_command()
 
-    def _in_air(self, k: int) -> Command:
-        """Flying, unless the legs have found the ground and something wants to stay there."""
+    def _command_in_air(self, k: int) -> Command:
+        """Return the command in flight, or of settling where the legs have touched the ground in a descent."""
         landing, course = self._landing, self._course
-        touched = landing.touched()
-        if landing.disbelieves():
+        has_contact = landing.detect_contact()
+        if landing.reject_switch():
             self._state.say(Severity.WARNING, "the legs report ground in the air, their switch is ignored", k)
-        if landing.collective is None and self.mode is Mode.HOLD and course.place is None and touched:
-            # nobody asked it to leave the ground
+        if landing.collective is None and self.mode is Mode.HOLD and course.position is None and has_contact:
+            # No request has asked it to leave the ground.
             landing.collective, self._state.landed = self._state.report.collective, LandedState.LANDING
-        down = touched and self._estimates.now.velocity[2] < _SETTLE_SINK
+        is_down = has_contact and self._estimates.now.velocity[2] < _SETTLE_SINK
         if landing.collective is not None:
-            if down:
-                return self._settle(k, landing.collective)
+            if is_down:
+                return self._command_settling(k, landing.collective)
             landing.collective = None
-        command = self._by_mode(k)
+        command = self._command_mode(k)
         if self._gives_collective():
-            if touched and landing.touchdown.standing:
+            if has_contact and landing.touchdown.is_standing:
                 self._state.stand(k)
-        elif course.descending and down:
+        elif course.descending and is_down:
             landing.collective = self._state.report.collective
             self._state.landed = LandedState.LANDING
         elif self.landed is LandedState.LANDING and not course.descending:
             self._state.landed = LandedState.IN_AIR
         return command
 
-    def _settle(self, k: int, collective: float) -> Command:
-        """On the ground: the thrust goes, and then it stands."""
+    def _command_settling(self, k: int, collective: float) -> Command:
+        """Return the command that takes the thrust away, and note when the vehicle stands."""
         command = self._landing.settle(collective)
-        if self._landing.settled:
+        if self._landing.has_settled:
             disarms = self._landing.disarms
             self._state.stand(k)
             if disarms:
                 self._state.stand_down(k, "disarmed")
         return command
 
-    def _idle(self) -> Command:
+    def _idle_command(self) -> Command:
         return Command((0.0, 0.0, self._estimates.euler[2]), self._estimates.altitude, None, 0.0)
 
     # --- what flies in each mode -----------------------------------------------------------------------------------
 
-    def _by_mode(self, k: int) -> Command:
+    def _command_mode(self, k: int) -> Command:
         """Return the command of the manoeuvre that the mode names; where one is complete, enter Hold."""
         mode = self.mode
         if mode in BY_STICK or mode is Mode.OFFBOARD:
             return self._remote.fly(mode)
         if mode is Mode.MISSION:
-            command = self._mission.fly(k) or self._mission_over(k)
+            command = self._mission.fly(k) or self._end_mission(k)
         elif mode is Mode.LAND:
             command = self._course.descend()
         elif mode is Mode.RTL:
@@ -434,7 +434,7 @@ class Autopilot:
             self._state.landed = LandedState.LANDING
         return command
 
-    def _mission_over(self, k: int) -> Command:
+    def _end_mission(self, k: int) -> Command:
         self._state.say(Severity.INFO, "mission finished", k)
         self._state.hold_here(k)
         return self._course.fly()
@@ -446,13 +446,13 @@ class Autopilot:
 
     def handle(self, request: Request, k: int) -> Answer:
         """Take a request before step ``k``.  Never raises for what a ground station may send."""
-        handler = ANSWERS.get(type(request))
+        handler = HANDLERS.get(type(request))
         if handler is None:
-            return no(Result.UNSUPPORTED, f"{type(request).__name__} is not known here")
+            return refuse(Result.UNSUPPORTED, f"{type(request).__name__} is not known here")
         try:
-            answer: Answer = handler(self._answers, request, k)
+            answer: Answer = handler(self._request_handler, request, k)
         except InputError as error:
-            return no(Result.DENIED, str(error))
+            return refuse(Result.DENIED, str(error))
         return answer
 
 
@@ -466,10 +466,10 @@ def _settings(vehicle: Vehicle) -> tuple[PositionGains, PilotSettings, float]:
         missing = "position" if gains is None else "pilot"
         raise InputError(f"vehicle.control.{missing} is missing: {vehicle.name} cannot be flown from a ground station")
     slowest = min(vehicle.control.attitude.gain_1_s[:2])
-    if gains.velocity_1_s > slowest / _APART or gains.position_1_s > gains.velocity_1_s / 2.0:
+    if gains.velocity_1_s > slowest / _GAIN_RATIO or gains.position_1_s > gains.velocity_1_s / 2.0:
         raise InputError(
             f"vehicle.control.position: velocity_1_s {gains.velocity_1_s:g} and position_1_s "
             f"{gains.position_1_s:g} are too fast for {vehicle.name}, whose attitude gain is {slowest:g} 1/s: at "
-            f"most {slowest / _APART:.3g}, and at most half of velocity_1_s"
+            f"most {slowest / _GAIN_RATIO:.3g}, and at most half of velocity_1_s"
         )
     return gains, settings, slowest

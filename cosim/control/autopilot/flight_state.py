@@ -1,4 +1,4 @@
-"""Which mode flies, whether the vehicle stands or flies, and every change of either."""
+"""The mode and the landed state, and every change of either."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from cosim.base.protocols import Report
 from cosim.control.autopilot.arming import Arming
 from cosim.control.autopilot.estimation.estimates import Estimates
 from cosim.control.autopilot.failsafes import Watch
-from cosim.control.autopilot.guidance.course import Course, Places
+from cosim.control.autopilot.guidance.course import Course, Landmarks
 from cosim.control.autopilot.guidance.envelope import Envelope
 from cosim.control.autopilot.manoeuvres.circle import Circle
 from cosim.control.autopilot.manoeuvres.ground import Landing, TakeOff
@@ -20,18 +20,18 @@ from cosim.control.autopilot.parameters import HOLD, LAND, RETURN, Parameters
 from cosim.control.autopilot.status import Messages
 from cosim.control.autopilot.tuning import Live
 
-_DOES = {Mode.HOLD: "holding", Mode.RTL: "returning", Mode.LAND: "landing"}  # failsafes, the more careful the later
+_ACTIONS = {Mode.HOLD: "holding", Mode.RTL: "returning", Mode.LAND: "landing"}  # failsafes, the more cautious the later
 
 
 @dataclass(frozen=True)
-class Parts:
-    """Those who know, each with a state of its own."""
+class AutopilotComponents:
+    """Stateful components of the autopilot, shared by :class:`FlightState` and the request handler."""
 
     parameters: Parameters
     live: Live
     estimates: Estimates
     envelope: Envelope
-    places: Places
+    landmarks: Landmarks
     course: Course
     watch: Watch
     remote: Remote
@@ -44,17 +44,17 @@ class Parts:
 
 
 class FlightState:
-    """Mode and landed state, why a failsafe acts, and what was said; of step ``k``, with the ``report`` of it."""
+    """Mode, landed state, acting failsafe and messages, of step ``k`` with its ``report``."""
 
-    def __init__(self, parts: Parts, airborne: bool) -> None:
-        self._estimates, self._places, self._course = parts.estimates, parts.places, parts.course
-        self._remote, self._arming, self._take_off = parts.remote, parts.arming, parts.take_off
-        self._landing, self._homeward, self._mission = parts.landing, parts.homeward, parts.mission
+    def __init__(self, components: AutopilotComponents, airborne: bool) -> None:
+        self._estimates, self._landmarks, self._course = components.estimates, components.landmarks, components.course
+        self._remote, self._arming, self._take_off = components.remote, components.arming, components.take_off
+        self._landing, self._homeward, self._mission = components.landing, components.homeward, components.mission
         self._airborne = airborne
         self.reset()
 
     def reset(self) -> None:
-        """As at the start."""
+        """Start a flight."""
         self.mode = Mode.HOLD
         self.landed = LandedState.IN_AIR if self._airborne else LandedState.ON_GROUND
         self.failsafe = ""
@@ -63,11 +63,11 @@ class FlightState:
         self.report = Report(not self._airborne, 0.0)
 
     def refusals(self) -> tuple[str, ...]:
-        """Every reason for which arming would be refused now."""
+        """Return every reason for which arming would be refused now."""
         return self._arming.refusals(self.mode, self.landed, self.report, self.k)
 
     def enter(self, mode: Mode, k: int) -> None:
-        """Another mode, or the same from its beginning."""
+        """Enter another mode, or the same one from its beginning."""
         if mode is not self.mode:
             self.say(Severity.INFO, f"mode {mode.value}", k)
         self.mode = mode
@@ -81,10 +81,10 @@ class FlightState:
             self.landed = LandedState.IN_AIR
 
     def hold_here(self, k: int) -> None:
-        """HOLD at the place and the height that it has come to."""
-        place, height = self._course.place, self._course.height
+        """Enter HOLD at the present target."""
+        position, height = self._course.position, self._course.height
         self.enter(Mode.HOLD, k)
-        self._course.aim(place, height, None)
+        self._course.aim(position, height, None)
 
     def stand(self, k: int) -> None:
         """Note that the vehicle has come to stand, armed."""
@@ -113,33 +113,33 @@ class FlightState:
         self._landing.collective = None
         self.say(Severity.CRITICAL, "engines shut off", k)
 
-    def fail_safe(self, action: int, reason: str) -> None:
-        """Do what a parameter says, unless something at least as careful is being done."""
+    def activate_failsafe(self, action: int, reason: str) -> None:
+        """Take a parameter's action, unless the mode is at least as cautious."""
         self.failsafe = reason
-        if action == RETURN and self._places.home is None:
+        if action == RETURN and self._landmarks.home is None:
             action = LAND
         mode = {HOLD: Mode.HOLD, RETURN: Mode.RTL, LAND: Mode.LAND}.get(action)
-        careful = list(_DOES)
-        rank = careful.index(self.mode) if self.mode in careful else -1
-        if mode is None or rank >= careful.index(mode):
+        by_caution = list(_ACTIONS)
+        rank = by_caution.index(self.mode) if self.mode in by_caution else -1
+        if mode is None or rank >= by_caution.index(mode):
             self.say(Severity.WARNING, reason, self.k)
             return
         self.enter(mode, self.k)
         self.failsafe = reason
-        self.say(Severity.CRITICAL, f"{reason}: {_DOES[mode]}", self.k)
+        self.say(Severity.CRITICAL, f"{reason}: {_ACTIONS[mode]}", self.k)
 
     def home_here(self) -> None:
-        """Home is where it is."""
-        self._places.home = Home(*self._estimates.fix.position, self._estimates.altitude)
+        """Set home to the present position."""
+        self._landmarks.home = Home(*self._estimates.fix.position, self._estimates.altitude)
 
-    def flying(self) -> bool:
-        """In the air, or on its way there."""
+    def is_flying(self) -> bool:
+        """Return whether the vehicle is in the air, or on its way there."""
         return self.landed is not LandedState.ON_GROUND
 
-    def stands(self) -> bool:
-        """On the ground by more than the switch's word, whatever the engines do."""
+    def is_standing(self) -> bool:
+        """Return whether the vehicle is on the ground, not by the switch alone and whatever the engines do."""
         taking_off = self.landed is LandedState.TAKING_OFF
-        return not self.flying() or (self._landing.unlifted if taking_off else self._landing.weighs)
+        return not self.is_flying() or (self._landing.is_unlifted if taking_off else self._landing.is_weighted)
 
     def say(self, severity: Severity, text: str, k: int) -> None:
         """Send a line to the people on the ground."""

@@ -12,14 +12,14 @@ Pair = tuple[float, float]
 _LEAST_UPRIGHT = 0.5  # beyond a lean of 60 degrees the acceleration is no longer read off the attitude
 
 
-def limited(north: float, east: float, most: float) -> Pair:
-    """Return a vector shortened to the length ``most``."""
+def limit_length(north: float, east: float, most: float) -> Pair:
+    """Return a vector, shortened to the length ``most`` if it is longer."""
     size = hypot(north, east)
     return (north, east) if size <= most else (north * most / size, east * most / size)
 
 
 def lean_acceleration(attitude: Quaternion) -> Pair:
-    """Horizontal acceleration, m/s^2 NED, of thrust along the body's -z that holds the weight."""
+    """Return the horizontal acceleration, m/s^2 NED, of thrust along the body's -z that holds the weight."""
     w, x, y, z = attitude
     upright = 1.0 - 2.0 * (x * x + y * y)
     if upright < _LEAST_UPRIGHT:
@@ -29,7 +29,7 @@ def lean_acceleration(attitude: Quaternion) -> Pair:
 
 
 def lean_for(acceleration: Pair, yaw: float) -> Pair:
-    """Roll and pitch (rad) at heading ``yaw`` whose :func:`lean_acceleration` is ``acceleration``."""
+    """Return roll and pitch (rad) at heading ``yaw`` whose :func:`lean_acceleration` is ``acceleration``."""
     c, s = cos(yaw), sin(yaw)
     forward = acceleration[0] * c + acceleration[1] * s
     right = acceleration[1] * c - acceleration[0] * s

@@ -1,4 +1,4 @@
-"""The words of the autopilot: modes, landed states and messages."""
+"""Modes, landed states and messages of the autopilot."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class Mode(Enum):
-    """What flies.  MANUAL and STABILIZED are the same law here: lean and collective by stick."""
+    """The flight modes.  MANUAL and STABILIZED are the same law here: lean and collective by stick."""
 
     MANUAL = "MANUAL"
     STABILIZED = "STABILIZED"
@@ -44,7 +44,7 @@ class Severity(IntEnum):
 
 
 class Message(NamedTuple):
-    """A line for the people on the ground; ``number`` counts from 1 without gaps."""
+    """A message to ground stations; ``number`` counts from 1 without gaps."""
 
     number: int
     k: int
@@ -53,7 +53,7 @@ class Message(NamedTuple):
 
 
 class Home(NamedTuple):
-    """Where to return to: m, NED and height above the origin."""
+    """The position to return to: m, NED and height above the origin."""
 
     north: float
     east: float

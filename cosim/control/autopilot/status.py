@@ -1,4 +1,4 @@
-"""What there is to tell of the autopilot: its state at one instant, and lines for the people on the ground."""
+"""The autopilot's state at one instant, and its messages to ground stations."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from cosim.control.autopilot.geometry import Pair
 from cosim.control.autopilot.modes import Home, LandedState, Message, Mode, Severity
 from cosim.control.autopilot.requests import FenceZone, Orbit, RallyPoint
 
-_KEPT = 200  # messages
+_MOST_MESSAGES = 200
 
 
 class Status(NamedTuple):
-    """What there is to tell at one instant."""
+    """The state of the autopilot at one instant, for telemetry and records."""
 
     k: int
     mode: Mode
@@ -28,34 +28,34 @@ class Status(NamedTuple):
     refusals: tuple[str, ...]  # why arming would be refused
     home: Home | None
     fix: Fix
-    target: Home | None  # where it is on its way to or stays
+    target: Home | None  # where it flies to or stays
     track: Pair | None  # the set-point of position on the way there, m
-    altitude: float  # asked for, m; the last one where the height is not held
-    yaw: float  # asked for, rad
+    altitude: float  # set-point, m; the last one where the height is not controlled
+    yaw: float  # set-point, rad
     mission_count: int
     mission_current: int
     mission_reached: int  # the last item that was finished, -1: none
     mission_done: bool
-    failsafe: str  # what is being acted upon; empty: nothing
-    remaining: float | None  # share of fuel or battery, None: not known
+    failsafe: str  # why it acts; empty: it does not
+    remaining: float | None  # fraction of fuel or battery, None: not known
     sticks_fresh: bool
     link_lost: bool
     zones: tuple[FenceZone, ...] = ()  # of the fence that was drawn
     rally: tuple[RallyPoint, ...] = ()
     orbit: Orbit | None = None  # that it flies; ``target`` is its centre
     positioned: bool = True  # fixes of the GNSS come
-    seen: Measured | None = None  # what it flies with: attitude, rates, height and climb as estimated
+    seen: Measured | None = None  # attitude, rates, height and climb as estimated
     trust: Trust = Trust()
 
 
 class Messages:
-    """The last lines, numbered from 1 without gaps."""
+    """The last messages, numbered from 1 without gaps."""
 
     def __init__(self) -> None:
-        self.lines: deque[Message] = deque(maxlen=_KEPT)
-        self._said = 0
+        self.lines: deque[Message] = deque(maxlen=_MOST_MESSAGES)
+        self._count = 0
 
     def say(self, k: int, severity: Severity, text: str) -> None:
-        """One more, at step ``k``."""
-        self._said += 1
-        self.lines.append(Message(self._said, k, severity, text))
+        """Add a message at step ``k``."""
+        self._count += 1
+        self.lines.append(Message(self._count, k, severity, text))

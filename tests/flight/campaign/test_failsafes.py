@@ -646,7 +646,7 @@ def test_what_is_drawn_is_the_same_again_and_other_for_every_flight() -> None:
         assert len({task.hover for task in several}) > 4
         for task in several:
             # a fifth of the tank, which is more than the way down from there takes, is left at the end of the hover
-            up = energy.burn * (energy.climbing(30.0) + task.hover)
+            up = energy.burn * (energy.climb_time(30.0) + task.hover)
             assert task.scenario.initial.fuel - up == pytest.approx(0.2, abs=1e-3)
 
 

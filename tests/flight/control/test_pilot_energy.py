@@ -156,7 +156,7 @@ def test_the_descent_is_flown_in_the_time_that_is_reckoned(
         flight.fly(2.0)
         for name, value in changes.items():
             flight.ok(rq.SetParameter(name, value))
-        reckoned = flight.pilot.energy.down(height)
+        reckoned = flight.pilot.energy.descent_time(height)
         assert flown(flight, rq.Land()) == pytest.approx(reckoned, rel=0.1, abs=1.5)
 
 
@@ -178,7 +178,7 @@ def test_the_return_is_flown_in_the_time_that_is_reckoned(away: float, wind: flo
             flight.ok(rq.SetParameter(name, value))
         flight.ok(rq.SetHome(-away, 0.0, 0.0))
         status = flight.pilot.status
-        reckoned = flight.pilot.energy.home(status.fix.position, status.altitude)
+        reckoned = flight.pilot.energy.return_time(status.fix.position, status.altitude)
         assert flown(flight, rq.ReturnHome()) == pytest.approx(reckoned, rel=0.1)
 
 

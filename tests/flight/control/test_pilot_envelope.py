@@ -20,7 +20,7 @@ from cosim.cli.results.runs import catalogue
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.guidance.descent import (
     Floor,
-    descent_for,
+    descent_rate,
     height_limits,
     thrust_margins,
 )
@@ -187,10 +187,10 @@ def test_the_torque_that_there_is_follows_from_the_vehicle() -> None:
 @settings(deadline=None)
 @given(st.floats(0.0, 500.0), st.floats(0.1, 20.0), st.floats(0.0, 5.0), st.floats(0.0, 2.0))
 def test_a_descent_slows_down_where_it_must(height: float, braking: float, late: float, end: float) -> None:
-    speed = descent_for(height, braking, late, end)
+    speed = descent_rate(height, braking, late, end)
     way = (speed - end) * late + (speed * speed - end * end) / (2.0 * braking)
     assert way == pytest.approx(height, rel=1e-6, abs=1e-9)
-    assert descent_for(-1.0, braking, late, end) == pytest.approx(end)
+    assert descent_rate(-1.0, braking, late, end) == pytest.approx(end)
 
 
 def test_the_height_moves_as_the_thrust_and_its_loop_allow() -> None:
@@ -215,7 +215,7 @@ def test_a_fall_is_caught_before_the_ground(answer: float, weight: float) -> Non
     floor.level(hover)
     height, sink, given_ = 60.0, 0.0, hover
     for _ in range(100_000):
-        collective = floor.under(0.05, height, sink, end, 1.0, 1.0)
+        collective = floor.apply(0.05, height, sink, end, 1.0, 1.0)
         given_ += dt / answer * (collective - given_)
         sink += dt * 9.80665 * (1.0 - (given_ + 0.05) / (0.45 * weight))
         height -= dt * sink
@@ -240,9 +240,9 @@ def envelope_rows() -> list[str]:
                 f"{degrees(a.yaw_rate):.0f} deg/s",
                 f"{degrees(a.yaw_acceleration):.0f} deg/s²",
                 f"{h.acceleration:.1f} m/s²",
-                f"{descent_for(0.0, h.braking, h.late, control.pilot.land_m_s):.2f} m/s",
-                f"{flight.pilot._envelope.floor.allowed(5.0, control.pilot.land_m_s):.1f} m/s",
-                f"{flight.pilot._envelope.floor.allowed(30.0, control.pilot.land_m_s):.1f} m/s",
+                f"{descent_rate(0.0, h.braking, h.late, control.pilot.land_m_s):.2f} m/s",
+                f"{flight.pilot._envelope.floor.allowed_descent(5.0, control.pilot.land_m_s):.1f} m/s",
+                f"{flight.pilot._envelope.floor.allowed_descent(30.0, control.pilot.land_m_s):.1f} m/s",
             ]
             rows.append(f"| {aircraft} | " + " | ".join(cells) + " |")
     return rows

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.control.autopilot.manoeuvres.mission import Mission, idle_jump
+from cosim.control.autopilot.manoeuvres.mission import Mission, find_endless_jump
 from cosim.control.autopilot.manoeuvres.mission_flight import MissionFlight
 from cosim.control.autopilot.requests import MissionItem, MissionUpload, from_dict, to_dict
 
@@ -54,7 +54,7 @@ def test_what_is_behind_it_is_flown_where_somebody_goes_there() -> None:
     ],
 )
 def test_a_jump_on_the_spot_is_found(items: tuple[MissionItem, ...], idle: int | None) -> None:
-    assert idle_jump(items) == idle
+    assert find_endless_jump(items) == idle
 
 
 def test_it_is_recorded_and_read_again() -> None:

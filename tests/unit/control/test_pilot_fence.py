@@ -17,7 +17,7 @@ from stated_figures import stated
 from cosim.base.signals import State
 from cosim.campaign.surveys.failsafes import TABLED
 from cosim.control.autopilot import requests as rq
-from cosim.control.autopilot.fence import beyond, depth
+from cosim.control.autopilot.fence import edge_distance, measure_excess
 from cosim.control.autopilot.geometry import wrap
 from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.control.autopilot.modes import LandedState, Mode
@@ -53,7 +53,7 @@ YOU = FenceZone(
     ],
 )
 def test_distances_by_hand(zone: FenceZone, place: tuple[float, float], distance: float) -> None:
-    assert depth(zone, *place) == pytest.approx(distance, abs=1e-12)
+    assert edge_distance(zone, *place) == pytest.approx(distance, abs=1e-12)
 
 
 coordinate = st.floats(-50.0, 50.0)
@@ -65,7 +65,7 @@ coordinate = st.floats(-50.0, 50.0)
 def test_inside_is_an_odd_winding(corners: list[tuple[float, float]], north: float, east: float) -> None:
     """The sign against the angles under which the edges are seen, an independent rule; the size against samples."""
     zone = FenceZone(IN, tuple(corners))
-    distance = depth(zone, north, east)
+    distance = edge_distance(zone, north, east)
     assume(abs(distance) > 1e-3)
     points = np.array([*corners, corners[0]]) - (north, east)
     angles = np.unwrap(np.arctan2(points[:, 1], points[:, 0]))
@@ -84,12 +84,12 @@ def test_who_is_inside_one_zone_and_outside_all_holes_is_inside() -> None:
     far = FenceZone(CIRCLE, ((100.0, 0.0),), 5.0)
     hole = FenceZone(HOLE, ((0.0, 0.0),), 3.0)
     zones = (SQUARE, far, hole)
-    assert beyond(zones, 5.0, 5.0) == (0.0, "")
-    assert beyond(zones, 100.0, 4.0) == (0.0, "")
-    assert beyond(zones, 14.0, 0.0) == (4.0, "4 m outside the zone to stay in")
-    assert beyond(zones, 0.0, 1.0) == (2.0, "2 m inside zone 2, to stay out of")
-    assert beyond((hole,), 50.0, 0.0) == (0.0, "")
-    assert beyond((), 1e5, 0.0) == (0.0, "")
+    assert measure_excess(zones, 5.0, 5.0) == (0.0, "")
+    assert measure_excess(zones, 100.0, 4.0) == (0.0, "")
+    assert measure_excess(zones, 14.0, 0.0) == (4.0, "4 m outside the zone to stay in")
+    assert measure_excess(zones, 0.0, 1.0) == (2.0, "2 m inside zone 2, to stay out of")
+    assert measure_excess((hole,), 50.0, 0.0) == (0.0, "")
+    assert measure_excess((), 1e5, 0.0) == (0.0, "")
 
 
 # --- in flight -------------------------------------------------------------------------------------------------------

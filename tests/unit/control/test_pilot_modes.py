@@ -18,11 +18,11 @@ from cosim.base.signals import Command, Measured
 from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.autopilot import requests as rq
-from cosim.control.autopilot.answers import FaultCommands
 from cosim.control.autopilot.autopilot import Autopilot, Thrust
 from cosim.control.autopilot.manoeuvres.mission import Mission
 from cosim.control.autopilot.manoeuvres.touchdown import Touchdown
 from cosim.control.autopilot.modes import LandedState, Mode, Severity
+from cosim.control.autopilot.request_handler import FaultCommands
 from cosim.control.autopilot.requests import MissionItem, Result
 from cosim.control.autopilot.tuning import ControlLoops
 from cosim.control.predictors.smith import NoPredictor
@@ -654,36 +654,36 @@ def touched(
 def test_contact_counts_only_when_it_lasts() -> None:
     one = Touchdown(HOVER, DT)
     touched(one, 0.15, True, 0.4, HOVER)
-    assert not one.touching
+    assert not one.is_touching
     touched(one, 0.2, False, 0.0, HOVER)  # a bounce
     touched(one, 0.15, True, 0.0, HOVER)
-    assert not one.touching
+    assert not one.is_touching
     touched(one, 0.1, True, 0.0, HOVER)
-    assert one.touching
+    assert one.is_touching
     touched(one, 1.0, True, 0.0, HOVER)
-    assert not one.standing  # the thrust is still there
+    assert not one.is_standing  # the thrust is still there
     touched(one, 0.6, True, 0.0, 0.1)
-    assert one.standing
+    assert one.is_standing
 
 
 def test_a_switch_that_reports_contact_while_falling_is_not_believed() -> None:
     one = Touchdown(HOVER, DT)
     touched(one, 1.0, True, 1.5, HOVER)
     assert one.switch_failed
-    assert not one.touching
-    assert one.off
+    assert not one.is_touching
+    assert one.is_off_ground
 
 
 def test_touch_down_is_felt_without_a_switch() -> None:
     """A descent is asked for, the collective is too low for one, and the vehicle does not sink."""
     one = Touchdown(HOVER, DT)
     touched(one, 3.0, False, 0.0, 0.9 * HOVER)
-    assert not one.touching
+    assert not one.is_touching
     touched(one, 1.5, False, 0.0, 0.4 * HOVER)
-    assert one.touching
+    assert one.is_touching
     in_hover = Touchdown(HOVER, DT)
     touched(in_hover, 5.0, False, 0.0, 0.4 * HOVER, descending=False)
-    assert not in_hover.touching
+    assert not in_hover.is_touching
 
 
 # --- mission -------------------------------------------------------------------------------------------------------

@@ -240,7 +240,7 @@ def test_a_push_of_its_own_is_not_taken_for_wind() -> None:
             if k > late and (k - late) % period == 0:
                 z = past[0]
             fix = estimator.update(
-                k, measured((z[0], 0.0), (z[1], 0.0), (0.0, 0.0)), still=False, pushed=told and pushed
+                k, measured((z[0], 0.0), (z[1], 0.0), (0.0, 0.0)), still=False, is_pushed=told and pushed
             )
         if told:
             assert fix.disturbance[0] == pytest.approx(wind, rel=0.01)

@@ -26,7 +26,7 @@ class Motion:
 
     def __init__(self, off: tuple[float, float] = (0.0, 0.0), seed: int | None = None) -> None:
         self.p, self.v, self.k = np.zeros(2), np.zeros(2), 0
-        self.off = off  # m/s^2, body forward and right
+        self.bias = off  # m/s^2, body forward and right
         self.rng = None if seed is None else np.random.default_rng(seed)
         self.fixes = [(self.p.copy(), self.v.copy())]
         self.told: tuple[np.ndarray, np.ndarray] = (self.p.copy(), self.v.copy())
@@ -34,7 +34,7 @@ class Motion:
     def step(self, a: np.ndarray, yaw: float, receiver: bool = True) -> Measured:
         attitude = from_euler(0.05 * sin(0.3 * self.k * STEP), -0.1 * cos(0.2 * self.k * STEP), yaw)
         x, y, z = rotate(conjugate(attitude), (a[0], a[1], -GRAVITY))
-        force = (x - self.off[0], y - self.off[1], z)
+        force = (x - self.bias[0], y - self.bias[1], z)
         if self.rng is not None:
             force = tuple(np.array(force) + SENSORS.accelerometer.noise_m_s2 * self.rng.standard_normal(3))
         self.p = self.p + STEP * (self.v + 0.5 * STEP * a)
@@ -73,9 +73,9 @@ def test_what_the_accelerometer_is_off_by_is_learnt_while_it_turns_and_then_take
         seen = motion.step(wander(k), 0.2 * k * STEP, not blind)
         one.carry(seen, (0.0, 0.0))
         if k > LATE and (k - LATE) % EVERY == 0:
-            one.epoch(None if blind else seen, False, 0.0)
+            one.correct(None if blind else seen, False, 0.0)
         if k == 5000:
-            assert one.off == pytest.approx(complex(0.1, -0.06), abs=2e-3)
+            assert one.bias == pytest.approx(complex(0.1, -0.06), abs=2e-3)
     assert one._v == pytest.approx(complex(*motion.v), abs=0.1)
 
 
@@ -113,9 +113,9 @@ def test_its_gains_are_those_of_a_kalman_filter_in_real_matrices() -> None:
         K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
         x = x + K @ (z - H @ x)
         P = (np.eye(6) - K @ H) @ P @ (np.eye(6) - K @ H).T + K @ R @ K.T
-        one.epoch(seen._replace(position=(z[0], z[1], 0.0), velocity=(z[2], z[3], 0.0)), False, 0.0)
+        one.correct(seen._replace(position=(z[0], z[1], 0.0), velocity=(z[2], z[3], 0.0)), False, 0.0)
         assert one.deviation == pytest.approx(np.sqrt([P[0, 0], P[2, 2]]), rel=1e-9)
-        assert [one._p, one._v, one.off] == pytest.approx([complex(*x[i : i + 2]) for i in (0, 2, 4)], abs=1e-9)
+        assert [one._p, one._v, one.bias] == pytest.approx([complex(*x[i : i + 2]) for i in (0, 2, 4)], abs=1e-9)
 
 
 def test_the_deviations_are_those_of_the_errors() -> None:
@@ -128,7 +128,7 @@ def test_the_deviations_are_those_of_the_errors() -> None:
             seen = motion.step(wander(k), 0.0, not blind)
             one.carry(seen, (0.0, 0.0))
             if k > LATE and (k - LATE) % EVERY == 0:
-                one.epoch(None if blind else seen, False, 0.0)
+                one.correct(None if blind else seen, False, 0.0)
         places, speeds = motion.p - [one._p.real, one._p.imag], motion.v - [one._v.real, one._v.imag]
         errors += list(zip(places.tolist(), speeds.tolist(), strict=True))
     place, speed = np.sqrt(np.mean(np.square(errors), axis=0))
@@ -142,10 +142,10 @@ def test_who_stands_knows_that_it_does_not_move() -> None:
     for k in range(1, 5000):
         one.carry(motion.step(np.zeros(2), 0.0, False), (0.0, 0.0))
         if k % EVERY == 0:
-            one.epoch(None, True, 0.0)
+            one.correct(None, True, 0.0)
     assert one.deviation[1] < 0.02
     assert abs(one._v) < 0.02
-    assert one.off == pytest.approx(0.1, abs=5e-3)
+    assert one.bias == pytest.approx(0.1, abs=5e-3)
 
 
 def test_an_attitude_that_gets_worse_makes_it_less_sure_and_none_is_as_good_as_the_lean() -> None:
@@ -156,13 +156,13 @@ def test_an_attitude_that_gets_worse_makes_it_less_sure_and_none_is_as_good_as_t
         one.carry(seen, (0.0, 0.0))
         two.carry(seen._replace(specific_force=nothing), (0.3, 0.0))
         if k % EVERY == 0:
-            one.epoch(None, False, 1e-3 * k * STEP)
-            two.epoch(None, False, 0.0)
+            one.correct(None, False, 1e-3 * k * STEP)
+            two.correct(None, False, 0.0)
     level = Reckoning(SENSORS, STEP)
     for k in range(1, 2500):
         level.carry(seen, (0.0, 0.0))
         if k % EVERY == 0:
-            level.epoch(None, False, 0.0)
+            level.correct(None, False, 0.0)
     # a lean deviation c t adds (g c)^2 2 t dt to the variance of the push at t, which is a speed for T - t from there on
     # (the time between two fixes, a hundredth of it all, enters to the fourth power)
     added = one.deviation[1] ** 2 - level.deviation[1] ** 2

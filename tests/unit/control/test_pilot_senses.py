@@ -233,7 +233,7 @@ def test_a_gyro_that_becomes_biased_is_found_and_corrected() -> None:
     w.turn(5.0)
     bias = radians(3.0)
     w.turn(1.5, bias=bias)
-    assert w.one.biased
+    assert w.one.is_biased
     assert w.one.bias[0] == pytest.approx(bias, abs=0.002)
     assert w.seen[1][0] == pytest.approx(w.filtered, abs=0.002)
     assert w.one.has_attitude
@@ -274,7 +274,7 @@ def test_nothing_is_wrong_where_nothing_moves() -> None:
     one.reset(rest)
     for k in range(1, 1000):
         seen = one.update(k, rest, still=k % 2 == 0)
-        assert one.failed == ()
+        assert one.failures == ()
     assert (seen.altitude, seen.velocity[2]) == pytest.approx((0.125, 0.0), abs=1e-3)
     assert one.lift == pytest.approx(1.0, abs=1e-6)
 

@@ -1,4 +1,4 @@
-"""All that the autopilot knows of its own motion, and how far it can be believed."""
+"""The autopilot's estimates of its own motion, and how reliable they are."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ LEAN_SURE = radians(5.0)  # one deviation: a twelfth of the weight pushes sidewa
 
 
 class Trust(NamedTuple):
-    """How far what the autopilot flies with can be believed.
+    """How reliable the autopilot's estimates are.
 
     ``place``, ``height``: something measures them; ``speed``, ``climb``, ``attitude``: known to less than 1 m/s and
-    5 degrees, measured or carried on.  Then the sensors that are believed themselves, and the standard deviations of
-    the estimates: m and m/s per axis, m, m/s, rad.
+    5 degrees, measured or predicted.  Then the sensors that are trusted, and the standard deviations of the
+    estimates: m and m/s per axis, m, m/s, rad.
     """
 
     place: bool = True
@@ -58,7 +58,7 @@ class Estimates:
         self.reset(None)
 
     def reset(self, measured: Measured | None) -> None:
-        """As if the vehicle had been where it is ``measured`` for long; None: nothing is known yet."""
+        """Start as if the vehicle had been at rest as ``measured``; None: there is no measurement yet."""
         self.measured = measured  # what the loops are to fly with; None before the first measurement
         self.senses.reset(measured)
         if measured is not None:
@@ -66,56 +66,56 @@ class Estimates:
         self.euler: Vector3 = (0.0, 0.0, 0.0) if measured is None else to_euler(measured.attitude)
         self.fix = self._position.fix
 
-    def update(self, k: int, measured: Measured, still: bool, grounded: bool, pushed: bool) -> None:
-        """Update all estimates at step ``k``; ``still``: the vehicle stands, ``grounded``: or has not lifted off yet.
+    def update(self, k: int, measured: Measured, still: bool, is_grounded: bool, is_pushed: bool) -> None:
+        """Update all estimates at step ``k``; ``still``: the vehicle stands; ``is_grounded``: or has not lifted off.
 
-        ``pushed``: see :meth:`cosim.control.autopilot.estimation.position.Estimator.update`.
+        ``is_pushed``: see :meth:`cosim.control.autopilot.estimation.position.Estimator.update`.
         """
         self.measured = measured = self.senses.update(k, measured, still)
         self.euler = to_euler(measured.attitude)
         inertial = self.senses.inertial
         lean = 0.0 if inertial.has_attitude else inertial.deviation
-        self.fix = self._position.update(k, measured, grounded, lean, pushed)
+        self.fix = self._position.update(k, measured, is_grounded, lean, is_pushed)
 
     @property
     def now(self) -> Measured:
-        """What the loops are to fly with, where there has been a measurement."""
+        """The measurements, sensed or estimated, that the loops fly with."""
         assert self.measured is not None
         return self.measured
 
     @property
     def altitude(self) -> float:
-        """m above the origin."""
+        """The height above the origin, m."""
         return self.measured.altitude if self.measured is not None else 0.0
 
     @property
     def altitude_deviation(self) -> float:
-        """Its standard deviation, m."""
+        """The standard deviation of the height, m."""
         return self.senses.vertical.deviation[0]
 
     @property
-    def positioned(self) -> bool:
-        """Fixes of the GNSS come."""
+    def has_position(self) -> bool:
+        """Whether GNSS fixes arrive."""
         return self._position.silent <= _BLIND_S
 
     @property
     def trust(self) -> Trust:
-        """How far all this can be believed."""
-        positioned, inertial, vertical = self.positioned, self.senses.inertial, self.senses.vertical
-        (place, speed), (height, climb) = self._position.deviation, vertical.deviation
+        """How reliable the estimates are."""
+        has_position, inertial, vertical = self.has_position, self.senses.inertial, self.senses.vertical
+        (position_deviation, speed), (height, climb) = self._position.deviation, vertical.deviation
         lean = inertial.deviation
         return Trust(
-            positioned,
-            positioned or speed < SPEED_SURE,
+            has_position,
+            has_position or speed < SPEED_SURE,
             vertical.has_height or vertical.has_fix,
             climb < SPEED_SURE,
             inertial.has_attitude or lean < LEAN_SURE,
-            inertial.has_rate and not inertial.biased,
+            inertial.has_rate and not inertial.is_biased,
             vertical.has_force,
             vertical.has_height,
-            positioned,
+            has_position,
             inertial.has_attitude,
-            place,
+            position_deviation,
             speed,
             height,
             climb,

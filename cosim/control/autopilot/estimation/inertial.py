@@ -1,8 +1,8 @@
-"""Attitude carried on by the gyro, and the gyro's bias, so that either may fail.
+"""Attitude predicted by the gyro, and the gyro's bias, so that either sensor may fail.
 
-While the attitude sensor works it is believed as it is, and the gyro is compared with it.  When it stops or jumps, the
-attitude goes on from the gyro less the bias that was found; when the gyro stops, the rates are those that the attitude
-turns with.
+While the attitude sensor works it is used as it is, and the gyro is compared with it.  When it stops or jumps, the
+attitude is predicted from the gyro less its estimated bias; when the gyro stops, the rates are estimated from the
+attitude.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ _BIAS_UNKNOWN = 0.3  # rad/s: 17 deg/s, when it turns out that the bias is not w
 _QUICK = (
     30.0  # times the attitude gain: a rate loop is some four times as fast, and has a tenth of its own time to wait
 )
-_USUAL_GAIN = 3.5  # 1/s
+_NOMINAL_GAIN = 3.5  # 1/s
 _MEAN_S = 0.1  # over which the disagreement is averaged
-_SURPRISED = 8.0  # standard deviations of that mean
+_SURPRISE = 8.0  # standard deviations of that mean
 _LEAST_SURPRISE = 2e-3  # rad; what a manoeuvre's filters and sampling leave unexplained
 _BETWEEN_S = 0.5  # surprises
 _JUMP = 0.02  # rad between two samples: the gyro saw nothing of it, and no noise of this sensor does it
@@ -45,46 +45,46 @@ class InertialEstimator:
     needs it.
     """
 
-    def __init__(self, sensors: Sensors, step: float, gain: float = _USUAL_GAIN) -> None:
+    def __init__(self, sensors: Sensors, step: float, gain: float = _NOMINAL_GAIN) -> None:
         self._dt = step
         gyro, attitude = sensors.gyro, sensors.attitude
-        self._share = 1.0 - exp(-step / gyro.filter_s) if gyro.filter_s > 0.0 else 1.0
-        self._late = max(0, attitude.latency_samples - gyro.latency_samples)
+        self._filter_gain = 1.0 - exp(-step / gyro.filter_s) if gyro.filter_s > 0.0 else 1.0
+        self._latency = max(0, attitude.latency_samples - gyro.latency_samples)
         self._angle_noise = max(attitude.noise_rad, _LEAST_ANGLE_NOISE) ** 2
         self._rate_noise = max(gyro.noise_rad_s, _LEAST_RATE_NOISE) ** 2
-        self._mean_share = step / _MEAN_S
+        self._mean_gain = step / _MEAN_S
         # of two integrators behind white noise: the filter's bandwidth squared is walk over measurement noise
         self._turning = (_QUICK * gain) ** 2 * sqrt(self._angle_noise * step)
         self.reset(None)
 
     def reset(self, measured: Measured | None) -> None:
-        """At the attitude that is ``measured``; both sensors well, the bias nothing."""
+        """Start at the ``measured`` attitude, with both sensors working and no bias."""
         self._q: Quaternion = (1.0, 0.0, 0.0, 0.0) if measured is None else measured.attitude
         self.bias: Vector3 = ZERO3
         self._aa, self._ab, self._bb = self._angle_noise, 0.0, _BIAS_AT_START**2
         self._last_rate = self._raw = ZERO3 if measured is None else measured.rate
         self._last_attitude = self._q
-        self._past: deque[Quaternion] = deque([self._q] * (self._late + 1))
+        self._past: deque[Quaternion] = deque([self._q] * (self._latency + 1))
         self._mean = self._before = ZERO3
-        self._quiet = 0.0  # s in which no surprise is heard
-        self._jumped = False
+        self._quiet = 0.0  # s in which surprises are ignored
+        self._has_jumped = False
         self._rate_repeats = self._attitude_repeats = 0
         self._biased_for = 0.0
-        self._gyro_gone = False
+        self._gyro_has_failed = False
 
     @property
     def has_attitude(self) -> bool:
-        """The attitude sensor is believed."""
-        return self._attitude_repeats < _STOPPED and not self._jumped
+        """Whether the attitude sensor is trusted."""
+        return self._attitude_repeats < _STOPPED and not self._has_jumped
 
     @property
     def has_rate(self) -> bool:
-        """The gyro is believed, bias or not."""
+        """Whether the gyro is trusted, bias or not."""
         return self._rate_repeats < _STOPPED
 
     @property
-    def biased(self) -> bool:
-        """The gyro's bias is one that matters."""
+    def is_biased(self) -> bool:
+        """Whether the gyro's bias matters."""
         return self._biased_for >= _BIASED_S
 
     @property
@@ -93,7 +93,7 @@ class InertialEstimator:
         return sqrt(self._aa)
 
     def update(self, measured: Measured, still: bool) -> tuple[Quaternion, Vector3]:
-        """Attitude and body rates at this sample; ``still``: the vehicle stands, where nothing need move."""
+        """Return attitude and body rates at this sample; ``still``: the vehicle stands, so that sensors may repeat."""
         new_rate, new_attitude = measured.rate != self._last_rate, measured.attitude != self._last_attitude
         self._rate_repeats = 0 if new_rate or still else self._rate_repeats + (1 if new_attitude else 0)
         self._attitude_repeats = 0 if new_attitude or still else self._attitude_repeats + (1 if new_rate else 0)
@@ -102,8 +102,8 @@ class InertialEstimator:
         if self._attitude_repeats == 0:
             self._compare(measured.attitude)
         b = self.bias
-        matters = self.has_rate and max(abs(b[0]), abs(b[1]), abs(b[2])) > _BIASED
-        self._biased_for = self._biased_for + self._dt if matters else 0.0
+        is_biased = self.has_rate and max(abs(b[0]), abs(b[1]), abs(b[2])) > _BIASED
+        self._biased_for = self._biased_for + self._dt if is_biased else 0.0
         attitude = measured.attitude if self.has_attitude else self._q
         if not self.has_rate:
             return attitude, (-b[0], -b[1], -b[2])
@@ -111,27 +111,27 @@ class InertialEstimator:
         return attitude, (p - b[0], q - b[1], r - b[2])
 
     def _turn(self, rate: Vector3) -> None:
-        """One step by the gyro; without one the bias stands for the whole rate, and may change quickly."""
+        """Predict one step by the gyro; without one the bias is minus the rate, and may change quickly."""
         dt, b = self._dt, self.bias
         if self.has_rate:
-            share, last = self._share, self._last_rate
-            rest = 1.0 - share
+            gain, last = self._filter_gain, self._last_rate
+            rest = 1.0 - gain
             raw = (
-                (rate[0] - rest * last[0]) / share,
-                (rate[1] - rest * last[1]) / share,
-                (rate[2] - rest * last[2]) / share,
+                (rate[0] - rest * last[0]) / gain,
+                (rate[1] - rest * last[1]) / gain,
+                (rate[2] - rest * last[2]) / gain,
             )
             walk = _BIAS_WALK
-            if self._gyro_gone:
-                # the bias stood for the rate; the gyro is back
+            if self._gyro_has_failed:
+                # The bias was minus the rate; the gyro works again.
                 self.bias = b = ZERO3
                 self._bb = _BIAS_UNKNOWN**2
         else:
             raw, walk = ZERO3, self._turning
-            if not self._gyro_gone:
+            if not self._gyro_has_failed:
                 self.bias = b = (b[0] - self._raw[0], b[1] - self._raw[1], b[2] - self._raw[2])
                 self._bb, self._ab = _BIAS_UNKNOWN**2, 0.0
-        self._gyro_gone = not self.has_rate
+        self._gyro_has_failed = not self.has_rate
         half = 0.25 * dt  # of the sum of both ends, as half angles
         old = self._raw if self.has_rate else ZERO3
         x = half * (old[0] + raw[0]) - 0.5 * dt * b[0]
@@ -153,20 +153,20 @@ class InertialEstimator:
         e = (sign * x, sign * y, sign * z)
         total = self._aa + self._angle_noise
         size = max(abs(e[0]), abs(e[1]), abs(e[2]))
-        if self._jumped:
-            self._jumped = size > 5.0 * sqrt(total)
+        if self._has_jumped:
+            self._has_jumped = size > 5.0 * sqrt(total)
             self._before = e
-            if self._jumped:
+            if self._has_jumped:
                 return
         c = self._before
         jump = max(abs(e[0] - c[0]), abs(e[1] - c[1]), abs(e[2] - c[2]))
         if jump > max(_JUMP, 10.0 * sqrt(2.0 * self._angle_noise)) and self.has_rate:
-            self._jumped = True
+            self._has_jumped = True
             return
         self._surprise(e, total)
         ka, kb = self._aa / total, self._ab / total
         self._q = normalize(multiply(self._q, (1.0, 0.5 * ka * e[0], 0.5 * ka * e[1], 0.5 * ka * e[2])))
-        if self._late:
+        if self._latency:
             half = 0.5 * ka
             turn = (1.0, half * e[0], half * e[1], half * e[2])
             self._past = deque(normalize(multiply(attitude, turn)) for attitude in self._past)
@@ -181,10 +181,10 @@ class InertialEstimator:
 
     def _surprise(self, e: Vector3, total: float) -> None:
         """Open the bias covariance where the mean innovation says that the bias is not what it was."""
-        share, m = self._mean_share, self._mean
-        self._mean = m = (m[0] + share * (e[0] - m[0]), m[1] + share * (e[1] - m[1]), m[2] + share * (e[2] - m[2]))
+        gain, m = self._mean_gain, self._mean
+        self._mean = m = (m[0] + gain * (e[0] - m[0]), m[1] + gain * (e[1] - m[1]), m[2] + gain * (e[2] - m[2]))
         self._quiet = max(0.0, self._quiet - self._dt)
-        explained = max(_LEAST_SURPRISE, _SURPRISED * sqrt(0.5 * share * total))
-        if self._quiet == 0.0 and max(abs(m[0]), abs(m[1]), abs(m[2])) > explained:
+        bound = max(_LEAST_SURPRISE, _SURPRISE * sqrt(0.5 * gain * total))
+        if self._quiet == 0.0 and max(abs(m[0]), abs(m[1]), abs(m[2])) > bound:
             self._bb = max(self._bb, _BIAS_UNKNOWN**2)
             self._quiet = _BETWEEN_S

@@ -1,6 +1,6 @@
 """Horizontal position and velocity from the GNSS receiver and the lean, NED.
 
-The estimate is carried on with the lean that is measured, so neither a limit of the lean nor a slow attitude loop winds
+The estimate is predicted with the measured lean, so neither a limit of the lean nor a slow attitude loop winds
 anything up.
 """
 
@@ -25,7 +25,7 @@ _EPOCHS = 600  # after which the gains have settled: a minute at 10 Hz
 
 
 class Fix(NamedTuple):
-    """Where the vehicle is thought to be, horizontally: m, m/s, m/s^2 of what attitude does not explain."""
+    """The estimated horizontal position, velocity, and acceleration that attitude does not explain: m, m/s, m/s^2."""
 
     position: Pair
     velocity: Pair
@@ -39,10 +39,10 @@ class Estimator:
     attitude (thrust along the body's z axis that holds the weight).  A GNSS epoch is compared with the estimate of the
     step in which it was taken and its correction carried forward to now, so its latency costs no accuracy and no phase
     margin.  The gains are those of the sensors' stated noise and of ``acceleration_noise`` and ``disturbance_walk``,
-    computed once; both axes share them.  ``noisy``: the receiver never says the same twice, standing or not.
+    computed once; both axes share them.  ``noisy``: the receiver never repeats a fix, standing or not.
 
-    ``reckoning``: what stands in for the receiver where it has nothing new.  Without it the last ``b`` stays, with the
-    drag of the speed at which it was learnt in it, and the velocity is soon another one than is thought.
+    ``reckoning`` replaces the receiver where it has nothing new.  Without it the last ``b`` stays, which contains the
+    drag of the speed at which it was estimated, and the velocity is soon wrong.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class Estimator:
         self.reset((0.0, 0.0))
 
     def reset(self, position: Pair) -> None:
-        """At rest at ``position``, known as well as one epoch of the receiver knows it."""
+        """Start at rest at ``position``, with the deviation of one epoch of the receiver."""
         self._epoch = 0
         self._last: tuple[float, ...] = ()
         self.silent = 0.0  # s without a new fix
@@ -75,14 +75,14 @@ class Estimator:
 
     @property
     def deviation(self) -> tuple[float, float]:
-        """Standard deviations of place [m] and velocity [m/s], per axis; infinite where nothing carries them on."""
-        own = self._deviations[min(self._epoch, len(self._deviations) - 1)]
+        """Standard deviations of position [m] and velocity [m/s], per axis; infinite where nothing predicts them."""
+        fix_deviation = self._deviations[min(self._epoch, len(self._deviations) - 1)]
         if self.silent == 0.0:
-            return own
+            return fix_deviation
         if self._reckoning is None:
             return inf, inf
-        place, speed = self._reckoning.deviation
-        return hypot(own[0], place), hypot(own[1], speed)
+        position_deviation, velocity_deviation = self._reckoning.deviation
+        return hypot(fix_deviation[0], position_deviation), hypot(fix_deviation[1], velocity_deviation)
 
     @property
     def fix(self) -> Fix:
@@ -90,11 +90,13 @@ class Estimator:
         p, v, b = self._p, self._v, self._b
         return Fix((p[0], p[1]), (v[0], v[1]), (b[0], b[1]))
 
-    def update(self, k: int, measured: Measured, still: bool, lean_deviation: float = 0.0, pushed: bool = False) -> Fix:
+    def update(
+        self, k: int, measured: Measured, still: bool, lean_deviation: float = 0.0, is_pushed: bool = False
+    ) -> Fix:
         """Return the estimate at ``t_k``; ``still``: the vehicle stands, so it has no velocity and nothing pushes it.
 
-        ``lean_deviation``: of the attitude beyond its sensor's noise, rad; ``pushed``: by its own thrust, for a moment,
-        so that the disturbance stays what it was.
+        ``lean_deviation``: of the attitude beyond its sensor's noise, rad; ``is_pushed``: by its own thrust, so that
+        the estimated disturbance stays as it is.
         """
         dt, reckoning = self._step, self._reckoning
         p, v, b = self._p, self._v, self._b
@@ -117,21 +119,21 @@ class Estimator:
             self.silent = 0.0 if fresh else self.silent + self._period * dt
             self._last = fix
             if reckoning is not None:
-                reckoning.epoch(measured if fresh else None, still, lean_deviation)
+                reckoning.correct(measured if fresh else None, still, lean_deviation)
             if fresh:
-                self._correct((*measured.position[:2], *measured.velocity[:2]), still, pushed)
+                self._correct((*measured.position[:2], *measured.velocity[:2]), still, is_pushed)
             elif reckoning is not None:
-                self._correct(reckoning.then, still, pushed)
+                self._correct(reckoning.delayed, still, is_pushed)
         return self.fix
 
-    def _correct(self, fix: tuple[float, float, float, float], still: bool, pushed: bool) -> None:
-        """Take a place and a velocity, m and m/s, of ``latency`` samples ago."""
+    def _correct(self, fix: tuple[float, float, float, float], still: bool, is_pushed: bool) -> None:
+        """Correct by a position [m] and a velocity [m/s] of ``latency`` samples ago."""
         gains = self._gains
         gain = gains[self._epoch] if self._epoch < len(gains) else gains[-1]
         self._epoch += 1
         then = self._past[0]
         p, v, b = self._p, self._v, self._b
-        late = self._latency * self._step
+        latency = self._latency * self._step
         shifts = []
         for axis in (0, 1):
             off_p = fix[axis] - then[axis]
@@ -141,11 +143,11 @@ class Estimator:
             db = gain[2][0] * off_p + gain[2][1] * off_v
             if still:
                 dv = db = 0.0
-            elif pushed:
+            elif is_pushed:
                 db = 0.0
             shifts.append((dp, dv, db))
-            p[axis] += dp + late * (dv + 0.5 * late * db)
-            v[axis] += dv + late * db
+            p[axis] += dp + latency * (dv + 0.5 * latency * db)
+            v[axis] += dv + latency * db
             b[axis] += db
         self._shift_past(shifts)
 
@@ -164,10 +166,10 @@ class Estimator:
 
 
 def kalman_gains(gains: PositionGains, sensor: PositionSensor, step: float) -> list[list[list[float]]]:
-    """Gains (3 x 2: position, velocity, disturbance by position, velocity) of each GNSS epoch, the last one for good.
+    """Return the gains (3 x 2) of each GNSS epoch: position, velocity, disturbance by position, velocity.
 
-    Time-varying from the first fix on: the noise of position is averaged away while the vehicle stands, instead of
-    being carried along for the half minute that the settled filter needs.
+    The last ones stay.  They vary from the first fix on, so that the noise of position is averaged away while the
+    vehicle stands, instead of staying for the half minute that the settled filter needs.
     """
     return _settling(gains, sensor, step)[0]
 

@@ -1,4 +1,4 @@
-"""Horizontal place and velocity carried on from what the accelerometer feels, for when the GNSS receiver has stopped.
+"""Horizontal position and velocity predicted from the accelerometer, for when the GNSS receiver has stopped.
 
 Horizontal vectors are complex numbers here: north + i east.
 """
@@ -17,14 +17,14 @@ _LEAST_POSITION_NOISE = 0.1  # m
 _LEAST_VELOCITY_NOISE = 0.02  # m/s
 _LEAST_FORCE_NOISE = 0.05  # m/s^2
 # Chosen by us, with the reason.
-_OFF_AT_START = 0.2  # m/s^2: 10 mg of the accelerometer and 1 degree of the attitude, together
-_OFF_WALK = 0.001  # m/s^2 per root s: the zero of a MEMS accelerometer (0.15 mg/K) warmed by less than 1 K in a second
-_UNFELT = 0.5  # m/s^2, held over a second: what the lean does not explain, where nothing feels it
-_STILL_RATE = 0.02  # m/s: what standing still is known to
+_BIAS_AT_START = 0.2  # m/s^2: 10 mg of the accelerometer and 1 degree of the attitude, together
+_BIAS_WALK = 0.001  # m/s^2 per root s: the zero of a MEMS accelerometer (0.15 mg/K) warmed by less than 1 K in a second
+_UNFELT = 0.5  # m/s^2, constant over a second: what the lean does not explain, where nothing senses it
+_STILL_RATE = 0.02  # m/s: the noise of standing still as a measurement
 
 
 class Reckoning:
-    """A Kalman filter of place ``p``, velocity ``v`` and what the felt acceleration is off by, ``u``.
+    """A Kalman filter of position ``p``, velocity ``v`` and the bias ``u`` of the sensed acceleration.
 
     The model is ``p' = v``, ``v' = a + r u + white``, ``u' = white`` with ``a`` the measured specific force turned
     upright by the attitude and ``r`` the heading as a unit vector: the accelerometer's bias, and gravity through an
@@ -46,11 +46,11 @@ class Reckoning:
         self.reset((0.0, 0.0))
 
     def reset(self, position: tuple[float, float]) -> None:
-        """At rest at ``position``, known as well as one fix knows it."""
+        """Start at rest at ``position``, with the deviation of one fix."""
         self._p, self._v, self._u = complex(*position), 0j, 0j
         self._r = 1.0 + 0j
         # covariance, Hermitian: E[x conj(y)]
-        self._pp, self._vv, self._uu = self._position_noise, self._velocity_noise, _OFF_AT_START**2
+        self._pp, self._vv, self._uu = self._position_noise, self._velocity_noise, _BIAS_AT_START**2
         self._pv = self._pu = self._vu = 0j
         self._lean_variance = 0.0
         self._felt = True
@@ -58,36 +58,36 @@ class Reckoning:
 
     @property
     def deviation(self) -> tuple[float, float]:
-        """Standard deviations of place [m] and velocity [m/s], per axis."""
+        """Standard deviations of position [m] and velocity [m/s], per axis."""
         return sqrt(self._pp), sqrt(self._vv)
 
     @property
-    def off(self) -> complex:
-        """What is added to the felt acceleration, m/s^2, forward + i right."""
+    def bias(self) -> complex:
+        """What is added to the sensed acceleration, m/s^2, forward + i right."""
         return self._u
 
     @property
-    def then(self) -> tuple[float, float, float, float]:
-        """Place and velocity of the instant of which a fix would tell that comes now."""
+    def delayed(self) -> tuple[float, float, float, float]:
+        """Position and velocity at the instant to which a fix that arrives now belongs."""
         p, v = self._past[0]
         return p.real, p.imag, v.real, v.imag
 
-    def carry(self, measured: Measured, explained: tuple[float, float]) -> None:
-        """One step on; ``explained``: the acceleration by lean and push, where there is no accelerometer."""
+    def carry(self, measured: Measured, expected_acceleration: tuple[float, float]) -> None:
+        """Predict one step; ``expected_acceleration``: by lean and push [m/s^2], used without an accelerometer."""
         force, dt = measured.specific_force, self._dt
         self._felt = not (isnan(force[0]) or isnan(force[1]) or isnan(force[2]))
         if self._felt:
             felt, self._r = _upright(measured.attitude, force)
             a = felt + self._r * self._u
         else:
-            a = complex(*explained)
+            a = complex(*expected_acceleration)
         self._p += dt * (self._v + 0.5 * dt * a)
         self._v += dt * a
         self._past.append((self._p, self._v))
         self._past.popleft()
 
-    def epoch(self, fix: Measured | None, still: bool, lean: float) -> None:
-        """Correct at the end of the time between two fixes; ``fix``: None where the receiver says nothing new.
+    def correct(self, fix: Measured | None, still: bool, lean: float) -> None:
+        """Correct at the end of the time between two fixes; ``fix``: None where the receiver has nothing new.
 
         ``lean``: deviation of the attitude beyond its sensor's noise, rad; ``still``: the vehicle stands.
         """
@@ -96,11 +96,11 @@ class Reckoning:
             self._correct(1, -self._v, _STILL_RATE**2, 0.0)
         if fix is None:
             return
-        late = self._latency * self._dt
+        latency = self._latency * self._dt
         p, v = self._past[0]
-        self._correct(1, complex(*fix.velocity[:2]) - v, self._velocity_noise, late)
+        self._correct(1, complex(*fix.velocity[:2]) - v, self._velocity_noise, latency)
         p, v = self._past[0]
-        self._correct(0, complex(*fix.position[:2]) - p, self._position_noise, late)
+        self._correct(0, complex(*fix.position[:2]) - p, self._position_noise, latency)
 
     def _spread(self, lean_variance: float) -> None:
         """Propagate the covariance from fix to fix: ``P = F P F* + Q`` with ``F = [[1, T, r T^2/2], ...]``."""
@@ -119,11 +119,11 @@ class Reckoning:
         self._pu = pu
         self._vv = (vv + s.conjugate() * vu).real + noise * T
         self._vu = vu
-        self._uu += _OFF_WALK**2 * T + GRAVITY**2 * max(0.0, lean_variance - self._lean_variance)
+        self._uu += _BIAS_WALK**2 * T + GRAVITY**2 * max(0.0, lean_variance - self._lean_variance)
         self._lean_variance = lean_variance
 
-    def _correct(self, which: int, off: complex, noise: float, late: float) -> None:
-        """Take a measurement of ``p`` (0) or ``v`` (1), ``late`` seconds ago, that is ``off`` the estimate."""
+    def _correct(self, which: int, error: complex, noise: float, latency: float) -> None:
+        """Take a measurement of ``p`` (0) or ``v`` (1), ``latency`` seconds ago, that is ``bias`` the estimate."""
         pv, pu, vu = self._pv, self._pu, self._vu
         column = (
             (complex(self._pp), pv.conjugate(), pu.conjugate())
@@ -139,13 +139,13 @@ class Reckoning:
         self._pv -= kp * cv
         self._pu -= kp * cu
         self._vu -= kv * cu
-        dp, dv, du = kp * off, kv * off, ku * off
+        dp, dv, du = kp * error, kv * error, ku * error
         push, dt = self._r * du, self._dt
         for i, (p, v) in enumerate(self._past):
-            t = i * dt if late else 0.0
+            t = i * dt if latency else 0.0
             self._past[i] = (p + dp + t * (dv + 0.5 * t * push), v + dv + t * push)
-        self._p += dp + late * (dv + 0.5 * late * push)
-        self._v += dv + late * push
+        self._p += dp + latency * (dv + 0.5 * latency * push)
+        self._v += dv + latency * push
         self._u += du
 
 
@@ -153,10 +153,10 @@ def _upright(attitude: Quaternion, force: Vector3) -> tuple[complex, complex]:
     """Return the horizontal part of a specific force, m/s^2 NED, and the heading as a unit vector."""
     w, x, y, z = attitude
     fx, fy, fz = force
-    ahead, across = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
+    cosine, sine = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
     felt = complex(
-        ahead * fx + 2.0 * (x * y - w * z) * fy + 2.0 * (x * z + w * y) * fz,
-        across * fx + (1.0 - 2.0 * (x * x + z * z)) * fy + 2.0 * (y * z - w * x) * fz,
+        cosine * fx + 2.0 * (x * y - w * z) * fy + 2.0 * (x * z + w * y) * fz,
+        sine * fx + (1.0 - 2.0 * (x * x + z * z)) * fy + 2.0 * (y * z - w * x) * fz,
     )
-    size = sqrt(ahead * ahead + across * across)
-    return felt, complex(ahead / size, across / size) if size > 0.0 else 1.0 + 0j
+    size = sqrt(cosine * cosine + sine * sine)
+    return felt, complex(cosine / size, sine / size) if size > 0.0 else 1.0 + 0j

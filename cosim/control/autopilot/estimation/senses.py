@@ -1,6 +1,6 @@
 """What the autopilot and its loops fly with: the sensors where they work, estimates where they do not.
 
-Nobody tells it of a fault: each estimator finds out from what its sensors say.
+Faults are not reported to it: each estimator detects them in its sensors' readings.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from cosim.spec.vehicle import Sensors
 
 
 class Senses:
-    """Attitude and rates, height and climb rate, each from whatever is left to tell it.
+    """Attitude and rates, height and climb rate, each from the sensors that work.
 
     Where all sensors work, attitude and horizontal position are the sensors' own; rates are the gyro's less its bias;
     height and climb rate are always estimates.
@@ -25,8 +25,8 @@ class Senses:
         self.vertical = VerticalEstimator(sensors, step)
 
     def reset(self, measured: Measured | None) -> None:
-        """As if the vehicle had been where it is ``measured`` for long; None: where the first measurement says."""
-        self._placed = measured is not None
+        """Start as if the vehicle had been at rest as ``measured``; None: as the first measurement says."""
+        self._is_initialised = measured is not None
         self.inertial.reset(measured)
         if measured is None:
             self.vertical.reset(0.0, 0.0)
@@ -35,7 +35,7 @@ class Senses:
 
     def update(self, k: int, measured: Measured, still: bool) -> Measured:
         """Return the measurements that step ``k`` is flown with; ``still``: the vehicle stands."""
-        if not self._placed:
+        if not self._is_initialised:
             self.reset(measured)
         attitude, rate = self.inertial.update(measured, still)
         vertical = self.vertical
@@ -46,15 +46,15 @@ class Senses:
         )
 
     @property
-    def failed(self) -> tuple[str, ...]:
-        """What is wrong, in words, the GNSS receiver aside."""
+    def failures(self) -> tuple[str, ...]:
+        """What has failed, in words, the GNSS receiver aside."""
         inertial, vertical = self.inertial, self.vertical
         failures = []
         if not inertial.has_attitude:
             failures.append("attitude lost")
         if not inertial.has_rate:
             failures.append("gyro lost")
-        elif inertial.biased:
+        elif inertial.is_biased:
             failures.append("gyro biased")
         if not vertical.has_height:
             failures.append("barometer lost")

@@ -1,7 +1,7 @@
-"""Height and climb rate from accelerometer, barometer and GNSS, and how sure they are.
+"""Height and climb rate from accelerometer, barometer and GNSS, with their standard deviations.
 
-Up is positive here.  The module's :class:`VerticalEstimator` finds out by itself which of its sensors is of no use: one
-that repeats itself to the last bit while another moves has stopped, one that contradicts the others is implausible.
+Up is positive here.  The :class:`VerticalEstimator` detects which of its sensors have failed: one that repeats itself
+to the last bit while another moves has stopped, one that contradicts the others is implausible.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ _BIAS_WALK = 0.001  # m/s^2 per root s: the zero of a MEMS accelerometer (0.15 m
 _BIAS_AT_START = 0.1  # m/s^2: 10 mg, more than is left after any calibration
 _MOST_BIAS = 0.5  # m/s^2
 _UNFELT = 3.0  # m/s^2: without an accelerometer any acceleration of a flight is possible
-_STILL_RATE = 0.02  # m/s: what standing still is known to
+_STILL_RATE = 0.02  # m/s: the noise of standing still as a measurement
 _GATE = 25.0  # squared: five standard deviations, passed by chance once in 1.7 million
 _FAILED_S = 0.1  # without news for so long a barometer or accelerometer has stopped
-_IMPLAUSIBLE_S = 0.5  # contradicted for so long it is not believed
-_WELL_S = 1.0  # in agreement for so long it is believed again
+_IMPLAUSIBLE_S = 0.5  # contradicted for so long it is not trusted
+_AGREEMENT_S = 1.0  # in agreement for so long it is trusted again
 _SILENT_S = 1.0  # a receiver without news for so long has stopped
 _OFFSET_EPOCHS = 300  # half a minute over which the receiver's height is compared with the barometer's
 
@@ -55,7 +55,7 @@ class VerticalEstimator:
         self.reset(0.0, 0.0)
 
     def reset(self, height: float, rate: float) -> None:
-        """At ``height``, climbing at ``rate``, both as well known as one reading of their sensors; all sensors well."""
+        """Start at ``height``, climbing at ``rate``, with the deviations of one reading; all sensors work."""
         self._h, self._v, self._b = height, rate, 0.0
         self._hh, self._hv, self._hb = self._height_noise, 0.0, 0.0
         self._vv, self._vb, self._bb = self._velocity_noise, 0.0, _BIAS_AT_START**2
@@ -64,27 +64,27 @@ class VerticalEstimator:
         self._last_altitude = inf
         self._last_fix: tuple[float, float] | None = None
         self._force_age = self._height_age = self._fix_age = 0.0
-        self._refused = self._agreed = self._fix_refused = 0.0
+        self._refusal_s = self._agreement_s = self._fix_refusal_s = 0.0
         self._implausible = False
         self._offset, self._epochs = 0.0, 0
         self.lift = GRAVITY  # m/s^2: the specific force upwards, as last felt
-        self._handed = False
+        self._is_handed_over = False
 
     # --- what it says ------------------------------------------------------------------------------------------------
 
     @property
     def height(self) -> float:
-        """m, as the barometer counts."""
+        """The height, m, as the barometer counts."""
         return self._h
 
     @property
     def rate(self) -> float:
-        """m/s, upwards."""
+        """The climb rate, m/s."""
         return self._v
 
     @property
     def bias(self) -> float:
-        """m/s^2, upwards."""
+        """The accelerometer's bias, m/s^2, upwards."""
         return self._b
 
     @property
@@ -94,7 +94,7 @@ class VerticalEstimator:
 
     @property
     def covariance(self) -> tuple[Vector3, Vector3, Vector3]:
-        """Of height, climb rate and bias."""
+        """The covariance of height, climb rate and bias."""
         return (
             (self._hh, self._hv, self._hb),
             (self._hv, self._vv, self._vb),
@@ -103,35 +103,35 @@ class VerticalEstimator:
 
     @property
     def has_height(self) -> bool:
-        """The barometer is believed."""
+        """Whether the barometer is trusted."""
         return self._height_age < _FAILED_S and not self._implausible
 
     @property
     def has_fix(self) -> bool:
-        """GNSS gives news that are believed."""
-        return self._fix_age < _SILENT_S and self._fix_refused < _SILENT_S
+        """Whether GNSS gives new fixes that are trusted."""
+        return self._fix_age < _SILENT_S and self._fix_refusal_s < _SILENT_S
 
     @property
     def has_force(self) -> bool:
-        """The accelerometer is believed."""
+        """Whether the accelerometer is trusted."""
         return self._force_age < _FAILED_S
 
     # --- one step ----------------------------------------------------------------------------------------------------
 
     def update(self, k: int, measured: Measured, attitude: Quaternion, still: bool) -> None:
         """Update the estimate at ``t_k``; ``attitude`` body to NED, ``still``: the vehicle stands."""
-        moved = self._look(measured, still)
+        is_new = self._check_repeats(measured, still)
         self._predict(attitude, measured.specific_force)
         self._past.append((self._h, self._v))
         self._past.popleft()
         if still:
             self._correct(1, -self._v, _STILL_RATE**2)
-        self._barometer(measured, moved or still)
+        self._barometer(measured, is_new or still)
         if k > self._latency and (k - self._latency) % self._period == 0:
             self._receiver(measured, still)
 
-    def _look(self, measured: Measured, still: bool) -> bool:
-        """Which sensors repeat themselves while another moves; True if the barometer says something new."""
+    def _check_repeats(self, measured: Measured, still: bool) -> bool:
+        """Note which sensors repeat themselves while another moves; return whether the barometer's reading is new."""
         dt, force = self._dt, measured.specific_force
         felt = force == force and force[2] == force[2]
         new_force = felt and force != self._last_force
@@ -146,7 +146,7 @@ class VerticalEstimator:
             self._height_age = 0.0
         elif new_force:
             self._height_age += dt
-        # where nothing moves, nothing is known to have stopped
+        # Where nothing moves, no sensor can be said to have stopped.
         return new_height or not new_force
 
     def _predict(self, attitude: Quaternion, force: Vector3) -> None:
@@ -157,7 +157,7 @@ class VerticalEstimator:
             self.lift = -down
             a, noise = -down - GRAVITY - self._b, self._force_noise
         else:
-            # held over a second, not white from step to step
+            # constant over a second, not white from step to step
             a, noise = 0.0, _UNFELT**2 / dt
             self.lift = GRAVITY
         half = 0.5 * dt * dt
@@ -177,36 +177,36 @@ class VerticalEstimator:
         self._vb = nvb
         self._bb = bb + _BIAS_WALK**2 * dt
 
-    def _correct(self, which: int, off: float, noise: float) -> tuple[float, float]:
-        """Take a measurement of ``h`` (0) or ``v`` (1) that is ``off`` the estimate; the changes of both."""
+    def _correct(self, which: int, error: float, noise: float) -> tuple[float, float]:
+        """Correct by a measurement of ``h`` (0) or ``v`` (1) that differs by ``error``; return the changes of both."""
         hh, hv, hb, vv, vb, bb = self._hh, self._hv, self._hb, self._vv, self._vb, self._bb
         row = (hh, hv, hb) if which == 0 else (hv, vv, vb)
         total = row[which] + noise
         kh, kv, kb = row[0] / total, row[1] / total, row[2] / total
-        self._h += kh * off
-        self._v += kv * off
-        self._b = max(-_MOST_BIAS, min(_MOST_BIAS, self._b + kb * off))
+        self._h += kh * error
+        self._v += kv * error
+        self._b = max(-_MOST_BIAS, min(_MOST_BIAS, self._b + kb * error))
         self._hh, self._hv, self._hb = hh - kh * row[0], hv - kh * row[1], hb - kh * row[2]
         self._vv, self._vb, self._bb = vv - kv * row[1], vb - kv * row[2], bb - kb * row[2]
-        return kh * off, kv * off
+        return kh * error, kv * error
 
-    def _barometer(self, measured: Measured, news: bool) -> None:
-        dt, off = self._dt, measured.altitude - self._h
-        if not news or self._height_age >= _FAILED_S:
-            self._agreed = 0.0
+    def _barometer(self, measured: Measured, is_new: bool) -> None:
+        dt, error = self._dt, measured.altitude - self._h
+        if not is_new or self._height_age >= _FAILED_S:
+            self._agreement_s = 0.0
             return
-        if off * off > _GATE * (self._hh + self._height_noise):
-            self._agreed = 0.0
-            self._refused += dt
-            if self._refused >= _IMPLAUSIBLE_S:
+        if error * error > _GATE * (self._hh + self._height_noise):
+            self._agreement_s = 0.0
+            self._refusal_s += dt
+            if self._refusal_s >= _IMPLAUSIBLE_S:
                 self._implausible = True
             return
-        self._refused = 0.0
-        self._agreed += dt
-        if self._implausible and self._agreed >= _WELL_S:
+        self._refusal_s = 0.0
+        self._agreement_s += dt
+        if self._implausible and self._agreement_s >= _AGREEMENT_S:
             self._implausible = False
         if not self._implausible:
-            self._correct(0, off, self._height_noise)
+            self._correct(0, error, self._height_noise)
 
     def _receiver(self, measured: Measured, still: bool) -> None:
         """Correct by a GNSS epoch: velocity always, height where there is no barometer."""
@@ -218,30 +218,30 @@ class VerticalEstimator:
         if not fresh:
             return
         then_h, then_v = self._past[0]
-        off = rate - then_v
-        if off * off > _GATE * (self._vv + self._velocity_noise):
-            self._fix_refused += between
-            if self._fix_refused < _SILENT_S or self.has_height:
+        error = rate - then_v
+        if error * error > _GATE * (self._vv + self._velocity_noise):
+            self._fix_refusal_s += between
+            if self._fix_refusal_s < _SILENT_S or self.has_height:
                 return
-            # nobody else knows: take it up again, as well as one reading of it is known
+            # No other sensor is left: use it again, with the deviation of one reading.
             self._hv = self._vb = 0.0
-            self._vv += off * off
-        self._fix_refused = 0.0
-        dh, dv = self._correct(1, off, self._velocity_noise)
+            self._vv += error * error
+        self._fix_refusal_s = 0.0
+        dh, dv = self._correct(1, error, self._velocity_noise)
         apart = height - (then_h + dh)
         if self.has_height:
             self._epochs = min(self._epochs + 1, _OFFSET_EPOCHS)
             self._offset += (apart - self._offset) / self._epochs
-            self._handed = False
+            self._is_handed_over = False
         elif self._epochs:
-            if not self._handed:
-                # the height that the receiver now gives is off by what the comparison is uncertain of
+            if not self._is_handed_over:
+                # The receiver's height has the uncertainty of its comparison with the barometer.
                 self._hh += self._position_noise / self._epochs
-                self._handed = True
-            one, two = self._correct(0, apart - self._offset, self._position_noise)
-            dh, dv = dh + one, dv + two
-        late = self._latency * self._dt
-        self._h += late * dv
+                self._is_handed_over = True
+            height_change, rate_change = self._correct(0, apart - self._offset, self._position_noise)
+            dh, dv = dh + height_change, dv + rate_change
+        latency = self._latency * self._dt
+        self._h += latency * dv
         self._shift(dh, dv)
 
     def _shift(self, dh: float, dv: float) -> None:

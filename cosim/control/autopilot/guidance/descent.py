@@ -11,17 +11,17 @@ from typing import NamedTuple
 
 from cosim.base.constants import GRAVITY
 from cosim.base.limits import clamp
-from cosim.control.autopilot.guidance.shaper import MEAN, SHARE
+from cosim.control.autopilot.guidance.shaper import MEAN, ROOM_FRACTION
 
 # Chosen by us.
-_CATCH_SHARE = 0.5  # of the thrust beyond the weight is planned for catching a fall; the rest is for lean and error
+_CATCH_FRACTION = 0.5  # of the thrust beyond the weight is planned for catching a fall; the rest is for lean and error
 _LEAST_UPRIGHT = 0.5  # thrust is not raised further for a lean beyond 60 degrees
 _TRIM = 0.4 * GRAVITY  # m/s^2, what the floor may learn of a weight that it is wrong about
 _SENSED_S = 0.15  # the climb rate is a GNSS receiver's: 0.1 s late, and 0.05 s old on average
 
 
 class HeightLimits(NamedTuple):
-    """Bounds of the height that is asked for: m/s^2, m/s^3; and what a descent is planned with: m/s^2, s."""
+    """Bounds of the height set-point: m/s^2, m/s^3; and the braking and lateness of a descent: m/s^2, s."""
 
     acceleration: float
     jerk: float
@@ -30,18 +30,18 @@ class HeightLimits(NamedTuple):
 
 
 def height_limits(height: float, gain: float, speed: float, up: float, down: float) -> HeightLimits:
-    """Bounds from the gains K_h of the height and K of the climb rate [1/s], and the thrust's accelerations [m/s^2].
+    """Return the bounds from the gains K_h (height) and K (climb rate) [1/s], and the thrust's accelerations [m/s^2].
 
     As for the leans: ``A = min(K speed, (1/4) up, (1/4) down)`` and ``J = A K / 0.5``; braking is planned at ``3/4 A``,
     and the vehicle is later than its set-point by ``1/K_h + 1/K`` and half of the jerk's mean, ``0.25/K``.
     """
     k = max(gain, 0.1)
-    a = min(k * speed, SHARE * up, SHARE * down)
+    a = min(k * speed, ROOM_FRACTION * up, ROOM_FRACTION * down)
     return HeightLimits(a, a * k / MEAN, 0.75 * a, 1.0 / max(height, 0.1) + (1.0 + 0.5 * MEAN) / k)
 
 
 def thrust_margins(hover: float, idle: float, least: float, most: float) -> tuple[float, float]:
-    """Accelerations [m/s^2] up and down that full and least throttle give in level hover.
+    """Return the accelerations [m/s^2] up and down that full and least throttle give in level hover.
 
     Thrust is as ``throttle + idle``: ``up = g ((most + idle) / (hover + idle) - 1)``, down alike.
     """
@@ -49,7 +49,7 @@ def thrust_margins(hover: float, idle: float, least: float, most: float) -> tupl
     return GRAVITY * (most - hover) / weight, GRAVITY * (hover - least) / weight
 
 
-def descent_for(height: float, braking: float, late: float, end: float = 0.0) -> float:
+def descent_rate(height: float, braking: float, late: float, end: float = 0.0) -> float:
     """Return the rate of descent [m/s] from which the vehicle slows down to ``end`` [m/s] within ``height`` [m].
 
     It sinks on for ``late`` [s] before the thrust answers and then brakes with ``braking`` [m/s^2]:
@@ -60,19 +60,19 @@ def descent_for(height: float, braking: float, late: float, end: float = 0.0) ->
 
 
 class Floor:
-    """The least collective, where it is not the height that is asked for.
+    """The least collective, where the height is not controlled.
 
-    With ``v`` from :func:`descent_for` at the present height (a = half of the thrust beyond the weight, t = four times
+    With ``v`` from :func:`descent_rate` at the present height (a = half of the thrust beyond the weight, t = four times
     the longest time in which engines and sensed climb rate answer), the vehicle sinking at ``s``, and ``k = 1/(2 T)``
     with T that time about hover, where the floor keeps the engines:
 
         acceleration upwards = s dv/dh + k (s - v) + (k/4) k integral(s - v)
 
-    and the collective is what gives it, upright; it counts where it is more than what was asked for.  The integral
-    learns, while the floor acts, by how much the weight is another one than it is told: enough for a vehicle that is
+    and the collective is what gives it, upright; it counts where it is more than the commanded one.  The integral
+    learns, while the floor acts, by how much the weight differs from the nominal one: enough for a vehicle that is
     lighter to come down, not for one that is heavier to be caught by engines that take seconds.
 
-    What comes out moves from least to most throttle in no less than ``answer``: engines that are all driven into the
+    The output moves from least to most throttle in no less than ``answer``: engines that are all driven into the
     limit of their acceleration have none left between them to keep the vehicle level with.
     """
 
@@ -83,48 +83,48 @@ class Floor:
         self._hover, self._idle = hover, idle
         self._least, self._most = least, most
         self._step = step
-        self._braking = _CATCH_SHARE * thrust_margins(hover, idle, least, most)[0]
+        self._braking = _CATCH_FRACTION * thrust_margins(hover, idle, least, most)[0]
         self._late = 4.0 * (answer + _SENSED_S)
         self._k = 0.5 / (near + _SENSED_S)
         self._most_change = (most - least) * step / max(answer, step)
         self.reset()
 
     def reset(self) -> None:
-        """On the ground, or the height is controlled."""
+        """Start on the ground, or under height control."""
         self._trim = 0.0
         self._last: float | None = None
-        self.acting = False
+        self.is_acting = False
 
     def level(self, collective: float) -> None:
-        """Start again from this collective, which the height control has set."""
+        """Start again from this collective of the height control."""
         self.reset()
         self._last = collective
 
-    def allowed(self, height: float, end: float) -> float:
+    def allowed_descent(self, height: float, end: float) -> float:
         """Return the rate of descent [m/s] allowed at a height [m] above the ground; ``end``: at the ground."""
-        return descent_for(height, self._braking, self._late, end)
+        return descent_rate(height, self._braking, self._late, end)
 
-    def under(self, asked: float, height: float, sink: float, end: float, upright: float, weight: float) -> float:
-        """Return the collective: ``asked`` or what the floor needs where that is more, without steps.
+    def apply(self, collective: float, height: float, sink: float, end: float, upright: float, weight: float) -> float:
+        """Return ``collective``, or what the floor needs where that is more, without steps.
 
         ``upright``: cosine of the lean; ``weight``: as a share of that at the start.
         """
-        v = self.allowed(height, end)
+        v = self.allowed_descent(height, end)
         slope = self._braking / (v + self._braking * self._late) if height > 0.0 else 0.0
         k = self._k
         up = max(0.0, sink) * slope + k * (sink - v) + self._trim
         thrust = (self._hover + self._idle) * weight * (1.0 + up / GRAVITY) / max(upright, _LEAST_UPRIGHT)
         least = min(max(thrust - self._idle, self._least), self._most)
-        self.acting = least > asked
-        if self.acting:
+        self.is_acting = least > collective
+        if self.is_acting:
             self._trim = clamp(self._trim + 0.25 * k * k * (sink - v) * self._step, _TRIM)
         else:
             self._trim = 0.0
-        return self.slowed(max(asked, least))
+        return self.limit_rate(max(collective, least))
 
-    def slowed(self, asked: float) -> float:
-        """Return the rate-limited collective on its way to ``asked``."""
+    def limit_rate(self, collective: float) -> float:
+        """Return the collective with its rate limited."""
         if self._last is not None:
-            asked = min(max(asked, self._last - self._most_change), self._last + self._most_change)
-        self._last = asked
-        return asked
+            collective = min(max(collective, self._last - self._most_change), self._last + self._most_change)
+        self._last = collective
+        return collective

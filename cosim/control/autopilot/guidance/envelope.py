@@ -1,4 +1,4 @@
-"""Keeps what the vehicle is asked for within what it can follow: attitude and rates, the height, and a fall."""
+"""Limits of commands to what the vehicle can follow: attitude and rates, the height, and a fall."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _CLIMBING = ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_AUTO", "HJ_DESC_AUTO")  # and t
 class Envelope:
     """A :class:`Shaper` for every command, and a :class:`Floor` where the collective comes by stick or set-point.
 
-    ``hover``: the collective at which the vehicle hovers; ``idle``: thrust of an engine without throttle, as a share of
-    what full throttle adds to it; ``answer``: delay and lag [s] with which the thrust answers, about hover and the
+    ``hover``: the collective at which the vehicle hovers; ``idle``: thrust of an engine without throttle, as a fraction
+    of what full throttle adds to it; ``answer``: delay and lag [s] with which the thrust answers, about hover and the
     longest.
     """
 
@@ -43,7 +43,7 @@ class Envelope:
         self.floor = Floor(hover, idle, self._least, self._most, *answer, step)
 
     def reset(self, airborne: bool) -> None:
-        """Nothing is asked for yet."""
+        """Start without a command."""
         self.shaper.reset()
         self.floor.level(self._hover if airborne else self._least)
 
@@ -69,14 +69,14 @@ class Envelope:
         if name in _CLIMBING:
             guide.limit(self.height_limits())
 
-    def shaped(self, command: Command) -> Command:
+    def shape(self, command: Command) -> Command:
         """Return the command with an attitude, or body rates, that the loops can follow."""
         euler = self._estimates.euler
         if command.rate is not None:
             return command._replace(rate=self.shaper.rate(command.rate, euler))
         return command._replace(attitude=self.shaper.attitude(command.attitude, euler))
 
-    def caught(self, collective: float, ground: float, remaining: float | None) -> float:
+    def limit_fall(self, collective: float, ground: float, remaining: float | None) -> float:
         """Return the requested collective, or the greater one that avoids the ground at the height ``ground`` [m].
 
         ``remaining``: fraction of the fuel; None: the vehicle has none, or it is not known.
@@ -86,7 +86,7 @@ class Envelope:
         weight = 1.0
         if fuel is not None and remaining is not None:
             weight -= fuel.mass_kg * (1.0 - remaining) / self._vehicle.mass_kg
-        return self.floor.under(
+        return self.floor.apply(
             collective,
             measured.altitude - ground,
             measured.velocity[2],

@@ -1,4 +1,4 @@
-"""From what a mode wants (a place, a velocity, a height, a heading) to the command of one step, without jumps."""
+"""From the target of a mode (position, velocity, height, heading) to the command of one step, without jumps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Track, Tracker
 from cosim.control.autopilot.parameters import Parameters
 
-_LEAD = 1.0  # m that the height asked for may be ahead of the vehicle beyond what its climb rate needs
+_LEAD = 1.0  # m that the height set-point may lead the vehicle beyond what its climb rate needs
 
 
 class Guide:
@@ -40,14 +40,14 @@ class Guide:
         self.reset()
 
     def reset(self) -> None:
-        """No set-point is in use."""
+        """Forget all set-points."""
         self._k = -1
-        self._tracked = self._held = self._aimed = -2
+        self._track_step = self._height_step = self._yaw_step = -2
         self.altitude = self.yaw = self._climb = 0.0
         self._position.reset()
 
     def limit(self, limits: HeightLimits) -> None:
-        """Other bounds of the height; what is asked for goes on from where it is."""
+        """Set other bounds of the height; its set-point goes on from where it is."""
         self.limits = limits
         self._height.limit(limits.acceleration, limits.jerk)
         track = self._height.track
@@ -59,35 +59,35 @@ class Guide:
         A vehicle that ``spins`` holds no heading: it leans as seen from the heading that is asked for, at which the
         lean can change steadily.
         """
-        self._yaw = self.yaw if spins and self._aimed == self._k else yaw
+        self._yaw = self.yaw if spins and self._yaw_step == self._k else yaw
         self._k = k
         self._measured = measured
         self._fix = fix
         self._sink = sink
 
-    def towards(self, place: Pair, speed: float) -> Pair:
-        """Roll and pitch (rad) that fly to a place."""
+    def towards(self, target: Pair, speed: float) -> Pair:
+        """Return roll and pitch (rad) that fly to a position."""
         self._take_up_track()
-        return self._lean(self.tracker.towards(place, speed))
+        return self._lean(self.tracker.towards(target, speed))
 
     def around(self, centre: Pair, radius: float, speed: float, clockwise: bool) -> Pair:
-        """Roll and pitch (rad) that fly round a centre."""
+        """Return roll and pitch (rad) that fly round a centre."""
         self._take_up_track()
         return self._lean(self.tracker.around(centre, radius, speed, clockwise))
 
     def at_velocity(self, velocity: Pair) -> Pair:
-        """Roll and pitch (rad) that fly at a velocity."""
+        """Return roll and pitch (rad) that fly at a velocity."""
         self._take_up_track()
         return self._lean(self.tracker.at_velocity(velocity))
 
     def to_height(self, altitude: float, up: float, down: float) -> float:
         """Return the height set-point [m] on its way to ``altitude`` [m] at these rates [m/s] at most."""
         self._take_up_height()
-        off = altitude - self.altitude
-        if self._waits(off):
+        height_error = altitude - self.altitude
+        if self._waits(height_error):
             return self.altitude
-        speed = up if off > 0.0 else min(down, self._sink)
-        return self._raised(self._height.towards((altitude, 0.0), speed))
+        speed = up if height_error > 0.0 else min(down, self._sink)
+        return self._store_height(self._height.towards((altitude, 0.0), speed))
 
     def at_climb(self, rate: float) -> float:
         """Return the height set-point [m], moving at ``rate`` [m/s]."""
@@ -95,7 +95,7 @@ class Guide:
         rate = max(rate, -self._sink)
         if self._waits(rate):
             return self.altitude
-        return self._raised(self._height.at_velocity((rate, 0.0)))
+        return self._store_height(self._height.at_velocity((rate, 0.0)))
 
     def to_yaw(self, yaw: float | None) -> float:
         """Return the heading set-point [rad] on its way to ``yaw`` the short way round; None stays."""
@@ -113,46 +113,46 @@ class Guide:
         return self.yaw
 
     def command(self, lean: Pair, altitude: float, yaw: float) -> Command:
-        """Everything by closed loops."""
+        """Return the command of closed loops."""
         track = self.track
         return Command((lean[0], lean[1], yaw), altitude, place=None if track is None else track.position)
 
     @property
     def track(self) -> Track | None:
         """The set-point of position, where one is in use."""
-        return self.tracker.track if self._tracked == self._k else None
+        return self.tracker.track if self._track_step == self._k else None
 
     @property
     def holds_height(self) -> bool:
-        return self._held == self._k
+        return self._height_step == self._k
 
     @property
     def rest(self) -> float:
-        """The height at which the set-point comes to rest if climbing or sinking ends now."""
-        return self._height.ahead[0]
+        """The height at which the set-point would come to rest now."""
+        return self._height.stop_position[0]
 
     def _lean(self, track: Track) -> Pair:
         return lean_for(self._position.update(track, self._fix), self._yaw)
 
     def _take_up_track(self) -> None:
-        if self._tracked not in (self._k, self._k - 1):
+        if self._track_step not in (self._k, self._k - 1):
             self.tracker.start(self._fix.position, self._fix.velocity)
-        self._tracked = self._k
+        self._track_step = self._k
 
     def _take_up_height(self) -> None:
-        if self._held not in (self._k, self._k - 1):
-            # the loop itself asks for no more than these: a fall is caught by it, not by the set-point
+        if self._height_step not in (self._k, self._k - 1):
+            # The loop itself asks for no more than these: it stops a fall, not the set-point.
             up, down = self._parameters["HJ_SPEED_UP"], self._parameters["HJ_SPEED_DN"]
             self._climb = min(max(-self._measured.velocity[2], -down), up)
-            # where the law asks for the climb rate that there is
+            # At this height the law asks for the present climb rate.
             self.altitude = self._measured.altitude + self._climb / self._gain()
             self._height.start((self.altitude, 0.0), (self._climb, 0.0))
-        self._held = self._k
+        self._height_step = self._k
 
     def _take_up_yaw(self) -> None:
-        if self._aimed not in (self._k, self._k - 1):
+        if self._yaw_step not in (self._k, self._k - 1):
             self.yaw = self._yaw
-        self._aimed = self._k
+        self._yaw_step = self._k
 
     def _waits(self, change: float) -> bool:
         """Return whether the vehicle lags so far that the height set-point stops to wait for it."""
@@ -163,7 +163,7 @@ class Guide:
         self._height.start((self.altitude, 0.0), (0.0, 0.0))
         return True
 
-    def _raised(self, track: Track) -> float:
+    def _store_height(self, track: Track) -> float:
         self.altitude, self._climb = track.position[0], track.velocity[0]
         return self.altitude
 

@@ -1,4 +1,4 @@
-"""How fast the vehicle gets ahead against the wind that pushes it, with the lean that it may have."""
+"""The speed that the vehicle reaches against the wind with the lean that it may have."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from cosim.base.constants import GRAVITY
 from cosim.control.autopilot.estimation.wind import estimate_wind, fastest_in_air
 from cosim.control.autopilot.geometry import Pair
 from cosim.control.autopilot.guidance.course import Course
-from cosim.control.autopilot.guidance.tracker import BRAKE_SHARE
+from cosim.control.autopilot.guidance.tracker import BRAKE_FRACTION
 from cosim.control.phases.wing import DENSITY
 from cosim.spec.vehicle import Vehicle
 
@@ -16,49 +16,49 @@ from cosim.spec.vehicle import Vehicle
 _MEAN_S = 10.0  # over so long the wind is estimated: gusts are shorter, and the estimated push is seconds late
 _STEADY = 0.2  # of HJ_ACC_HOR: while its speed changes faster than this, what pushes is not the wind alone
 _FOLLOWS = 1.0  # m/s that it may be off the set-point's velocity: beyond, its speed is still changing
-_RAMPS = 0.5 + 0.5 / BRAKE_SHARE  # times v^2 / a: the way that speeding up to v and braking take
-_LEAST = 0.1  # m/s: it does not get home at all, so that the way takes longer than any tank lasts
+_RAMPS = 0.5 + 0.5 / BRAKE_FRACTION  # times v^2 / a: the way that speeding up to v and braking take
+_LEAST_SPEED = 0.1  # m/s: it does not get home at all, so that the way takes longer than any tank lasts
 
 
 class Headway:
-    """The speeds of ways, and how long they take; ``catch_up``: the most speed [m/s] asked for an error of place.
+    """The speeds and times of ways; ``catch_up``: the most speed [m/s] for an error of position.
 
     The wind is learnt while the vehicle flies or hovers steadily, and taken to blow against it on every way.
     """
 
     def __init__(self, course: Course, vehicle: Vehicle, catch_up: float, step: float) -> None:
         self._course, self._vehicle, self._parameters = course, vehicle, course.parameters
-        self._catch_up, self._share = catch_up, step / _MEAN_S
+        self._catch_up, self._weight_step = catch_up, step / _MEAN_S
         # in hover every jet is taken to bear as much: what the air swallowed by them takes is a part of the drag
         self._thrust = [vehicle.mass_kg * GRAVITY / len(vehicle.jets)] * len(vehicle.jets)
         self.reset()
 
     def reset(self) -> None:
-        """No wind is known."""
+        """Forget the wind."""
         self._north = self._east = self._weight = 0.0
 
     def learn(self) -> None:
         """Take one step in the air into the mean of the wind, where the vehicle follows a steady set-point."""
         track, estimates = self._course.guide.track, self._course.estimates
-        if track is None or not estimates.positioned:
+        if track is None or not estimates.has_position:
             return
         fix = estimates.fix
-        off = hypot(track.velocity[0] - fix.velocity[0], track.velocity[1] - fix.velocity[1])
-        if off > _FOLLOWS or hypot(*track.acceleration) > _STEADY * self._parameters["HJ_ACC_HOR"]:
+        velocity_error = hypot(track.velocity[0] - fix.velocity[0], track.velocity[1] - fix.velocity[1])
+        if velocity_error > _FOLLOWS or hypot(*track.acceleration) > _STEADY * self._parameters["HJ_ACC_HOR"]:
             return
         wind = estimate_wind(self._vehicle, fix.disturbance, fix.velocity, estimates.euler, self._thrust, DENSITY)
         if wind is not None:
-            self._north += self._share * (wind[0] - self._north)
-            self._east += self._share * (wind[1] - self._east)
-            self._weight += self._share * (1.0 - self._weight)
+            self._north += self._weight_step * (wind[0] - self._north)
+            self._east += self._weight_step * (wind[1] - self._east)
+            self._weight += self._weight_step * (1.0 - self._weight)
 
     @property
     def wind(self) -> Pair:
-        """The mean of the wind [m/s], north and east; 0 as long as none is known."""
+        """The mean of the wind [m/s], north and east; 0 as long as none was estimated."""
         return (self._north / self._weight, self._east / self._weight) if self._weight else (0.0, 0.0)
 
     @property
-    def most(self) -> float:
+    def greatest_speed(self) -> float:
         """The most speed over the ground [m/s] that HJ_LEAN_MAX gives against the wind.
 
         Where drag is not known, or a wing bears, it is the speed that the vehicle's file states.
@@ -67,24 +67,24 @@ class Headway:
         air = fastest_in_air(self._vehicle, lean, self._thrust, DENSITY)
         if air is None:
             return self._parameters.table["MPC_XY_VEL_MAX"].default
-        return max(_LEAST, air - hypot(*self.wind))
+        return max(_LEAST_SPEED, air - hypot(*self.wind))
 
     @property
     def speed(self) -> float:
         """The speed over the ground [m/s] of a long way: what is asked for, or as much of it as can be flown."""
-        return min(self._course.speed, self.most)
+        return min(self._course.speed, self.greatest_speed)
 
-    def along(self, distance: float) -> float:
+    def way_time(self, distance: float) -> float:
         """Return how long [s] a way of so many m takes, from rest to rest.
 
         The set-point speeds up with a and brakes with 3/4 a.  While it is faster than the vehicle can be, it gets
-        ahead; from when it brakes the vehicle closes in on it at no more than the speed asked for an error of place.
+        ahead; from when it brakes the vehicle closes in on it at no more than ``catch_up``.
         """
-        p, most = self._parameters, self.most
-        a, catch_up = p["HJ_ACC_HOR"], min(self._catch_up, most)
+        p, greatest = self._parameters, self.greatest_speed
+        a, catch_up = p["HJ_ACC_HOR"], min(self._catch_up, greatest)
         top = min(self._course.speed, sqrt(distance * a / _RAMPS))
-        ahead = distance / top + _RAMPS * top / a + a / p["HJ_JERK_HOR"]
-        beyond = max(0.0, top - most)
-        lag = _RAMPS * beyond * beyond / a + beyond * max(0.0, distance / top - _RAMPS * top / a)
-        left = max(0.0, lag - catch_up * most / (BRAKE_SHARE * a))
-        return ahead + left / catch_up + 2.0 / max(p["HJ_VEL_P"], 0.1) + 1.0 / max(p["HJ_POS_P"], 0.1)
+        set_point_time = distance / top + _RAMPS * top / a + a / p["HJ_JERK_HOR"]
+        excess_speed = max(0.0, top - greatest)
+        lag = _RAMPS * excess_speed * excess_speed / a + excess_speed * max(0.0, distance / top - _RAMPS * top / a)
+        remaining = max(0.0, lag - catch_up * greatest / (BRAKE_FRACTION * a))
+        return set_point_time + remaining / catch_up + 2.0 / max(p["HJ_VEL_P"], 0.1) + 1.0 / max(p["HJ_POS_P"], 0.1)

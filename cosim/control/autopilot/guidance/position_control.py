@@ -6,14 +6,14 @@ from math import tan
 
 from cosim.base.constants import GRAVITY
 from cosim.control.autopilot.estimation.position import Fix
-from cosim.control.autopilot.geometry import Pair, limited
+from cosim.control.autopilot.geometry import Pair, limit_length
 from cosim.control.autopilot.guidance.tracker import Track
 from cosim.control.bumpless import Fade
 from cosim.spec.vehicle import PositionGains
 
 
 class PositionController:
-    """P on position, P on velocity, against the estimated disturbance: acceleration wanted, m/s^2 NED.
+    """P on position, P on velocity, against the estimated disturbance: the commanded acceleration, m/s^2 NED.
 
     ``a = a_track + K_v (v_track + K_p (p_track - p) - v) - b``.  ``b`` is the integral action: it comes from what the
     vehicle did with the lean that it had, so it cannot wind up at a limit.  ``K_p`` times the error is limited, and
@@ -27,19 +27,19 @@ class PositionController:
         self.reset()
 
     def reset(self) -> None:
-        """No change of gains is under way."""
+        """Drop any change of gains that is fading."""
         self._left: tuple[float, float, float] | None = None
         self._fades: tuple[Fade, ...] = ()
 
     def retune(self, position: float, velocity: float, lean: float) -> None:
-        """Other gains from the next update on, without a bump: the difference in acceleration fades."""
+        """Set other gains from the next update on, without a bump: the difference in acceleration fades."""
         if self._left is None:
             self._left = self._law
         self._law = (position, velocity, lean)
         self._fades = self._fades or (Fade(self._step), Fade(self._step))
 
     def update(self, track: Track, fix: Fix) -> Pair:
-        """Acceleration to lean for."""
+        """Return the acceleration to lean for, m/s^2 NED."""
         answer = self._answer(self._law, track, fix)
         if not self._fades:
             return answer
@@ -55,8 +55,8 @@ class PositionController:
     def _answer(self, law: tuple[float, float, float], track: Track, fix: Fix) -> Pair:
         kp, kv, lean = law
         (tp, tv, ta), (p, v, b) = track, fix
-        cn, ce = limited(kp * (tp[0] - p[0]), kp * (tp[1] - p[1]), self._catch_up)
-        return limited(
+        cn, ce = limit_length(kp * (tp[0] - p[0]), kp * (tp[1] - p[1]), self._catch_up)
+        return limit_length(
             ta[0] + kv * (tv[0] + cn - v[0]) - b[0],
             ta[1] + kv * (tv[1] + ce - v[1]) - b[1],
             GRAVITY * tan(lean),

@@ -1,4 +1,4 @@
-"""Keeps the attitude that is asked for within what the engines of this vehicle can follow.
+"""Limits of attitude commands to what the engines of this vehicle can follow.
 
 Sticks, missions and set-points ask for leans, headings and rates that step.  A loop that has to answer for late engines
 drives its command to the stop on such a step, and with its command at the stop it is no longer the loop that was
@@ -16,19 +16,19 @@ from cosim.base.constants import GRAVITY
 from cosim.base.limits import clamp
 from cosim.base.signals import AXES, Vector3
 from cosim.control.allocation.authority import reach_of
-from cosim.control.autopilot.geometry import Pair, limited, wrap
+from cosim.control.autopilot.geometry import Pair, limit_length, wrap
 from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.spec.vehicle import EngineLead, Vehicle
 
 # Chosen by us.
-LEAST = 0.02  # rad/s^2 about an axis that hardly anything turns: set-points creep there, and do not stand
-SHARE = 0.25  # of the torque's room goes to what is asked for; the rest is for wind, noise and overshoot
+LEAST_ACCELERATION = 0.02  # rad/s^2 about an axis that hardly anything turns: set-points creep there, and do not stand
+ROOM_FRACTION = 0.25  # of the torque's room goes to what is asked for; the rest is for wind, noise and overshoot
 MEAN = 0.5  # of the attitude loop's time constant: the acceleration asked for takes this long to build up
 _SLOWEST = 0.1  # 1/s: an attitude loop with less gain than this is not flown
 
 
 class AttitudeLimits(NamedTuple):
-    """Bounds of what the attitude loop is asked for: rad, rad/s, rad/s^2, rad/s^3; roll and pitch share theirs."""
+    """Bounds of the attitude set-point: rad/s, rad/s^2, rad/s^3; roll and pitch share theirs."""
 
     rate: float
     acceleration: float
@@ -41,7 +41,7 @@ class AttitudeLimits(NamedTuple):
 def attitude_limits(
     gain: Sequence[float], authority: Sequence[float], lean: float, yaw_rate: float, rate_limit: Sequence[float]
 ) -> AttitudeLimits:
-    """Bounds from the attitude loop's gains K (roll, pitch, yaw; 1/s) and the angular accelerations that may be used.
+    """Return the bounds from the attitude loop's gains K (roll, pitch, yaw; 1/s) and the usable angular accelerations.
 
     With ``K = min(K_roll, K_pitch)`` and the most lean L that is asked for,
 
@@ -63,13 +63,13 @@ def attitude_limits(
 
 
 def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequence[float]) -> Vector3:
-    """Angular acceleration [rad/s^2] about each axis that set-points may use: a quarter of what hover leaves.
+    """Return the angular acceleration [rad/s^2] that set-points may use about each axis: a quarter of the room.
 
     ``A = (1/4) room K_u / e``: ``room`` is what hover leaves of the command (throttle either way, or tilt), ``K_u`` the
-    angular acceleration per command (moment over inertia; thrust from the weight, at ``hover`` with the share ``idle``
-    that an engine gives without throttle), and ``e = 1 + 2 zeta K/w + (K/w)^2`` what a lead asks for beyond that to
-    turn the vehicle at the loop's own speed K [1/s] through lags of ``w``, ``zeta`` (``1 + K/w`` for a single one,
-    ``1 + K tau`` through a servo).
+    angular acceleration per command (moment over inertia; thrust from the weight, at ``hover`` with the fraction
+    ``idle`` that an engine gives without throttle), and ``e = 1 + 2 zeta K/w + (K/w)^2`` what a lead asks for beyond
+    that to turn the vehicle at the loop's own speed K [1/s] through lags of ``w``, ``zeta`` (``1 + K/w`` for a single
+    one, ``1 + K tau`` through a servo).
     """
     if vehicle.allocation == "effectiveness":
         return _by_layout(vehicle, hover, idle, gain)
@@ -87,11 +87,11 @@ def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequenc
             else:
                 moment = weight * sum(abs(jet.position_m[1]) for jet in jets) / len(jets)
             extra = 1.0 + gain[axis] * servo.lag_s
-            authority.append(SHARE * servo.range_rad * moment / inertia[axis] / extra)
+            authority.append(ROOM_FRACTION * servo.range_rad * moment / inertia[axis] / extra)
             continue
         lever = sum(abs((jet.position_m[1], jet.position_m[0], jet.reaction_m)[axis]) for jet in jets)
         lead = getattr(control.lead, name, None)
-        authority.append(SHARE * room * lever * per_jet / inertia[axis] / _extra(lead, gain[axis]))
+        authority.append(ROOM_FRACTION * room * lever * per_jet / inertia[axis] / _extra(lead, gain[axis]))
     return (authority[0], authority[1], authority[2])
 
 
@@ -101,17 +101,17 @@ def _by_layout(vehicle: Vehicle, hover: float, idle: float, gain: Sequence[float
     It is a quarter of what the layout attains about each axis, with the slowest hinge taken for all."""
     per_jet = vehicle.mass_kg * GRAVITY / len(vehicle.jets) / (hover + idle)
     limits, jets = vehicle.control.allocation, len(vehicle.jets)
-    least, most = ([per_jet * (share + idle)] * jets for share in (limits.throttle_min, limits.throttle_max))
+    least, most = ([per_jet * (fraction + idle)] * jets for fraction in (limits.throttle_min, limits.throttle_max))
     reach = reach_of(vehicle, least, most)
     lines = [tuple(sign * (n == axis) for n in range(3)) for axis in range(3) for sign in (1.0, -1.0)]
     sizes = [size.least for size in reach.section(lines)]
     slowest = max([hinge.lag_s for hinge in vehicle.hinges], default=0.0)
-    answer = []
+    authority = []
     for axis, name in enumerate(AXES):
         extra = max(1.0 + gain[axis] * slowest, _extra(getattr(vehicle.control.lead, name, None), gain[axis]))
         moment = max(0.0, min(sizes[2 * axis], sizes[2 * axis + 1]))
-        answer.append(SHARE * max(moment / vehicle.inertia_kg_m2[axis], LEAST) / extra)
-    return (answer[0], answer[1], answer[2])
+        authority.append(ROOM_FRACTION * max(moment / vehicle.inertia_kg_m2[axis], LEAST_ACCELERATION) / extra)
+    return (authority[0], authority[1], authority[2])
 
 
 def _extra(lead: EngineLead | bool | None, gain: float) -> float:
@@ -122,7 +122,7 @@ def _extra(lead: EngineLead | bool | None, gain: float) -> float:
 
 
 class Shaper:
-    """Leans, heading or rates that were asked for, to those that the loops are given.
+    """From commanded leans, heading or rates to those that the loops can follow.
 
     Attitudes are followed by two :class:`Tracker`, of the leans (rad) and of the heading: from rest to rest a change of
     lean D takes ``D/R + R/(2 A) + R/(2 0.75 A) + A/J`` (rate R, acceleration A, jerk J), and nothing overshoots.
@@ -137,11 +137,11 @@ class Shaper:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing is asked for; the next set-point starts from where the vehicle is."""
+        """Forget the set-points; the next one starts from where the vehicle is."""
         self._used = self._rates = False
 
     def limit(self, limits: AttitudeLimits) -> None:
-        """Other bounds from the next update on; what is asked for goes on from where it is."""
+        """Set other bounds from the next update on; the set-point goes on from where it is."""
         self._limits = limits
         self._lean.limit(limits.acceleration, limits.jerk)
         self._yaw.limit(limits.yaw_acceleration, limits.yaw_jerk)
@@ -150,25 +150,25 @@ class Shaper:
             self._lean.start(lean.position, lean.velocity)
             self._yaw.start(yaw.position, yaw.velocity)
 
-    def attitude(self, asked: Vector3, now: Vector3) -> Vector3:
-        """Roll, pitch and yaw (rad) for the attitude loop; ``now`` is the vehicle's own attitude."""
+    def attitude(self, set_point: Vector3, now: Vector3) -> Vector3:
+        """Return roll, pitch and yaw (rad) for the attitude loop; ``now``: the vehicle's attitude."""
         if not self._used or self._rates:
             self._begin(now)
         self._rates = False
-        roll, pitch = self._lean.towards((asked[0], asked[1]), self._limits.rate).position
-        # the heading is counted on beyond half a turn, the short way from where the point ahead is
-        ahead = self._yaw.point[0]
-        yaw, _ = self._yaw.towards((ahead + wrap(asked[2] - ahead), 0.0), self._limits.yaw_rate).position
+        roll, pitch = self._lean.towards((set_point[0], set_point[1]), self._limits.rate).position
+        # The heading is unwrapped: it goes the short way from the leading point, beyond half a turn too.
+        point = self._yaw.point[0]
+        yaw, _ = self._yaw.towards((point + wrap(set_point[2] - point), 0.0), self._limits.yaw_rate).position
         return (roll, pitch, wrap(yaw))
 
-    def rate(self, asked: Vector3, now: Vector3) -> Vector3:
-        """Body rates (rad/s) for the rate loop."""
+    def rate(self, set_point: Vector3, now: Vector3) -> Vector3:
+        """Return body rates (rad/s) for the rate loop."""
         if not self._used:
             self._begin(now)
         self._rates = True
         limits = self._limits
-        p, q = self._lean.at_velocity(limited(asked[0], asked[1], limits.rate)).velocity
-        r, _ = self._yaw.at_velocity((clamp(asked[2], limits.yaw_rate), 0.0)).velocity
+        p, q = self._lean.at_velocity(limit_length(set_point[0], set_point[1], limits.rate)).velocity
+        r, _ = self._yaw.at_velocity((clamp(set_point[2], limits.yaw_rate), 0.0)).velocity
         return (p, q, r)
 
     def _begin(self, now: Vector3) -> None:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from cosim.control.autopilot.geometry import Pair
 
 _LONGEST_MEAN = 10.0  # s: a set-point that answers later than this is of no use to a pilot
-BRAKE_SHARE = 0.75  # of the acceleration is planned for braking, so that some is left to turn with
+BRAKE_FRACTION = 0.75  # of the acceleration is planned for braking, so that some is left to turn with
 
 
 class Track(NamedTuple):
@@ -23,7 +23,7 @@ class Track(NamedTuple):
 class Tracker:
     """The set-point that the vehicle follows: bounded speed, acceleration and jerk, for any target at any time.
 
-    A point runs ahead, with bounded acceleration towards the target's place or velocity; the set-point is its mean
+    A point leads, with bounded acceleration towards the target's position or velocity; the set-point is its mean
     over ``acceleration / jerk`` seconds, which bounds the jerk and adds exactly that time (a mean of what does not
     overshoot does not overshoot).  From rest over a distance ``d`` it takes ``d / v + v / (2 a) + v / (2 a_b) + a / j``
     with braking at ``a_b = 0.75 a``, where ``v`` is reached.
@@ -37,15 +37,15 @@ class Tracker:
     def limit(self, acceleration: float, jerk: float) -> None:
         """Set new limits, m/s^2 and m/s^3; the mean's length changes at the next start."""
         self._a = acceleration * self._step  # m/s a step
-        self._b = BRAKE_SHARE * self._a
+        self._b = BRAKE_FRACTION * self._a
         self._count = max(1, ceil(min(acceleration / jerk, _LONGEST_MEAN) / self._step))
 
     def start(self, position: Pair, velocity: Pair) -> None:
         """Start the set-point from this position, at this velocity and without acceleration."""
         dt = self._step
-        ahead = 0.5 * dt * (self._count - 1)
+        lead = 0.5 * dt * (self._count - 1)
         # as if the point had always flown like this: then the mean of its past is where the set-point is
-        self._p = [position[0] + ahead * velocity[0], position[1] + ahead * velocity[1]]
+        self._p = [position[0] + lead * velocity[0], position[1] + lead * velocity[1]]
         self._v = [velocity[0], velocity[1]]
         n = self._count
         self._window: deque[tuple[float, float, float, float]] = deque(
@@ -61,27 +61,27 @@ class Tracker:
         self.track = Track(position, velocity, (0.0, 0.0))
 
     def towards(self, target: Pair, speed: float) -> Track:
-        """One step towards a place, at most at ``speed`` m/s."""
+        """Move one step towards a position, at most at ``speed`` m/s."""
         n, e = target[0] - self._p[0], target[1] - self._p[1]
         distance = hypot(n, e)
         if distance == 0.0:
             return self._move(0.0, 0.0)
         # the speed from which whole steps of braking end at the target
         unit = self._b * self._step
-        share = min(speed, self._b * (sqrt(0.25 + 2.0 * distance / unit) - 0.5), distance / self._step) / distance
-        return self._move(n * share, e * share)
+        scale = min(speed, self._b * (sqrt(0.25 + 2.0 * distance / unit) - 0.5), distance / self._step) / distance
+        return self._move(n * scale, e * scale)
 
     def at_velocity(self, velocity: Pair) -> Track:
-        """One step towards a velocity, m/s."""
+        """Move one step towards a velocity, m/s."""
         return self._move(*velocity)
 
     @property
     def point(self) -> Pair:
-        """Where the point is that runs ahead of the set-point."""
+        """The position of the point that leads the set-point."""
         return (self._p[0], self._p[1])
 
     def around(self, centre: Pair, radius: float, speed: float, clockwise: bool) -> Track:
-        """One step along a circle, towards it first; ``clockwise`` as seen from above.
+        """Move one step along a circle, towards it first; ``clockwise`` as seen from above.
 
         The speed is at most that at which half of the acceleration holds the point on the circle: v^2 / R = a / 2.
         """
@@ -89,20 +89,23 @@ class Tracker:
         distance = hypot(n, e)
         n, e = (n / distance, e / distance) if distance > 0.0 else (1.0, 0.0)
         speed = min(speed, sqrt(0.5 * self._a / self._step * radius))
-        off = radius - distance
+        radius_error = radius - distance
         # inwards or outwards no faster than a quarter of the acceleration brakes, the rest along the circle
-        across = copysign(min(speed, sqrt(0.5 * self._a / self._step * abs(off)), abs(off) / self._step), off)
+        across = copysign(
+            min(speed, sqrt(0.5 * self._a / self._step * abs(radius_error)), abs(radius_error) / self._step),
+            radius_error,
+        )
         along = sqrt(max(0.0, speed * speed - across * across)) * (1.0 if clockwise else -1.0)
         return self._move(across * n - along * e, across * e + along * n)
 
     @property
-    def ahead(self) -> Pair:
-        """Where the set-point would come to rest if it were stopped now."""
+    def stop_position(self) -> Pair:
+        """The position at which the set-point would come to rest if it were stopped now."""
         vn, ve = self._v
         speed = hypot(vn, ve)
         # at_velocity stops with the full acceleration
-        share = 0.5 * speed / self._a * self._step
-        return (self._p[0] + vn * share, self._p[1] + ve * share)
+        scale = 0.5 * speed / self._a * self._step
+        return (self._p[0] + vn * scale, self._p[1] + ve * scale)
 
     def _move(self, north: float, east: float) -> Track:
         v, p, dt = self._v, self._p, self._step

@@ -1,4 +1,4 @@
-"""Round a centre: an orbit that was asked for, or a mission's circle."""
+"""Flight round a centre: a requested orbit, or a mission's circle."""
 
 from __future__ import annotations
 
@@ -11,44 +11,44 @@ from cosim.control.autopilot.geometry import Pair, wrap
 from cosim.control.autopilot.guidance.course import LOWEST_M, Course
 from cosim.control.autopilot.requests import Orbit, OrbitYaw
 
-_CHECKED = 36  # places of a circle that must be inside the fence
+_CHECKPOINTS = 36  # points of a circle that must be inside the fence
 
 
 class Circle:
-    """The course round a centre, and the turns that have been flown of it."""
+    """The course round a centre, with a count of its turns."""
 
     def __init__(self, course: Course, watch: Watch) -> None:
-        self._parameters, self._estimates, self._places = course.parameters, course.estimates, course.places
+        self._parameters, self._estimates, self._landmarks = course.parameters, course.estimates, course.landmarks
         self._course = course
         self._watch = watch
         self.reset()
 
     def reset(self) -> None:
-        """None has been flown."""
+        """Forget the last circle."""
         self.orbit: Orbit | None = None
         self._turned = 0.0  # rad round the centre, on the circle
         self._bearing: float | None = None  # from the centre a step ago; None: not on the circle
 
-    def asked(self, request: Orbit) -> tuple[Pair, float]:
-        """Centre and height of an orbit.  Raises InputError where it may not be flown."""
+    def check_request(self, request: Orbit) -> tuple[Pair, float]:
+        """Return centre and height of an orbit.  Raises InputError where it may not be flown."""
         limit = self._parameters.table["MPC_XY_VEL_MAX"]
         if request.speed is not None and not limit.least <= request.speed <= limit.most:
             raise InputError(f"orbit refused: speed {request.speed:g} m/s, from {limit.least:g} to {limit.most:g} m/s")
         here = self._estimates.fix.position
         centre = here if request.north is None or request.east is None else (request.north, request.east)
         altitude = request.altitude if request.altitude is not None else self._course.stop_height
-        if altitude < self._places.lowest:
+        if altitude < self._landmarks.lowest_altitude:
             raise InputError(f"orbit refused: at least {LOWEST_M:g} m above the ground are needed")
-        if why := self.outside(centre, request.radius, altitude):
+        if why := self.describe_outside(centre, request.radius, altitude):
             raise InputError(f"orbit refused: {why}")
         return centre, altitude
 
-    def outside(self, centre: Pair, radius: float, altitude: float) -> str:
-        """Where a circle leaves the fence, in words; empty: it does not."""
-        for n in range(_CHECKED):
-            angle = 2.0 * pi * n / _CHECKED
+    def describe_outside(self, centre: Pair, radius: float, altitude: float) -> str:
+        """Return why a circle leaves the fence; empty: it does not."""
+        for n in range(_CHECKPOINTS):
+            angle = 2.0 * pi * n / _CHECKPOINTS
             north, east = centre[0] + radius * cos(angle), centre[1] + radius * sin(angle)
-            if why := self._watch.outside(north, east, altitude, self._places.home):
+            if why := self._watch.describe_outside(north, east, altitude, self._landmarks.home):
                 return why
         return ""
 
@@ -60,20 +60,20 @@ class Circle:
 
     @property
     def complete(self) -> bool:
-        """The turns that were asked for are done."""
+        """Whether the requested turns are done."""
         return self.orbit is not None and 0.0 < 2.0 * pi * self.orbit.turns <= self._turned
 
     def fly(self) -> Command:
-        """Round the centre; the turns count once it is on the circle."""
+        """Return the command round the centre; turns count once it is on the circle."""
         orbit, course, (north, east) = self.orbit, self._course, self._estimates.fix.position
         assert orbit is not None
-        assert course.place is not None
+        assert course.position is not None
         assert course.height is not None
         guide = course.guide
-        n, e = north - course.place[0], east - course.place[1]
+        n, e = north - course.position[0], east - course.position[1]
         speed = orbit.speed if orbit.speed is not None else course.speed
-        lean = guide.around(course.place, orbit.radius, speed, orbit.clockwise)
-        held = course.to_height(course.height)
+        lean = guide.around(course.position, orbit.radius, speed, orbit.clockwise)
+        height_setpoint = course.to_height(course.height)
         bearing = atan2(e, n)
         if orbit.yaw is OrbitYaw.CENTRE:
             heading = atan2(-e, -n)
@@ -81,7 +81,7 @@ class Circle:
             heading = wrap(bearing + (0.5 * pi if orbit.clockwise else -0.5 * pi))
         else:
             heading = course.heading if course.heading is not None else self._estimates.euler[2]
-        command = guide.command(lean, held, guide.to_yaw(heading))
+        command = guide.command(lean, height_setpoint, guide.to_yaw(heading))
         if self._bearing is not None:
             self._turned += wrap(bearing - self._bearing) * (1.0 if orbit.clockwise else -1.0)
         self._bearing = bearing if abs(hypot(n, e) - orbit.radius) < max(1.0, 0.1 * orbit.radius) else None

@@ -20,7 +20,7 @@ class Homeward:
         self.reset()
 
     def reset(self) -> None:
-        """Not begun."""
+        """Forget the last return."""
         self._phase = _CLIMB
         self._to: Pair | None = None  # where it lands
 
@@ -28,14 +28,14 @@ class Homeward:
         """Return the command of the next step home; the first step chooses the destination."""
         course, estimates = self._course, self._estimates
         if self._to is None or course.height is None:
-            self._to, course.height, near = course.way_back(estimates.fix.position, course.stop_height)
+            self._to, course.height, near = course.plan_return(estimates.fix.position, course.stop_height)
             self._phase = _CRUISE if near else _CLIMB
-        place = self._to
-        away = course.away(place)
+        position = self._to
+        distance = course.distance_to(position)
         if self._phase == _CLIMB and estimates.altitude > course.height - REACHED_M:
             self._phase = _CRUISE
-        if self._phase == _CRUISE and away < ABOVE_M and hypot(*estimates.fix.velocity) < SLOW:
+        if self._phase == _CRUISE and distance < ABOVE_M and hypot(*estimates.fix.velocity) < SLOW:
             self._phase = _DESCENT
         if self._phase == _DESCENT:
-            return course.descend(place)
-        return course.to(None if self._phase == _CLIMB else place, course.height, course.heading)
+            return course.descend(position)
+        return course.fly_to(None if self._phase == _CLIMB else position, course.height, course.heading)

@@ -10,7 +10,7 @@ _MOST_JUMPS = 10_000  # in one go: a circle of jumps without anything to fly
 
 
 class Mission:
-    """Items and progress.  ``current`` is the place in the list; past the end the mission is done."""
+    """Items and progress.  ``current`` is the index of the present item; past the end the mission is done."""
 
     def __init__(self) -> None:
         self.items: tuple[MissionItem, ...] = ()
@@ -46,7 +46,7 @@ class Mission:
         return self.skip_jumps()
 
     def skip_jumps(self) -> MissionItem | None:
-        """Follow jumps from the present item, and pass what is left out."""
+        """Follow jumps from the present item, and pass items that are not flown."""
         for _ in range(_MOST_JUMPS):
             item = self.item
             if item is not None and item.kind is ItemKind.LEFT_OUT:
@@ -54,14 +54,14 @@ class Mission:
                 continue
             if item is None or item.kind is not ItemKind.JUMP or item.target is None:
                 return item
-            made = self._jumps.get(self.current, 0)
+            count = self._jumps.get(self.current, 0)
             if item.repeat < 0:
                 self.current = item.target
-            elif made < item.repeat:
-                self._jumps[self.current] = made + 1
+            elif count < item.repeat:
+                self._jumps[self.current] = count + 1
                 self.current = item.target
             else:
-                # a jump that is met again after its count, from outside, counts anew
+                # A jump that is reached again after its last repetition counts from 0.
                 self._jumps[self.current] = 0
                 self.current += 1
         self.current = len(self.items)
@@ -71,19 +71,19 @@ class Mission:
 _NO_TIME = (ItemKind.LEFT_OUT, ItemKind.SPEED, ItemKind.DELAY)
 
 
-def idle_jump(items: Sequence[MissionItem]) -> int | None:
+def find_endless_jump(items: Sequence[MissionItem]) -> int | None:
     """Return the first jump without end that comes back to itself with nothing flown and nothing waited for."""
     for jump, first in enumerate(items):
-        at, seen = jump, set[int]()
-        while first.kind is ItemKind.JUMP and first.repeat < 0 and at < len(items):
-            item = items[at]
-            if at in seen:
+        index, visited = jump, set[int]()
+        while first.kind is ItemKind.JUMP and first.repeat < 0 and index < len(items):
+            item = items[index]
+            if index in visited:
                 return jump
-            seen.add(at)
+            visited.add(index)
             if item.kind is ItemKind.JUMP and item.repeat < 0 and item.target is not None:
-                at = item.target
+                index = item.target
             elif item.kind in _NO_TIME and not item.hold_s:
-                at += 1
+                index += 1
             else:
                 break
     return None

@@ -1,4 +1,4 @@
-"""A mission as it is flown: what each item aims at, and when it is done."""
+"""The flight of a mission: the target of each item, and when it is done."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from cosim.control.autopilot.failsafes import Watch
 from cosim.control.autopilot.guidance.course import ABOVE_M, REACHED_M, Course
 from cosim.control.autopilot.manoeuvres.circle import Circle
 from cosim.control.autopilot.manoeuvres.homeward import Homeward
-from cosim.control.autopilot.manoeuvres.mission import Mission, idle_jump
+from cosim.control.autopilot.manoeuvres.mission import Mission, find_endless_jump
 from cosim.control.autopilot.requests import ItemKind, MissionItem, MissionUpload, Orbit
 
-_MOST_ITEMS = 1000  # of a mission that are reckoned with, jumps and all; chosen by us
+_MOST_ITEMS = 1000  # of a mission, jumps included, for which energy is estimated; chosen by us
 
 
 class MissionFlight:
-    """Flies :attr:`mission` along the course; a circle and a return are flown by those who know them."""
+    """Flies :attr:`mission` along the course; circle and return are flown by their own classes."""
 
     def __init__(self, course: Course, circle: Circle, homeward: Homeward, step: float) -> None:
         self.mission = Mission()
-        self._parameters, self._estimates, self._places = course.parameters, course.estimates, course.places
+        self._parameters, self._estimates, self._landmarks = course.parameters, course.estimates, course.landmarks
         self._course = course
         self._circle = circle
         self._homeward = homeward
@@ -31,48 +31,51 @@ class MissionFlight:
 
     def reset(self) -> None:
         """Forget the last flight and keep the mission."""
-        self._climb_to: float | None = None  # height to reach before it leaves the place of its take-off
+        self._climb_to: float | None = None  # height to reach before it leaves the take-off position
         self.abort()
 
     def abort(self) -> None:
-        """Another mode is entered, or another item begins."""
-        self._there = False  # where the item's height changes, or where it lands
+        """End the present item."""
+        self._is_in_position = False  # where the item changes its height or lands
 
     def load(self, request: MissionUpload, watch: Watch) -> None:
         """Take another mission.  Raises InputError where an item is outside the fence or jumps on the spot for ever."""
-        if (jump := idle_jump(request.items)) is not None:
+        if (jump := find_endless_jump(request.items)) is not None:
             raise InputError(f"mission item {jump} refused: it jumps for ever, and nothing is flown on the way")
         for index, item in enumerate(request.items):
             if item.north is not None and item.east is not None:
                 height = item.altitude if item.altitude is not None else self._estimates.altitude
                 if item.kind is ItemKind.CIRCLE and item.radius is not None:
-                    why = self._circle.outside((item.north, item.east), item.radius, height)
+                    why = self._circle.describe_outside((item.north, item.east), item.radius, height)
                 else:
-                    why = watch.outside(item.north, item.east, height, self._places.home)
+                    why = watch.describe_outside(item.north, item.east, height, self._landmarks.home)
                 if why:
                     raise InputError(f"mission item {index} refused: {why}")
         self.mission.load(request.items)
 
-    def short(self, energy: Energy) -> tuple[int, str]:
-        """Return the first item for which fuel or battery do not do, there and home, and why; empty: they do.
+    def find_shortage(self, energy: Energy) -> tuple[int, str]:
+        """Return the first item for which fuel or battery are short, there and home, and why; empty: none.
 
-        Reckoned from here.  Speeds that items ask for are left out, and what ends only on request ends at once.
+        Estimated from here.  Speeds that items ask for are left out, and what ends only on request ends at once.
         """
         mission = Mission()
         mission.load(self.mission.items)
         mission.restart(self.mission.current)
-        place, altitude, seconds = self._estimates.fix.position, self._estimates.altitude, 0.0
+        position, altitude, seconds = self._estimates.fix.position, self._estimates.altitude, 0.0
         item = mission.skip_jumps()
         for _ in range(_MOST_ITEMS):
             if item is None or item.kind in (ItemKind.LAND, ItemKind.RETURN):
                 break
-            to = (item.north, item.east) if item.north is not None and item.east is not None else place
+            target = (item.north, item.east) if item.north is not None and item.east is not None else position
             height = item.altitude if item.altitude is not None else altitude
-            seconds += energy.along(hypot(to[0] - place[0], to[1] - place[1]), height - altitude) + item.hold_s
+            seconds += (
+                energy.way_time(hypot(target[0] - position[0], target[1] - position[1]), height - altitude)
+                + item.hold_s
+            )
             if item.kind is ItemKind.CIRCLE and item.radius is not None:
                 seconds += 2.0 * pi * item.radius * item.turns / energy.headway.speed
-            place, altitude = to, height
-            if why := energy.short_of(seconds, place, altitude):
+            position, altitude = target, height
+            if why := energy.describe_shortage(seconds, position, altitude):
                 return mission.current, why
             item = mission.advance()
         return 0, ""
@@ -82,7 +85,7 @@ class MissionFlight:
         item = self.mission.item
         self._climb_to = None
         if flown and item is not None and item.kind is not ItemKind.TAKEOFF:
-            height = self._places.home_altitude + self._parameters["MIS_TAKEOFF_ALT"]
+            height = self._landmarks.home_altitude + self._parameters["MIS_TAKEOFF_ALT"]
             self._climb_to = height if item.altitude is None else min(height, item.altitude)
 
     def advance(self, flying: bool) -> None:
@@ -97,21 +100,21 @@ class MissionFlight:
             return
         self.abort()
         course = self._course
-        there = (item.north, item.east) if item.north is not None and item.east is not None else None
+        position = (item.north, item.east) if item.north is not None and item.east is not None else None
         if item.kind in (ItemKind.WAYPOINT, ItemKind.STAY):
-            course.aim(there, item.altitude, item.yaw)
-        elif item.kind is ItemKind.CIRCLE and there is not None and item.altitude is not None:
+            course.aim(position, item.altitude, item.yaw)
+        elif item.kind is ItemKind.CIRCLE and position is not None and item.altitude is not None:
             radius = item.radius or 1.0
-            self._circle.begin(Orbit(radius, item.clockwise, turns=item.turns), there, item.altitude)
+            self._circle.begin(Orbit(radius, item.clockwise, turns=item.turns), position, item.altitude)
         elif item.kind is ItemKind.ALTITUDE:
-            course.aim(there, None, None)
+            course.aim(position, None, None)
         elif item.kind is ItemKind.TAKEOFF:
             height = item.altitude
             if height is not None and flying:
                 height = max(height, course.stop_height)
             course.aim(None if flying else self._estimates.fix.position, height, item.yaw)
         elif item.kind is ItemKind.LAND:
-            course.aim(there, course.height, item.yaw)
+            course.aim(position, course.height, item.yaw)
         elif item.kind is ItemKind.RETURN:
             course.aim(None, None, None)
             self._homeward.reset()
@@ -132,19 +135,21 @@ class MissionFlight:
         if item is None:
             return None
         if self._climb_to is not None and self._estimates.altitude < self._climb_to - REACHED_M:
-            return course.to(None, self._climb_to, None)
+            return course.fly_to(None, self._climb_to, None)
         self._climb_to = None
         if item.kind is ItemKind.LAND:
-            self._there = self._there or course.place is None or course.away(course.place) <= ABOVE_M
-            if self._there:
-                return course.descend(course.place)
+            self._is_in_position = (
+                self._is_in_position or course.position is None or course.distance_to(course.position) <= ABOVE_M
+            )
+            if self._is_in_position:
+                return course.descend(course.position)
         elif item.kind is ItemKind.RETURN:
             return self._homeward.fly()
         elif item.kind is ItemKind.CIRCLE:
             return self._fly_circle()
-        elif item.kind is ItemKind.ALTITUDE and not self._there:
+        elif item.kind is ItemKind.ALTITUDE and not self._is_in_position:
             self._change_height(item)
-        elif self._reached(item, k):
+        elif self._is_done(item, k):
             self.advance(flying=True)
         if course.height is None:
             course.height = course.stop_height
@@ -153,8 +158,8 @@ class MissionFlight:
     def _change_height(self, item: MissionItem) -> None:
         """Aim at the item's altitude, once its position is reached."""
         course = self._course
-        if course.place is None or course.away(course.place) <= self._parameters["HJ_ACC_RADIUS"]:
-            self._there, course.height = True, item.altitude
+        if course.position is None or course.distance_to(course.position) <= self._parameters["HJ_ACC_RADIUS"]:
+            self._is_in_position, course.height = True, item.altitude
 
     def _fly_circle(self) -> Command:
         """Return the command of the next step of the circle, and go on to the next item where it is complete."""
@@ -165,18 +170,18 @@ class MissionFlight:
             self.advance(flying=True)
         return command
 
-    def _reached(self, item: MissionItem, k: int) -> bool:
-        """Is the item done?  Waiting begins when its place is reached."""
+    def _is_done(self, item: MissionItem, k: int) -> bool:
+        """Return whether the item is done; waiting begins when its position is reached."""
         if item.kind is ItemKind.STAY:
             return False
-        place = self._course.place
+        place = self._course.position
         if item.kind is not ItemKind.DELAY:
-            off = 0.0 if item.altitude is None else self._estimates.altitude - item.altitude
-            if off < -REACHED_M or (off > REACHED_M and item.kind is not ItemKind.TAKEOFF):
+            height_error = 0.0 if item.altitude is None else self._estimates.altitude - item.altitude
+            if height_error < -REACHED_M or (height_error > REACHED_M and item.kind is not ItemKind.TAKEOFF):
                 return False
             if item.kind is ItemKind.WAYPOINT and place is not None:
                 radius = item.acceptance_m or self._parameters["HJ_ACC_RADIUS"]
-                if self.mission.since < 0 and self._course.away(place) > radius:
+                if self.mission.since < 0 and self._course.distance_to(place) > radius:
                     return False
         if self.mission.since < 0:
             self.mission.since = k

@@ -1,4 +1,4 @@
-"""Flown from outside: by sticks, or by the set-points of an OFFBOARD pilot."""
+"""Flight by sticks, or by the set-points of an OFFBOARD pilot."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from math import cos, radians, sin
 
 from cosim.base.frames import to_euler
 from cosim.base.signals import Command
-from cosim.control.autopilot.geometry import limited
+from cosim.control.autopilot.geometry import limit_length
 from cosim.control.autopilot.guidance.course import Course
 from cosim.control.autopilot.modes import BY_STICK, DIRECT, Mode
 from cosim.control.autopilot.requests import OffboardAttitude, OffboardPosition, OffboardVelocity, Sticks, quaternion_of
@@ -25,7 +25,7 @@ _CENTRED = Sticks(0.0, 0.0, 0.0, 0.5)
 
 
 class Remote:
-    """The last sticks and the last set-point, how old they are, and the commands that they mean.
+    """The last sticks and the last set-point, their age, and the commands that follow from them.
 
     ``hover``: the collective of the sticks' centre; ``limits``: those of the collective.
     """
@@ -39,7 +39,7 @@ class Remote:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing has come."""
+        """Forget sticks and set-points."""
         self.sticks: Sticks | None = None
         self.setpoint: Setpoint | None = None
         self._sticks_at = self._setpoint_at = _NEVER
@@ -63,7 +63,7 @@ class Remote:
         return offboard or mode in DIRECT
 
     def refusals(self, mode: Mode, k: int) -> list[str]:
-        """Why it may not be armed in a mode that is flown from outside."""
+        """Return why the vehicle may not be armed in a mode flown by sticks or set-points."""
         if mode is Mode.OFFBOARD and not self.setpoint_fresh(k):
             return ["mode OFFBOARD needs set-points, and there are none"]
         if mode in BY_STICK and not self.sticks_fresh(k):
@@ -97,13 +97,13 @@ class Remote:
         guide = course.guide
         yaw = guide.at_turn(_dead(sticks.yaw) * radians(parameters["HJ_YAW_RATE"]))
         most = radians(parameters["HJ_STICK_LEAN"])
-        lean = limited(sticks.roll * most, -sticks.pitch * most, most)
+        lean = limit_length(sticks.roll * most, -sticks.pitch * most, most)
         if mode in DIRECT:
             return Command((*lean, yaw), self._estimates.altitude, None, self._collective(sticks.throttle))
         if mode is Mode.POSCTL:
             heading, speed = self._estimates.euler[2], course.speed
             c, s = cos(heading), sin(heading)
-            forward, right = limited(_dead(sticks.pitch) * speed, _dead(sticks.roll) * speed, speed)
+            forward, right = limit_length(_dead(sticks.pitch) * speed, _dead(sticks.roll) * speed, speed)
             lean = guide.at_velocity((forward * c - right * s, forward * s + right * c))
         climb = _dead(2.0 * sticks.throttle - 1.0)
         rate = climb * parameters["HJ_CLIMB_AUTO" if climb > 0.0 else "HJ_DESC_AUTO"]
@@ -111,7 +111,7 @@ class Remote:
         return guide.command(lean, guide.at_climb(rate), yaw)
 
     def _collective(self, throttle: float) -> float:
-        """Of a throttle stick: least at 0, hover at the centre, most at 1."""
+        """Return the collective of a throttle stick: least at 0, hover at the centre, most at 1."""
         low, high = self._limits.throttle_min, self._limits.throttle_max
         if throttle < 0.5:
             return 2.0 * throttle * (self._hover - low) + low
@@ -123,13 +123,13 @@ class Remote:
         if isinstance(setpoint, OffboardAttitude):
             quaternion = quaternion_of(setpoint)
             roll, pitch, yaw = self._estimates.euler if quaternion is None else to_euler(quaternion)
-            roll, pitch = limited(roll, pitch, radians(parameters["HJ_STICK_LEAN"]))
+            roll, pitch = limit_length(roll, pitch, radians(parameters["HJ_STICK_LEAN"]))
             return Command((roll, pitch, yaw), self._estimates.altitude, setpoint.rates, setpoint.thrust)
         if isinstance(setpoint, OffboardPosition):
-            return course.to((setpoint.north, setpoint.east), -setpoint.down, setpoint.yaw)
+            return course.fly_to((setpoint.north, setpoint.east), -setpoint.down, setpoint.yaw)
         climb = min(parameters["HJ_SPEED_UP"], max(-parameters["HJ_SPEED_DN"], -setpoint.down))
         course.descending = climb < -_CLIMBS
-        lean = guide.at_velocity(limited(setpoint.north, setpoint.east, parameters["MPC_XY_VEL_MAX"]))
+        lean = guide.at_velocity(limit_length(setpoint.north, setpoint.east, parameters["MPC_XY_VEL_MAX"]))
         yaw = guide.to_yaw(setpoint.yaw) if setpoint.yaw_rate is None else guide.at_turn(setpoint.yaw_rate)
         return guide.command(lean, guide.at_climb(climb), yaw)
 

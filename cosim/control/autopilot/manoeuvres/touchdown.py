@@ -1,9 +1,8 @@
 """Detection of ground contact, and of a vehicle that has come to stand there.
 
-Two witnesses: the switch at the legs, and the accelerometer beside the thrust that is asked for.  In the air at rest
-they balance; where the legs carry weight the accelerometer feels more than the engines give.  The thrust is the
-autopilot's own, and an accelerometer that repeats itself is not asked.  A switch that sticks pretends contact anywhere:
-whether there can be ground at all is the autopilot's to say.
+Two sources: the switch at the legs, and the accelerometer compared with the commanded thrust.  In the air at rest these
+balance; where the legs carry weight the sensed force exceeds the thrust.  An accelerometer that repeats itself is not
+used.  A switch that sticks reports contact anywhere: whether there can be ground is decided by :class:`Landing`.
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ _FELT_S = 1.0  # for the touch that is felt without a switch
 _FALLING = 1.0  # m/s: faster than any landing, so a switch that reports contact here is broken
 _STILL = 0.2  # m/s
 _LIGHT = 0.6  # of hover thrust: less than the vehicle could descend with for long
-_CARRIED = 0.15  # of the weight on the legs: three times what lift and thrust are off from each other in a descent
-_CARRIED_S = 0.2
+_LOAD = 0.15  # of the weight on the legs: three times what lift and thrust are off from each other in a descent
+_LOAD_S = 0.2
 _FREE_FALL = 0.7  # of the weight, felt for _CARRIED_S with the legs reporting contact: they report what is not so
 _REST_S = 2.0  # without motion while nothing is asked for; at a tenth less than its weight it would sink 2 m/s by then
 _SETTLED_S = 5.0  # over which the thrust of hover is learnt
@@ -35,7 +34,7 @@ class Touchdown:
     """
 
     def __init__(self, hover: float, step: float, idle: float = 0.0, spool: float = 0.0) -> None:
-        self._whole = hover + idle
+        self._full = hover + idle
         self._idle = idle
         self._step = step
         self._spool = max(spool, step)
@@ -43,10 +42,10 @@ class Touchdown:
 
     def reset(self) -> None:
         """Forget the last flight and trust the switch again."""
-        self._contact = self._apart = self._felt = self._light = 0.0
-        self._bearing = self._hanging = self._resting = 0.0
-        self._since = _BOUNCING_S  # the legs last reported contact
-        self._thrust = 1.0  # over weight, no less than the engines give
+        self._contact_s = self._no_contact_s = self._felt_s = self._light_s = 0.0
+        self._load_s = self._hanging_s = self._resting_s = 0.0
+        self._since_contact = _BOUNCING_S  # s since the legs last reported contact
+        self._thrust = 1.0  # over weight, an upper bound of what the engines give
         self._hover = 1.0  # of the nominal thrust of hover, what the vehicle hovers with
         self.switch_failed = False
 
@@ -57,62 +56,66 @@ class Touchdown:
         certain, and not about to touch it.
         """
         dt = self._step
-        given = (report.collective + self._idle) / self._whole
-        self._thrust = given if given > self._thrust else self._thrust + 2.0 * dt / self._spool * (given - self._thrust)
+        thrust_fraction = (report.collective + self._idle) / self._full
+        self._thrust = (
+            thrust_fraction
+            if thrust_fraction > self._thrust
+            else self._thrust + 2.0 * dt / self._spool * (thrust_fraction - self._thrust)
+        )
         if flying and lift is not None and 0.5 < lift < 1.5 and not report.legs:
-            self._hover += dt / _SETTLED_S * (given / lift - self._hover)
-        light = report.collective < _LIGHT * (self._hover * self._whole - self._idle)
-        bearing = lift is not None and lift - self._thrust / self._hover > _CARRIED
-        self._bearing = self._bearing + dt if bearing else 0.0
-        quiet = descending and light and self.carried and -_STILL < sink < _STILL
-        self._felt = self._felt + dt if quiet else 0.0
+            self._hover += dt / _SETTLED_S * (thrust_fraction / lift - self._hover)
+        light = report.collective < _LIGHT * (self._hover * self._full - self._idle)
+        bearing = lift is not None and lift - self._thrust / self._hover > _LOAD
+        self._load_s = self._load_s + dt if bearing else 0.0
+        quiet = descending and light and self.carries_weight and -_STILL < sink < _STILL
+        self._felt_s = self._felt_s + dt if quiet else 0.0
         legs = report.legs and not self.switch_failed
-        self._hanging = self._hanging + dt if legs and light and lift is not None and lift < _FREE_FALL else 0.0
-        if legs and ((sink > _FALLING and self._contact > _TOUCH_S) or self._hanging > _CARRIED_S):
+        self._hanging_s = self._hanging_s + dt if legs and light and lift is not None and lift < _FREE_FALL else 0.0
+        if legs and ((sink > _FALLING and self._contact_s > _TOUCH_S) or self._hanging_s > _LOAD_S):
             self.switch_failed = True
             legs = False
-        self._since = 0.0 if legs else self._since + dt
-        if legs or self._felt > _FELT_S:
-            self._contact += dt
-            self._apart = 0.0
+        self._since_contact = 0.0 if legs else self._since_contact + dt
+        if legs or self._felt_s > _FELT_S:
+            self._contact_s += dt
+            self._no_contact_s = 0.0
         else:
-            self._apart += dt
-            if self._apart > _BOUNCE_S:
-                self._contact = 0.0
-        self._light = self._light + dt if light and self._contact > 0.0 else 0.0
-        resting = descending and self._contact > 0.0 and -_STILL < sink < _STILL
-        self._resting = self._resting + dt if resting else 0.0
+            self._no_contact_s += dt
+            if self._no_contact_s > _BOUNCE_S:
+                self._contact_s = 0.0
+        self._light_s = self._light_s + dt if light and self._contact_s > 0.0 else 0.0
+        resting = descending and self._contact_s > 0.0 and -_STILL < sink < _STILL
+        self._resting_s = self._resting_s + dt if resting else 0.0
 
     @property
-    def carried(self) -> bool:
-        """The legs carry weight: the vehicle feels more than its engines give, for a moment at least."""
-        return self._bearing > _CARRIED_S
+    def carries_weight(self) -> bool:
+        """Whether the legs carry weight: for a moment at least, the sensed force exceeds the thrust."""
+        return self._load_s > _LOAD_S
 
     @property
-    def touching(self) -> bool:
-        """On the ground with some weight, for a moment at least."""
-        return self._contact > _TOUCH_S
+    def is_touching(self) -> bool:
+        """Whether the vehicle has been in contact for a moment at least."""
+        return self._contact_s > _TOUCH_S
 
     @property
-    def bouncing(self) -> bool:
-        """The legs have touched the ground a moment ago."""
-        return self._since < _BOUNCING_S
+    def is_bouncing(self) -> bool:
+        """Whether the legs have touched the ground a moment ago."""
+        return self._since_contact < _BOUNCING_S
 
     @property
-    def off(self) -> bool:
-        """No contact, for a moment at least."""
-        return self._contact == 0.0 and self._apart > _BOUNCE_S
+    def is_off_ground(self) -> bool:
+        """Whether there has been no contact, for a moment at least."""
+        return self._contact_s == 0.0 and self._no_contact_s > _BOUNCE_S
 
     @property
-    def standing(self) -> bool:
-        """On the ground with the thrust gone."""
-        return self._contact > _STAND_S and self._light > _STAND_S
+    def is_standing(self) -> bool:
+        """Whether the vehicle is on the ground with the thrust gone."""
+        return self._contact_s > _STAND_S and self._light_s > _STAND_S
 
     @property
-    def borne(self) -> bool:
-        """On the ground with the legs carrying what the engines, asked for nothing, do not give.
+    def is_borne(self) -> bool:
+        """Whether the legs carry what the engines, at their least thrust, do not.
 
         Engines around a lost one may give most of the weight for their balance.  If they give nearly all of it no load
         is to be felt; a vehicle that neither falls nor climbs away then stands.
         """
-        return self._contact > _STAND_S and (self._bearing > _STAND_S or self._resting > _REST_S)
+        return self._contact_s > _STAND_S and (self._load_s > _STAND_S or self._resting_s > _REST_S)
