@@ -49,15 +49,15 @@ def output_to_stderr(active: bool) -> Iterator[None]:
     import os
 
     sys.stdout.flush()
-    kept = os.dup(1)
+    saved = os.dup(1)
     os.dup2(2, 1)
     try:
         yield
     finally:
         sys.stdout.flush()  # what Python code has printed
         ctypes.CDLL(None).fflush(None)  # what C code has printed but not yet written
-        os.dup2(kept, 1)
-        os.close(kept)
+        os.dup2(saved, 1)
+        os.close(saved)
 
 
 @contextmanager
@@ -136,7 +136,7 @@ def terminal() -> Any:
 
     if sys.stdout is None:  # closed by whoever started this
         return Console(file=StringIO(), width=_PIPE_WIDTH, emoji=False)
-    stated = os.environ.get("COLUMNS", "")
-    if stated.isdigit():
-        return Console(width=max(int(stated), _NARROWEST), emoji=False)
+    columns = os.environ.get("COLUMNS", "")
+    if columns.isdigit():
+        return Console(width=max(int(columns), _NARROWEST), emoji=False)
     return Console(emoji=False) if sys.stdout.isatty() else Console(width=_PIPE_WIDTH, emoji=False)

@@ -108,8 +108,8 @@ def fmu_survey(options: Survey) -> int:
     if page:
         check_marks(page, [MARK])
     if page and options.missing:
-        there = rows_of(page)
-        engines = tuple(path for path in engines if path.stem not in there)
+        surveyed = rows_of(page)
+        engines = tuple(path for path in engines if path.stem not in surveyed)
     rows = []
     with part_progress("survey", quiet=options.as_json) as tell:
         for number, row in enumerate(survey(engines, options.controller, options.time_limit), start=1):
@@ -169,7 +169,7 @@ def _check_controller(path: Path, output: opt.Output) -> int:
     description = describe_controller(fmu)
     with output_to_stderr(output.as_json):
         run = fly(Scenario.load("hover").replace(duration_s=1.0, expect=[], controller=str(path.absolute())))
-    own = run.summary.own_controller
+    record = run.summary.own_controller
     report = {
         "controller": path.name,
         "fmi": fmu.fmi,
@@ -180,7 +180,7 @@ def _check_controller(path: Path, output: opt.Output) -> int:
         "columns": [name for name, *_ in description["columns"]],
         "notes": list(fmu.notes),
         "hover of 1 s": f"{run.outcome}, {run.reason}",
-        "repeatable": own.repeatable if own is not None else None,
+        "repeatable": record.repeatable if record is not None else None,
     }
 
     def show() -> None:

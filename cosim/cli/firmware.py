@@ -41,7 +41,7 @@ def search_gains(autopilot: str, scenario: Scenario, settings: Sequence[str], ou
 
     firmware = firmware_for(autopilot, scenario.aircraft, settings)
     with part_progress(f"gains for {autopilot}", quiet=quiet) as tell:
-        made = design(
+        designed = design(
             scenario.engine,
             scenario.aircraft,
             controller=BASELINE.name,
@@ -51,8 +51,8 @@ def search_gains(autopilot: str, scenario: Scenario, settings: Sequence[str], ou
             firmware=firmware,
             say=lambda text: tell(text, 0, 1),
         )
-    paths = write(made, out)
-    if not made.ok:
+    paths = write(designed, out)
+    if not designed.ok:
         raise InputError(
             f"{autopilot}: no gains of its own loops keep the requirements of a design for {scenario.aircraft} with "
             f"engine {scenario.engine}, see {paths['report']}; allowed: --gains vehicle, stock, or a file"

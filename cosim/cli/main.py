@@ -15,8 +15,8 @@ import click
 
 from cosim.base.errors import MACHINE_TROUBLE, OUTPUT, FlightError, InputError, Notice, NotIdentifiedError
 from cosim.base.trust import at_a_command
-from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, WRONG_INPUT, Terminated, terminated_as_interrupted
-from cosim.cli.trust import asks, with_trust
+from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, WRONG_INPUT, Terminated, treat_sigterm_as_interrupt
+from cosim.cli.trust import trust_prompt, with_trust
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint, EntryPoints
@@ -116,11 +116,11 @@ def main(arguments: list[str] | None = None) -> None:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
     output = sys.stdout
-    warnings.showwarning = _say(warnings.showwarning)
-    given = sys.argv[1:] if arguments is None else arguments
+    warnings.showwarning = _show_notices(warnings.showwarning)
+    words = sys.argv[1:] if arguments is None else arguments
     try:
-        with terminated_as_interrupted(), at_a_command(asks(), given):
-            status = cli.main(args=given, prog_name="hexjet", standalone_mode=False)
+        with treat_sigterm_as_interrupt(), at_a_command(trust_prompt(), words):
+            status = cli.main(args=words, prog_name="hexjet", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.ctx.get_help() if error.ctx else "", err=True)
         status = WRONG_INPUT
@@ -162,14 +162,14 @@ def _machine_trouble(error: OSError) -> str:
     return f"{OUTPUT}: {error.strerror}"
 
 
-def _say(others: Callable[..., None]) -> Callable[..., None]:
+def _show_notices(show_other: Callable[..., None]) -> Callable[..., None]:
     """Return what shows a warning: a notice of ours as one line on standard error, any other as before."""
 
-    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+    def show(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:
         if issubclass(category, Notice):
             click.echo(f"hexjet: note: {message}", err=True)
         else:
-            others(message, category, *where, **more)
+            show_other(message, category, *where, **options)
 
     return show
 

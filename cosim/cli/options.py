@@ -30,22 +30,22 @@ class Terminated(KeyboardInterrupt):
 
 
 @contextmanager
-def terminated_as_interrupted() -> Iterator[None]:
+def treat_sigterm_as_interrupt() -> Iterator[None]:
     """Answer SIGTERM, and the end of the terminal (SIGHUP), as Ctrl-C is answered; not what is ignored (nohup)."""
 
     def end(number: int, frame: object) -> None:
         raise Terminated
 
-    kept = {}
+    handlers = {}
     if threading.current_thread() is threading.main_thread():  # no other may say what a signal does
         for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):  # not every system has the second
             if signal.getsignal(number) is not signal.SIG_IGN:
-                kept[number] = signal.signal(number, end)
+                handlers[number] = signal.signal(number, end)
     try:
         yield
     finally:
-        for number, before in kept.items():
-            signal.signal(number, before)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 def example(text: str) -> str:
@@ -92,8 +92,8 @@ def refuse_others(why: str, *allowed: str) -> None:
     for parameter in click.get_current_context().command.params:
         name = parameter.name or ""
         if name not in (*allowed, "trust") and is_given(name):
-            given = max(parameter.opts, key=len)
-            raise InputError(f"{given}: {why}")
+            option = max(parameter.opts, key=len)
+            raise InputError(f"{option}: {why}")
 
 
 def offer_to_compile(*engines: str) -> None:
@@ -153,7 +153,7 @@ def load_scenario(
 
         aircraft = aircraft_seen_from(aircraft, Path())
         changes |= {"aircraft": aircraft, "engine": engine_of(aircraft) or scenario.engine}
-        if controller is None and model is None and designed is None and "controller" not in _set_at_once(settings):
+        if controller is None and model is None and designed is None and "controller" not in _keys_of(settings):
             changes |= _controller_without_a_model(aircraft, scenario)
     if controller is not None:
         # a file on the command line is meant from here, one in the scenario from the scenario's folder
@@ -179,7 +179,7 @@ def load_scenario(
     return scenario
 
 
-def _set_at_once(settings: tuple[str, ...]) -> set[str]:
+def _keys_of(settings: tuple[str, ...]) -> set[str]:
     """Return the keys of ``--set`` that are the scenario's own."""
     return {text.partition("=")[0].strip() for text in settings}
 
@@ -242,8 +242,8 @@ def aircraft_settings(aircraft: str | None) -> list[str]:
         return []
     aircraft = aircraft_seen_from(aircraft, Path())
     engine = engine_of(aircraft)
-    own = [] if engine is None else [f"engine={json.dumps(engine)}"]
-    return [f"aircraft={json.dumps(aircraft)}", *own]
+    with_engine = [] if engine is None else [f"engine={json.dumps(engine)}"]
+    return [f"aircraft={json.dumps(aircraft)}", *with_engine]
 
 
 def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:
@@ -257,10 +257,10 @@ def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:
         engine = (name if station else text).strip()
         # a file on the command line is meant from here, one in the scenario from the scenario's folder
         engine = file_seen_from(engine, Path())
-        held = changes if station is None else changes.setdefault("stations", {}).setdefault(station, {})
-        if "engine" in held:
+        target = changes if station is None else changes.setdefault("stations", {}).setdefault(station, {})
+        if "engine" in target:
             raise InputError(
                 f"--engine {text}: there is already another for {f'station {station}' if station else 'all'}"
             )
-        held["engine"] = engine
+        target["engine"] = engine
     return changes

@@ -41,12 +41,12 @@ def with_trust(command: click.Command, name: str) -> click.Command:
     return command
 
 
-def _trust(context: click.Context, parameter: click.Parameter, given: bool) -> None:
-    if given:
+def _trust(context: click.Context, parameter: click.Parameter, is_set: bool) -> None:
+    if is_set:
         trust_everything()
 
 
-def asks() -> Callable[[Sequence[Code]], bool] | None:
+def trust_prompt() -> Callable[[Sequence[Code]], bool] | None:
     """Return what asks the user whether files are run; None where nobody is at a terminal."""
     return _ask_for_trust if all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr)) else None
 

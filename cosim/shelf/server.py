@@ -117,7 +117,7 @@ class ShelfServer:
         if path == "/live":
             return refuse_non_websocket(request)
         if path == "/favicon.ico":  # asked for by a page in a sandbox, as if from elsewhere
-            return response(HTTPStatus.NO_CONTENT, b"", share="cross-origin")
+            return response(HTTPStatus.NO_CONTENT, b"", resource_policy="cross-origin")
         if has_token_query(request, self._token):
             nonce = f"'nonce-{self._nonce}'"
             policy = (
@@ -152,8 +152,8 @@ class ShelfServer:
             return _not_found()
         if alone and ending in PAGES:
             return self._frame(path.name)
-        share = "cross-origin" if ending in ASSETS else "same-origin"
-        answer = response(HTTPStatus.OK, body, TYPES[ending], self._policy(), share)
+        resource_policy = "cross-origin" if ending in ASSETS else "same-origin"
+        answer = response(HTTPStatus.OK, body, TYPES[ending], self._policy(), resource_policy)
         del answer.headers["X-Frame-Options"]  # the policy says whose frame it may be in
         answer.headers["X-DNS-Prefetch-Control"] = "off"
         return answer

@@ -35,7 +35,7 @@ from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen
 
 HEIGHT_M, FLIGHT_S = 10.0, 5.0
 FORCE_TOLERANCE = 1e-9  # how well JSBSim and r x F must agree, of the larger one: rounding
-LEAST_LIFT = 1.15  # thrust over weight with less than which height and attitude fight for thrust; chosen by us
+MIN_LIFT = 1.15  # thrust over weight with less than which height and attitude fight for thrust; chosen by us
 HEIGHT_ERROR_M, LEAN_DEG = 1.0, 10.0  # in a calm hover; chosen by us
 # the radius of gyration about an axis over the farthest part from it: of a thin ring 1, of a dense core little
 GYRATION = (0.05, 1.0)
@@ -150,10 +150,10 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
 
 def _authority_json(authority: Authority) -> dict[str, Any]:
     """Return the authority for JSON: what is not known, or not there, is null."""
-    most = authority.moment_at_most
+    upper_bound = authority.moment_at_most
     return authority._asdict() | {
         "lift_at_most": authority.lift_at_most if isfinite(authority.lift_at_most) else None,
-        "moment_at_most": most if most is not None and isfinite(max(most)) else None,
+        "moment_at_most": upper_bound if upper_bound is not None and isfinite(max(upper_bound)) else None,
         "falls": authority.falls,
     }
 
@@ -168,9 +168,9 @@ def _forces(simulation: Simulation) -> Line:
     for number in range(len(vehicle.jets)):
         for angles in stances:
             thrusts = tuple(thrust * (jet == number) for jet in range(len(vehicle.jets)))
-            forces, beside = propulsion.standing(thrusts, angles)
+            forces, applied = propulsion.standing(thrusts, angles)
             frame.reset(simulation.scenario.initial, forces, ZERO3)
-            frame.step(forces, Disturbance(), beside)
+            frame.step(forces, Disturbance(), applied)
             force, moment = frame.external_wrench()
             expected = np.concatenate(layout.wrench(thrusts, angles))
             worst = max(worst, float(np.max(np.abs(np.concatenate([force, moment]) - expected))) / thrust)
@@ -188,10 +188,10 @@ def _masses(simulation: Simulation) -> Line:
     worst = max(
         abs(mass / vehicle.mass_kg - 1.0),
         *(abs(value) / size for value in cg),
-        *(abs(own / stated - 1.0) for own, stated in zip(inertia, vehicle.inertia_kg_m2, strict=True)),
+        *(abs(value / nominal - 1.0) for value, nominal in zip(inertia, vehicle.inertia_kg_m2, strict=True)),
         *(
-            abs(own - stated) / max(vehicle.inertia_kg_m2)
-            for own, stated in zip(products, vehicle.products_kg_m2, strict=True)
+            abs(value - nominal) / max(vehicle.inertia_kg_m2)
+            for value, nominal in zip(products, vehicle.products_kg_m2, strict=True)
         ),
     )
     text = f"{mass:.4g} kg, inertia {', '.join(f'{value:.4g}' for value in inertia)} kg m^2"
@@ -200,15 +200,17 @@ def _masses(simulation: Simulation) -> Line:
 
 def _sizes(vehicle: Vehicle) -> list[Line]:
     """Compare radii of gyration with how far the parts are from each axis: a wrong unit is far off."""
-    parts, lines = np.array(points_of(vehicle)), []
+    stations, lines = np.array(points_of(vehicle)), []
     for number, (axis, moment) in enumerate(zip("xyz", vehicle.inertia_kg_m2, strict=True)):
         radius = sqrt(moment / vehicle.mass_kg)
-        across = np.delete(parts, number, axis=1)
+        across = np.delete(stations, number, axis=1)
         farthest = float(np.max(np.linalg.norm(across, axis=1)))
         low, high = GYRATION
-        share = radius / farthest if farthest else inf
+        fraction = radius / farthest if farthest else inf
         fault = (
-            "" if low <= share <= high else f"is {share:.2g} of it, and bodies have {low:g} to {high:g}: which unit?"
+            ""
+            if low <= fraction <= high
+            else f"is {fraction:.2g} of it, and bodies have {low:g} to {high:g}: which unit?"
         )
         text = f"radius of gyration {radius:.3g} m, the farthest part {farthest:.3g} m from the axis"
         lines.append(Line(f"inertia about {axis}", text, fault))
@@ -219,8 +221,8 @@ def _thrust(simulation: Simulation) -> tuple[Array, Array]:
     """Return the thrust of each engine at the allocation's lower and upper limits, N."""
     limits, count = simulation.vehicle.control.allocation, len(simulation.vehicle.jets)
     ends = []
-    for share in (limits.throttle_min, limits.throttle_max):
-        throttle = simulation.cascade.thrust_map.throttle((share,) * count)
+    for level in (limits.throttle_min, limits.throttle_max):
+        throttle = simulation.cascade.thrust_map.throttle((level,) * count)
         curves = [spec.curve for spec in simulation.stations]
         ends.append(
             np.array([np.interp(u, curve.throttle, curve.thrust) for u, curve in zip(throttle, curves, strict=True)])
@@ -234,7 +236,7 @@ def _lift(whole: Authority) -> Line:
         return Line(
             "hover", text, "it does not lift off" if whole.lift_at_most < 1.0 else "no balance was found that lifts it"
         )
-    fault = "" if whole.lift >= LEAST_LIFT else f"less than {LEAST_LIFT:g}: height and attitude fight for it"
+    fault = "" if whole.lift >= MIN_LIFT else f"less than {MIN_LIFT:g}: height and attitude fight for it"
     return Line("hover", text, fault)
 
 
@@ -248,15 +250,19 @@ def _axes(authority: Sequence[Authority], inertia: Vector3) -> list[Line]:
             fault = "nothing was found that turns it while the weight is held"
         text = f"{moment.in_words()} N m either way in hover, {turn.in_words()} rad/s^2"
         lines.append(Line(f"{axis} authority", text, fault))
-    held = [without.lost[0] for without in authority[1:] if min(without.span(axis).least for axis in range(3)) > 0.0]
-    open_ = [
+    balanced = [
+        without.lost[0] for without in authority[1:] if min(without.span(axis).least for axis in range(3)) > 0.0
+    ]
+    unproven = [
         without.lost[0]
         for without in authority[1:]
-        if without.lost[0] not in held and min(without.span(axis).most for axis in range(3)) > 0.0
+        if without.lost[0] not in balanced and min(without.span(axis).most for axis in range(3)) > 0.0
     ]
-    text = f"balanced, with authority about every axis, without any one of: {', '.join(map(str, held)) or 'none'}"
-    if open_:
-        text += f"; without {', '.join(map(str, open_))} nothing was found, which does not prove that there is nothing"
+    text = f"balanced, with authority about every axis, without any one of: {', '.join(map(str, balanced)) or 'none'}"
+    if unproven:
+        text += (
+            f"; without {', '.join(map(str, unproven))} nothing was found, which does not prove that there is nothing"
+        )
     return [*lines, Line("one engine lost", text)]
 
 
@@ -274,17 +280,17 @@ def _models(simulation: Simulation) -> list[Line]:
             engine = engines_of(scenario, vehicle)[0]
         full = model_agreements(scenario, vehicle, engine)
         empty = model_agreements(scenario, vehicle.with_fuel(0.0), engine, "without fuel") if vehicle.fuel else []
-        compared = {axis: [each for each in (*full, *empty) if each.axis == axis] for axis in models}
-        lines += [_model(axis, family, found) for axis, found in compared.items()]
+        compared = {axis: [agreement for agreement in (*full, *empty) if agreement.axis == axis] for axis in models}
+        lines += [_model(axis, family, agreements) for axis, agreements in compared.items()]
     return lines
 
 
-def _model(axis: str, family: str, found: Sequence[ModelAgreement]) -> Line:
+def _model(axis: str, family: str, agreements: Sequence[ModelAgreement]) -> Line:
     """Return the line on the worst comparison with one model: a note above ``NOTED``, a fault where it is unfit."""
     name = f"{axis} model, {family}"
-    if not found:
+    if not agreements:
         return Line(name, "not compared: its sample time is not the vehicle's control step")
-    worst = max(found, key=lambda each: each.distance)
+    worst = max(agreements, key=lambda agreement: agreement.distance)
     text = f"{worst.numbers}{f', {worst.state}' if worst.state else ''}"
     if worst.unfit:
         return Line(name, text, f"not of this vehicle: make one with hexjet identify {axis}, or take it out")

@@ -53,14 +53,14 @@ def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
         caption += "; found by search: there may be more"
     text(root, 12, 38, caption, "dim")
     for number, (right, up) in enumerate(SECTIONS):
-        whole, most = _section(reach, right, up)
-        lost: dict[str, Corners] = {}
+        whole, bound = _section(reach, right, up)
+        without: dict[str, Corners] = {}
         if not number:
             for jet in range(1, len(vehicle.jets) + 1):
                 section, _ = _section(reach.without([jet]), right, up, DIRECTIONS // 2)
                 if section:
-                    lost[str(jet)] = section
-        _draw(root, number * VIEW, (right, up), whole, most, lost)
+                    without[str(jet)] = section
+        _draw(root, number * VIEW, (right, up), whole, bound, without)
     return finish_drawing(root)
 
 
@@ -88,16 +88,16 @@ def _section(reach: Reach, right: int, up: int, directions: int = DIRECTIONS) ->
 
 def _draw(
     root: ET.Element,
-    left: float,
+    left_px: float,
     axes: tuple[int, int],
     whole: Corners,
-    most: Corners,
-    lost: dict[str, Corners],
+    bound: Corners,
+    without: dict[str, Corners],
 ) -> None:
-    corners = [*whole, *most, *(corner for section in lost.values() for corner in section)]
+    corners = [*whole, *bound, *(corner for section in without.values() for corner in section)]
     wide = _largest(abs(x) for x, _ in corners)
     high = _largest(abs(y) for _, y in corners)
-    middle_x, middle_y, half = left + VIEW / 2.0, TITLE + VIEW / 2.0, VIEW / 2.0 - MARGIN
+    middle_x, middle_y, half = left_px + VIEW / 2.0, TITLE + VIEW / 2.0, VIEW / 2.0 - MARGIN
 
     def at(corner: tuple[float, float]) -> tuple[float, float]:
         return middle_x + half * corner[0] / wide, middle_y - half * corner[1] / high
@@ -108,16 +108,16 @@ def _draw(
         ET.SubElement(root, "line", {"class": "axis"} | ends)
     if not whole:
         text(root, middle_x, middle_y - 8, "the weight is not held in balance", "dim", "middle")
-    for kind, section in (("whole", whole), ("most", most), *(("lost", corners) for corners in lost.values())):
+    for kind, section in (("whole", whole), ("most", bound), *(("lost", corners) for corners in without.values())):
         if section:
             points = " ".join(f"{x:.2f},{y:.2f}" for x, y in map(at, section))
             ET.SubElement(root, "polygon", {"class": kind, "points": points})
-    for number, (name, section) in enumerate(lost.items()):  # each at another corner, as many lie on each other
+    for number, (name, section) in enumerate(without.items()):  # each at another corner, as many lie on each other
         x, y = at(section[number % len(section)])
         text(root, x + 3, y - 3, name, "dim")
-    text(root, left + VIEW - 8, middle_y + 14, f"{AXES[axes[0]]} {wide:.3g}", "dim", "end")
+    text(root, left_px + VIEW - 8, middle_y + 14, f"{AXES[axes[0]]} {wide:.3g}", "dim", "end")
     text(root, middle_x + 4, TITLE + MARGIN - 8, f"{AXES[axes[1]]} {high:.3g}", "dim")
-    text(root, left + 12, TITLE + VIEW + 12, f"{AXES[axes[0]]} and {AXES[axes[1]]}", "dim")
+    text(root, left_px + 12, TITLE + VIEW + 12, f"{AXES[axes[0]]} and {AXES[axes[1]]}", "dim")
 
 
 def _largest(values: Iterable[float]) -> float:

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 AIRCRAFT = ("hexjet", "hexjet-100", "hexjet-p220")
 NOT_A_JET = ("motor",)  # the quadrotor's
 AFTER_S = 10.0  # flown with the engine out: long enough for the slowest engines to have brought the height back or not
-LEAST_HOVER = 0.2  # of the range of thrust, chosen by us: below it an engine is the wrong one, slow near its idle
+MIN_HOVER = 0.2  # of the range of thrust, chosen by us: below it an engine is the wrong one, slow near its idle
 SINK_M_S = 0.5  # at the end: who sinks faster than an autopilot lands has not held; chosen by us
 LATE_S = 0.1  # about what a monitor that reads the spool needs
 Means = Literal["planned around", "opposite shut off", "opposite, found sooner"]
@@ -92,7 +92,7 @@ class EngineOut:
         """Return the table for JSON; a bound beyond the furthest that is followed is null."""
         return {
             "flights": [finite(flight) for flight in self.flights],
-            "left": [asdict(left) for left in self.left],
+            "left": [asdict(skipped) for skipped in self.left],
             "levers": [finite(lever) for lever in self.levers],
         }
 
@@ -130,23 +130,23 @@ def engine_out(
     Raises InputError for an unknown name or a file that cannot be read.
     """
     tasks: list[tuple[Scenario, int, Means]] = []
-    left, levers = [], []
+    skipped, levers = [], []
     for name in aircraft or AIRCRAFT:
         vehicle, _ = load_vehicle(name)
         if vehicle.servo is None:
             raise InputError(f"aircraft {name}: it has no tilting banks, and no plan for an engine that is lost")
         for engine in engines or [engine for engine in engine_names() if engine not in NOT_A_JET]:
             subject = Subject(name, vehicle, engine)
-            chosen = find_obstacle(subject) or _controller(subject, designs, say)
-            if isinstance(chosen, str):
-                left.append(SkippedFlight(name, engine, chosen))
+            controller = find_obstacle(subject) or _controller(subject, designs, say)
+            if isinstance(controller, str):
+                skipped.append(SkippedFlight(name, engine, controller))
                 continue
             jets = range(1, len(vehicle.jets) + 1)
-            flights = [(_scenario(subject, chosen, jet, means), jet, means) for jet in jets for means in MEANS]
+            flights = [(_scenario(subject, controller, jet, means), jet, means) for jet in jets for means in MEANS]
             tasks += flights
             levers.append(_compute_lever(flights[0][0]))
     results = fly_all(_fly, tasks, workers, say, lambda flight: f"{flight.aircraft}, {flight.engine}, jet {flight.jet}")
-    return EngineOut(list(results), left, levers)
+    return EngineOut(list(results), skipped, levers)
 
 
 def find_obstacle(subject: Subject) -> str:
@@ -155,13 +155,13 @@ def find_obstacle(subject: Subject) -> str:
     curve = load_engine(subject.engine, {}, STEP_S).curve
     weight, count = vehicle.mass_kg * GRAVITY, len(vehicle.jets)
     low, high = curve.thrust[0], curve.thrust[-1]
-    most = low + vehicle.control.allocation.throttle_max * (high - low)
-    if count * most <= weight:
-        return f"cannot lift it: {count * most:.0f} N at most for {weight:.0f} N of weight"
+    largest = low + vehicle.control.allocation.throttle_max * (high - low)
+    if count * largest <= weight:
+        return f"cannot lift it: {count * largest:.0f} N at most for {weight:.0f} N of weight"
     if count * low >= weight:
         return f"cannot stay down: {count * low:.0f} N at idle for {weight:.0f} N of weight"
-    share = (weight / count - low) / (high - low)
-    return f"too strong: it would hover at {100.0 * share:.0f} % of its range" if share < LEAST_HOVER else ""
+    fraction = (weight / count - low) / (high - low)
+    return f"too strong: it would hover at {100.0 * fraction:.0f} % of its range" if fraction < MIN_HOVER else ""
 
 
 def _controller(subject: Subject, designs: Path, say: Say) -> ControllerFile | str:
@@ -169,11 +169,11 @@ def _controller(subject: Subject, designs: Path, say: Say) -> ControllerFile | s
     aircraft, _, engine = subject
     purpose = (aircraft_name(aircraft), Path(engine).name)
     path = designs / f"{purpose[1]}-{purpose[0]}.toml"
-    for known in (designs / f"{purpose[1]}.toml", path):
-        if known.is_file():
-            made = purpose_of(known)
-            if (made.aircraft, Path(made.engine).name) == purpose:
-                return read_controller(known, aircraft)
+    for candidate in (designs / f"{purpose[1]}.toml", path):
+        if candidate.is_file():
+            recorded = purpose_of(candidate)
+            if (recorded.aircraft, Path(recorded.engine).name) == purpose:
+                return read_controller(candidate, aircraft)
     say(f"designing {aircraft} with {engine}", 0, 1)
     designed = design(engine, aircraft, need=Requirements())
     if not designed.ok:
@@ -216,9 +216,9 @@ def _fly(task: tuple[Scenario, int, Means]) -> Flight:
     detection = None if detected is None else detected - begin + 1
     with build(scenario) as simulation:
         shut_at = detection if means != PLANNED else None
-        turned = make_roll_axis(simulation)
-        throttles = turned.least_lean(jet, shut_at=shut_at)
-        bound = turned.least_lean(jet, shut_at=shut_at, tilting=True)
+        roll_axis = make_roll_axis(simulation)
+        throttles = roll_axis.least_lean(jet, shut_at=shut_at)
+        bound = roll_axis.least_lean(jet, shut_at=shut_at, tilting=True)
         limit = simulation.vehicle.limits.tilt_deg
     return Flight(
         aircraft=scenario.aircraft,
@@ -267,10 +267,10 @@ def _compute_lever(scenario: Scenario) -> Lever:
 
 def _halve_mass(simulation: Simulation, whole: RollAxis) -> RollAxis | None:
     """Return the roll axis with half the mass and inertia on the same engines; None where these cannot go so low."""
-    share = simulation.cascade.thrust_map.share(0.5 * whole.hover)
-    if share <= simulation.vehicle.control.allocation.throttle_min:
+    fraction = simulation.cascade.thrust_map.share(0.5 * whole.hover)
+    if fraction <= simulation.vehicle.control.allocation.throttle_min:
         return None
-    return RollAxis(simulation.vehicle, measure_courses(simulation, share), 0.5 * whole.hover, 0.5)
+    return RollAxis(simulation.vehicle, measure_courses(simulation, fraction), 0.5 * whole.hover, 0.5)
 
 
 def _inertia_for(whole: RollAxis, jet: int, limit: float) -> float:
@@ -315,11 +315,11 @@ def rows(result: EngineOut, aircraft: Sequence[str]) -> dict[str, list[tuple[str
 
 def _group_flights(result: EngineOut, aircraft: Sequence[str]) -> list[list[Flight]]:
     """Return the flights grouped by vehicle, engine and means, each group in the order of the jets."""
-    known: dict[tuple[str, str, str], list[Flight]] = {}
+    groups: dict[tuple[str, str, str], list[Flight]] = {}
     for flight in result.flights:
         if flight.aircraft in aircraft:
-            known.setdefault((flight.aircraft, flight.engine, flight.means), []).append(flight)
-    return list(known.values())
+            groups.setdefault((flight.aircraft, flight.engine, flight.means), []).append(flight)
+    return list(groups.values())
 
 
 def _row(flights: Sequence[Flight]) -> tuple[str, ...]:
@@ -358,8 +358,8 @@ def _lean(values: Sequence[float]) -> str:
 def write_pages(result: EngineOut, folder: Path) -> list[Path]:
     """Write the tables between the marks of the pages of ``folder``.  Raises InputError if one cannot be written."""
     for page, aircraft in PAGES.items():
-        made = rows(result, aircraft)
-        write_marks(folder / page, {name: table(TABLES[name], made[name], left=3) for name in TABLES})
+        tables = rows(result, aircraft)
+        write_marks(folder / page, {name: table(TABLES[name], tables[name], left=3) for name in TABLES})
     return [folder / page for page in PAGES]
 
 

@@ -41,9 +41,9 @@ PER_METRE_S = 4.0  # beside that, for each metre of height: slower than any vehi
 LATER_S = 10.0  # after disarming
 DISARMED_S = 1.0  # the same of all flights of a cell but the first
 STANDING_S = 1.1  # on the ground before it is armed: home is known by then
-HELD_S = 8.0  # it is to hold for at least so long, and until it is slow near its place
-HELD_M = 1.5  # and counts as holding within this of the place: what a waypoint is reached within (HJ_ACC_RADIUS)
-HELD_HEIGHT_M = 0.4  # and within this of the height: what a climb is over within
+HOLD_S = 8.0  # it is to hold for at least so long, and until it is slow near its place
+HOLD_RADIUS_M = 1.5  # and counts as holding within this of the place: what a waypoint is reached within (HJ_ACC_RADIUS)
+HOLD_HEIGHT_M = 0.4  # and within this of the height: what a climb is over within
 LONGEST_HOLD_S = 60.0
 
 
@@ -190,43 +190,43 @@ class _Flight:
             if self.refused:
                 return False
         self.ask((Takeoff(height),))
-        there = lambda: self.pilot.mode is Mode.HOLD or bool(self.pilot.failsafe)  # noqa: E731
-        self.fly(LONGEST_SETTLING_S + PER_METRE_S * height, there)
+        is_up = lambda: self.pilot.mode is Mode.HOLD or bool(self.pilot.failsafe)  # noqa: E731
+        self.fly(LONGEST_SETTLING_S + PER_METRE_S * height, is_up)
         return True
 
     def fail(self) -> FailsafeFlight:
         """Let it fail, and fly until it has been disarmed for long enough, has crashed, or time is up."""
         task, simulation, pilot, case = self.task, self.simulation, self.pilot, self.task.case
         dt, begin = simulation.dt, simulation.k
-        place, there = HoldTarget(pilot, simulation, task.start.speed), simulation.state.position
+        target, failed_at = HoldTarget(pilot, simulation, task.start.speed), simulation.state.position
         self.ask(case.calls)
         self._touchdown = self._sideways = self._touched = nan
         self._acted = pilot.failsafe if case.waits else ""
         last = begin + round((LONGEST_HOLD_S if case.holds else LONGEST_S + PER_METRE_S * task.start.height) / dt)
-        later, disarmed, thrust = LATER_S if task.number <= 1 else DISARMED_S, -1, nan
+        watched, disarmed, thrust = LATER_S if task.number <= 1 else DISARMED_S, -1, nan
         while simulation.k < last and self._ending is None and not self.refused:
             k = simulation.k
             sample = self._step()
             self._acted = self._acted or pilot.failsafe
             disarmed = -1 if pilot.armed else k if disarmed < 0 else disarmed
-            if disarmed >= 0 and (k - disarmed) * dt >= later:
-                thrust = sum(sample.engines.thrust) if later == LATER_S else nan
+            if disarmed >= 0 and (k - disarmed) * dt >= watched:
+                thrust = sum(sample.engines.thrust) if watched == LATER_S else nan
                 break
-            if case.holds and place.held() and (k - begin) * dt >= HELD_S:
+            if case.holds and target.is_held() and (k - begin) * dt >= HOLD_S:
                 break
         self._recorder.flush()
         x, y, _ = simulation.state.position
         row = Row(
             case.name,
             *task.start,
-            self._verdict(disarmed >= 0, place),
+            self._verdict(disarmed >= 0, target),
             self._touchdown,
             self._sideways,
             thrust,
             self._touched * dt - begin * dt,
-            hypot(x - there[0], y - there[1]),
+            hypot(x - failed_at[0], y - failed_at[1]),
             self._ending.reason if self._ending is not None else self.refused or self._acted or _last(pilot.messages),
-            *(place.off() if case.holds else (nan, nan)),
+            *(target.deviation() if case.holds else (nan, nan)),
             self._sink.hexdigest(),
             task.number,
             task.hover if task.number else nan,
@@ -248,7 +248,7 @@ class _Flight:
         self._ending = simulation.end(sample, [self._recorder.observe])
         return sample
 
-    def _verdict(self, disarmed: bool, place: HoldTarget) -> Verdict:
+    def _verdict(self, disarmed: bool, target: HoldTarget) -> Verdict:
         """Return what became of it."""
         simulation, on_ground = self.simulation, self.simulation.state.on_ground
         if self.refused:
@@ -258,11 +258,11 @@ class _Flight:
         if disarmed and not on_ground:
             return Verdict.CRASHED
         if disarmed:
-            fast = self._sideways > tip_speed(simulation.scenario.aircraft, simulation.scenario.engine)
-            return Verdict.SLID if fast else Verdict.LANDED
+            is_fast = self._sideways > tip_speed(simulation.scenario.aircraft, simulation.scenario.engine)
+            return Verdict.SLID if is_fast else Verdict.LANDED
         if self.pilot.landed is LandedState.ON_GROUND or on_ground:
             return Verdict.STANDS_ARMED
-        return Verdict.HOLDS if self.task.case.holds and place.held() else Verdict.FLIES_ON
+        return Verdict.HOLDS if self.task.case.holds and target.is_held() else Verdict.FLIES_ON
 
 
 class HoldTarget:
@@ -278,20 +278,20 @@ class HoldTarget:
         self._pilot, self._simulation = pilot, simulation
         self._place = status.track or (north, east)
         self._height = status.altitude
-        self._within = HELD_M + speed**2 / (2.0 * a) + speed * a / (2.0 * j)
+        self._within = HOLD_RADIUS_M + speed**2 / (2.0 * a) + speed * a / (2.0 * j)
 
-    def off(self) -> tuple[float, float]:
+    def deviation(self) -> tuple[float, float]:
         """Return how far the vehicle is from the place and above the height, m."""
         state = self._simulation.state
         north, east = self._place
         return hypot(state.position[0] - north, state.position[1] - east), state.altitude - self._height
 
-    def held(self) -> bool:
+    def is_held(self) -> bool:
         """Return whether it is slow in HOLD, near that place, at that height."""
-        away, above = self.off()
+        away, above = self.deviation()
         north, east, down = self._simulation.state.velocity
         slow = hypot(north, east) < SLOW_M_S and abs(down) < SLOW_M_S
-        return self._pilot.mode is Mode.HOLD and away < self._within and abs(above) < HELD_HEIGHT_M and slow
+        return self._pilot.mode is Mode.HOLD and away < self._within and abs(above) < HOLD_HEIGHT_M and slow
 
 
 def _last(messages: Any) -> str:

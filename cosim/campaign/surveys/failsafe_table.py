@@ -46,10 +46,10 @@ def write_flight(folder: Path, name: str, scenario: Scenario, entries: Sequence[
     requests = [{"step": entry.step, "sender": entry.sender} | to_dict(entry.request) for entry in entries]
     text = "".join(json.dumps(line, allow_nan=False) + "\n" for line in requests)
     (folder / f"{name}.jsonl").write_text(text, encoding="utf-8")
-    stated = scenario.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
-    stated |= {"name": name, "requests": f"{name}.jsonl"}
+    table = scenario.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    table |= {"name": name, "requests": f"{name}.jsonl"}
     path = folder / f"{name}.toml"
-    path.write_text(toml_text(stated), encoding="utf-8")
+    path.write_text(toml_text(table), encoding="utf-8")
     return path
 
 
@@ -81,13 +81,13 @@ def summary(result: Failsafes) -> list[FailsafeSummary]:
     for name, wind, speed in dict.fromkeys((row.failsafe, row.wind_m_s, row.speed_m_s) for row in result.rows):
         rows = [row for row in result.rows if (row.failsafe, row.wind_m_s, row.speed_m_s) == (name, wind, speed)]
         verdicts = [row.verdict for row in rows]
-        known = dict.fromkeys(verdicts)
-        if len(known) == 1:
+        distinct = dict.fromkeys(verdicts)
+        if len(distinct) == 1:
             ends: str = verdicts[0]
         else:
             ends = ", ".join(
                 f"{verdict} from {', '.join(f'{row.height_m:g}' for row in rows if row.verdict == verdict)} m"
-                for verdict in known
+                for verdict in distinct
             )
         down, sideways, thrust = (
             max((value for value in values if not isnan(value)), default=nan)
@@ -128,12 +128,12 @@ def grid(result: Failsafes) -> list[list[str]]:
     for row in result.rows:
         cells.setdefault((row.failsafe, _column(row)), []).append(row)
 
-    def shown(name: str, column: str) -> str:
-        those = cells.get((name, column))
-        return "-" if those is None else cell_of_several(those)
+    def cell(name: str, column: str) -> str:
+        flights = cells.get((name, column))
+        return "-" if flights is None else cell_of_several(flights)
 
     names = dict.fromkeys(row.failsafe for row in result.rows)
-    return [["failsafe", *columns], *([name, *(shown(name, column) for column in columns)] for name in names)]
+    return [["failsafe", *columns], *([name, *(cell(name, column) for column in columns)] for name in names)]
 
 
 def _column(row: Row) -> str:
@@ -147,10 +147,10 @@ def cell_of_several(rows: Sequence[Row]) -> str:
     for row in sorted(rows, key=lambda row: row.verdict not in ("landed", "holds")):
         counts.setdefault(row.verdict, []).append(row)
     ends = []
-    for verdict, those in counts.items():
-        end = f"{len(those)} of {len(rows)} {verdict}"
+    for verdict, flights in counts.items():
+        end = f"{len(flights)} of {len(rows)} {verdict}"
         if verdict not in ("landed", "holds", "refused"):
-            end += f" (wind {' and '.join(f'{wind:g}' for wind in sorted({row.wind_m_s for row in those}))} m/s)"
+            end += f" (wind {' and '.join(f'{wind:g}' for wind in sorted({row.wind_m_s for row in flights}))} m/s)"
         ends.append(end)
 
     def worst(of: Callable[[Row], float]) -> float:

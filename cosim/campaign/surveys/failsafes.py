@@ -155,10 +155,10 @@ class Conditions:
             ]
         if case.waits and not self.heights:
             heights = (*heights, *TALL_M)
-        least = min(self.winds)
+        lowest = min(self.winds)
         return [
             (start._replace(wind=start.wind if start.speed else self.winds[(number - 1) % len(self.winds)]), number)
-            for start in (*(Start(h, least) for h in heights), *(Start(h, least, self.speed) for h in moving))
+            for start in (*(Start(h, lowest) for h in heights), *(Start(h, lowest, self.speed) for h in moving))
             for number in range(1, 1 + (1 if start.height in TALL_M else self.flights))
         ]
 
@@ -182,16 +182,16 @@ def failsafes(
     """
     conditions.check()
     plans = []
-    for each in aircraft:
-        subject = subject_of(each, engine)
+    for name in aircraft:
+        subject = subject_of(name, engine)
         plans.append((subject, *_plan(subject, controller, kinds, conditions)))
     done, of = 0, sum(len(tasks) for *_, tasks in plans)
     for subject, flown, tasks in plans:
-        name = aircraft_name(subject.aircraft)
-        flights = list(fly_all(fly_case, tasks, workers, say, partial(_describe, name), done, of))
+        label = aircraft_name(subject.aircraft)
+        flights = list(fly_all(fly_case, tasks, workers, say, partial(_describe, label), done, of))
         done += len(flights)
         limits = subject.vehicle.limits.touchdown_m_s, tip_speed(subject.aircraft, subject.engine)
-        yield Failsafes(name, subject.engine, flown, *limits, flights, conditions.airborne)
+        yield Failsafes(label, subject.engine, flown, *limits, flights, conditions.airborne)
 
 
 def _describe(aircraft: str, flight: FailsafeFlight) -> str:
@@ -226,13 +226,13 @@ def draw_flight(task: Task, vehicle: Vehicle, energy: Energy, seed: int) -> Task
     if case.waits:
         # of the tank at the end of the hover: what the way down takes with its margin, or the least in per cent
         seconds = (1.0 + energy.margin) * energy.descent_time(start.height)
-        least = energy.floor
+        reserve = energy.floor
         if vehicle.fuel is None:
-            endurance = max(hover / (1.0 - least), hover + seconds)
+            endurance = max(hover / (1.0 - reserve), hover + seconds)
             case = case._replace(before=(SetParameter("HJ_ENDURANCE", float(round(endurance))),))
         else:
             up = energy.burn * (energy.climb_time(start.height) + hover)
-            initial["fuel"] = min(1.0, round(up + max(least, energy.burn * seconds), 3))
+            initial["fuel"] = min(1.0, round(up + max(reserve, energy.burn * seconds), 3))
     scenario = task.scenario.replace(initial=initial, seed=draw.randrange(2**31))
     return task._replace(case=case, scenario=scenario, hover=hover)
 

@@ -66,14 +66,14 @@ def write_page(result: Survival, path: Path) -> None:
 
 def page_parts(result: Survival) -> dict[str, str]:
     """Return what :func:`write_page` writes, by mark."""
-    controllers, lines = summary(result)
-    found = [
+    controllers, outcomes = summary(result)
+    lines = [
         (kind, start, *map(_cell_text, cells), _times(_select_predicting(controllers, cells)))
-        for kind, start, cells in lines
+        for kind, start, cells in outcomes
     ]
     growing = ("what grows", "controller", *(f"from {start}" for start in STARTS))
     return {
-        "faults": table(("fault", "from", *controllers, "detected after"), found, left=2),
+        "faults": table(("fault", "from", *controllers, "detected after"), lines, left=2),
         "faults-attainable": table(
             ("lost jets", "thrust over weight", "roll moment left in hover"), _authority_lines(result)
         ),
@@ -94,9 +94,9 @@ def _moments_in_words(moments: Moments) -> str:
 
 def _scan_lines(result: Survival) -> Iterator[tuple[str, ...]]:
     """Yield the line of every scan of :data:`SCANS` with a controller."""
-    known = {(limit.quantity, limit.controller, limit.start): _describe_limits(limit) for limit in result.limits}
+    described = {(limit.quantity, limit.controller, limit.start): _describe_limits(limit) for limit in result.limits}
     for quantity, controller in dict.fromkeys((limit.quantity, limit.controller) for limit in result.limits):
-        yield quantity, controller, *(known.get((quantity, controller, start), "-") for start in STARTS)
+        yield quantity, controller, *(described.get((quantity, controller, start), "-") for start in STARTS)
 
 
 def _describe_limits(limit: Limit) -> str:

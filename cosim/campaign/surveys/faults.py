@@ -202,15 +202,15 @@ def survival(
         for start in STARTS
         for controller in controllers
     ]
-    first = flights[: len(controllers)]
-    own = _custom_controllers(first)
+    first_flights = flights[: len(controllers)]
+    custom = _custom_controllers(first_flights)
     warnings = tuple(
         f"{label(flight.controller)}: {text}"
-        for flight in first
+        for flight in first_flights
         if is_design(flight.controller)
         for text in differences(flight.scenario, Path(flight.controller))
     )
-    flights = [flight._replace(scenario=_pin_controller(flight, own)) for flight in flights]
+    flights = [flight._replace(scenario=_pin_controller(flight, custom)) for flight in flights]
     with build(flights[0].scenario.replace(controller=BASELINE.name)) as simulation:
         hover, idle = simulation.cascade.allocator.hover, simulation.cascade.thrust_map.idle
         moments = _moments(vehicle, simulation.stations[0].delay)
@@ -220,23 +220,23 @@ def survival(
     sets = attainable_sets(vehicle.jets, vehicle.control.allocation, hover, idle)
     scenarios = tuple(flight.scenario for flight in flights)
     return Survival(
-        vehicle.name, subject.engine, rows, sets, moments, reached, tuple(own.values()), warnings, scenarios
+        vehicle.name, subject.engine, rows, sets, moments, reached, tuple(custom.values()), warnings, scenarios
     )
 
 
 def _custom_controllers(flights: Sequence[_Flight]) -> dict[str, Source]:
     """Return the controllers from outside, by name; wrong input is found here, before anything is spent on it."""
-    own: dict[str, Source] = {}
+    sources: dict[str, Source] = {}
     for flight in flights:
         with build(flight.scenario) as simulation:
             if simulation.controller_source is not None:
-                own[flight.controller] = simulation.controller_source
-    return own
+                sources[flight.controller] = simulation.controller_source
+    return sources
 
 
-def _pin_controller(flight: _Flight, own: dict[str, Source]) -> Scenario:
+def _pin_controller(flight: _Flight, sources: dict[str, Source]) -> Scenario:
     """Return the scenario with the hash of its controller: another file than that is refused by whoever flies it."""
-    source = own.get(flight.controller)
+    source = sources.get(flight.controller)
     return flight.scenario if source is None else flight.scenario.replace(controller_sha256=source.sha256)
 
 
@@ -284,7 +284,7 @@ def _fly(flight: _Flight) -> Row:
 def _scan(task: tuple[Subject, str, str, str]) -> Limit:
     """Fly along a grid until the vehicle is lost; the fault is jet 1's."""
     subject, quantity, start, controller = task
-    reached: dict[Verdict, list[float]] = {Verdict.HELD: [], Verdict.AIRBORNE: []}
+    passed: dict[Verdict, list[float]] = {Verdict.HELD: [], Verdict.AIRBORNE: []}
     lost_at = None
     for value in SCANS[quantity]:
         kind = {"kind": "thrust_loss", "share": value} if quantity == LOSS else {"kind": "flame_out"}
@@ -296,8 +296,8 @@ def _scan(task: tuple[Subject, str, str, str]) -> Limit:
         if verdict is Verdict.LOST:
             lost_at = value
             break
-        reached[verdict].append(value)
-    return Limit(quantity, start, controller, reached[Verdict.HELD], reached[Verdict.AIRBORNE], lost_at)
+        passed[verdict].append(value)
+    return Limit(quantity, start, controller, passed[Verdict.HELD], passed[Verdict.AIRBORNE], lost_at)
 
 
 def _moments(vehicle: Vehicle, delay: float | None) -> Moments | None:

@@ -47,12 +47,12 @@ class ThrustCourses:
     full and least throttle give; a test throws random throttles at each of the library's.
     """
 
-    def __init__(self, spec: EngineSpec, hover: float, least: float, most: float, steps: int) -> None:
+    def __init__(self, spec: EngineSpec, hover: float, lowest: float, highest: float, steps: int) -> None:
         """``hover``, ``least``, ``most``: throttles."""
-        self._spec, self._hover, self._least = spec, hover, least
+        self._spec, self._hover, self._least = spec, hover, lowest
         self._steps = steps
-        self.up = self._run(lambda k: most)
-        self.down = self._run(lambda k: least)
+        self.up = self._run(lambda k: highest)
+        self.down = self._run(lambda k: lowest)
         self.out = self._run(lambda k: hover, out_at=0)
         self._shut: dict[int, list[float]] = {}
 
@@ -103,11 +103,11 @@ class RollAxis:
         """
         vehicle, courses = self.vehicle, self.courses
         side = 1.0 if vehicle.jets[jet - 1].position_m[1] > 0.0 else -1.0
-        other = opposite_of(vehicle, jet) if shut_at is not None else 0
-        held = [self.hover] * after
-        falling = courses.shut(shut_at) if shut_at is not None else []
+        opposite = opposite_of(vehicle, jet) if shut_at is not None else 0
+        before = [self.hover] * after
+        shut_course = courses.shut(shut_at) if shut_at is not None else []
         inertia = self.inertia * vehicle.inertia_kg_m2[0]
-        kept = exp(-_damping(vehicle) * STEP_S / inertia)
+        decay = exp(-_damping(vehicle) * STEP_S / inertia)
         p = phi = 0.0
         upright = _upright_fractions(vehicle, after) if tilting else [1.0]
         for k in range(len(courses.up)):
@@ -116,18 +116,18 @@ class RollAxis:
                 lever = station.position_m[1]
                 if number == jet:
                     thrust = courses.out[k]
-                elif number == other:
-                    thrust = falling[k] * value_at(upright, k)
+                elif number == opposite:
+                    thrust = shut_course[k] * value_at(upright, k)
                 elif lever * side > 0.0:
-                    thrust = held[k] if k < after else courses.up[k - after]
+                    thrust = before[k] if k < after else courses.up[k - after]
                 else:
-                    thrust = (held[k] if k < after else courses.down[k - after]) * value_at(upright, k)
+                    thrust = (before[k] if k < after else courses.down[k - after]) * value_at(upright, k)
                 moment -= side * lever * thrust
-            before = p
-            p = kept * p + STEP_S * moment / inertia
+            rate_before = p
+            p = decay * p + STEP_S * moment / inertia
             if p <= 0.0:
                 return Bound(degrees(phi), (k + 1) * STEP_S)
-            phi += 0.5 * STEP_S * (before + p)
+            phi += 0.5 * STEP_S * (rate_before + p)
             if degrees(phi) > FURTHEST_DEG:
                 break
         return Bound(float("inf"), (k + 1) * STEP_S)
@@ -163,15 +163,15 @@ def opposite_of(vehicle: Vehicle, jet: int) -> int:
     return opposites(vehicle)[jet - 1] + 1
 
 
-def measure_courses(simulation: Simulation, share: float, seconds: float = FOLLOWED_S) -> ThrustCourses:
+def measure_courses(simulation: Simulation, fraction: float, seconds: float = FOLLOWED_S) -> ThrustCourses:
     """Return the courses of a built flight's engines, all alike, from a ``share`` of their range of thrust on."""
     limits = simulation.vehicle.control.allocation
     count = len(simulation.vehicle.jets)
-    hover, least, most = (
+    hover, lowest, highest = (
         simulation.cascade.thrust_map.throttle((level,) * count)[0]
-        for level in (share, limits.throttle_min, limits.throttle_max)
+        for level in (fraction, limits.throttle_min, limits.throttle_max)
     )
-    return ThrustCourses(simulation.engine, hover, least, most, round(seconds / STEP_S))
+    return ThrustCourses(simulation.engine, hover, lowest, highest, round(seconds / STEP_S))
 
 
 def make_roll_axis(simulation: Simulation, seconds: float = FOLLOWED_S) -> RollAxis:

@@ -40,9 +40,9 @@ class _ClosedThrottles:
 
     def update(self, *arguments: Any) -> Actuation:
         """Return the actuation of one step."""
-        wanted = self._controller.update(*arguments)
-        self._tilt = wanted.tilt if self._tilt is None else self._tilt
-        return Actuation((0.0,) * len(wanted.throttle), self._tilt, wanted.unallocated)
+        demand = self._controller.update(*arguments)
+        self._tilt = demand.tilt if self._tilt is None else self._tilt
+        return Actuation((0.0,) * len(demand.throttle), self._tilt, demand.unallocated)
 
 
 @cache
@@ -67,16 +67,16 @@ def tip_speed(aircraft: str, engine: str, above_m: float = ABOVE_M) -> float:
         vehicle={"contacts": contacts},
         initial={"altitude_m": max(leg["position_m"][2] for leg in legs) + above_m},
     )
-    least = FASTEST_M_S
+    slowest = FASTEST_M_S
     for heading in HEADINGS_DEG:
-        if not _tips(scenario, least, heading):
+        if not _tips(scenario, slowest, heading):
             continue
-        stands, tips = 0.0, least
+        stands, tips = 0.0, slowest
         while tips - stands > WITHIN_M_S:
             middle = 0.5 * (stands + tips)
             stands, tips = (stands, middle) if _tips(scenario, middle, heading) else (middle, tips)
-        least = tips
-    return least if least < FASTEST_M_S else inf
+        slowest = tips
+    return slowest if slowest < FASTEST_M_S else inf
 
 
 def _tips(scenario: Scenario, speed: float, heading_deg: float) -> bool:

@@ -130,16 +130,16 @@ def design(options: DesignOptions) -> int:
             firmware=firmware,
             say=lambda text: tell(text, 0, 1),
         )
-        made = search()
+        designed = search()
         if options.proof:
-            made = add_proof(made, lambda text: tell(text, 0, 1), lambda unsure: search(unsure=unsure))
-    paths = write(made, options.out)
-    if autopilot is not None and made.ok:
+            designed = add_proof(designed, lambda text: tell(text, 0, 1), lambda unsure: search(unsure=unsure))
+    paths = write(designed, options.out)
+    if autopilot is not None and designed.ok:
         from cosim.cli.firmware import write_parameters
 
-        paths["parameters"] = write_parameters(autopilot, aircraft, paths["controller"], made.scenario.step_s)
-    options.answer(lambda: to_dict(made, paths), lambda: print_design(made, paths))
-    return DONE if made.ok else FLIGHT_FAILED
+        paths["parameters"] = write_parameters(autopilot, aircraft, paths["controller"], designed.scenario.step_s)
+    options.answer(lambda: to_dict(designed, paths), lambda: print_design(designed, paths))
+    return DONE if designed.ok else FLIGHT_FAILED
 
 
 def _prepare(out: Path) -> None:
@@ -169,12 +169,12 @@ def print_design(design: Design, paths: dict[str, Path]) -> None:
     say_all(answer_lines(design))
     for name, path in paths.items():
         say(f"{name}: {path}", wrap=False)
-    shown = [k for k, column in enumerate(COLUMNS) if column not in ("attitude 1/s", "P", "I", "D", "delay ms")]
+    columns_shown = [k for k, column in enumerate(COLUMNS) if column not in ("attitude 1/s", "P", "I", "D", "delay ms")]
     columns = [list(column) for column in zip(COLUMNS, *channel_rows(design), strict=True)]
-    _show_in_pieces([columns[k] for k in shown])
+    _show_in_pieces([columns[k] for k in columns_shown])
     if levels := level_rows(design):
-        said = [0, *(COLUMNS.index(column) for column in AT_A_LEVEL)]
-        _show([[row[k] for k in said] for row in (COLUMNS, *levels)])
+        columns_of_levels = [0, *(COLUMNS.index(column) for column in AT_A_LEVEL)]
+        _show([[row[k] for k in columns_of_levels] for row in (COLUMNS, *levels)])
     say_all([*row_lines(design), *detail_lines(design)])
     if design.proof is not None and design.proof.compared:
         compared = design.proof.compared

@@ -176,20 +176,20 @@ def _identify_log(log: FlightLog, options: FromLog) -> int:
         raise InputError("identify log: say --axis roll, pitch or yaw, or --engine N")
     if axis is not None and options.lags == 0:
         raise InputError("--lags 0: an axis has one at least")
-    what = axis or f"engine:{number}"
+    subject = axis or f"engine:{number}"
     if command_text and output_text:
-        chosen = LogSignals(
+        signals = LogSignals(
             command_text, output_text, options.setpoint_text or "", "command", "rad/s" if axis else "output"
         )
     elif command_text or output_text:
         raise InputError("--command and --output: both or none")
     else:
-        chosen = signals_of(log, what)
-        chosen = chosen._replace(setpoint=options.setpoint_text or chosen.setpoint)
+        signals = signals_of(log, subject)
+        signals = signals._replace(setpoint=options.setpoint_text or signals.setpoint)
     identified = identify_log(
         log,
-        what,
-        chosen,
+        subject,
+        signals,
         longest_delay=options.longest_delay,
         step=options.working_step,
         begin=options.begin,
@@ -197,7 +197,7 @@ def _identify_log(log: FlightLog, options: FromLog) -> int:
         hold=parse_numbers(options.holds, "--hold"),
         lags=options.lags,
     )
-    folder = options.run_folder(f"identify-log-{what.replace(':', '-')}")
+    folder = options.run_folder(f"identify-log-{subject.replace(':', '-')}")
     paths = write(identified, folder, options.step, options.family or log.engine or "edf-as-flown")
     options.answer(lambda: identified.to_dict(options.step), lambda: print_from_log(identified, paths))
     return DONE
@@ -205,11 +205,11 @@ def _identify_log(log: FlightLog, options: FromLog) -> int:
 
 def print_channels(log: FlightLog) -> None:
     """Print what a log holds: its remarks, and each channel with its rate and span."""
-    held = log.to_dict()
-    click.echo(f"{held['log']}: {held['kind']}")
-    for note in held["notes"]:
+    table = log.to_dict()
+    click.echo(f"{table['log']}: {table['kind']}")
+    for note in table["notes"]:
         click.echo(f"note: {note}")
-    for channel in held["channels"]:
+    for channel in table["channels"]:
         text = "{name}  {values} values, {seconds:.1f} s, {rate_hz:.4g} Hz  {unit}"
         click.echo(text.format(**channel).rstrip())
 

@@ -89,7 +89,7 @@ def fly(options: Fly) -> int:
     if options.flight is not None:
         why = "a flight of a campaign is flown as it was; leave it out with --flight"
         refuse_others(why, "scenario", "flight", "out", "as_json")
-        return _fly_again(Path(options.scenario), options.flight, options)
+        return _repeat_flight(Path(options.scenario), options.flight, options)
     from cosim.flight import fly as fly_scenario
     from cosim.results.run import finish_killed
     from cosim.spec.controller_name import folder_name, short_name
@@ -102,13 +102,13 @@ def fly(options: Fly) -> int:
     offer_to_compile(*options.engines)
     loaded = options.load()
     _warn(loaded, controller)
-    named = short_name(controller) if controller is not None else loaded.controller
-    folder = options.run_folder(f"{loaded.name}-{folder_name(named)}")
+    label = short_name(controller) if controller is not None else loaded.controller
+    folder = options.run_folder(f"{loaded.name}-{folder_name(label)}")
     with (
         output_to_stderr(options.as_json),
         _open_flightgear(loaded, options.flightgear) as viewers,
         flight_progress(loaded, quiet=options.as_json) as watching,
-        _watched(options.links) as watch,
+        _open_links(options.links) as watch,
     ):
         run = fly_scenario(
             loaded,
@@ -137,20 +137,20 @@ def _warn(scenario: Scenario, controller: str | None) -> None:
     warn_of_blemishes(scenario.engine, *engines, folder=scenario.folder)
 
 
-def _fly_again(folder: Path, number: int, output: opt.Output) -> int:
+def _repeat_flight(folder: Path, number: int, output: opt.Output) -> int:
     from cosim.campaign import fly_again, open_campaign
 
     campaign = open_campaign(folder)
     out = output.run_folder(f"{campaign.study.name}-flight-{number}")
     with output_to_stderr(output.as_json):
-        again = fly_again(campaign, number, out)
-    same = {"flight": number, "same": again.same, "otherwise": again.otherwise}
-    output.answer(lambda: again.run.summary.model_dump(mode="json") | same, lambda: print_again(again))
-    return DONE if again.same else FLIGHT_FAILED
+        repeated = fly_again(campaign, number, out)
+    result = {"flight": number, "same": repeated.same, "otherwise": repeated.otherwise}
+    output.answer(lambda: repeated.run.summary.model_dump(mode="json") | result, lambda: print_repeated(repeated))
+    return DONE if repeated.same else FLIGHT_FAILED
 
 
 @contextmanager
-def _watched(links: Sequence[str]) -> Iterator[Any]:
+def _open_links(links: Sequence[str]) -> Iterator[Any]:
     """Let ground stations watch, where they are named."""
     if not links:
         yield None
@@ -169,8 +169,8 @@ def _open_flightgear(scenario: Scenario, flightgear: str | None) -> Iterator[Seq
         return
     from cosim.results.export.flightgear import FlightGear
 
-    place = scenario.environment
-    viewer = FlightGear(flightgear, place.latitude_deg, place.longitude_deg, place.ground_m)
+    environment = scenario.environment
+    viewer = FlightGear(flightgear, environment.latitude_deg, environment.longitude_deg, environment.ground_m)
     try:
         yield (viewer,)
     finally:
@@ -198,15 +198,15 @@ def flight_progress(scenario: Scenario, quiet: bool) -> Iterator[Sequence[Observ
         yield (Watch(),)
 
 
-def print_again(again: RepeatedFlight) -> None:
+def print_repeated(repeated: RepeatedFlight) -> None:
     """Print a flight of a campaign, and whether it is what it was."""
-    print_run(again.run)
-    say(f"flight {again.number}: [bold]{again.verdict}[/bold]", marked=True)
-    for line in again.otherwise:
+    print_run(repeated.run)
+    say(f"flight {repeated.number}: [bold]{repeated.verdict}[/bold]", marked=True)
+    for line in repeated.otherwise:
         say(line, wrap=False)
 
 
-def _others(summary: Summary) -> str:
+def _other_engines(summary: Summary) -> str:
     """Return the engines of another kind, and the stations where they are, as text."""
     at: dict[str, list[str]] = {}
     for number, station in enumerate(summary.stations, 1):
@@ -223,11 +223,12 @@ def print_run(run: Run) -> None:
     """Print outcome, metrics, what was expected and not met, and where the report is."""
     from rich.markup import escape
 
-    summary, own = run.summary, run.summary.own_controller
+    summary, controller = run.summary, run.summary.own_controller
     say(f"{summary.scenario}: [bold]{escape(summary.ending)}[/bold]", marked=True)
     say(
-        f"{summary.aircraft}, engine {summary.engine_shown}{_others(summary)}, controller {summary.controller_shown}, "
-        f"seed {summary.seed}{_sensors(summary)}: {summary.duration_s:.2f} s flown" + _speed(summary.realtime_factor)
+        f"{summary.aircraft}, engine {summary.engine_shown}{_other_engines(summary)}, controller "
+        f"{summary.controller_shown}, seed {summary.seed}{_sensors(summary)}: {summary.duration_s:.2f} s flown"
+        + _speed(summary.realtime_factor)
     )
     for note in summary.notes:
         say(f"note: {note}", wrap=False)
@@ -237,9 +238,9 @@ def print_run(run: Run) -> None:
         say(f"beyond its limit: {text}")
     for engine, why in dict.fromkeys((station.engine, station.apart) for station in summary.stations if station.apart):
         say(f"engines in a process of their own, because {engine} {why}", wrap=False)
-    if own is not None and own.repeatable is False:
+    if controller is not None and controller.repeatable is False:
         say(f"controller {summary.controller} is not repeatable: asked the same again, it answered otherwise")
-    if own is not None and own.level == "controller" and run.scenario.monitored:
+    if controller is not None and controller.level == "controller" and run.scenario.monitored:
         say(f"engines were not watched: {summary.controller} is a whole controller, and sees to lost ones itself")
     for line in [*summary.own_metrics_failed, *(f"not as expected: {complaint}" for complaint in summary.complaints)]:
         say(line)

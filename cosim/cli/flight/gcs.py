@@ -100,8 +100,8 @@ def gcs(options: Gcs) -> int:
     if options.place is not None:
         changes["environment"] = parse_place(options.place)
     loaded = loaded.replace(**changes)
-    own = vehicle_key(loaded) + (f"-system-{options.system}" if options.system != 1 else "")
-    kept = None if str(options.parameters) == "none" else options.parameters or default_file(own)
+    key = vehicle_key(loaded) + (f"-system-{options.system}" if options.system != 1 else "")
+    parameters = None if str(options.parameters) == "none" else options.parameters or default_file(key)
     as_json = options.as_json
     with (
         output_to_stderr(as_json),
@@ -114,7 +114,7 @@ def gcs(options: Gcs) -> int:
             loaded,
             opened.exchange,
             factor=options.rtf or None,
-            parameters=kept,
+            parameters=parameters,
             duration=options.duration,
             records=RecordOptions(options.out, log_mb=options.log_limit),
             on_begin=opened.begin,
@@ -140,12 +140,12 @@ def print_gcs(session: Session, links: Links, log_mb: float, to_stderr: bool) ->
     from cosim.spec.scenario import controller_shown
 
     console = Console(stderr=True) if to_stderr else terminal()
-    scenario, place = session.scenario, session.scenario.environment
+    scenario, site = session.scenario, session.scenario.environment
     rows = [
         ("vehicle", f"{scenario.aircraft_name}, engine {scenario.engine}, controller {controller_shown(scenario)}"),
-        ("place", f"{place.latitude_deg:.6f}, {place.longitude_deg:.6f}, {place.ground_m:g} m above the sea"),
+        ("place", f"{site.latitude_deg:.6f}, {site.longitude_deg:.6f}, {site.ground_m:g} m above the sea"),
         ("system", str(links.system)),
-        *[("MAVLink", _where(url)) for url in links.urls],
+        *[("MAVLink", _describe_link(url)) for url in links.urls],
         *([("page", links.page)] if links.page else []),
         *([("Foxglove", links.foxglove)] if links.foxglove else []),
         ("parameters", f"{session.parameters or 'not kept'}"),
@@ -187,14 +187,14 @@ def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
     )
 
 
-def _where(url: str) -> str:
-    kind, _, place = url.partition(":")
-    port = place.rpartition(":")[2]
-    known = {f"{14540 + n}": " (MAVSDK listens there)" for n in range(10)}
-    known["14550"] = " (QGroundControl and MAVProxy listen there)"
+def _describe_link(url: str) -> str:
+    kind, _, address = url.partition(":")
+    port = address.rpartition(":")[2]
+    listeners = {f"{14540 + n}": " (MAVSDK listens there)" for n in range(10)}
+    listeners["14550"] = " (QGroundControl and MAVProxy listen there)"
     if kind == "udpout":
-        return f"sends to udp {place}{known.get(port, '')}"
-    return {"udpin": f"listens at udp {place}", "tcpin": f"listens at tcp {place}"}.get(kind, f"{kind} {place}")
+        return f"sends to udp {address}{listeners.get(port, '')}"
+    return {"udpin": f"listens at udp {address}", "tcpin": f"listens at tcp {address}"}.get(kind, f"{kind} {address}")
 
 
 @contextmanager
@@ -208,11 +208,11 @@ def live_line(links: Links, quiet: bool) -> Iterator[None]:
     over = threading.Event()
 
     def show() -> None:
-        shown = 0
+        last_shown = 0
         while not over.wait(0.5):
             for message in links.exchange.messages:
-                if message.number > shown:
-                    shown = message.number
+                if message.number > last_shown:
+                    last_shown = message.number
                     print(f"\r\x1b[K{message.severity.name.lower()}: {message.text}", file=sys.stderr)
             print(f"\r\x1b[K{_state(links)}", end="", file=sys.stderr, flush=True)
 

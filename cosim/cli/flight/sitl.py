@@ -282,12 +282,12 @@ def _fly(options: Sitl, scenario: Scenario, name: str, setup: Setup, rates: str 
         click.echo(f"hexjet: no {_TITLES[name]} is named (--binary): {where}", err=True)
     details: dict[str, Any] = {} if name == "ardupilot" else {"rates": rates}
     with output_to_stderr(options.as_json):
-        done = autopilot.fly(scenario, folder, realtime_factor=options.rtf or None, **details)
-    lockstep = asdict(done.counts) | {"gains": setup.gains}
+        flown = autopilot.fly(scenario, folder, realtime_factor=options.rtf or None, **details)
+    lockstep = asdict(flown.counts) | {"gains": setup.gains}
     options.answer(
-        lambda: done.run.summary.model_dump(mode="json") | {"lockstep": lockstep}, lambda: _print(done, setup.gains)
+        lambda: flown.run.summary.model_dump(mode="json") | {"lockstep": lockstep}, lambda: _print(flown, setup.gains)
     )
-    return DONE if done.run.summary.succeeded else FLIGHT_FAILED
+    return DONE if flown.run.summary.succeeded else FLIGHT_FAILED
 
 
 def _magnetic_field(text: str | None) -> tuple[float, float, float] | None:
@@ -302,21 +302,21 @@ def _magnetic_field(text: str | None) -> tuple[float, float, float] | None:
     return north, east, down
 
 
-def _print(done: AutopilotRun, gains: str) -> None:
+def _print(flown: AutopilotRun, gains: str) -> None:
     from cosim.cli.flight.fly import print_run
 
-    print_run(done.run)
-    say(lockstep_line(done))
+    print_run(flown.run)
+    say(lockstep_line(flown))
     if gains not in ("vehicle", "stock"):
         say(f"gains of {gains}")
 
 
-def lockstep_line(done: AutopilotRun) -> str:
+def lockstep_line(flown: AutopilotRun) -> str:
     """Return the counts of the lockstep in a line."""
-    counts = done.counts
+    counts = flown.counts
     missing = counts.frames - counts.boot - counts.answers
     return (
-        f"lockstep with {done.autopilot}: {counts.frames} states told, {counts.boot} before its first answer, "
+        f"lockstep with {flown.autopilot}: {counts.frames} states told, {counts.boot} before its first answer, "
         f"{counts.answers} answers, {missing} missing, {counts.repeated} repeated, {counts.foreign} foreign packets; "
         f"longest wait {1e3 * counts.longest_s:.1f} ms"
     )

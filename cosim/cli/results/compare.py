@@ -25,7 +25,7 @@ _OUT = Out(".html")
 LETTERS = "ABCDEFGH"  # as many as there are colours that can be told apart
 SIGNALS = ("roll_rad", "pitch_rad", "yaw_rad", "altitude_m", "north_m", "east_m", "collective")
 EARLIEST = 5  # beside those, the first that differ
-_MOST_INPUTS = 12  # lines in the terminal; the page has all
+_MAX_INPUTS = 12  # lines in the terminal; the page has all
 
 
 class Compare(opt.Output):
@@ -70,7 +70,7 @@ def compare(options: Compare) -> int:
     from cosim.results.comparison import pairs
     from cosim.results.report.comparison import write_comparison
 
-    requested = _expanded(options.names, options.flights)
+    requested = _expand_campaigns(options.names, options.flights)
     if not 2 <= len(requested) <= len(LETTERS):
         raise InputError(f"compare: {len(requested)} flights; allowed: 2 to {len(LETTERS)}")
     out = options.run_folder("comparison")
@@ -78,18 +78,18 @@ def compare(options: Compare) -> int:
     if page is not None and page.exists():
         raise InputError(f"{page}: is there already; choose another name or remove it")
     with output_to_stderr(options.as_json):
-        loaded = _shifted(
+        loaded = _shift_times(
             [_load_flight(letter, name) for letter, name in zip(LETTERS, requested, strict=False)], options.shifts
         )
     compared = pairs(loaded)
-    chosen = _chosen(compared, options.patterns)
+    chosen = _select_signals(compared, options.patterns)
     if page is not None:
         try:
             page.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{page.parent}: {error.strerror or error}") from error
         write_comparison(loaded, compared, page)
-    options.answer(lambda: _data(loaded, compared, page), lambda: _print(loaded, compared, chosen, page))
+    options.answer(lambda: _to_dict(loaded, compared, page), lambda: _print(loaded, compared, chosen, page))
     return DONE
 
 
@@ -99,13 +99,13 @@ def write_page(names: Sequence[str], folder: Path) -> Path:
     from cosim.results.comparison import pairs
     from cosim.results.report.comparison import write_comparison
 
-    flights = [_load_flight(letter, name) for letter, name in zip(LETTERS, _expanded(names, ()), strict=False)]
+    flights = [_load_flight(letter, name) for letter, name in zip(LETTERS, _expand_campaigns(names, ()), strict=False)]
     folder.mkdir(parents=True, exist_ok=True)
     write_comparison(flights, pairs(flights), folder / PAGE)
     return folder / PAGE
 
 
-def _expanded(names: Sequence[str], flights: Sequence[int]) -> list[str]:
+def _expand_campaigns(names: Sequence[str], flights: Sequence[int]) -> list[str]:
     """Return the flights that are meant, one text each; a campaign's folder stands for the ``flights`` of it."""
     from cosim.campaign.folder import is_campaign
 
@@ -122,21 +122,21 @@ def _expanded(names: Sequence[str], flights: Sequence[int]) -> list[str]:
     return requested
 
 
-def _shifted(flights: Sequence[ComparedFlight], shifts: Sequence[str]) -> list[ComparedFlight]:
+def _shift_times(flights: Sequence[ComparedFlight], shifts: Sequence[str]) -> list[ComparedFlight]:
     """Move the times of these flights.  Raises InputError for what is no letter of theirs or no number."""
     from cosim.results.comparison import shifted
 
     moved = list(flights)
     for text in shifts:
         letter, _, seconds = text.partition("=")
-        place = LETTERS.find(letter.strip().upper()) if letter.strip() else -1
+        index = LETTERS.find(letter.strip().upper()) if letter.strip() else -1
         try:
             by = float(seconds)
         except ValueError:
             by = nan
-        if not 0 <= place < len(moved) or not isfinite(by):
+        if not 0 <= index < len(moved) or not isfinite(by):
             raise InputError(f"--shift {text}: is not one of {', '.join(LETTERS[: len(moved)])} = a number of seconds")
-        moved[place] = shifted(moved[place], by)
+        moved[index] = shifted(moved[index], by)
     return moved
 
 
@@ -154,10 +154,10 @@ def _load_flight(letter: str, name: str) -> ComparedFlight:
     label = f"{letter}: {path.name or path.absolute().name}"
     folder, _, number = name.rpartition(":")
     if folder and number.isdigit() and is_campaign(Path(folder)):
-        again = fly_again(open_campaign(Path(folder)), int(number))
-        if not again.same:
-            click.echo(f"hexjet: warning: {name}: {again.verdict}: {'; '.join(again.otherwise)}", err=True)
-        return ComparedFlight(label, again.run.log, again.run, name, (f"flown again: {again.verdict}",))
+        repeated = fly_again(open_campaign(Path(folder)), int(number))
+        if not repeated.same:
+            click.echo(f"hexjet: warning: {name}: {repeated.verdict}: {'; '.join(repeated.otherwise)}", err=True)
+        return ComparedFlight(label, repeated.run.log, repeated.run, name, (f"flown again: {repeated.verdict}",))
     if path.is_dir():
         run = open_run(path)
         return ComparedFlight(label, run.log, run, name)
@@ -177,7 +177,7 @@ def _load_flight(letter: str, name: str) -> ComparedFlight:
     )
 
 
-def _chosen(compared: Sequence[Pair], patterns: Sequence[str]) -> list[list[str]]:
+def _select_signals(compared: Sequence[Pair], patterns: Sequence[str]) -> list[list[str]]:
     """Return the signals of each pair's table.  Raises InputError for a pattern that matches none."""
     from cosim.results.report.comparison import by_time
 
@@ -192,26 +192,26 @@ def _chosen(compared: Sequence[Pair], patterns: Sequence[str]) -> list[list[str]
     ]
 
 
-def _data(flights: Sequence[ComparedFlight], compared: Sequence[Pair], page: Path | None) -> dict[str, Any]:
+def _to_dict(flights: Sequence[ComparedFlight], compared: Sequence[Pair], page: Path | None) -> dict[str, Any]:
     """Return the comparison as data for JSON, everything in SI."""
     from cosim.results.report.comparison import inputs_between
 
     runs = []
     for flight in flights:
         summary = None if flight.run is None else flight.run.summary
-        known = (
+        identity = (
             {}
             if summary is None
             else {key: getattr(summary, key) for key in ("scenario", "aircraft", "engine", "controller", "seed")}
             | {key: getattr(summary, key) for key in ("outcome", "reason", "verdict", "step_s", "duration_s")}
             | {"metrics": summary.flat_metrics}
         )
-        runs.append({"label": flight.label, "source": flight.source, "remarks": list(flight.remarks)} | known)
+        runs.append({"label": flight.label, "source": flight.source, "remarks": list(flight.remarks)} | identity)
     differences = [
         pair._asdict()
         | {"signals": {s.name: s._asdict() for s in pair.signals}}
-        | {"inputs": {key: [left, right] for key, left, right in inputs_between(flights[0], other)}}
-        for pair, other in zip(compared, flights[1:], strict=True)
+        | {"inputs": {key: [first, second] for key, first, second in inputs_between(flights[0], flight)}}
+        for pair, flight in zip(compared, flights[1:], strict=True)
     ]
     return {"runs": runs, "differences": differences, "page": None if page is None else str(page)}
 
@@ -223,15 +223,15 @@ def _print(
 
     for flight in flights:
         terminal().print(f"[bold]{flight.label[0]}[/bold]", end=" ")
-        say(": ".join([flight.source, *_about(flight)]), wrap=False)
+        say(": ".join([flight.source, *_describe(flight)]), wrap=False)
     _print_metrics(flights)
-    for pair, other, names in zip(compared, flights[1:], chosen, strict=True):
+    for pair, flight, names in zip(compared, flights[1:], chosen, strict=True):
         say(" ".join(describe_pair(pair)))
-        inputs = inputs_between(flights[0], other)
-        for key, left, right in inputs[:_MOST_INPUTS]:
-            say(f"  {key}: {left}; {other.label[0]} {right}", wrap=False)
-        if len(inputs) > _MOST_INPUTS:
-            say(f"  and {len(inputs) - _MOST_INPUTS} inputs more that are not the same")
+        inputs = inputs_between(flights[0], flight)
+        for key, first, second in inputs[:_MAX_INPUTS]:
+            say(f"  {key}: {first}; {flight.label[0]} {second}", wrap=False)
+        if len(inputs) > _MAX_INPUTS:
+            say(f"  and {len(inputs) - _MAX_INPUTS} inputs more that are not the same")
         rows = {signal.name: signal for signal in pair.signals}
         cells = [
             (name, "the same", "", "", "", "") if rows[name].same else signal_cells(rows[name])
@@ -245,7 +245,7 @@ def _print(
         say(f"page: {page}", wrap=False)
 
 
-def _about(flight: ComparedFlight) -> list[str]:
+def _describe(flight: ComparedFlight) -> list[str]:
     if flight.run is None:
         text = "a log"
     else:

@@ -186,18 +186,18 @@ def controller(options: ExportController) -> int:
 
     offer_to_compile(*options.engines)
     loaded, name, licence = options.load(), options.name, options.licence
-    given = options.controller
-    source = Path(given).name if given is not None and is_design(given) else ""
+    name_or_file = options.controller
+    source = Path(name_or_file).name if name_or_file is not None and is_design(name_or_file) else ""
     vehicle, _ = loaded.resolved_vehicle()
     torques = {autopilot: torque_of(autopilot, vehicle) for autopilot in options.inside}
     out = options.out or Path(name)
-    done = export_controller(loaded, out, name, licence, not options.no_fmu, source, torques)
-    _say_program_licences(licence, options.inside)
-    options.answer(lambda: asdict(done) | {"folder": str(done.folder)}, lambda: _print(done), nan=True)
-    return FLIGHT_FAILED if done.measured is not None and not done.measured.same else DONE
+    exported = export_controller(loaded, out, name, licence, not options.no_fmu, source, torques)
+    _warn_of_licences(licence, options.inside)
+    options.answer(lambda: asdict(exported) | {"folder": str(exported.folder)}, lambda: _print(exported), nan=True)
+    return FLIGHT_FAILED if exported.measured is not None and not exported.measured.same else DONE
 
 
-def _say_program_licences(licence: str | None, inside: tuple[str, ...]) -> None:
+def _warn_of_licences(licence: str | None, inside: tuple[str, ...]) -> None:
     """Tell on standard error which files of an adapter have another licence than the one that was asked for."""
     from cosim.codegen.adapters import PROGRAM_LICENCES
 
@@ -245,23 +245,24 @@ def vehicle(options: ExportVehicle) -> int:
     if single and out.suffix.lower() != f".{kind}":
         raise InputError(f"--out {out}: --as {kind} writes .{kind}")
     folder, file = (out.parent, out.name) if single else (out, "")
-    done = export_vehicle(loaded, folder, name, parts, system=kind == "ssp", file=file)
+    exported = export_vehicle(loaded, folder, name, parts, system=kind == "ssp", file=file)
 
     def show() -> None:
-        click.echo(f"{done.folder}: {', '.join(done.files)}")
-        click.echo(f"{done.inputs} inputs, {done.outputs} outputs, communication step {done.step_s:g} s or a multiple")
-        click.echo(f"flown by {done.python}, unless HEXJET_PYTHON names another")
+        click.echo(f"{exported.folder}: {', '.join(exported.files)}")
+        ports = f"{exported.inputs} inputs, {exported.outputs} outputs"
+        click.echo(f"{ports}, communication step {exported.step_s:g} s or a multiple")
+        click.echo(f"flown by {exported.python}, unless HEXJET_PYTHON names another")
 
-    options.answer(lambda: done.data, show, nan=True)
+    options.answer(lambda: exported.data, show, nan=True)
     return DONE
 
 
-def _print(done: Exported) -> None:
+def _print(exported: Exported) -> None:
     from cosim.codegen.export import figures
 
-    click.echo(f"{done.folder}: {', '.join(done.files)}")
-    click.echo(f"test vectors: {done.steps} steps")
-    for what, value in figures(done.measured):
-        click.echo(f"{what}: {value}")
-    if done.without_fmus is not None:
-        click.echo(f"no FMUs: {done.without_fmus}")
+    click.echo(f"{exported.folder}: {', '.join(exported.files)}")
+    click.echo(f"test vectors: {exported.steps} steps")
+    for quantity, value in figures(exported.measured):
+        click.echo(f"{quantity}: {value}")
+    if exported.without_fmus is not None:
+        click.echo(f"no FMUs: {exported.without_fmus}")

@@ -32,13 +32,13 @@ def open_(folder: Path, port: int, browser: bool) -> int:
     from cosim.shelf.index import Shelf
     from cosim.shelf.server import ShelfServer
 
-    server = ShelfServer(Shelf(folder), port, lambda folders: _compared(folders, folder))
+    server = ShelfServer(Shelf(folder), port, lambda folders: _compare(folders, folder))
     server.open()
     click.echo(f"{folder}: {server.url} (Ctrl-C ends it; nothing is lost)", err=True)
     if browser:
         import webbrowser
 
-        webbrowser.open(_way_to(server.url).as_uri())
+        webbrowser.open(_write_redirect(server.url).as_uri())
     try:
         server.run()
     except KeyboardInterrupt:
@@ -46,14 +46,14 @@ def open_(folder: Path, port: int, browser: bool) -> int:
     return DONE
 
 
-def _way_to(url: str) -> Path:
+def _write_redirect(url: str) -> Path:
     """Write a page that redirects there: every account of the machine can read a browser's command line."""
     page = scratch() / "open.html"  # in a folder that nobody else may enter
     page.write_text(f'<!doctype html><meta http-equiv="refresh" content="0;url={escape(url)}">', encoding="utf-8")
     return page
 
 
-def _compared(folders: Sequence[Path], runs: Path) -> Path:
+def _compare(folders: Sequence[Path], runs: Path) -> Path:
     """Compare these flights in a new folder of ``runs``.  Raises InputError where some are no flights."""
     from cosim.cli.results.compare import write_page
     from cosim.flight import new_folder

@@ -89,10 +89,10 @@ def catalogue(kind: str) -> list[dict[str, Any]]:
         return [_entry(name, read_toml(data_folder(kind) / f"{name}.toml")) for name in files_in(kind)]
     if kind == "controllers":
         from cosim.control.predictors.registry import PREDICTORS
-        from cosim.simulation.controllers.source import names as own_controllers
+        from cosim.simulation.controllers.source import names as custom_controllers
 
-        ours = [{"name": spec.name, "title": spec.title} for spec in PREDICTORS.values()]
-        return ours + [{"name": name, "title": title} for name, title in own_controllers()]
+        built_in = [{"name": spec.name, "title": spec.title} for spec in PREDICTORS.values()]
+        return built_in + [{"name": name, "title": title} for name, title in custom_controllers()]
     marker = {"aircraft": "vehicle.toml", "engines": "engine.toml"}[kind]
     return [_entry(name, read_toml(data_folder(kind) / name / marker)) for name in names_in(kind, marker)]
 

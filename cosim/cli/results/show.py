@@ -224,15 +224,15 @@ def _dead_times(vehicle: Vehicle) -> Iterator[Number]:
 def _hinges(vehicle: Vehicle) -> Iterator[Number]:
     """Yield the range of each hinge, and what it moves."""
     for hinge in vehicle.hinges:
-        moved = [f"carries {', '.join(map(str, hinge.carries))}"] if hinge.carries else []
-        moved += [f"deflects {', '.join(map(str, hinge.deflects))}"] if hinge.deflects else []
-        least, most = hinge.least_most
-        name, motion = f"hinge {hinge.name}", " and ".join(moved)
-        if least == -most:
-            yield Number(name, most, "rad", f"either way; {motion}")
+        effects = [f"carries {', '.join(map(str, hinge.carries))}"] if hinge.carries else []
+        effects += [f"deflects {', '.join(map(str, hinge.deflects))}"] if hinge.deflects else []
+        lowest, highest = hinge.least_most
+        name, motion = f"hinge {hinge.name}", " and ".join(effects)
+        if lowest == -highest:
+            yield Number(name, highest, "rad", f"either way; {motion}")
         else:
-            yield Number(name, most, "rad", f"the most; {motion}")
-            yield Number(f"{name}, least", least, "rad", "the other end of its range")
+            yield Number(name, highest, "rad", f"the most; {motion}")
+            yield Number(f"{name}, least", lowest, "rad", "the other end of its range")
 
 
 def _thrusts(vehicle: Vehicle, weight: float) -> Iterator[Number]:
@@ -242,7 +242,7 @@ def _thrusts(vehicle: Vehicle, weight: float) -> Iterator[Number]:
     full = {kind: _loaded(kind).curve.thrust[-1] for kind in dict.fromkeys(kinds)}
     yield Number("engine", vehicle.engine, "", "what it is made for")
     for kind, thrust in full.items():
-        at = ", ".join(str(number) for number, other in enumerate(kinds, 1) if other == kind)
+        at = ", ".join(str(number) for number, engine in enumerate(kinds, 1) if engine == kind)
         name, of = ("full thrust", "") if len(full) == 1 else (f"full thrust, {kind}", f"; jets {at}")
         yield Number(name, thrust, "N", f"of one engine at rest, at full throttle{of}")
     total = sum(full[kind] for kind in kinds)
@@ -314,15 +314,15 @@ def _file_rows(table: Mapping[str, Any]) -> Iterator[Number]:
             yield Number(key, value, _unit(key), meaning)
 
 
-def _leaves(table: Mapping[str, Any], before: str) -> Iterator[Number]:
+def _leaves(table: Mapping[str, Any], prefix: str) -> Iterator[Number]:
     for key, value in table.items():
         if isinstance(value, Mapping):
-            yield from _leaves(value, f"{before}{key}.")
+            yield from _leaves(value, f"{prefix}{key}.")
         elif isinstance(value, list) and any(isinstance(element, Mapping) for element in value):
             for number, item in enumerate(value):
-                yield Number(f"{before}{key}.{number}", " ".join(_words(item)), "", "")
+                yield Number(f"{prefix}{key}.{number}", " ".join(_words(item)), "", "")
         else:
-            yield Number(f"{before}{key}", value, _unit(key), "")
+            yield Number(f"{prefix}{key}", value, _unit(key), "")
 
 
 def _words(table: Mapping[str, Any]) -> Iterator[str]:

@@ -92,8 +92,8 @@ def sweep(options: Sweep) -> int:
     settings = options.study_settings()
     if options.keys is not None:
         return _list_keys(settings, options.keys, options)
-    drawn = options.chosen("vary", "runs", "repeats", "design", "controllers", "correlate", "success", "seed")
-    study, folder = resolve_campaign(options.name, options.out, options.resume, settings=settings, **drawn)
+    varied = options.chosen("vary", "runs", "repeats", "design", "controllers", "correlate", "success", "seed")
+    study, folder = resolve_campaign(options.name, options.out, options.resume, settings=settings, **varied)
     notes = (*study.notes(), *designs_off(study), *model_notes(study)) if study is not None else ()
     with output_to_stderr(options.as_json), sweep_progress(folder, quiet=options.as_json) as tell:
         with choose_workers(options.workers, options.cluster, options.time_limit) as flying:
@@ -101,8 +101,8 @@ def sweep(options: Sweep) -> int:
                 click.echo(f"hexjet: note: {text}", err=True)
             campaign = run_campaign(study, folder, flying, options.resume, tell)
         page = write_campaign_report(campaign)
-    places = {"folder": str(folder), "report": str(page)}
-    options.answer(lambda: places | campaign_summary(campaign), lambda: print_campaign(campaign, page))
+    paths = {"folder": str(folder), "report": str(page)}
+    options.answer(lambda: paths | campaign_summary(campaign), lambda: print_campaign(campaign, page))
     return DONE
 
 
@@ -178,13 +178,13 @@ def search(options: Search) -> int:
 
 
 @contextmanager
-def _kept_flights(told: Callable[[], str]) -> Iterator[None]:
+def _report_interruption(describe: Callable[[], str]) -> Iterator[None]:
     """Answer Ctrl-C in a line that says what is kept, wherever it comes."""
     try:
         yield
     except KeyboardInterrupt as stop:
         stop.add_note(REPORTED)
-        print(f"hexjet: stopped{told()}", file=sys.stderr)
+        print(f"hexjet: stopped{describe()}", file=sys.stderr)
         raise
 
 
@@ -194,19 +194,19 @@ def sweep_progress(folder: Path, quiet: bool) -> Iterator[Callable[[Tally, int, 
 
     On a terminal it shows them, their rate and the time left.  Ctrl-C is answered in a line, wherever.
     """
-    done = of = 0
+    finished = total = 0
 
-    def kept() -> str:
-        if not of:
+    def describe_kept() -> str:
+        if not total:
             return " before the first flight"
-        return f"; {done} of {of} flights are kept: hexjet sweep {folder} --resume goes on"
+        return f"; {finished} of {total} flights are kept: hexjet sweep {folder} --resume goes on"
 
-    with _kept_flights(kept), _sweep_bar(quiet) as show:
+    with _report_interruption(describe_kept), _sweep_bar(quiet) as show:
 
-        def tell(tally: Tally, finished: int, all_flights: int) -> None:
-            nonlocal done, of
-            done, of = finished, all_flights
-            show(tally, done, of)
+        def tell(tally: Tally, now_finished: int, all_flights: int) -> None:
+            nonlocal finished, total
+            finished, total = now_finished, all_flights
+            show(tally, finished, total)
 
         yield tell
 
@@ -283,12 +283,12 @@ def search_progress(folder: Path, quiet: bool) -> Iterator[Callable[[int], None]
     """Yield a function that is told how many flights there are so far; Ctrl-C is answered in a line, wherever."""
     reached = 0
 
-    def kept() -> str:
+    def describe_kept() -> str:
         if not reached:
             return "; before the first flight"
         return f"; {reached} flights are kept: the same command with --out {folder} --resume goes on"
 
-    with _kept_flights(kept), part_progress("search", quiet) as show:
+    with _report_interruption(describe_kept), part_progress("search", quiet) as show:
 
         def tell(flights: int) -> None:
             nonlocal reached

@@ -90,8 +90,8 @@ def faults(options: Faults) -> int:
 def _engine_out(options: Faults) -> int:
     from cosim.campaign.surveys.engine_out import check_pages, engine_out, write, write_pages
 
-    own = ("aircraft", "engine", "engine_out", "designs", "docs", "workers", "out", "as_json")
-    refuse_others("does not go with --engine-out", *own)
+    allowed = ("aircraft", "engine", "engine_out", "designs", "docs", "workers", "out", "as_json")
+    refuse_others("does not go with --engine-out", *allowed)
     aircraft = (options.aircraft,) if is_given("aircraft") else ()
     engines = (options.engine,) if options.engine else ()
     folder, docs = options.run_folder("engine-out"), options.docs
@@ -209,8 +209,8 @@ def print_survival(result: Survival, report: Path) -> None:
     rows = []
     for kind, start, cells in survived:
         times = [time for cell in cells if cell.detected_s for time in cell.detected_s]
-        shown = [f"{cell.held}/{cell.flights}  {cell.lean_deg:3.0f} deg {cell.lost_m:4.1f} m" for cell in cells]
-        rows.append((kind, start, *shown, f"{min(times):.3f} to {max(times):.3f}" if times else "-"))
+        columns = [f"{cell.held}/{cell.flights}  {cell.lean_deg:3.0f} deg {cell.lost_m:4.1f} m" for cell in cells]
+        rows.append((kind, start, *columns, f"{min(times):.3f} to {max(times):.3f}" if times else "-"))
     titles = ("fault", "from", *map(label, controllers), "detected, s")
     show_table(titles, rows, range(2, len(titles)))
     say("held at so many of the places where it can happen; the largest lean and the most height lost there")

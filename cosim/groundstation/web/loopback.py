@@ -89,7 +89,7 @@ def response(
 ) -> Response:
     """Return an answer that browsers neither store nor frame.
 
-    ``policy``: of its content, which without one loads nothing.  ``share``: whose pages may load it.
+    ``policy``: of its content, which without one loads nothing.  ``resource_policy``: whose pages may load it.
     """
     headers = Headers(
         {

@@ -424,10 +424,10 @@ def test_a_full_scale_vehicle_holds_in_wind(wind: float, turbulence: int, furthe
         for _ in range(300):
             flight.fly(0.1)
             away.append(hypot(*flight.simulation.state.position[:2]))
-            assert abs(flight.simulation.state.altitude - 10.0) < failsafe_flight.HELD_HEIGHT_M
+            assert abs(flight.simulation.state.altitude - 10.0) < failsafe_flight.HOLD_HEIGHT_M
         flight.again(tmp_path)
     assert max(away) < furthest
-    assert max(away[200:]) < failsafe_flight.HELD_M
+    assert max(away[200:]) < failsafe_flight.HOLD_RADIUS_M
 
 
 @pytest.mark.parametrize("aircraft", HEXJETS)
@@ -534,8 +534,8 @@ def test_who_holds_is_where_and_as_high_as_it_was_to_hold(aircraft: str, wind: f
     row = flown("set-points lost", aircraft, 10.0, wind).row
     assert row.verdict == "holds"
     # it held at north 0, east 0; the place and the height are the set-point's, measured through the sensors
-    assert row.off_m < failsafe_flight.HELD_M
-    assert abs(row.height_off_m) < failsafe_flight.HELD_HEIGHT_M
+    assert row.off_m < failsafe_flight.HOLD_RADIUS_M
+    assert abs(row.height_off_m) < failsafe_flight.HOLD_HEIGHT_M
 
 
 @pytest.mark.parametrize("moved", [rq.Goto(4.0, 0.0), rq.Goto(altitude=4.0)])
@@ -730,7 +730,7 @@ def test_after_a_take_off_what_does_not_land_is_what_the_page_explains(aircraft:
                 assert float(down[1]) < vehicle.limits.touchdown_m_s
             off = re.search(r"([\d.]+) m off", cell)
             if off is not None and verdicts == {"holds"}:
-                assert float(off[1]) <= failsafe_flight.HELD_M
+                assert float(off[1]) <= failsafe_flight.HOLD_RADIUS_M
 
 
 @pytest.mark.parametrize(
