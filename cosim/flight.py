@@ -67,7 +67,8 @@ def fly(
         Makes a further observer of the flight when it is built, from the simulation, its pace, the folder and the
         planned duration [s].
     sink : KeepingSink or None
-        Keeps of the log what it wants to, at least the columns of :func:`cosim.results.metrics.columns`.
+        Keeps of the log what it wants to, at least the columns of :func:`cosim.results.metrics.columns`; the summary
+        has no notes on how models and vehicle agree, which take longer to find than a thousand steps.
 
     Returns
     -------
@@ -161,7 +162,7 @@ def record(
     columns = log_columns(logged_vehicle(simulation.vehicle), simulation.columns)
     files |= dict(contents or {})
     metrics = simulation.plugins.metrics
-    setup = setup_of(simulation, resolved)
+    setup = setup_of(simulation, resolved, notes=sink is None)  # a sink is for flights by the thousand
     if folder is None:  # nothing is copied: its parameter files are where they were
         scenario = simulation.scenario
         resolved = resolved.resolved(parameter_files=[f.seen_from(scenario.folder) for f in scenario.parameter_files])

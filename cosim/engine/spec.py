@@ -238,12 +238,13 @@ def find_source(name_or_path: str) -> EngineSource:
     if path.suffix.lower() in (".fmu", SUFFIX) or len(path.parts) > 1 or path.is_file():
         return EngineSource(path, _read(path), None, MappingFile(fmu=path.name))
     name = name_or_path.removesuffix(FMI2_SUFFIX)
-    if name not in engine_names():
+    folder = data_folder("engines") / name
+    if not (folder / "engine.toml").is_file():
         allowed = nearest(name, engine_names())
         raise InputError(
             f"unknown engine {name_or_path!r}; {allowed}, or the path of an .fmu or .ssp, or of a .toml that maps one"
         )
-    engine = _definition(data_folder("engines") / name)
+    engine = _definition(folder)
     path = archive_path(data_folder("fmus"), name, 2 if name_or_path != name else 3)
     if not path.is_file():
         raise InputError(f"engine {name_or_path}: {path} has not been built; run: hexjet fmu build")

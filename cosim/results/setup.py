@@ -30,14 +30,17 @@ from cosim.simulation.model_agreement import flight_notes
 from cosim.simulation.notes import idle_notes
 from cosim.simulation.step import Simulation
 from cosim.spec.controller_name import file_name, label
-from cosim.spec.scenario import Scenario, flown_parameters
+from cosim.spec.scenario import FlownParameters, Scenario, flown_parameters
 from cosim.spec.vehicle import is_own
 from cosim.spec.vehicle.sensor_profile import profile_words
 from cosim.vehicle.airframe import IN_THE_AIR, METHODS, ON_THE_GROUND, POSITIONS
 
 
-def setup_of(simulation: Simulation, resolved: Scenario) -> Setup:
-    """Return what is known of a run before its first step; ``resolved`` is its scenario as it flies."""
+def setup_of(simulation: Simulation, resolved: Scenario, notes: bool = True) -> Setup:
+    """Return what is known of a run before its first step; ``resolved`` is its scenario as it flies.
+
+    ``notes``: compare its models with the vehicle, for who reads what is found.
+    """
     scenario, engine = simulation.scenario, simulation.engine
     files = flown_parameters(scenario)
     parameters = [
@@ -75,11 +78,7 @@ def setup_of(simulation: Simulation, resolved: Scenario) -> Setup:
         reach=reach(simulation),
         yardstick=yardstick(scenario, simulation.vehicle),
         expectation=expectation(scenario),
-        notes=[
-            *design_notes(files, engine),
-            *flight_notes(scenario, simulation.vehicle, engine),
-            *idle_notes(scenario, simulation.vehicle, simulation.stations),
-        ],
+        notes=_notes(simulation, files) if notes else [],
         versions=versions(),
         blas_kernels=kernels.loaded(),
         sha256={
@@ -96,6 +95,15 @@ def setup_of(simulation: Simulation, resolved: Scenario) -> Setup:
             },
         },
     ).retitled()
+
+
+def _notes(simulation: Simulation, flown: Sequence[FlownParameters]) -> list[str]:
+    scenario, vehicle = simulation.scenario, simulation.vehicle
+    return [
+        *design_notes(flown, simulation.engine),
+        *flight_notes(scenario, vehicle, simulation.engine),
+        *idle_notes(scenario, vehicle, simulation.stations),
+    ]
 
 
 def _own_controller(simulation: Simulation) -> OwnController | None:

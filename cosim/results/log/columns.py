@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from itertools import count
 from typing import NamedTuple
 
@@ -76,7 +77,8 @@ class LoggedVehicle(NamedTuple):
 HEXJET = LoggedVehicle()  # six jets in two banks
 
 
-def _columns(vehicle: LoggedVehicle) -> list[Column]:
+@lru_cache(64)
+def _columns(vehicle: LoggedVehicle) -> tuple[Column, ...]:
     jets, servos = vehicle.jets, vehicle.servos
     banks = servos == SERVOS and not vehicle.accelerations
     moved = (*servos, *vehicle.surfaces)
@@ -86,7 +88,7 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
         columns = _cols(numbers, pattern, unit, frame, meaning, source)
         return [column if n < jets else column._replace(source="") for n, column in enumerate(columns)]
 
-    return [
+    return (
         Column("time_s", "s", "", "start of the step", "time"),
         *_cols(AXES, "{}_rad", "rad", _EULER, "true {} angle", "state.euler.{n}"),
         *_cols(
@@ -287,7 +289,7 @@ def _columns(vehicle: LoggedVehicle) -> list[Column]:
         *_cols(numbers, "fault_jet_{}", "0/1", "", "a fault acts on jet {}", "faults.{n}"),
         *_cols(moved, "fault_servo_{}", "0/1", "", "a fault acts on the {} servo", "faults.{n}", first=len(numbers)),
         *_cols(SENSORS, "fault_{}", "0/1", "", "a fault acts on the {}", "faults.{n}", first=len(numbers) + len(moved)),
-    ]
+    )
 
 
 def log_columns(vehicle: LoggedVehicle = HEXJET, custom: Sequence[Column] = ()) -> tuple[Column, ...]:
@@ -296,7 +298,7 @@ def log_columns(vehicle: LoggedVehicle = HEXJET, custom: Sequence[Column] = ()) 
     At least six of everything that a jet has, so that the logs of all vehicles can be laid side by side.  Raises
     InputError for a column of a block's own that cannot be one.
     """
-    columns = _columns(vehicle)
+    columns = list(_columns(vehicle))
     names = {column.name for column in columns}
     for n, column in enumerate(custom):
         if not column.name.isidentifier() or not column.name.isascii():
@@ -338,6 +340,11 @@ def surfaces_in(columns: Iterable[str]) -> tuple[str, ...]:
 
 
 def _named(pattern: str, columns: Iterable[str]) -> tuple[str, ...]:
+    return _matching(pattern, tuple(columns))
+
+
+@lru_cache(64)
+def _matching(pattern: str, columns: tuple[str, ...]) -> tuple[str, ...]:
     matches = [re.fullmatch(pattern, name) for name in columns]
     return tuple([match[1] for match in matches if match])
 

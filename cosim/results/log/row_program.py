@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -75,6 +76,11 @@ class Program(NamedTuple):
 
 def program(columns: Sequence[Column]) -> Program:
     """Return the sources of the columns, each looked up once.  Raises InputError for one that a sample has not."""
+    return _compile(tuple(columns))
+
+
+@lru_cache(16)
+def _compile(columns: tuple[Column, ...]) -> Program:
     compiled = _Compiler()
     angles: list[Angle] = []
     quaternions: dict[str, int] = {}

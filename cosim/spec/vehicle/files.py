@@ -68,11 +68,12 @@ def find_aircraft(aircraft: str, folder: Path = Path()) -> Path:
     Raises InputError for an unknown aircraft (lists the known ones) and for a path where none is.
     """
     if not is_own(aircraft):
-        if aircraft not in aircraft_names():
+        path = data_folder("aircraft") / aircraft / VEHICLE
+        if not path.is_file():
             suggestion = nearest(aircraft, aircraft_names())
             here = f"./{aircraft}" if (folder / aircraft / VEHICLE).is_file() else "the path of a folder"
             raise InputError(f"unknown aircraft {aircraft!r}; {suggestion}, or {here}")
-        return data_folder("aircraft") / aircraft / VEHICLE
+        return path
     path = folder / aircraft
     path = path / VEHICLE if path.is_dir() else path
     if not path.is_file():
