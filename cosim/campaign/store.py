@@ -19,7 +19,7 @@ from pathlib import Path
 from types import TracebackType
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import lock, one_line, own_file
+from cosim.base.storage.files import lock, map_os_errors, one_line, own_file
 from cosim.base.trust import looking
 from cosim.campaign.columns import stored_kinds, write_columns
 from cosim.campaign.folder import (
@@ -125,11 +125,9 @@ class Store:
         existing = next((name for name in frozen.files if (folder / name).exists()), None)
         if existing is not None:
             raise InputError(f"{folder}: already holds {existing}; choose another folder")
-        try:
+        with map_os_errors(InputError, folder):
             folder.mkdir(parents=True, exist_ok=True)
             journal = _open_journal(folder, os.O_CREAT | os.O_EXCL)  # first: an empty one tells that it hardly began
-        except OSError as error:
-            raise InputError(f"{folder}: {one_line(error)}") from error
         try:
             return cls._begin_with(folder, journal, frozen)
         except InputError:
@@ -142,14 +140,15 @@ class Store:
     @classmethod
     def _begin_with(cls, folder: Path, journal: int, frozen: Frozen) -> Store:
         try:
-            (folder / FLIGHTS).mkdir(exist_ok=True)
-            frozen.write(folder)
-            store = cls(folder, journal)
-            write_columns(folder, store.study)
-            return store
-        except (OSError, InputError) as error:
+            with map_os_errors(InputError, folder):
+                (folder / FLIGHTS).mkdir(exist_ok=True)
+                frozen.write(folder)
+                store = cls(folder, journal)
+                write_columns(folder, store.study)
+        except InputError:
             os.close(journal)
-            raise InputError(f"{folder}: {one_line(error)}" if isinstance(error, OSError) else str(error)) from error
+            raise
+        return store
 
     @classmethod
     def resume(cls, folder: Path, study: Study | None = None) -> Store:
@@ -161,10 +160,8 @@ class Store:
         anew = frozen is not None and _lacks_study(folder)
         if not anew:
             load(folder)
-        try:
+        with map_os_errors(InputError, folder):
             journal = _open_journal(folder, os.O_CREAT)
-        except OSError as error:
-            raise InputError(f"{folder}: {one_line(error)}") from error
         if frozen is not None and anew:
             return cls._begin_with(folder, journal, frozen)
         try:
@@ -414,10 +411,8 @@ def _open_journal(folder: Path, how: int) -> int:
 
 def _sync(file: int, path: Path) -> None:
     """Write a file's data to the disk.  Raises FlightError."""
-    try:
+    with map_os_errors(FlightError, path):
         os.fsync(file)
-    except OSError as error:
-        raise FlightError(f"{path}: {one_line(error)}") from error
 
 
 def _sync_folder(folder: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cosim.base.errors import FlightError, InputError
+from cosim.base.storage.files import map_os_errors
 from cosim.cli.options import load_scenario
 
 if TYPE_CHECKING:
@@ -66,8 +67,6 @@ def write_parameters(autopilot: str, aircraft: str, controller: Path, step: floa
 
     vehicle, _ = load_scenario("hover", str(controller), (), None, (), None, aircraft).resolved_vehicle()
     path = controller.with_suffix(".txt" if autopilot == "betaflight" else ".params" if autopilot == "px4" else ".parm")
-    try:
+    with map_os_errors(FlightError, path):
         path.write_text(parameters_of(autopilot, vehicle, step))
-    except OSError as error:
-        raise FlightError(f"{path}: {error.strerror or error}") from error
     return path

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.base.errors import InputError
-from cosim.base.storage.files import replacing, write_whole
+from cosim.base.storage.files import map_os_errors, replacing, write_whole
 from cosim.campaign.folder import FLIGHTS, STUDY
 from cosim.identify.logs import is_flight_log
 from cosim.results.run import SUMMARY
@@ -61,11 +61,8 @@ class Shelf:
     def entries(self) -> list[Entry]:
         """Return the entries of the folder now, the newest first; those that have not changed are not read again."""
         entries: dict[str, tuple[list[int], Entry]] = {}
-        try:
-            with os.scandir(self.folder) as items:
-                folders = [item for item in items if _is_candidate(item)]
-        except OSError as error:
-            raise InputError(f"{self.folder}: {error.strerror or error}") from error
+        with map_os_errors(InputError, self.folder), os.scandir(self.folder) as items:
+            folders = [item for item in items if _is_candidate(item)]
         changed = len(folders) != len(self._rows)
         for folder in folders:
             stamp = _stamp(folder)
@@ -112,14 +109,12 @@ class Shelf:
         if self._rows[name][1].kind == UNFINISHED:
             raise InputError(f"{name}: has no end yet, and may still be written to; nothing was deleted")
         trash = self.folder / f".deleted-{name}"
-        try:
+        with map_os_errors(InputError, name):
             folder.rename(trash)  # whole or not at all, for whoever reads at the same time
             if trash.is_file():
                 trash.unlink()
             else:
                 shutil.rmtree(trash)
-        except OSError as error:
-            raise InputError(f"{name}: {error.strerror or error}") from error
         self._rows.pop(name, None)
 
     def _load(self) -> None:

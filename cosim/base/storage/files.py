@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict, fields
 from math import isfinite
 from pathlib import Path
@@ -37,22 +37,24 @@ def own_file(path: str | Path, flags: int) -> int:
 
 def write_whole(path: Path, content: str | bytes, failure: type[Exception] | None = None) -> None:
     """Write a whole file, or leave it as it was.  Raises OSError, or ``failure`` with file and reason in a line."""
+    with map_os_errors(failure, path) if failure else nullcontext(), replacing(path) as temporary:
+        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+@contextmanager
+def map_os_errors(failure: type[Exception], path: Path | str) -> Iterator[None]:
+    """Raise ``failure``, with path and reason in a line, in the place of an OSError."""
     try:
-        with replacing(path) as temporary:
-            temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+        yield
     except OSError as error:
-        if failure is None:
-            raise
         raise failure(f"{path}: {one_line(error)}") from error
 
 
 def write_files(files: Mapping[Path, str | bytes]) -> None:
     """Write several files, in folders that are made if need be.  Raises FlightError."""
     for path, content in files.items():
-        try:
+        with map_os_errors(FlightError, path.parent):
             path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise FlightError(f"{path.parent}: {one_line(error)}") from error
         write_whole(path, content, FlightError)
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import locked, one_line, write_whole
+from cosim.base.storage.files import locked, map_os_errors, write_whole
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.campaign.folder import Frozen, freeze
 from cosim.campaign.folder import load as load_study
@@ -139,9 +139,8 @@ def run_search(
     nothing is overwritten then; FlightError if no more can be flown or written.
     """
     frozen = freeze(study)
-    try:
-        begun = _holds_search(out, frozen, plan, resume)
-        if not begun:
+    with map_os_errors(FlightError, out):
+        if not _holds_search(out, frozen, plan, resume):
             _begin(out, frozen, plan)
         with locked(out / JOURNAL, f"{out}: another search is at work there"):
             prober = Prober(load_study(out / STUDY), plan.seeds, plan.share, workers, Journal(out / JOURNAL), progress)
@@ -151,8 +150,6 @@ def run_search(
             looked = [(point, prober.result(point).breaks) for point in prober.points]
             searched = SavedSearch(out, result, cases, looked)
             _write(searched)
-    except OSError as error:
-        raise FlightError(f"{out}: {one_line(error)}") from error
     return searched
 
 

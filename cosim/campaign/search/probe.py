@@ -9,7 +9,7 @@ from math import ceil
 from pathlib import Path
 
 from cosim.base.errors import FlightError
-from cosim.base.storage.files import one_line, own_file
+from cosim.base.storage.files import map_os_errors, one_line, own_file
 from cosim.campaign.study.keys import Value
 from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.study import Study
@@ -157,8 +157,8 @@ class Journal:
     def add(self, point: Point, seed: int, row: Row) -> None:
         """Write one row.  Raises FlightError if that fails."""
         line = {"controller": point.controller, "seed": seed, "values": dict(point.values), "row": row}
-        try:
-            with open(self.path, "a", encoding="utf-8", opener=own_file) as file:
-                file.write(json.dumps(line) + "\n")
-        except OSError as error:
-            raise FlightError(f"{self.path}: {one_line(error)}") from error
+        with (
+            map_os_errors(FlightError, self.path),
+            open(self.path, "a", encoding="utf-8", opener=own_file) as file,
+        ):
+            file.write(json.dumps(line) + "\n")

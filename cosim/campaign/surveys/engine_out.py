@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.outcomes import Verdict
-from cosim.base.storage.files import finite, write_files, write_records
+from cosim.base.storage.files import finite, map_os_errors, write_files, write_records
 from cosim.base.storage.toml import toml_text
 from cosim.campaign.surveys.faults import HEIGHT_M, SETTLED_S
 from cosim.campaign.surveys.lean_bound import STEP_S, Bound, RollAxis, make_roll_axis, measure_courses
@@ -178,11 +178,9 @@ def _controller(subject: Subject, designs: Path, say: Say) -> ControllerFile | s
     designed = design(engine, aircraft, need=Requirements())
     if not designed.ok:
         return f"no controller keeps the requirements of hexjet design: {designed.reason}"
-    try:
+    with map_os_errors(InputError, path):
         designs.mkdir(parents=True, exist_ok=True)
-        write_files({path: toml_text(controller_table(designed))})
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
+    write_files({path: toml_text(controller_table(designed))})
     return read_controller(path, aircraft)
 
 
@@ -372,8 +370,6 @@ def check_pages(folder: Path) -> None:
 def write(result: EngineOut, folder: Path) -> Path:
     """Write ``engine-out.csv`` in ``folder``.  Raises InputError if it cannot be written."""
     path = folder / "engine-out.csv"
-    try:
+    with map_os_errors(InputError, path):
         write_records(path, Flight, result.flights)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
     return path

@@ -10,6 +10,7 @@ from math import isnan, nan
 from pathlib import Path
 
 from cosim.base.errors import InputError
+from cosim.base.storage.files import map_os_errors
 from cosim.base.storage.toml import toml_text
 from cosim.campaign.surveys.failsafe_flight import Row
 from cosim.campaign.surveys.failsafes import HOVER_S, Failsafes
@@ -20,24 +21,22 @@ from cosim.spec.scenario import Scenario
 
 
 def write(result: Failsafes, folder: Path) -> Path:
-    """``failsafes.csv`` in ``folder``, and in ``flights/`` a scenario with its requests for every row: ``hexjet fly``.
+    """Write ``failsafes.csv``, and in ``flights/`` a scenario with its requests for every row, for ``hexjet fly``.
 
     Raises InputError if they cannot be written.
     """
     table = folder / "failsafes.csv"
     flights = folder / "flights"
-    try:
+    names = [field.name for field in fields(Row)]
+    with map_os_errors(InputError, folder):
         flights.mkdir(parents=True, exist_ok=True)
         with open(table, "w", newline="", encoding="utf-8") as file:
             lines = csv.writer(file)
-            names = [field.name for field in fields(Row)]
             lines.writerow([*names, "flight"])
             for flight in result.flights:
                 name = file_name(flight.row)
                 lines.writerow([*(getattr(flight.row, column) for column in names), f"flights/{name}.toml"])
                 write_flight(flights, name, flight.scenario, flight.entries)
-    except OSError as error:
-        raise InputError(f"{folder}: {error.strerror or error}") from error
     return table
 
 

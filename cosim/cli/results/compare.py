@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cosim.base.errors import InputError
+from cosim.base.storage.files import map_os_errors
 from cosim.cli import opt
 from cosim.cli.console import output_to_stderr, say, show_table, terminal
 from cosim.cli.options import DONE, example
@@ -84,10 +85,8 @@ def compare(options: Compare) -> int:
     compared = pairs(loaded)
     chosen = _select_signals(compared, options.patterns)
     if page is not None:
-        try:
+        with map_os_errors(InputError, page.parent):
             page.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{page.parent}: {error.strerror or error}") from error
         write_comparison(loaded, compared, page)
     options.answer(lambda: _to_dict(loaded, compared, page), lambda: _print(loaded, compared, chosen, page))
     return DONE
