@@ -55,16 +55,16 @@ class AltitudeController:
             self._lead.follow(lead)
 
     def reset(self) -> None:
-        """No integral."""
+        """Return to no integral."""
         self._integral = 0.0
         self._started = False
-        self._left: AltitudeGains | None = None
+        self._old_gains: AltitudeGains | None = None
         self._fade: Fade | None = None
 
     def retune(self, gains: AltitudeGains) -> None:
-        """Other gains from the next update on, without a bump: the difference in acceleration fades."""
-        if self._left is None:
-            self._left = self._gains
+        """Set other gains from the next update on, without a bump: the difference in acceleration fades."""
+        if self._old_gains is None:
+            self._old_gains = self._gains
         self._set(gains)
         self._fade = self._fade or Fade(self._step)
 
@@ -73,8 +73,8 @@ class AltitudeController:
         if command.collective is not None:
             self._started = False
             return command.collective
-        off = command.altitude - measured.altitude
-        error = self.climb(off) + measured.velocity[2]
+        height_error = command.altitude - measured.altitude
+        error = self.climb(height_error) + measured.velocity[2]
         if unallocated.collective * error <= 0.0:
             limit = self._limit
             integral = self._integral + self._i * error
@@ -85,31 +85,31 @@ class AltitudeController:
             upright = LEAST_UPRIGHT
         acceleration = GRAVITY + self._velocity * error + self._integral
         if self._fade is not None:
-            acceleration += self._faded(self._fade, off, measured.velocity[2], acceleration)
+            acceleration += self._fade_change(self._fade, height_error, measured.velocity[2], acceleration)
         throttle = self._throttle_for((self._mass - burnt) * acceleration / upright)
-        return throttle if self._lead is None else self._led(self._lead, throttle, unallocated.collective)
+        return throttle if self._lead is None else self._apply_lead(self._lead, throttle, unallocated.collective)
 
-    def climb(self, off: float) -> float:
-        """Return the commanded climb rate [m/s] at ``off`` metres below the set-point."""
-        return clip(self._position * off, self._down, self._up)
+    def climb(self, height_error: float) -> float:
+        """Return the commanded climb rate [m/s] at ``height_error`` metres below the set-point."""
+        return clip(self._position * height_error, self._down, self._up)
 
-    def _led(self, lead: Lead, throttle: float, unallocated: float) -> float:
-        """Behind the lead, which finds the engines settled when height control begins."""
+    def _apply_lead(self, lead: Lead, throttle: float, unallocated: float) -> float:
+        """Return the led throttle; the lead starts settled when height control begins."""
         if not self._started:
             lead.settle(throttle)
             unallocated = 0.0
         self._started = True
         return lead.update(throttle, unallocated)
 
-    def _faded(self, fade: Fade, off: float, sink: float, new: float) -> float:
-        """Return the fading rest of the old law's answer minus the ``new`` one's; the integral is common to both."""
-        left = fade.update()
-        if self._left is None:
-            return left
-        old = self._left
-        self._left = None
+    def _fade_change(self, fade: Fade, height_error: float, sink: float, new: float) -> float:
+        """Return the fading difference of the old gains' acceleration to the ``new`` one; the integral is common."""
+        rest = fade.update()
+        if self._old_gains is None:
+            return rest
+        old = self._old_gains
+        self._old_gains = None
         position, velocity, _ = self._factors
-        climb = max(-old.descent_limit_m_s, min(old.climb_limit_m_s, position * old.position_1_s * off))
-        difference = GRAVITY + velocity * old.velocity_1_s * (climb + sink) + self._integral + left - new
+        climb = max(-old.descent_limit_m_s, min(old.climb_limit_m_s, position * old.position_1_s * height_error))
+        difference = GRAVITY + velocity * old.velocity_1_s * (climb + sink) + self._integral + rest - new
         fade.begin(difference)
         return difference

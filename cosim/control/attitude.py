@@ -25,36 +25,36 @@ class AttitudeController:
     def __init__(self, gains: AttitudeGains) -> None:
         self._gain = gains.gain_1_s
         self._limit = gains.rate_limit_rad_s
-        self._stated = gains.gain_1_s
+        self._nominal = gains.gain_1_s
         self._roll_factor = 1.0
         self._euler: Vector3 = (0.0, 0.0, 0.0)
         self._setpoint = from_euler(0.0, 0.0, 0.0)
         self.reset()
 
     def reset(self) -> None:
-        """Nothing is remembered between steps but the last set-point's quaternion, and a change of gains."""
-        self._left: tuple[Vector3, Vector3] | None = None
+        """Drop a change of gains that is fading; nothing else is kept between steps but the set-point's quaternion."""
+        self._old_law: tuple[Vector3, Vector3] | None = None
         self._fades: tuple[Fade, ...] = ()
 
     def retune(self, gains: AttitudeGains, step: float) -> None:
-        """Other gains from the next update on, without a bump: the difference fades; ``step`` s between updates."""
-        if self._left is None:
-            self._left = (self._gain, self._limit)
-        self._stated, self._limit = gains.gain_1_s, gains.rate_limit_rad_s
+        """Set other gains from the next update on, without a bump: the difference fades; ``step`` s between updates."""
+        if self._old_law is None:
+            self._old_law = (self._gain, self._limit)
+        self._nominal, self._limit = gains.gain_1_s, gains.rate_limit_rad_s
         self.follow(self._roll_factor)
         self._fades = self._fades or (Fade(step), Fade(step), Fade(step))
 
     def follow(self, roll: float) -> None:
         """Multiply the gain of roll by this from the next update on; see :mod:`cosim.control.schedule`."""
         self._roll_factor = roll
-        x, y, z = self._stated
+        x, y, z = self._nominal
         self._gain = (roll * x, y, z)
 
     def update(self, command: Command, measured: Measured) -> Vector3:
-        """Body rate set-point, rad/s."""
+        """Return the body rate set-point, rad/s."""
         if command.rate is not None:
             return command.rate
-        return self._towards(self.error(command, measured))
+        return self._rates_for(self.error(command, measured))
 
     def thrust_first(self, command: Command, measured: Measured, lean: tuple[float, float]) -> Vector3:
         """As :meth:`update`, for a vehicle that holds no heading: about the body's z axis it is to stop turning.
@@ -71,8 +71,8 @@ class AttitudeController:
         roll, pitch, yaw = command.attitude
         size = sqrt(roll * roll + pitch * pitch)
         if size > MOST_LEAN_RAD:
-            share = MOST_LEAN_RAD / size
-            command = command._replace(attitude=(share * roll, share * pitch, yaw))
+            scale = MOST_LEAN_RAD / size
+            command = command._replace(attitude=(scale * roll, scale * pitch, yaw))
         ex, ey, ez = self.error(command, measured)
         n = sqrt(max(0.0, 1.0 - 0.25 * (ex * ex + ey * ey)))
         if n > 0.0:
@@ -80,20 +80,20 @@ class AttitudeController:
             sine = 0.5 * ez / n
             cosine = sqrt(max(0.0, 1.0 - sine * sine))
             ex, ey = ex * cosine - ey * sine, ey * cosine + ex * sine
-        return self._towards((ex + lean[0], ey + lean[1], 0.0))
+        return self._rates_for((ex + lean[0], ey + lean[1], 0.0))
 
-    def _towards(self, error: Vector3) -> Vector3:
+    def _rates_for(self, error: Vector3) -> Vector3:
         """Return the body rates [rad/s] that an attitude error [rad] asks for."""
         ex, ey, ez = error
         kx, ky, kz = self._gain
         lx, ly, lz = self._limit
         p, q, r = kx * ex, ky * ey, kz * ez
-        answer = (
+        rates = (
             clamp(p, lx),
             clamp(q, ly),
             clamp(r, lz),
         )
-        return self._faded(error, answer) if self._fades else answer
+        return self._fade(error, rates) if self._fades else rates
 
     def direction(self, command: Command, measured: Measured) -> Vector3:
         """Return the commanded direction of the body's z axis, in body axes; the heading has no part in it."""
@@ -104,7 +104,7 @@ class AttitudeController:
         return (0.5 * x * z + w * y, 0.5 * y * z - w * x, 1.0 - 0.5 * (x * x + y * y))
 
     def error(self, command: Command, measured: Measured) -> Vector3:
-        """From the attitude to what is asked for, about the body axes, rad."""
+        """Return the attitude error, from the attitude to its set-point, about the body axes, rad."""
         if command.attitude != self._euler:
             self._euler = command.attitude
             self._setpoint = from_euler(*self._euler)
@@ -116,15 +116,15 @@ class AttitudeController:
         ez = double * (aw * bz - ax * by + ay * bx - az * bw)
         return (ex, ey, ez)
 
-    def _faded(self, error: Vector3, new: Vector3) -> Vector3:
-        """Return the new law's answer plus the fading rest of its difference to the old one's."""
+    def _fade(self, error: Vector3, new: Vector3) -> Vector3:
+        """Return the rates of the new gains plus the fading difference to those of the old ones."""
         x, y, z = (fade.update() for fade in self._fades)
-        if self._left is None:
+        if self._old_law is None:
             return (new[0] + x, new[1] + y, new[2] + z)
-        gain, limit = self._left
-        self._left = None
-        left = zip(gain, limit, error, (x, y, z), strict=True)
-        old = [max(-most, min(most, k * e)) + rest for k, most, e, rest in left]
+        gain, limit = self._old_law
+        self._old_law = None
+        terms = zip(gain, limit, error, (x, y, z), strict=True)
+        old = [max(-most, min(most, k * e)) + fade for k, most, e, fade in terms]
         for fade, before, after in zip(self._fades, old, new, strict=True):
             fade.begin(before - after)
         return (old[0], old[1], old[2])

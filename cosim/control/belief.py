@@ -1,4 +1,4 @@
-"""What a controller from outside is told before its first flight: what may be believed, and never the truth."""
+"""The information for a user-supplied controller before its first flight: nominal data, never the true state."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from cosim.spec.vehicle import RateModel, Vehicle
 
 @dataclass(frozen=True)
 class Belief:
-    """What a controller may believe of what it flies.
+    """The nominal vehicle and the identified engines, as a controller may use them.
 
-    A mismatch, a fault and the true state are in none of it: it is what is stated of the vehicle, and what was
-    identified of its engines.
+    It contains no mismatch, no fault and no true state.
 
     Attributes
     ----------
@@ -53,12 +52,12 @@ class Belief:
 
     @cached_property
     def engines(self) -> Sequence[EngineReference]:
-        """Of each jet its engine: thrust at rest [N] by throttle, and its lag [s] behind its delay [s]."""
+        """The engine of each jet: thrust at rest [N] by throttle, and its lag [s] behind its delay [s]."""
         return self.measured_engines()
 
     @property
     def model(self) -> RateModel | None:
-        """That of :attr:`axis`."""
+        """The model of :attr:`axis`."""
         return self.models.get(self.axis)
 
     def predictors(self, name: str) -> list[Predictor]:

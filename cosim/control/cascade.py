@@ -181,7 +181,7 @@ class Cascade:
             self._starting = _LONGEST_START
         elif self._starting > 0.0:
             self._starting -= self._step
-            if monitor.started(self._throttle, engines):
+            if monitor.have_started(self._throttle, engines):
                 self._starting = 0.0
             monitor.resume(self._throttle)
         elif monitor.update(self._throttle, engines):
@@ -200,7 +200,7 @@ class Cascade:
 
     def _clear_losses(self, engines: EngineOutput) -> None:
         monitor = self.monitor
-        if monitor is None or monitor.settled(self._throttle, engines):
+        if monitor is None or monitor.have_settled(self._throttle, engines):
             self._clears_losses, self._shut_by_law = False, NO_JETS
             if monitor is not None:
                 monitor.reset(self._throttle)

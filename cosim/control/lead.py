@@ -1,4 +1,4 @@
-"""Lead: a slow engine answered for, by asking at first for more than is wanted in the end.
+"""Lead: compensation of a slow engine by an overshoot of its command.
 
 The lags of the engine are divided out and shorter ones put in their place, with gain 1 at rest:
 
@@ -18,19 +18,19 @@ from cosim.spec.vehicle import EngineLead
 
 
 def lead_polynomials(lead: EngineLead, step: float) -> tuple[list[float], list[float]]:
-    """Numerator and denominator of ``C(z)``, highest power first, the denominator's first coefficient 1."""
+    """Return numerator and denominator of ``C(z)``, highest power first, the denominator's first coefficient 1."""
     w, zeta = lead.natural_rad_s, lead.damping
     if zeta is None:
         roots = [complex(-w)]
     else:
-        turn = w * sqrt(complex(zeta * zeta - 1.0))
-        roots = [-zeta * w + turn, -zeta * w - turn]
-    over, under = [complex(1.0)], [complex(1.0)]
+        spread = w * sqrt(complex(zeta * zeta - 1.0))
+        roots = [-zeta * w + spread, -zeta * w - spread]
+    numerator, denominator = [complex(1.0)], [complex(1.0)]
     for root in roots:
-        over = _times(over, exp(root * step))
-        under = _times(under, exp(complex(-lead.pole_rad_s * step)))
-    gain = _at_one(under) / _at_one(over)
-    return [gain * x.real for x in over], [x.real for x in under]
+        numerator = _times(numerator, exp(root * step))
+        denominator = _times(denominator, exp(complex(-lead.pole_rad_s * step)))
+    gain = _at_one(denominator) / _at_one(numerator)
+    return [gain * x.real for x in numerator], [x.real for x in denominator]
 
 
 def _at_one(polynomial: list[complex]) -> float:
@@ -49,8 +49,8 @@ def _times(polynomial: list[complex], root: complex) -> list[complex]:
 class Lead:
     """The lead on one command.
 
-    What allocation could not give is taken back from its past, and with it what was wanted (``unallocated / C(inf)``):
-    its state is then that of an engine that got what was applied: it neither winds up nor asks for what is there.
+    The allocation residual is subtracted from its state (``unallocated / C(inf)``), which is then that of an engine
+    that got what was applied, so that the lead does not wind up.
     """
 
     def __init__(self, lead: EngineLead, step: float) -> None:
@@ -59,14 +59,14 @@ class Lead:
         self.settle(0.0)
 
     def follow(self, lead: EngineLead) -> None:
-        """Another lead of the same form from the next update on: what is wanted for long is still given as it is."""
-        over, under = lead_polynomials(lead, self._step)
-        # C = c_0 + c_1 L + c_2 L^2 with the low-pass L = (1 - p) / (z - p): states that are as large as what is wanted,
-        # whatever the lead becomes.  Past answers for states would be, with a change, a push that two lags add up.
+        """Use another lead of the same form from the next update on; its gain at rest is 1 as well."""
+        numerator, denominator = lead_polynomials(lead, self._step)
+        # C = c_0 + c_1 L + c_2 L^2 with the low-pass L = (1 - p) / (z - p): states as large as the input, whatever the
+        # lead becomes.  With past outputs as states a change of the lead would be a step that two lags add up.
         p = exp(complex(-lead.pole_rad_s * self._step)).real
-        b0, b1, b2 = (*over, 0.0)[:3]
-        self._most, self._p, self._q = b0, p, 1.0 - p
-        if len(under) == 2:
+        b0, b1, b2 = (*numerator, 0.0)[:3]
+        self._instant_gain, self._p, self._q = b0, p, 1.0 - p
+        if len(denominator) == 2:
             self._c1, self._c2 = (b1 + p * b0) / self._q, 0.0
         else:
             self._c1 = (b1 + 2.0 * p * b0) / self._q
@@ -74,19 +74,19 @@ class Lead:
 
     @property
     def constants(self) -> tuple[float, float, float, float, float]:
-        """``C(inf)``, the low-pass's ``p`` and ``1 - p``, and the weights of the two low-passed."""
-        return (self._most, self._p, self._q, self._c1, self._c2)
+        """The constants ``C(inf)``, the low-pass's ``p`` and ``1 - p``, and the weights of the two low-passed."""
+        return (self._instant_gain, self._p, self._q, self._c1, self._c2)
 
     def settle(self, value: float) -> None:
-        """As if ``value`` had always been wanted."""
-        self._once = self._twice = value  # what was wanted, through one low-pass and through two
+        """Start as if ``value`` had always been the input."""
+        self._once = self._twice = value  # the input, through one low-pass and through two
 
-    def update(self, wanted: float, unallocated: float) -> float:
-        """Return the led command; ``unallocated`` is what allocation could not give of the answer before."""
+    def update(self, value: float, unallocated: float) -> float:
+        """Return the led command; ``unallocated``: the allocation residual of the one before."""
         p, q, once = self._p, self._q, self._once
         if unallocated:
-            once -= q * unallocated / self._most
+            once -= q * unallocated / self._instant_gain
         twice = self._twice
         self._twice = p * twice + q * once
-        self._once = p * once + q * wanted
-        return self._most * wanted + self._c1 * once + self._c2 * twice
+        self._once = p * once + q * value
+        return self._instant_gain * value + self._c1 * once + self._c2 * twice

@@ -19,13 +19,13 @@ _NOTHING: Diagnostics = (nan, nan, nan)
 
 
 class _Law(NamedTuple):
-    """Gains (per step) and predictor of a law that is being left."""
+    """Gains (per step) and predictor before a change in flight."""
 
     p: float
     i: float
     d: float
     limit: float
-    share: float
+    filter_gain: float
     predictor: Predictor
 
     def integrate(self, integral: float, error: float, stop: bool) -> float:
@@ -36,26 +36,26 @@ class RateAxis:
     """PID on one axis.
 
     ``u = p (r - y) + i integral(r - y) - d y'``, with ``y`` from the predictor and ``y'`` through a first-order
-    filter.  The integral stops where allocation refused a command of the error's sign, and is limited.  With a lead the
-    command is the lead's answer to ``u``, and the predictor reads that.
+    filter.  The integral stops where allocation has left a residual of the error's sign, and is limited.  With a lead
+    the command is the lead's output for ``u``, and the predictor reads that.
     """
 
     def __init__(self, gains: RateGains, predictor: Predictor, step: float, lead: Lead | None = None) -> None:
-        self._stated = gains
+        self._nominal = gains
         self._factors = (1.0, 1.0, 1.0)
         self._p = gains.p
         self._i = gains.i * step
         self._d = gains.d
         self._limit = gains.integral_limit
-        self._share = step / (gains.d_filter_s + step)
+        self._filter_gain = step / (gains.d_filter_s + step)
         self._step = step
-        self._use(predictor)
+        self._set_predictor(predictor)
         self._lead = lead
-        self._past: deque[tuple[float, float]] | None = None
+        self._history: deque[tuple[float, float]] | None = None
         self.reset()
 
     def reset(self) -> None:
-        """At rest: no integral, nothing commanded."""
+        """Return to rest: no integral, nothing commanded."""
         self._predictor.reset()
         self.predicted = 0.0
         self._integral = 0.0
@@ -63,18 +63,18 @@ class RateAxis:
         self._command = 0.0
         self._started = False
         self._fade: Fade | None = None
-        self._left: _Law | None = None
+        self._old_law: _Law | None = None
         if self._lead is not None:
             self._lead.settle(0.0)
-        if self._past is not None:
-            self._past.clear()
+        if self._history is not None:
+            self._history.clear()
 
     def update(self, setpoint: float, measured: float, unallocated: float) -> float:
         """Return the command of this step; ``unallocated`` is what allocation could not give of the one before."""
-        if self._past is not None:
-            self._past.append((measured, self._command - unallocated))
-        if self._left is not None:
-            return self._change(self._left, setpoint, measured, unallocated)
+        if self._history is not None:
+            self._history.append((measured, self._command - unallocated))
+        if self._old_law is not None:
+            return self._update_at_change(self._old_law, setpoint, measured, unallocated)
         rate = self._predictor.update(measured, self._command - unallocated) if self._predicts else measured
         error = setpoint - rate
         if unallocated * error <= 0.0:
@@ -82,7 +82,7 @@ class RateAxis:
             limit = self._limit
             self._integral = clamp(integral, limit)
         if self._started:
-            self._slope += self._share * ((rate - self.predicted) / self._step - self._slope)
+            self._slope += self._filter_gain * ((rate - self.predicted) / self._step - self._slope)
         self._started = True
         self.predicted = rate
         self._command = self._p * error + self._integral - self._d * self._slope
@@ -98,60 +98,60 @@ class RateAxis:
         The integral is kept in the command's unit and the lead keeps its past, so small changes make no bump.
         """
         self._factors = (p, i, d)
-        gains = self._stated
+        gains = self._nominal
         self._p, self._i, self._d = p * gains.p, i * (gains.i * self._step), d * gains.d
         if lead is not None and self._lead is not None:
             self._lead.follow(lead)
 
-    def remember(self, samples: int) -> None:
-        """Keep this many steps, so that a predictor that comes in flight can catch up with them."""
-        self._past = deque(maxlen=samples)
+    def keep_history(self, samples: int) -> None:
+        """Keep this many past steps, with which a predictor that comes in flight is initialised."""
+        self._history = deque(maxlen=samples)
 
     def retune(self, gains: RateGains, predictor: Predictor | None = None) -> None:
-        """Other gains, and another predictor where one is given, from the next update on, without a bump.
+        """Set other gains, and another predictor if not None, from the next update on, without a bump.
 
         The next command is still the old law's; the difference to the new law's fades from then on.
         """
-        if self._left is None:
-            self._left = _Law(self._p, self._i, self._d, self._limit, self._share, self._predictor)
+        if self._old_law is None:
+            self._old_law = _Law(self._p, self._i, self._d, self._limit, self._filter_gain, self._predictor)
         step = self._step
         p, i, d = self._factors
-        self._stated = gains
+        self._nominal = gains
         self._p, self._i, self._d = p * gains.p, i * (gains.i * step), d * gains.d
         self._limit = gains.integral_limit
-        self._share = step / (gains.d_filter_s + step)
+        self._filter_gain = step / (gains.d_filter_s + step)
         if predictor is not None:
             predictor.reset()
-            for measured, applied in self._past or ():
+            for measured, applied in self._history or ():
                 predictor.update(measured, applied)
-            self._use(predictor)
+            self._set_predictor(predictor)
 
     @property
     def predictor(self) -> Predictor:
-        """The one that answers from the next update on."""
+        """The predictor from the next update on."""
         return self._predictor
 
-    def _use(self, predictor: Predictor) -> None:
+    def _set_predictor(self, predictor: Predictor) -> None:
         self._predictor: SmithPredictor | Predictor = predictor
         self._predicts = not isinstance(predictor, NoPredictor)  # else the measurement is fed back without a call
 
-    def _change(self, old: _Law, setpoint: float, measured: float, unallocated: float) -> float:
-        """Return the command at a change of law: both laws answer, the old one's answer is used."""
-        self._left = None
+    def _update_at_change(self, old: _Law, setpoint: float, measured: float, unallocated: float) -> float:
+        """Return the command at a change of gains: that of the old gains, from which the difference fades."""
+        self._old_law = None
         applied = self._command - unallocated
-        # catching up has already told the new predictor of the steps before this one
-        before = old.predictor.update(measured, applied)
-        swapped = self._predictor is not old.predictor
-        rate = self._predictor.update(measured, applied) if swapped else before
-        stop = unallocated * (setpoint - before) > 0.0
-        integral = old.integrate(self._integral, setpoint - before, stop)
+        # The new predictor has already been initialised with the steps before this one.
+        old_rate = old.predictor.update(measured, applied)
+        is_swapped = self._predictor is not old.predictor
+        rate = self._predictor.update(measured, applied) if is_swapped else old_rate
+        stop = unallocated * (setpoint - old_rate) > 0.0
+        integral = old.integrate(self._integral, setpoint - old_rate, stop)
         slope = self._slope
         if self._started:
-            slope += old.share * ((before - self.predicted) / self._step - slope)
-        command = old.p * (setpoint - before) + integral - old.d * slope
+            slope += old.filter_gain * ((old_rate - self.predicted) / self._step - slope)
+        command = old.p * (setpoint - old_rate) + integral - old.d * slope
         if self._fade is not None:
             command += self._fade.update()
-        # where the predictor changes the predicted rate jumps, which its slope must not see
+        # A change of predictor makes the predicted rate jump, which must not enter its slope.
         self._slope = slope
         self._integral = max(-self._limit, min(self._limit, integral))
         self.predicted = rate
@@ -161,13 +161,13 @@ class RateAxis:
         self._command = command if self._lead is None else self._lead.update(command, unallocated)
         return self._command
 
-    def tell(self, added: float) -> None:
+    def add_to_command(self, added: float) -> None:
         """Add to the command that the predictor reads: it reads it behind the point where ``added`` came in."""
         self._command += added
 
     @property
     def diagnostics(self) -> Diagnostics:
-        """What is to be seen of the predictor's model; NaN where there is none."""
+        """The diagnostics of the predictor; NaN where it has none."""
         diagnostics: Diagnostics = getattr(self._predictor, "diagnostics", _NOTHING)
         return diagnostics
 
@@ -188,12 +188,12 @@ class RateController:
         )
 
     def reset(self) -> None:
-        """All axes at rest."""
+        """Return all axes to rest."""
         for axis in (self._roll, self._pitch, self._yaw):
             axis.reset()
 
     def update(self, setpoint: Vector3, measured: Vector3, unallocated: Unallocated) -> Vector3:
-        """Torque commands: roll in throttle, pitch and yaw in rad of tilt at hover thrust."""
+        """Return the torque commands: roll in throttle, pitch and yaw in rad of tilt at hover thrust."""
         return (
             self._roll.update(setpoint[0], measured[0], unallocated.roll),
             self._pitch.update(setpoint[1], measured[1], unallocated.pitch),
@@ -204,21 +204,21 @@ class RateController:
         """As :meth:`RateAxis.follow`, on roll."""
         self._roll.follow(p, i, d, lead)
 
-    def remember(self, samples: int) -> None:
-        """As :meth:`RateAxis.remember`, on all axes."""
+    def keep_history(self, samples: int) -> None:
+        """As :meth:`RateAxis.keep_history`, on all axes."""
         for axis in (self._roll, self._pitch, self._yaw):
-            axis.remember(samples)
+            axis.keep_history(samples)
 
     def retune(self, gains: Sequence[RateGains], predictors: Sequence[Predictor] | None = None) -> None:
         """As :meth:`RateAxis.retune`, on all axes."""
-        new = predictors or (None, None, None)
-        for axis, gain, predictor in zip((self._roll, self._pitch, self._yaw), gains, new, strict=True):
+        replacements = predictors or (None, None, None)
+        for axis, gain, predictor in zip((self._roll, self._pitch, self._yaw), gains, replacements, strict=True):
             axis.retune(gain, predictor)
 
-    def tell(self, added: Vector3) -> None:
+    def add_to_command(self, added: Vector3) -> None:
         """Add to the commands that the predictors read: they read them behind the point where ``added`` came in."""
         for axis, value in zip((self._roll, self._pitch, self._yaw), added, strict=True):
-            axis.tell(value)
+            axis.add_to_command(value)
 
     @property
     def diagnostics(self) -> tuple[Diagnostics, Diagnostics, Diagnostics]:
@@ -227,7 +227,7 @@ class RateController:
 
     @property
     def predictors(self) -> tuple[Predictor, Predictor, Predictor]:
-        """Of roll, pitch and yaw, as they answer now."""
+        """The predictors of roll, pitch and yaw."""
         return (self._roll.predictor, self._pitch.predictor, self._yaw.predictor)
 
     @property

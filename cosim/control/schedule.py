@@ -4,8 +4,8 @@ The level is the mean share of the engines' range that allocation gives, behind 
 
     level_k+1 = level_k + (1 - e^(-T / filter)) (share_k - level_k),  not below the first level nor above the last,
 
-and between two levels of the schedule every number is linear in it.  Factors act on the gains stated for the vehicle,
-so that a change of those in flight counts at every level.
+and between two levels of the schedule every number is linear in it.  Factors act on the nominal gains of the vehicle,
+so that a change of those in flight acts at every level.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from cosim.spec.vehicle import (
     ScheduledGains,
 )
 
-FINE = 1e-3  # of the range of the schedule: so far the level moves before the gains do
+FINE = 1e-3  # of the range of the schedule, by which the level moves before the gains do
 
 
 class Factors(NamedTuple):
-    """On the gains of one command, and its lead; None where it has none."""
+    """Factors on the gains of one command, and its lead; None where it has none."""
 
     angle: float
     p: float
@@ -36,7 +36,7 @@ class Factors(NamedTuple):
 
 
 class Scheduled(NamedTuple):
-    """What acts at a level."""
+    """Gains and leads at a thrust level."""
 
     share: float
     roll: Factors
@@ -46,62 +46,64 @@ class Scheduled(NamedTuple):
 class GainSchedule:
     """The schedule of a vehicle."""
 
-    def __init__(self, stated: Schedule, leads: Leads | None, step: float) -> None:
-        self._shares = [level.share for level in stated.level]
-        self._roll = [_nominal_factors(level.roll, bool(leads and leads.roll)) for level in stated.level]
-        self._altitude = [_nominal_factors(level.altitude, bool(leads and leads.altitude)) for level in stated.level]
-        self._follow = 1.0 - exp(-step / stated.filter_s)
-        self._fine = FINE * (self._shares[-1] - self._shares[0])
+    def __init__(self, schedule: Schedule, leads: Leads | None, step: float) -> None:
+        self._shares = [level.share for level in schedule.level]
+        self._roll = [_nominal_factors(level.roll, bool(leads and leads.roll)) for level in schedule.level]
+        self._altitude = [_nominal_factors(level.altitude, bool(leads and leads.altitude)) for level in schedule.level]
+        self._filter_gain = 1.0 - exp(-step / schedule.filter_s)
+        self._resolution = FINE * (self._shares[-1] - self._shares[0])
         self.reset(self._shares[-1])
 
     def reset(self, share: float) -> Scheduled:
-        """As if this had always been the collective."""
-        self._level = self._told = self._bounded(share)
+        """Start as if this had always been the collective, and return its gains."""
+        self._level = self._last_level = self._bound(share)
         return self.at(self._level)
 
     def update(self, collective: float) -> Scheduled | None:
         """Return the gains from now on, None if unchanged; ``collective``: the mean thrust fraction allocated."""
-        level = self._level + self._follow * (self._bounded(collective) - self._level)
+        level = self._level + self._filter_gain * (self._bound(collective) - self._level)
         self._level = level
-        if abs(level - self._told) < self._fine:
+        if abs(level - self._last_level) < self._resolution:
             return None
-        self._told = level
+        self._last_level = level
         return self.at(level)
 
-    def _bounded(self, share: float) -> float:
+    def _bound(self, share: float) -> float:
         return clip(share, self._shares[0], self._shares[-1])
 
     def at(self, share: float) -> Scheduled:
         """Return the gains and leads at a thrust level."""
-        share = self._bounded(share)
+        share = self._bound(share)
         shares = self._shares
         k = 1
         while k < len(shares) - 1 and share > shares[k]:
             k += 1
-        part = (share - shares[k - 1]) / (shares[k] - shares[k - 1])
-        return Scheduled(share, _interpolate(self._roll, k, part), _interpolate(self._altitude, k, part))
+        weight = (share - shares[k - 1]) / (shares[k] - shares[k - 1])
+        return Scheduled(share, _interpolate(self._roll, k, weight), _interpolate(self._altitude, k, weight))
 
 
-def _nominal_factors(level: ScheduledGains, led: bool) -> Factors:
-    return Factors(level.angle, level.p, level.i, level.d, level.lead if led else None)
+def _nominal_factors(level: ScheduledGains, has_lead: bool) -> Factors:
+    return Factors(level.angle, level.p, level.i, level.d, level.lead if has_lead else None)
 
 
-def _interpolate(levels: Sequence[Factors], k: int, part: float) -> Factors:
+def _interpolate(levels: Sequence[Factors], k: int, weight: float) -> Factors:
     low, high = levels[k - 1], levels[k]
 
-    def of(a: float, b: float) -> float:
-        return a + part * (b - a)
+    def between(a: float, b: float) -> float:
+        return a + weight * (b - a)
 
     lead: EngineLead | None = None
-    one, other = low.lead, high.lead
-    if one is not None and other is not None:
+    low_lead, high_lead = low.lead, high.lead
+    if low_lead is not None and high_lead is not None:
         damping: float | None = None
-        if one.damping is not None and other.damping is not None:
-            damping = of(one.damping, other.damping)
-        # between two that were checked: not checked again, which takes as long as a step
+        if low_lead.damping is not None and high_lead.damping is not None:
+            damping = between(low_lead.damping, high_lead.damping)
+        # Not validated again between two valid leads: that takes as long as a step.
         lead = EngineLead.model_construct(
-            natural_rad_s=of(one.natural_rad_s, other.natural_rad_s),
+            natural_rad_s=between(low_lead.natural_rad_s, high_lead.natural_rad_s),
             damping=damping,
-            pole_rad_s=of(one.pole_rad_s, other.pole_rad_s),
+            pole_rad_s=between(low_lead.pole_rad_s, high_lead.pole_rad_s),
         )
-    return Factors(of(low.angle, high.angle), of(low.p, high.p), of(low.i, high.i), of(low.d, high.d), lead)
+    return Factors(
+        between(low.angle, high.angle), between(low.p, high.p), between(low.i, high.i), between(low.d, high.d), lead
+    )

@@ -248,7 +248,7 @@ def _axes(authority: Sequence[Authority], inertia: Vector3) -> list[Line]:
         fault = "" if moment.least > 0.0 else "nothing turns it while the weight is held"
         if fault and moment.most > 0.0:
             fault = "nothing was found that turns it while the weight is held"
-        text = f"{moment.in_words()} N m either way in hover, {turn.in_words()} rad/s^2"
+        text = f"{moment.describe()} N m either way in hover, {turn.describe()} rad/s^2"
         lines.append(Line(f"{axis} authority", text, fault))
     balanced = [
         without.lost[0] for without in authority[1:] if min(without.span(axis).least for axis in range(3)) > 0.0

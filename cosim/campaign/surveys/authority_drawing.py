@@ -49,7 +49,7 @@ def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
     ET.SubElement(root, "rect", {"class": "frame", "width": "100%", "height": "100%"})
     text(root, 12, 22, f"{vehicle.title}: moments in hover, N m", "name")
     caption = "filled: all engines; red: without each one, named by its number; the third moment is 0"
-    if not reach.bounded:
+    if not reach.is_bounded:
         caption += "; found by search: there may be more"
     text(root, 12, 38, caption, "dim")
     for number, (right, up) in enumerate(SECTIONS):

@@ -5,8 +5,8 @@ apart.  What does not fit is refused and reported, in this order: roll is kept b
 height), pitch before yaw; a roll command beyond half the throttle range, or tilts beyond the servos' range, are cut.
 On a multirotor all three are differential throttle, and roll and pitch are kept before yaw, yaw before collective.
 
-Told of an engine that is lost, weak or stuck, the allocation of tilting banks is planned anew (:mod:`.replan`): the
-same commands then give the same force and moments as with all engines, as far as the engines that are left can.
+For an engine that is lost, weak or stuck, the allocation of tilting banks is replanned (:mod:`.reallocation`): the same
+commands then give the same force and moments as with all engines, as far as the remaining engines can.
 """
 
 from __future__ import annotations
@@ -87,10 +87,10 @@ class TiltAllocator:
         return (collective,) * len(self.left)
 
     def replan(self, health: Sequence[JetHealth]) -> bool:
-        replanned = plan(self._jets, self._limits, self.hover, self._idle, health)
-        if replanned is None:
+        new_plan = plan(self._jets, self._limits, self.hover, self._idle, health)
+        if new_plan is None:
             return False
-        self._plan = replanned
+        self._plan = new_plan
         self._extra = 0.0
         return True
 
@@ -104,7 +104,7 @@ class TiltAllocator:
         if added != ZERO3:
             roll, pitch, yaw = roll + added[0], pitch + added[1], yaw + added[2]
         if self._plan is not None:
-            return self._as_planned(self._plan, collective, roll, pitch, yaw)
+            return self._allocate_plan(self._plan, collective, roll, pitch, yaw)
         low, high = self._low, self._high
         half = 0.5 * (high - low)
         r = clamp(roll, half)
@@ -113,32 +113,32 @@ class TiltAllocator:
         c = clip(collective, least, most)
         left, right = c + r, c - r
 
-        share = (c + self._idle) / self._hover_thrust
-        if share < LEAST_SHARE:
-            share = LEAST_SHARE
-        # what fits is refused exactly nothing, not a rounding error: the integrals stop on any refusal
+        thrust_ratio = (c + self._idle) / self._hover_thrust
+        if thrust_ratio < LEAST_SHARE:
+            thrust_ratio = LEAST_SHARE
+        # Where everything fits the residual is exactly 0, not a rounding error: the integrals stop at any residual.
         limit = self._range
-        p = self.pitch_sign * pitch / share
-        left_pitch = left_yaw = 0.0
+        p = self.pitch_sign * pitch / thrust_ratio
+        residual_pitch = residual_yaw = 0.0
         if p > limit or p < -limit:
             p = limit if p > 0.0 else -limit
-            left_pitch = pitch - self.pitch_sign * p * share
+            residual_pitch = pitch - self.pitch_sign * p * thrust_ratio
         room = limit - (p if p >= 0.0 else -p)
-        y = yaw / share
+        y = yaw / thrust_ratio
         if y > room or y < -room:
             y = room if y > 0.0 else -room
-            left_yaw = yaw - y * share
+            residual_yaw = yaw - y * thrust_ratio
 
         sides: tuple[Any, Any] = (right, left)  # an object each, not one for each jet
         return Actuation(
             tuple([sides[1] if on_left else sides[0] for on_left in self.left]),
             (p + y, p - y),
-            Unallocated(roll - r, left_pitch, left_yaw, collective - c),
+            Unallocated(roll - r, residual_pitch, residual_yaw, collective - c),
             NO_JETS,
         )
 
-    def _as_planned(self, plan: Plan, collective: float, roll: float, pitch: float, yaw: float) -> Actuation:
-        """With engines lost: the same order of what is kept, the throttles from the plan's weights."""
+    def _allocate_plan(self, plan: Plan, collective: float, roll: float, pitch: float, yaw: float) -> Actuation:
+        """Allocate with lost engines: the same priorities, the throttles from the plan's weights."""
         low, high = self._low, self._high
         least_roll, most_roll = plan.roll_range
         r = clip(roll, least_roll, most_roll)
@@ -155,47 +155,47 @@ class TiltAllocator:
                 bottom, top = top, bottom
             least, most = (bottom if bottom > least else least), (top if top < most else most)
         up = collective - plan.centre
-        # rounding may leave the two apart by nothing
+        # Rounding may make the lower bound exceed the upper one.
         above = clip(up, least, most)
-        lifted = [at_roll[i] + above * ups[i] for i in jets]
+        throttles = [at_roll[i] + above * ups[i] for i in jets]
         missing = up - above if up > most else 0.0
-        extra = self._extra = self._beyond(plan, lifted, missing)
+        extra = self._extra = self._beyond(plan, throttles, missing)
         if extra > 0.0:
-            lifted = [lifted[i] + extra * plan.boost[i] for i in jets]
-        # what fits is refused exactly nothing
+            throttles = [throttles[i] + extra * plan.boost[i] for i in jets]
+        # Where everything fits the residual is exactly 0.
         c = collective if up >= least and extra == missing else plan.centre + above + extra
-        throttle = tuple([clip(lifted[i], low, high) if frees[i] else at_roll[i] for i in jets])
+        throttle = tuple([clip(throttles[i], low, high) if frees[i] else at_roll[i] for i in jets])
 
-        share = max(LEAST_SHARE, (c + self._idle) / self._hover_thrust)
+        thrust_ratio = max(LEAST_SHARE, (c + self._idle) / self._hover_thrust)
         constant, per_up, per_roll, per_boost = plan.pitch
-        left = constant + above * per_up + r * per_roll + extra * per_boost
-        # what the throttles leave of pitch is tilted away
-        balance = -left / (self._lever * max(LEAST_SHARE, self._idle + c))
-        wanted = self.pitch_sign * pitch / share + balance
-        p = clamp(wanted, self._range)
-        y = clamp(yaw / share, self._range - abs(p))
+        pitch_residual = constant + above * per_up + r * per_roll + extra * per_boost
+        # The tilt balances the pitch moment that the throttles leave.
+        balance = -pitch_residual / (self._lever * max(LEAST_SHARE, self._idle + c))
+        tilt = self.pitch_sign * pitch / thrust_ratio + balance
+        p = clamp(tilt, self._range)
+        y = clamp(yaw / thrust_ratio, self._range - abs(p))
         return Actuation(
             throttle,
             (p + y, p - y),
             Unallocated(
                 roll - r,
-                0.0 if p == wanted else self.pitch_sign * (wanted - p) * share,
-                0.0 if y == yaw / share else yaw - y * share,
+                0.0 if p == tilt else self.pitch_sign * (tilt - p) * thrust_ratio,
+                0.0 if y == yaw / thrust_ratio else yaw - y * thrust_ratio,
                 collective - c,
             ),
             NO_JETS,
         )
 
-    def _beyond(self, plan: Plan, lifted: list[float], wanted: float) -> float:
-        """How much of the collective ``wanted`` beyond the plan's own the engines at ``lifted`` can still give.
+    def _beyond(self, plan: Plan, throttles: list[float], missing: float) -> float:
+        """How much of the collective ``missing`` beyond the plan's own the engines at ``throttles`` can still give.
 
         It grows no faster than ``lift`` allows: engines that are all on their way up as fast as they go have none left
         between them to keep the vehicle level with, whatever their throttles say.
         """
-        if wanted <= 0.0:
+        if missing <= 0.0:
             return 0.0
-        room, steepest = wanted, 0.0
-        for slope, at in zip(plan.boost, lifted, strict=True):
+        room, steepest = missing, 0.0
+        for slope, at in zip(plan.boost, throttles, strict=True):
             if slope > _FLAT:
                 room = min(room, (self._high - at) / slope)
                 steepest = max(steepest, slope)
@@ -240,7 +240,7 @@ class RotorAllocator:
         return False
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
-        """All four commands in throttle; ``added`` as for :class:`TiltAllocator`."""
+        """Return throttles for four commands in throttle; ``added`` as for :class:`TiltAllocator`."""
         roll, pitch, yaw = torque
         if added != ZERO3:
             roll, pitch, yaw = roll + added[0], pitch + added[1], yaw + added[2]
@@ -249,11 +249,11 @@ class RotorAllocator:
         spread = abs(roll) + abs(pitch)
         scale = room / spread if spread > room else 1.0
         r, p = roll * scale, pitch * scale
-        left = room - min(spread, room)
-        y = clamp(yaw, left)
+        room_for_yaw = room - min(spread, room)
+        y = clamp(yaw, room_for_yaw)
         span = abs(r) + abs(p) + abs(y)
         least, most = low + span, high - span
-        # rounding may leave the two apart by nothing
+        # Rounding may make the lower bound exceed the upper one.
         c = clip(collective, least, most)
         return Actuation(
             tuple([min(high, max(low, c + a * r + b * p + d * y)) for a, b, d in self.signs]),

@@ -28,8 +28,8 @@ MOST_CORNERS: Final = 6000  # beyond which no bound is looked for
 WIDEST: Final = 0.5  # rad, of half a piece: its triangle is out by 14 %
 
 
-class Asked(NamedTuple):
-    """The most of ``goal . (force, moment)`` with ``rows . (force, moment) = values``."""
+class Objective(NamedTuple):
+    """Maximise ``goal . (force, moment)`` with ``rows . (force, moment) = values``."""
 
     goal: Array
     rows: Array
@@ -37,7 +37,7 @@ class Asked(NamedTuple):
 
 
 class Bound(NamedTuple):
-    """What a hull attains [minus infinity: nothing that is asked for], and the mean and the spread of its corners."""
+    """The maximum over a hull [minus infinity: infeasible], and the mean and the spread of its corners."""
 
     most: float
     thrust: Array
@@ -55,7 +55,7 @@ class Hull:
 
     @classmethod
     def of(cls, layout: Layout, least: Array, most: Array, low: Array, high: Array) -> Hull | None:
-        """None where what hinges do is not of this kind, or has too many corners."""
+        """Return the hull of a layout; None where its hinges do not allow one, or it has too many corners."""
         import numpy as np
 
         columns, sets, thrusts, angles = [], [], [], []
@@ -85,44 +85,44 @@ class Hull:
         rows = np.array([owner == number for number in range(int(owner[-1]) + 1)], float)
         return cls(np.vstack(columns).T, rows, np.vstack(thrusts), np.vstack(angles))
 
-    def most(self, asked: Asked, scale: float) -> Bound:
+    def bound(self, objective: Objective, scale: float) -> Bound:
         """Return the upper bound; ``scale``: the force [N], or moment [N m], that forces and moments are divided by."""
         import numpy as np
         from scipy.optimize import Bounds, LinearConstraint, milp
 
-        equal = np.vstack([asked.rows @ self.columns / scale, self._sets])
-        values = np.concatenate([asked.values / scale, np.ones(len(self._sets))])
+        equal = np.vstack([objective.rows @ self.columns / scale, self._sets])
+        values = np.concatenate([objective.values / scale, np.ones(len(self._sets))])
         # without whole numbers this is a linear program, with less around it than linprog has
-        found = milp(
-            -(asked.goal @ self.columns) / scale,
+        result = milp(
+            -(objective.goal @ self.columns) / scale,
             constraints=LinearConstraint(equal, values, values),
             bounds=Bounds(0.0, np.inf),
         )
-        if found.status == 2:
+        if result.status == 2:
             nothing = np.zeros(self._angles.shape[1])
             return Bound(-inf, np.zeros(self._thrusts.shape[1]), nothing, nothing)
-        assert found.status == 0, found.message  # shares of corners are bounded
-        shares = found.x
-        thrust, angles = shares @ self._thrusts, shares @ self._angles
-        spread = np.sqrt(np.maximum(shares @ self._angles**2 - angles**2, 0.0))
-        return Bound(float(-found.fun) * scale, thrust, angles, spread)
+        assert result.status == 0, result.message  # shares of corners are bounded
+        weights = result.x
+        thrust, angles = weights @ self._thrusts, weights @ self._angles
+        spread = np.sqrt(np.maximum(weights @ self._angles**2 - angles**2, 0.0))
+        return Bound(float(-result.fun) * scale, thrust, angles, spread)
 
 
 def _sets(layout: Layout) -> Iterator[tuple[list[int], list[int]]]:
-    """Jets that common hinges move, and those hinges."""
-    moved = [{number for number, _ in chain} for chain in layout.chains]
-    left = set(range(len(moved)))
-    while left:
-        jets, hinges = {min(left)}, set(moved[min(left)])
-        while more := {jet for jet in left if moved[jet] & hinges} - jets:
-            jets |= more
-            hinges = hinges.union(*(moved[jet] for jet in more))
-        left -= jets
+    """Yield sets of jets that common hinges move, and those hinges."""
+    hinges_of = [{number for number, _ in chain} for chain in layout.chains]
+    remaining = set(range(len(hinges_of)))
+    while remaining:
+        jets, hinges = {min(remaining)}, set(hinges_of[min(remaining)])
+        while connected := {jet for jet in remaining if hinges_of[jet] & hinges} - jets:
+            jets |= connected
+            hinges = hinges.union(*(hinges_of[jet] for jet in connected))
+        remaining -= jets
         yield sorted(jets), sorted(hinges)
 
 
 def _effect(layout: Layout, hinge: int, jets: list[int]) -> float | None:
-    """By what a hinge's angle turns thrusts; None: some by more than others."""
+    """Return the factor from a hinge's angle to the turn of thrusts; None: not the same for all."""
     effects = {effect for jet in jets for number, effect in layout.chains[jet] if number == hinge}
     return effects.pop() if len(effects) == 1 else None
 
@@ -141,7 +141,7 @@ def _deflects_outside_carrier(layout: Layout, jet: int) -> bool:
 
 
 def _cells(spans: list[float], ends: int) -> int:
-    """Pieces of each range; 0: not in as few as there may be."""
+    """Return the number of pieces of each range; 0: more than allowed."""
     enough = [n for n in CELLS if all(span / n <= 2.0 * WIDEST for span in spans)]
     few = [n for n in enough if ends * (2 * n + 1) ** len(spans) <= CORNERS]
     if few:
@@ -161,28 +161,28 @@ def _arc(low: float, high: float, cells: int, effect: float) -> tuple[Array, Arr
 
 
 def _wrenches(layout: Layout, jet: int, turned: dict[int, Array], count: int) -> Array:
-    """Force and moment per thrust with each hinge at its cosine and sine, which need not be of one angle."""
+    """Return force and moment per thrust for the cosine and sine of each hinge, which need not be of one angle."""
     import numpy as np
 
     station = layout.stations[jet]
-    place = np.array(station.place)
+    position = np.array(station.place)
     force = np.tile(np.array(station.axis, float), (count, 1))
-    moment = np.cross(place, force) + station.twist * force
+    moment = np.cross(position, force) + station.twist * force
     for number, _ in reversed(layout.chains[jet]):
         turn = layout.turns[number]
         force, about = _rotate(turn.axis, turned[number], force), moment - np.cross(turn.point, force)
         if jet in turn.carries:
             moment = _rotate(turn.axis, turned[number], about) + np.cross(turn.point, force)
         else:
-            moment = np.cross(place, force) + station.twist * force
+            moment = np.cross(position, force) + station.twist * force
     return np.hstack([force, moment])
 
 
 def _rotate(axis: Any, at: Array, vectors: Array) -> Array:
-    """Rodrigues' formula with a cosine and a sine for each vector."""
+    """Rotate vectors by Rodrigues' formula, with a cosine and a sine for each."""
     import numpy as np
 
     unit = np.array(axis)
     along = np.outer(vectors @ unit, unit)
-    answer: Array = along + at[:, :1] * (vectors - along) + at[:, 1:] * np.cross(unit, vectors)
-    return answer
+    rotated: Array = along + at[:, :1] * (vectors - along) + at[:, 1:] * np.cross(unit, vectors)
+    return rotated

@@ -1,4 +1,4 @@
-"""What a layout can do at all: the largest moment in a direction while the weight is held, between two bounds.
+"""The control authority of a layout: the largest moment in a direction while the weight is held, between two bounds.
 
 At most: a linear program over the hull of all forces and moments (:mod:`cosim.control.allocation.attainable`).  With
 the hinges standing these are linear in the thrusts, and that is exact.  At least: a climb from where the program
@@ -19,7 +19,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.frames import cross
 from cosim.base.layout import Layout
 from cosim.base.signals import Vector3
-from cosim.control.allocation.attainable import Asked, Bound, Hull
+from cosim.control.allocation.attainable import Bound, Hull, Objective
 from cosim.spec.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -28,16 +28,18 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 DOWN: Final = 2  # the row of body z in force and moment
-MEETS: Final = 1e-7  # of the weight: what is held is met
-NEAR: Final = 1e-3  # of what is attained, by which the bound may be above it: printed to three digits they are one
-NOTHING: Final = 1e-6  # of the weight, on a lever of 1 m: less is rounding
+TOLERANCE: Final = 1e-7  # of the weight, within which constraints are met
+RESOLUTION: Final = (
+    1e-3  # of what is attained, by which the bound may be above it: printed to three digits they are one
+)
+ROUNDING: Final = 1e-6  # of the weight, on a lever of 1 m: less is rounding
 CUTS: Final = 12  # of the hinges' ranges, to bring the bounds together; a few are the rule
-BESIDE: Final = 0.1  # of a range: a place beside one at which the linear programs of a climb may have no answer
+OFFSET: Final = 0.1  # of a range: the distance to another start where the linear programs of a climb may have no answer
 STARTS: Final = 8  # of climbs where there is no bound to begin at
 
 
 class Range(NamedTuple):
-    """What is attained, and what is not exceeded: minus infinity is nothing, infinity not known."""
+    """Lower bound that is attained, minus infinity: none; upper bound, infinity: not known."""
 
     least: float
     most: float
@@ -45,10 +47,10 @@ class Range(NamedTuple):
     @property
     def met(self) -> bool:
         """Whether the two are one, to three digits."""
-        return self.most < inf and self.most - self.least <= NEAR * abs(self.most)
+        return self.most < inf and self.most - self.least <= RESOLUTION * abs(self.most)
 
-    def in_words(self) -> str:
-        """To three digits."""
+    def describe(self) -> str:
+        """Return the range as text, to three digits."""
         if self.met:
             return f"{self.least:.3g}"
         return f"at least {self.least:.3g}" if self.most == inf else f"{self.least:.3g} to {self.most:.3g}"
@@ -100,8 +102,8 @@ class Reach:
         self._hull = Hull.of(layout, self._least, self._most, self._low, self._high)
 
     @property
-    def bounded(self) -> bool:
-        """Whether it is known what cannot be exceeded; else what is attained stands alone."""
+    def is_bounded(self) -> bool:
+        """Whether there is an upper bound beside what is attained."""
         return self._hull is not None
 
     def without(self, lost: Sequence[int]) -> Reach:
@@ -113,17 +115,17 @@ class Reach:
         return Reach(self._layout, least.tolist(), most.tolist(), hinges, self._rest.tolist(), self._weight)
 
     def section(self, directions: Sequence[Any]) -> list[Range]:
-        """:meth:`moment` along some directions, without bringing its bounds together."""
+        """Return :meth:`moment` along some directions, without bringing its bounds together."""
         return [self._largest(self._about(direction), 0) for direction in directions]
 
     def authority(self, lost: Sequence[int] = ()) -> Authority:
-        """Lift and the moment about each axis with the other two at zero."""
+        """Return the lift, and the moment about each axis with the other two at zero."""
         import numpy as np
 
-        left = self.without(lost)
-        lift = left._largest(Asked(-np.eye(6)[DOWN], np.eye(6)[3:], np.zeros(3)), CUTS)
+        remaining = self.without(lost)
+        lift = remaining._largest(Objective(-np.eye(6)[DOWN], np.eye(6)[3:], np.zeros(3)), CUTS)
         lines = [sign * np.eye(3)[axis] for axis in range(3) for sign in (1.0, -1.0)]
-        ends = [left.moment(line) for line in lines]
+        ends = [remaining.moment(line) for line in lines]
 
         def moments(sizes: Sequence[float], upward: float) -> Vector3 | None:
             if min(sizes) == -inf or upward < self._weight:
@@ -145,32 +147,32 @@ class Reach:
         Minus infinity where the weight cannot be carried so."""
         return self._largest(self._about(direction), CUTS)
 
-    def _about(self, direction: Any) -> Asked:
+    def _about(self, direction: Any) -> Objective:
         import numpy as np
 
         along = np.concatenate([np.zeros(3), np.asarray(direction, float)])
-        _, _, turned = np.linalg.svd(along[3:].reshape(1, 3))
-        across = [np.concatenate([np.zeros(3), row]) for row in turned[1:]]
-        return Asked(along, np.array([np.eye(6)[DOWN], *across]), np.array([-self._weight, 0.0, 0.0]))
+        _, _, basis = np.linalg.svd(along[3:].reshape(1, 3))
+        across = [np.concatenate([np.zeros(3), row]) for row in basis[1:]]
+        return Objective(along, np.array([np.eye(6)[DOWN], *across]), np.array([-self._weight, 0.0, 0.0]))
 
-    def _largest(self, asked: Asked, cuts: int) -> Range:
-        """Both bounds, with up to so many cuts to bring them together."""
+    def _largest(self, objective: Objective, cuts: int) -> Range:
+        """Return both bounds, with up to so many cuts to bring them together."""
         if self._hull is None:
-            return Range(self._searched(asked), inf)
-        whole = self._hull.most(asked, self._weight)
+            return Range(self._search(objective), inf)
+        root = self._hull.bound(objective, self._weight)
         if not len(self._rest):
-            return Range(whole.most, whole.most)  # nothing turns: it is exact
-        least, settled, number = -inf, -inf, 0
-        parts: list[tuple[float, int, Array, Array, Bound]] = [(-whole.most, 0, self._low, self._high, whole)]
-        while parts:
-            most = max(settled, -parts[0][0])
-            if Range(least, most).met or most - least <= NOTHING * self._weight or most == -inf:
+            return Range(root.most, root.most)  # nothing turns: it is exact
+        least, closed, number = -inf, -inf, 0
+        queue: list[tuple[float, int, Array, Array, Bound]] = [(-root.most, 0, self._low, self._high, root)]
+        while queue:
+            most = max(closed, -queue[0][0])
+            if Range(least, most).met or most - least <= ROUNDING * self._weight or most == -inf:
                 break
-            _, _, low, high, bound = heappop(parts)
-            least = max(least, self._climbed(asked, bound.thrust, bound.angles))
+            _, _, low, high, bound = heappop(queue)
+            least = max(least, self._climb(objective, bound.thrust, bound.angles))
             widest = int(bound.spread.argmax())
             if cuts <= 0 or not bound.spread[widest]:
-                settled = max(settled, bound.most)  # cannot be told closer
+                closed = max(closed, bound.most)  # cannot be bounded closer
                 continue
             cuts -= 1
             for half in range(2):
@@ -178,13 +180,13 @@ class Reach:
                 ends[1 - half][widest] = 0.5 * (low[widest] + high[widest])
                 hull = Hull.of(self._layout, self._least, self._most, *ends)
                 assert hull is not None  # as the whole was
-                inside = hull.most(asked, self._weight)
+                inside = hull.bound(objective, self._weight)
                 number += 1
-                heappush(parts, (-inside.most, number, *ends, inside))
-        most = max([settled, *(-part[0] for part in parts)])
+                heappush(queue, (-inside.most, number, *ends, inside))
+        most = max([closed, *(-part[0] for part in queue)])
         return Range(least, max(least, most))
 
-    def _searched(self, asked: Asked) -> float:
+    def _search(self, objective: Objective) -> float:
         """Return the best of climbs from rest and from points of a Halton sequence, which fills the ranges evenly."""
         from scipy.stats import qmc
 
@@ -193,63 +195,67 @@ class Reach:
             self._rest,
             *qmc.scale(qmc.Halton(len(self._rest), scramble=False).random(STARTS), self._low, self._high),
         ]
-        return max(self._climbed(asked, even, start) for start in starts)
+        return max(self._climb(objective, even, start) for start in starts)
 
-    def _climbed(self, asked: Asked, thrust: Array, at: Array) -> float:
+    def _climb(self, objective: Objective, thrust: Array, at: Array) -> float:
         """Return what a climb from these thrusts and angles attains; where it fails, from a point close to them."""
         import numpy as np
 
         scale = self._weight / len(thrust)
         low, high = np.concatenate([self._least / scale, self._low]), np.concatenate([self._most / scale, self._high])
         start = np.clip(np.concatenate([thrust / scale, at]), low, high)
-        beside = (
-            start + BESIDE * (0.5 * (low + high) - start) + BESIDE**2 * (high - low) * np.cos(np.arange(len(start)))
+        offset = (
+            start + OFFSET * (0.5 * (low + high) - start) + OFFSET**2 * (high - low) * np.cos(np.arange(len(start)))
         )
-        best = self._ended(asked, start, low, high)
-        return best if best > -inf else self._ended(asked, np.clip(beside, low, high), low, high)
+        best = self._optimise(objective, start, low, high)
+        return best if best > -inf else self._optimise(objective, np.clip(offset, low, high), low, high)
 
-    def _ended(self, asked: Asked, start: Array, low: Array, high: Array) -> float:
+    def _optimise(self, objective: Objective, start: Array, low: Array, high: Array) -> float:
         import numpy as np
         from scipy.optimize import minimize
 
-        goal, rows, values = asked.goal / self._weight, asked.rows / self._weight, asked.values / self._weight
+        goal, rows, values = (
+            objective.goal / self._weight,
+            objective.rows / self._weight,
+            objective.values / self._weight,
+        )
         jets = len(self._least)
         scale = self._weight / jets
 
-        def given(x: Array) -> tuple[Array, Array]:
+        def wrench_of(x: Array) -> tuple[Array, Array]:
             effects, turns = self._linear(x[:jets] * scale, x[jets:])
             return effects @ x[:jets] * scale, np.hstack([effects * scale, turns])
 
         # what nothing changes is no constraint that a program could meet: looked at here, in the middle and beside it
         middle = 0.5 * (low + high)
-        beside = middle + BESIDE * (high - low) * np.cos(np.arange(len(middle)))
-        changes = np.hstack([rows @ given(x)[1] * (high > low) for x in (start, middle, beside)])
+        offset = middle + OFFSET * (high - low) * np.cos(np.arange(len(middle)))
+        changes = np.hstack([rows @ wrench_of(x)[1] * (high > low) for x in (start, middle, offset)])
         sides, sizes, _ = np.linalg.svd(changes, full_matrices=False)
-        held = sides[:, sizes > 1e-9 * max(sizes[0], 1e-300)].T
+        active = sides[:, sizes > 1e-9 * max(sizes[0], 1e-300)].T
 
-        def wanted(x: Array) -> tuple[float, Array]:
-            wrench, change = given(x)
+        def negative_goal(x: Array) -> tuple[float, Array]:
+            wrench, change = wrench_of(x)
             return -float(goal @ wrench), -(goal @ change)
 
-        found = minimize(
-            wanted,
+        result = minimize(
+            negative_goal,
             start,
             jac=True,
             method="SLSQP",
             bounds=list(zip(low, high, strict=True)),
             constraints={
                 "type": "eq",
-                "fun": lambda x: held @ (rows @ given(x)[0] - values),
-                "jac": lambda x: held @ rows @ given(x)[1],
+                "fun": lambda x: active @ (rows @ wrench_of(x)[0] - values),
+                "jac": lambda x: active @ rows @ wrench_of(x)[1],
             },
             options={"ftol": 1e-10, "maxiter": 100},
         )
-        wrench, _ = given(np.clip(found.x, low, high))
-        missed = np.max(np.abs(rows @ wrench - values))
-        return float(asked.goal @ wrench) if missed <= MEETS else -inf
+        wrench, _ = wrench_of(np.clip(result.x, low, high))
+        residual = np.max(np.abs(rows @ wrench - values))
+        return float(objective.goal @ wrench) if residual <= TOLERANCE else -inf
 
     def effects(self, at: Any) -> Array:
-        """Force and moment of each jet per thrust, with the hinges at ``at``: shape (6, jets)."""
+        """Return force and moment of each jet per thrust, with the hinges at ``at``: shape (6, jets)."""
         import numpy as np
 
         return self._linear(np.zeros(len(self._layout.stations)), at)[0]
@@ -259,18 +265,18 @@ class Reach:
         import numpy as np
 
         layout, angles = self._layout, [float(angle) for angle in at]
-        axes, places = layout.axes(angles), layout.standing(angles)
+        axes, positions = layout.axes(angles), layout.standing(angles)
         columns, turns = [], np.zeros((6, len(angles)))
         for jet, group in enumerate(layout.groups):
             axis, twist = axes[group], layout.stations[jet].twist
-            columns.append([*axis, *_moment(places[jet], axis, twist)])
+            columns.append([*axis, *_moment(positions[jet], axis, twist)])
             for number, effect, carries, about, (px, py, pz) in layout.hinge_axes(angles, jet):
                 # the thrust turns with the hinge, and the station where it is carried
                 fx, fy, fz = cross(about, axis)
                 force = (effect * fx, effect * fy, effect * fz)
-                change = np.array([*force, *_moment(places[jet], force, twist)])
+                change = np.array([*force, *_moment(positions[jet], force, twist)])
                 if carries:
-                    x, y, z = places[jet]
+                    x, y, z = positions[jet]
                     change[3:] += cross(cross(about, (x - px, y - py, z - pz)), axis)
                 turns[:, number] += thrust[jet] * change
         return np.array(columns).T, turns
@@ -282,7 +288,7 @@ def reach_of(vehicle: Vehicle, least: Sequence[float], most: Sequence[float]) ->
     return Reach(vehicle.layout(), least, most, turns, vehicle.rest[: len(turns)], vehicle.mass_kg * GRAVITY)
 
 
-def _moment(place: Vector3, force: Vector3, twist: float) -> Vector3:
-    x, y, z = cross(place, force)
+def _moment(position: Vector3, force: Vector3, twist: float) -> Vector3:
+    x, y, z = cross(position, force)
     fx, fy, fz = force
     return (x + twist * fx, y + twist * fy, z + twist * fz)

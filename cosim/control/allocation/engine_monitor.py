@@ -1,8 +1,8 @@
-"""The engine monitor: which engines do what they are told, from what a flight computer knows of them.
+"""The engine monitor: which engines follow their commands, from what a flight computer knows of them.
 
-It is told the throttles commanded and what the engines' own controllers report: the speed of the spool, turned into
+It uses the commanded throttles and the reports of the engines' own controllers: the speed of the spool, turned into
 thrust through the engine's static curves, or where no speed is reported the thrust itself, which then stands for the
-estimate that an electronic speed controller makes from speed and current.  It is never told of a fault.
+estimate that an electronic speed controller makes from speed and current.  Injected faults are not reported to it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import NamedTuple
 from cosim.base.signals import EngineOutput, JetHealth, PerJet
 from cosim.spec.vehicle import MonitorSettings
 
-_LOST = 0.2  # of the thrust commanded: an engine that gives less is not used any more; chosen by us
+_LOST_GAIN = 0.2  # of the thrust commanded: an engine that gives less is not used any more; chosen by us
 _FOLLOWS = 0.3  # of what its command moved: an engine that moved less does not follow it; chosen by us
 _EXACT = 0.5  # of the threshold: an engine within it is taken to follow its command at that moment
 # times the confirmation: over so long a fall is looked at by itself; chosen by us: the least with room for it
@@ -23,7 +23,7 @@ _SUDDEN = 5
 
 
 class EngineReference(NamedTuple):
-    """How a healthy engine answers: static curves, and a lag behind a delay."""
+    """Response of a healthy engine: static curves, and a lag behind a delay."""
 
     throttle: Sequence[float]
     thrust: Sequence[float]  # N, at each throttle
@@ -34,7 +34,7 @@ class EngineReference(NamedTuple):
     longest: float  # s
 
     def thrust_at(self, throttle: float) -> float:
-        """Thrust at rest [N]."""
+        """Return the thrust at rest [N]."""
         return _interpolate(self.throttle, self.thrust, throttle)
 
     def thrust_of(self, thrust: float, speed: float) -> float:
@@ -45,7 +45,7 @@ class EngineReference(NamedTuple):
 
 
 class EngineMonitor:
-    """Compares every engine with an interval that a healthy one cannot leave, and says what can be had of it.
+    """Compares every engine with an interval that a healthy one cannot leave, and estimates what it gives.
 
     A healthy engine is a lag behind a delay, neither known exactly: ``tau x' = T(u(t - d)) - x`` with ``tau`` within a
     factor of what was measured and ``d`` within some seconds of it.  With ``T_min`` and ``T_max`` over the delays that
@@ -62,8 +62,8 @@ class EngineMonitor:
     thrust they give is followed.  ``limits`` are the least and the most share that may be commanded; ``hover`` is a
     jet's thrust in hover, to which the threshold refers.
 
-    ``sudden``: a fall is also held against the same interval begun at what the engine reported a tenth of a second ago,
-    less what it was falling by before: a command that wavers widens the other one, and a fall is found later by it.
+    ``sudden``: a fall is also compared with the same interval begun at the report of a tenth of a second ago, less what
+    it fell by before: a command that oscillates widens the other interval, which then detects a fall later.
     """
 
     def __init__(
@@ -83,41 +83,41 @@ class EngineMonitor:
         self._confirm = max(1, round(settings.confirm_s / step))
         self._stuck = max(1, round(settings.stuck_s / step))
         factor, spread = settings.lag_factor, settings.delay_spread_s
-        self._shares = [
-            (_share(step, reference.shortest / factor), _share(step, reference.longest * factor))
+        self._filter_gains = [
+            (_filter_gain(step, reference.shortest / factor), _filter_gain(step, reference.longest * factor))
             for reference in references
         ]
         self._sudden = _SUDDEN * self._confirm if sudden else 0  # steps
-        over = max(1, self._confirm - 1)
-        self._left = [exp(-over * step / reference.lag) if reference.lag > 0.0 else 0.0 for reference in references]
-        self._kept = [(1.0 - fast) ** self._sudden for fast, _ in self._shares]
+        periods = max(1, self._confirm - 1)
+        self._decay = [exp(-periods * step / reference.lag) if reference.lag > 0.0 else 0.0 for reference in references]
+        self._sudden_decay = [(1.0 - fast) ** self._sudden for fast, _ in self._filter_gains]
         delays = [reference.delay for reference in references]
-        self._early = max(0, floor((min(delays) - spread) / step + 1e-9))
-        self._late = ceil((max(delays) + spread) / step - 1e-9)
+        self._earliest = max(0, floor((min(delays) - spread) / step + 1e-9))
+        self._latest = ceil((max(delays) + spread) / step - 1e-9)
         self.reset([0.0] * len(self._references))
 
     def reset(self, throttle: Sequence[float]) -> None:
-        """All engines healthy, settled at ``throttle``."""
+        """Start with all engines healthy, settled at ``throttle``."""
         count = len(self._references)
-        self._fixed = [0.0] * count  # N, of an engine that does not follow its command
+        self._fixed_thrust = [0.0] * count  # N, of an engine that does not follow its command
         self.health: tuple[JetHealth, ...] = (JetHealth(),) * count
         self.gains: PerJet = (1.0,) * count
         self.resume(throttle)
 
     def resume(self, throttle: Sequence[float]) -> None:
-        """Look again after engines were off on purpose: settled at ``throttle``, as well or ill as they were."""
+        """Monitor again after engines were off on purpose: settled at ``throttle``, in the health that they had."""
         at_rest = tuple(reference.thrust_at(u) for reference, u in zip(self._references, throttle, strict=True))
         count = len(at_rest)
         # thrust that the commands ask for at rest, oldest first
-        self._past = [at_rest] * (self._sudden + self._late + 1)
-        self._reported = [at_rest] * max(2, self._confirm)  # oldest first
+        self._past = [at_rest] * (self._sudden + self._latest + 1)
+        self._reports = [at_rest] * max(2, self._confirm)  # oldest first
         self._window = [at_rest] * (2 * self._sudden + 1)  # the same, further back
         self._high, self._low = list(at_rest), list(at_rest)
         self._outside = [0] * count
-        self._agreed = [(x, x) for x in at_rest]  # report and reference when they last agreed
+        self._agreement = [(x, x) for x in at_rest]  # report and reference when they last agreed
 
     def update(self, throttle: PerJet, output: EngineOutput) -> bool:
-        """Look at one step: the throttles held over it, the engines' report at its end.  True if a verdict changed."""
+        """Update by one step: its throttles, and the reports at its end.  Return whether a health changed."""
         references = self._references
         past = self._past
         past.append(tuple([at(throttle[i]) for i, at in enumerate(self._thrust_at)]))
@@ -130,8 +130,8 @@ class EngineMonitor:
                     for reference, f, w in zip(references, reports, output.spool_speed, strict=True)
                 ]
             )
-        self._reported.append(reports)
-        del self._reported[0]
+        self._reports.append(reports)
+        del self._reports[0]
         suspects = []
         threshold, oldest = self._threshold, self._sudden
         earlier = reports
@@ -142,101 +142,101 @@ class EngineMonitor:
             earlier = window[oldest]
         for i, x in enumerate(reports):
             least = most = past[oldest][i]
-            for j in range(oldest + 1, oldest + self._late - self._early + 1):
-                asked = past[j][i]
-                least, most = (asked if asked < least else least), (asked if asked > most else most)
-            fast, slow = self._shares[i]
+            for j in range(oldest + 1, oldest + self._latest - self._earliest + 1):
+                thrust = past[j][i]
+                least, most = (thrust if thrust < least else least), (thrust if thrust > most else most)
+            fast, slow = self._filter_gains[i]
             high, low = self._high[i], self._low[i]
             high += (fast if most > high else slow) * (most - high)
             low += (fast if least < low else slow) * (least - low)
             self._high[i], self._low[i] = high, low
-            gain, fixed = self.gains[i], self._fixed[i]
-            over, under = x - gain * high - fixed, gain * low + fixed - x
-            if oldest > 0 and under <= threshold < earlier[i] - x and gain == 1.0:
-                under = max(under, self._fallen(i, x))
-            if over <= threshold and under <= threshold:
+            gain, fixed = self.gains[i], self._fixed_thrust[i]
+            excess, deficit = x - gain * high - fixed, gain * low + fixed - x
+            if oldest > 0 and deficit <= threshold < earlier[i] - x and gain == 1.0:
+                deficit = max(deficit, self._sudden_deficit(i, x))
+            if excess <= threshold and deficit <= threshold:
                 self._outside[i] = 0
-                if over <= _EXACT * threshold and under <= _EXACT * threshold:
-                    self._agreed[i] = (x, 0.5 * (low + high))
+                if excess <= _EXACT * threshold and deficit <= _EXACT * threshold:
+                    self._agreement[i] = (x, 0.5 * (low + high))
                 continue
             self._outside[i] += 1
             if self._outside[i] >= self._confirm:
                 suspects.append(i)
-        changed = [self._judge(i, reports[i]) for i in suspects]
-        return any(changed)
+        changes = [self._assess(i, reports[i]) for i in suspects]
+        return any(changes)
 
-    def _fallen(self, i: int, x: float) -> float:
-        """How far ``x`` is below what a healthy engine can have come down to, from what it reported a while ago."""
+    def _sudden_deficit(self, i: int, x: float) -> float:
+        """Return how far ``x`` is below what a healthy engine can have reached, from its report a while ago."""
         start, before = self._window[self._sudden][i], self._window[0][i]
         least = start
-        for asked in self._past[: self._sudden + self._late - self._early + 1]:
-            least = asked[i] if asked[i] < least else least
-        lowest = least + (start - least) * self._kept[i]
+        for commanded in self._past[: self._sudden + self._latest - self._earliest + 1]:
+            least = commanded[i] if commanded[i] < least else least
+        lowest = least + (start - least) * self._sudden_decay[i]
         return lowest - max(0.0, before - start) - x
 
     @property
-    def reported(self) -> PerJet:
-        """Thrust that the last reports stand for [N]."""
-        return self._reported[-1]
+    def reported_thrust(self) -> PerJet:
+        """The thrust of the last reports [N]."""
+        return self._reports[-1]
 
     @property
-    def asked(self) -> list[PerJet]:
-        """Thrust that the last commands ask for at rest [N], oldest first: over the longest delay and more."""
+    def commanded_thrust(self) -> list[PerJet]:
+        """The thrust that the last commands give at rest [N], oldest first: over the longest delay and more."""
         return list(self._past)
 
     def give_up(self, i: int) -> None:
-        """Engine ``i`` is shut off on purpose: take it for lost."""
-        self._found(i, 0.0, 0.0)
+        """Count engine ``i`` as lost: it is shut off on purpose."""
+        self._set_health(i, 0.0, 0.0)
 
-    def started(self, throttle: PerJet, output: EngineOutput) -> bool:
-        """Every engine that is not given up reports what it gives at rest at its ``throttle``, within the threshold."""
+    def have_started(self, throttle: PerJet, output: EngineOutput) -> bool:
+        """Return whether all engines in use report their thrust at rest at ``throttle``, within the threshold."""
         reports = zip(self._references, self.gains, throttle, output.thrust, output.spool_speed, strict=True)
         return all(
             gain == 0.0 or abs(reference.thrust_of(f, w) - reference.thrust_at(u)) <= self._threshold
             for reference, gain, u, f, w in reports
         )
 
-    def settled(self, throttle: PerJet, output: EngineOutput) -> bool:
-        """Every engine's report is within the threshold of what it gives at rest at its ``throttle``, or of nothing."""
+    def have_settled(self, throttle: PerJet, output: EngineOutput) -> bool:
+        """Return whether no engine reports more than its thrust at rest at ``throttle``, within the threshold."""
         reports = zip(self._references, throttle, output.thrust, output.spool_speed, strict=True)
         return all(
             reference.thrust_of(f, w) <= reference.thrust_at(u) + self._threshold for reference, u, f, w in reports
         )
 
-    def _judge(self, i: int, x: float) -> bool:
-        """Decide what an engine is that has been outside for long enough; False while it cannot be told."""
+    def _assess(self, i: int, x: float) -> bool:
+        """Set the health of an engine that has been outside for long enough; return whether it changed."""
         reference, gain = 0.5 * (self._low[i] + self._high[i]), self.gains[i]
-        left = self._left[i]
-        heading = max(0.0, (x - left * self._reported[0][i]) / (1.0 - left))
+        decay = self._decay[i]
+        heading = max(0.0, (x - decay * self._reports[0][i]) / (1.0 - decay))
         if gain == 0.0:
-            return self._found(i, 0.0, heading)
-        x_then, reference_then = self._agreed[i]
-        moved, asked = abs(x - x_then), gain * abs(reference - reference_then)
-        if moved < _FOLLOWS * asked:
-            return self._outside[i] >= self._stuck and self._found(i, 0.0, x)
+            return self._set_health(i, 0.0, heading)
+        x_then, reference_then = self._agreement[i]
+        change, commanded_change = abs(x - x_then), gain * abs(reference - reference_then)
+        if change < _FOLLOWS * commanded_change:
+            return self._outside[i] >= self._stuck and self._set_health(i, 0.0, x)
         if x > self._high[i] + self._threshold:
-            # slow to come down, or running away
-            return moved > asked and self._found(i, 0.0, heading)
-        share = min(1.0, heading / reference) if reference > 0.0 else 1.0
-        return self._found(i, 0.0 if share < _LOST else share, 0.0)
+            # It is slow to come down, or runs away.
+            return change > commanded_change and self._set_health(i, 0.0, heading)
+        gain_estimate = min(1.0, heading / reference) if reference > 0.0 else 1.0
+        return self._set_health(i, 0.0 if gain_estimate < _LOST_GAIN else gain_estimate, 0.0)
 
-    def _found(self, i: int, gain: float, fixed: float) -> bool:
+    def _set_health(self, i: int, gain: float, fixed: float) -> bool:
         self._outside[i] = 0
-        if (gain, fixed) == (self.gains[i], self._fixed[i]):
+        if (gain, fixed) == (self.gains[i], self._fixed_thrust[i]):
             return False
         reference = self._references[i]
         idle, span = reference.thrust[0], reference.thrust[-1] - reference.thrust[0]
         low, high = self._limits
-        # a lost engine's throttle is closed: should it be lit again, it gives the least it can
+        # The throttle of a lost engine is closed: if it is lit again, it gives the least thrust.
         command = min(high, max(low, (fixed - idle) / span)) if fixed else 0.0
-        self._fixed[i] = fixed
+        self._fixed_thrust[i] = fixed
         self.health = (*self.health[:i], JetHealth(gain, fixed / span, command), *self.health[i + 1 :])
         self.gains = tuple(one.gain for one in self.health)
         return True
 
 
 def _curve(reference: EngineReference) -> Callable[[float], float]:
-    """Throttle to thrust at rest; a straight curve without the search."""
+    """Return the function from throttle to thrust at rest, without a search for a straight curve."""
     start, slope = reference.thrust[0], reference.thrust[-1] - reference.thrust[0]
     straight = all(
         abs(start + u * slope - f) <= 1e-9 * abs(slope)
@@ -245,12 +245,12 @@ def _curve(reference: EngineReference) -> Callable[[float], float]:
     return (lambda u: start + u * slope) if straight else reference.thrust_at
 
 
-def _share(step: float, lag: float) -> float:
+def _filter_gain(step: float, lag: float) -> float:
     return 1.0 - exp(-step / lag) if lag > 0.0 else 1.0
 
 
 def _interpolate(xs: Sequence[float], ys: Sequence[float], x: float) -> float:
-    """Linear between the points, held beyond the ends."""
+    """Interpolate linearly, constant beyond the ends."""
     if x <= xs[0]:
         return ys[0]
     if x >= xs[-1]:

@@ -1,4 +1,4 @@
-"""From shares of thrust to throttles: what allocation asks for is a thrust, whatever the engine's static curve."""
+"""From thrust fractions to throttles: allocation commands thrust, whatever the engine's static curve."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ STRAIGHT = 1e-9  # of the thrust between throttle 0 and 1: a curve this close to
 
 
 class StaticCurve(NamedTuple):
-    """Thrust of one engine at rest, at throttles from 0 to 1, and the engine's name for complaints."""
+    """Thrust of one engine at rest, at throttles from 0 to 1, and the engine's name for error messages."""
 
     engine: str
     throttle: Sequence[float]
@@ -34,9 +34,9 @@ class StaticCurve(NamedTuple):
 
 
 class ThrustMap:
-    """Shares of thrust, 0 to 1, to throttles, one static curve per station.
+    """From thrust fractions, 0 to 1, to throttles, one static curve per station.
 
-    Controllers, allocation and identified models count in shares: a share c asks for the thrust at rest
+    Controllers, allocation and identified models use thrust fractions: a fraction c asks for the thrust at rest
     ``T = T_0 + c (T_1 - T_0)`` of the ``reference`` engine at throttle 0 and 1, so that equal changes of c are equal
     changes of thrust at every station.  A station's throttle is its own measured curve inverted, linear between the
     points, held at 0 and 1 where its engine cannot give T.  With one kind of engine and a straight curve throttle = c.
@@ -45,15 +45,15 @@ class ThrustMap:
     """
 
     def __init__(self, reference: StaticCurve, stations: Sequence[StaticCurve]) -> None:
-        inverse = {id(curve): inverted(curve) for curve in (reference, *stations)}
+        inverse = {id(curve): invert(curve) for curve in (reference, *stations)}
         self.low, self.span = reference.thrust[0], reference.span
-        # None: the throttle is the share, to the last bit
+        # None: the throttle is the fraction, to the last bit
         self.stations: list[Inverse | None] = [
             None if reference.straight and _same(curve, reference) else inverse[id(curve)] for curve in stations
         ]
         self.identity = not any(self.stations)
         self.inverse = inverse[id(reference)] if reference.straight else None  # None: as the chord has it
-        # thrust at throttle 0, in shares: the thrust itself is proportional to c + idle
+        # thrust at throttle 0 as a fraction: the thrust itself is proportional to c + idle
         self.idle = self.low / self.span if abs(self.low) > STRAIGHT * self.span else 0.0
 
     def share(self, thrust: float) -> float:
@@ -64,13 +64,13 @@ class ThrustMap:
         """Return the thrust fraction that asks every station for its part of ``total`` [N]."""
         return self.share(total / len(self.stations))
 
-    def throttle(self, shares: PerJet) -> PerJet:
-        """One throttle per station."""
+    def throttle(self, fractions: PerJet) -> PerJet:
+        """Return one throttle per station."""
         if self.identity:
-            return shares
+            return fractions
         low, span, stations = self.low, self.span, self.stations
         throttles: list[float] = []
-        for i, c in enumerate(shares):
+        for i, c in enumerate(fractions):
             inverse = stations[i]
             throttles.append(c if inverse is None else min(max(inverse.at(low + c * span), 0.0), 1.0))
         return tuple(throttles)
@@ -80,8 +80,8 @@ def _same(one: StaticCurve, other: StaticCurve) -> bool:
     return one is other or (one.throttle, one.thrust) == (other.throttle, other.thrust)
 
 
-def inverted(curve: StaticCurve) -> Inverse:
-    """Thrust at rest [N] to throttle, linear between the points and beyond the ends.
+def invert(curve: StaticCurve) -> Inverse:
+    """Return the map from thrust at rest [N] to throttle, linear between the points and beyond the ends.
 
     Raises InputError if the thrust does not grow with the throttle: nothing could then be inverted.
     """
@@ -104,10 +104,10 @@ class Inverse:
 
     def __init__(self, throttles: Sequence[float], thrusts: Sequence[float], slopes: Sequence[float]) -> None:
         self.throttles, self.thrusts, self.slopes = list(throttles), list(thrusts), list(slopes)
-        self._use(0)
+        self._select(0)
 
-    def _use(self, line: int) -> None:
-        """Keep the line that answers, because mostly it is the next one too: which thrusts it answers, above and to."""
+    def _select(self, line: int) -> None:
+        """Keep the line in use, with its range of thrusts: mostly the next thrust is on it too."""
         thrusts, last = self.thrusts, len(self.slopes) - 1
         self._throttle, self._thrust, self._slope = self.throttles[line], thrusts[line], self.slopes[line]
         self._above = thrusts[line] if line > 0 else -inf
@@ -128,5 +128,5 @@ class Inverse:
                     i = middle + 1
                 else:
                     end = middle
-            self._use(i)
+            self._select(i)
         return self._throttle + self._slope * (thrust - self._thrust)

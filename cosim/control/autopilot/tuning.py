@@ -61,7 +61,7 @@ class Live:
         self._control = control
         self._blocks = blocks
         self._step = step
-        blocks.rate.remember(CATCH_UP_STEPS)
+        blocks.rate.keep_history(CATCH_UP_STEPS)
 
     def set(self, name: str, value: float) -> None:
         """Store a value and let it act from the next step on.  Raises InputError where it is not allowed."""
@@ -71,13 +71,13 @@ class Live:
             return
         new = dict(parameters.values) | {name: value}
         if name.startswith("HJ_PRED_"):
-            self._predict(new)
+            self._set_predictors(new)
         elif name in _RATE_NAMES:
             self._blocks.rate.retune(rate_gains(self._control, new))
         elif name.startswith("HJ_ATT_") or name.startswith("HJ_RLIM_"):
-            self._aim(new)
+            self._set_attitude_gains(new)
         elif name in ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_I", "HJ_SPEED_UP", "HJ_SPEED_DN"):
-            self._climb(new)
+            self._set_altitude_gains(new)
         elif name in ("HJ_POS_P", "HJ_VEL_P", "HJ_LEAN_MAX"):
             lean = radians(new["HJ_LEAN_MAX"])
             self._blocks.position.retune(new["HJ_POS_P"], new["HJ_VEL_P"], lean)
@@ -85,17 +85,17 @@ class Live:
             self._blocks.tracker.limit(new["HJ_ACC_HOR"], new["HJ_JERK_HOR"])
         parameters.set(name, value)
 
-    def _predict(self, values: Mapping[str, float]) -> None:
+    def _set_predictors(self, values: Mapping[str, float]) -> None:
         name = controller_of(values)
         assert name is not None  # the table has no other values
         tuning = _predictor_tuning(self._control, values)
-        made = self._blocks.predictors(name, values["HJ_PRED_DELAY"], tuning)
-        self._blocks.rate.retune(rate_gains(self._control, values), made)
+        predictors = self._blocks.predictors(name, values["HJ_PRED_DELAY"], tuning)
+        self._blocks.rate.retune(rate_gains(self._control, values), predictors)
 
-    def _aim(self, values: Mapping[str, float]) -> None:
+    def _set_attitude_gains(self, values: Mapping[str, float]) -> None:
         self._blocks.attitude.retune(_attitude(self._control, values), self._step)
 
-    def _climb(self, values: Mapping[str, float]) -> None:
+    def _set_altitude_gains(self, values: Mapping[str, float]) -> None:
         self._blocks.altitude.retune(_altitude(self._control, values))
 
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import exp
 
-from cosim.control.laws.axis import Actuators, Axis, AxisLaw, RateLaw, angle, tuned
+from cosim.control.laws.axis import Actuators, Axis, AxisLaw, RateLaw, angle, positive
 
 
 class AdrcAxis:
@@ -41,7 +41,7 @@ class AdrcAxis:
         of_rate, of_disturbance = self.correct
         self.rate = rate + of_rate * error
         self.disturbance += of_disturbance * error
-        self.predicted = self.rate + step * (actuators.samples * self.disturbance + gain * actuators.ahead)
+        self.predicted = self.rate + step * (actuators.samples * self.disturbance + gain * actuators.upcoming_sum)
         return (self._speed * (setpoint - self.predicted) - self.disturbance) / gain
 
 
@@ -50,11 +50,11 @@ class Adrc(RateLaw):
 
     parameters = (
         angle(0.3636),
-        tuned("speed", 27.38, "bandwidth of the rate loop [rad/s] times theta"),
-        tuned("observer", 0.3056, "bandwidth of the observer [rad/s] times theta"),
+        positive("speed", 27.38, "bandwidth of the rate loop [rad/s] times theta"),
+        positive("observer", 0.3056, "bandwidth of the observer [rad/s] times theta"),
     )
 
-    def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
+    def on(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
         """Return the law of one axis."""
         theta = axis.delay
-        return AdrcAxis(axis.gain, Actuators.of(axis), own["speed"] / theta, own["observer"] / theta, axis.step)
+        return AdrcAxis(axis.gain, Actuators.of(axis), values["speed"] / theta, values["observer"] / theta, axis.step)

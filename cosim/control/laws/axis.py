@@ -1,4 +1,4 @@
-"""What the laws here have in common: a law for every axis that engines answer, and numbers without units to tune it.
+"""The base of the laws in this folder: a law for every axis that engines turn, tuned by dimensionless numbers.
 
 An identified response ``G(z)`` is, at low frequency, an integrator with a delay: ``G = k e^(-s theta) / s``.  All
 parameters are stated in ``k`` and ``theta``, so one set of them is a tuning for every vehicle whose engines answer late
@@ -26,7 +26,7 @@ class AxisLaw(Protocol):
     """One axis of a rate loop.  It may have ``predicted``, the rate that it feeds back, for the log."""
 
     def reset(self) -> None:
-        """At rest, nothing applied."""
+        """Return to rest, with nothing applied."""
 
     def update(self, setpoint: float, measured: float, applied: float) -> float:
         """Return the command of a step, from rates [rad/s] and what was applied of the command before."""
@@ -34,7 +34,7 @@ class AxisLaw(Protocol):
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis as a law may believe it."""
+    """One axis with its identified model."""
 
     belief: Belief
     name: str
@@ -81,7 +81,7 @@ class Axis:
 
 
 class Actuators:
-    """What the commands become: ``A = (1 - p) z / (z - p) z^-1-n``, a lag of one pole behind a delay of ``n`` steps."""
+    """Model of the actuators: ``A = (1 - p) z / (z - p) z^-1-n``, a lag of one pole behind a delay of ``n`` steps."""
 
     def __init__(self, samples: int, pole: float) -> None:
         self._pole, self.samples = pole, samples
@@ -111,7 +111,7 @@ class Actuators:
         return self.now
 
     @property
-    def ahead(self) -> float:
+    def upcoming_sum(self) -> float:
         """The sum of what will act over the steps of the delay."""
         total = self._of_lag * self.now
         for weight, command in zip(self._weights, self._sent[-self.samples :], strict=True):
@@ -119,14 +119,14 @@ class Actuators:
         return total
 
 
-def tuned(name: str, value: float, meaning: str, least: float = 1e-3, most: float = 1e3) -> Parameter:
+def positive(name: str, value: float, meaning: str, least: float = 1e-3, most: float = 1e3) -> Parameter:
     """Return a parameter without a unit, above 0."""
     return Parameter(name, value, "", meaning, least, most)
 
 
 def angle(value: float) -> Parameter:
     """Return the parameter for the gain of the attitude loop above, the only one that a law does not apply itself."""
-    return tuned("angle", value, "gain of the attitude loop [1/s] times theta: set-points are scaled to have it")
+    return positive("angle", value, "gain of the attitude loop [1/s] times theta: set-points are scaled to have it")
 
 
 class RateLaw:
@@ -135,7 +135,7 @@ class RateLaw:
     level = "rate"
     parameters: ClassVar[tuple[Parameter, ...]]
 
-    def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
+    def on(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
         """Return the law of one axis.  Raises InputError where its model does not do."""
         raise NotImplementedError
 
@@ -146,7 +146,7 @@ class RateLaw:
                 f"{type(self).__name__}: needs a model of how this engine turns {belief.vehicle.name}, and none is "
                 "identified at this step; hexjet identify makes one"
             )
-        control, own = belief.vehicle.control, belief.parameters
+        control, values = belief.vehicle.control, belief.parameters
         self._laws: list[AxisLaw] = []
         self._scales: list[float] = []
         for index, name in enumerate(AXES):
@@ -156,16 +156,16 @@ class RateLaw:
                 self._scales.append(1.0)
             else:
                 axis = Axis(belief, name, model)
-                self._laws.append(self.on(axis, own))
-                self._scales.append(own["angle"] / axis.delay / control.attitude.gain_1_s[index])
+                self._laws.append(self.on(axis, values))
+                self._scales.append(values["angle"] / axis.delay / control.attitude.gain_1_s[index])
 
     def reset(self) -> None:
-        """At rest."""
+        """Return to rest."""
         for law in self._laws:
             law.reset()
 
     def update(self, setpoint: Vector3, measured: Vector3, applied: Vector3) -> Vector3:
-        """One step of all axes."""
+        """Return the commands of one step."""
         (roll, pitch, yaw), (x, y, z) = self._laws, self._scales
         return (
             roll.update(x * setpoint[0], measured[0], applied[0]),
@@ -184,15 +184,15 @@ class Pid:
     """The built-in PID with its predictor, as an :class:`AxisLaw`."""
 
     def __init__(self, axis: RateAxis) -> None:
-        self._axis, self._asked = axis, 0.0
+        self._axis, self._command = axis, 0.0
 
     def reset(self) -> None:
         self._axis.reset()
-        self._asked = 0.0
+        self._command = 0.0
 
     def update(self, setpoint: float, measured: float, applied: float) -> float:
-        self._asked = self._axis.update(setpoint, measured, self._asked - applied)
-        return self._asked
+        self._command = self._axis.update(setpoint, measured, self._command - applied)
+        return self._command
 
     @property
     def predicted(self) -> float:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 from cosim.base.protocols import Parameter
-from cosim.control.laws.axis import Axis, AxisLaw, Pid, RateLaw, angle, tuned
+from cosim.control.laws.axis import Axis, AxisLaw, Pid, RateLaw, angle, positive
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.rate import RateAxis
 
@@ -19,9 +19,9 @@ from cosim.control.rate import RateAxis
 def _gains(a: float, p: float, i: float, d: float) -> tuple[Parameter, ...]:
     return (
         angle(a),
-        tuned("p", p, "proportional gain times k theta"),
-        tuned("i", i, "integral over proportional gain [1/s] times theta", 0.0),
-        tuned("d", d, "derivative over proportional gain [s] over theta", 0.0),
+        positive("p", p, "proportional gain times k theta"),
+        positive("i", i, "integral over proportional gain [1/s] times theta", 0.0),
+        positive("d", d, "derivative over proportional gain [s] over theta", 0.0),
     )
 
 
@@ -31,17 +31,17 @@ class Cascaded(RateLaw):
     predictor: ClassVar[str] = "baseline"
     parameters = _gains(0.2414, 0.7053, 0.1938, 0.4911)
 
-    def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
+    def on(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
         """Return the PID, its derivative filtered at a tenth of what it leads by and no faster than a step."""
         vehicle, theta = axis.belief.vehicle, axis.delay
-        p = own["p"] / (axis.gain * theta)
-        d = own["d"] * theta
+        p = values["p"] / (axis.gain * theta)
+        d = values["d"] * theta
         gains = getattr(vehicle.control.rate, axis.name).model_copy(
-            update={"p": p, "i": p * own["i"] / theta, "d": p * d, "d_filter_s": max(axis.step, 0.1 * d)}
+            update={"p": p, "i": p * values["i"] / theta, "d": p * d, "d_filter_s": max(axis.step, 0.1 * d)}
         )
         spec = PREDICTORS[self.predictor]
-        values = {parameter.name: own["predictor"] * parameter.scale(theta) for parameter in spec.parameters}
-        predictor = spec.predictor(axis.model, spec.tuned(vehicle.control.predictor, values))
+        tuning = {parameter.name: values["predictor"] * parameter.scale(theta) for parameter in spec.parameters}
+        predictor = spec.predictor(axis.model, spec.tuned(vehicle.control.predictor, tuning))
         return Pid(RateAxis(gains, predictor, axis.step))
 
 
@@ -58,7 +58,7 @@ class FilteredSmith(Cascaded):
     predictor = "filtered-smith"
     parameters = (
         *_gains(0.2476, 0.7396, 0.2357, 0.3533),
-        tuned("predictor", 0.4134, "time constant of the filter over theta"),
+        positive("predictor", 0.4134, "time constant of the filter over theta"),
     )
 
 
@@ -68,7 +68,7 @@ class StatePredictor(Cascaded):
     predictor = "state"
     parameters = (
         *_gains(0.3866, 1.13, 0.1345, 0.1375),
-        tuned("predictor", 11.2, "bandwidth of the observer times theta"),
+        positive("predictor", 11.2, "bandwidth of the observer times theta"),
     )
 
 
@@ -78,5 +78,5 @@ class StateDisturbance(Cascaded):
     predictor = "state-disturbance"
     parameters = (
         *_gains(0.2821, 0.9686, 0.36, 0.01454),
-        tuned("predictor", 59.91, "bandwidth of the observer times theta"),
+        positive("predictor", 59.91, "bandwidth of the observer times theta"),
     )

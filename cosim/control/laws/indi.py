@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import cos, exp, sin, sqrt
 
-from cosim.control.laws.axis import Actuators, Axis, AxisLaw, RateLaw, angle, tuned
+from cosim.control.laws.axis import Actuators, Axis, AxisLaw, RateLaw, angle, positive
 
 DAMPING = 0.55
 
@@ -40,17 +40,17 @@ class SecondOrder:
         self.value = self.slope = 0.0
 
     def update(self, value: float) -> None:
-        off, slope = self.value - value, self.slope
-        self.value = value + self._a[0] * off + self._a[1] * slope
-        self.slope = self._b[0] * off + self._b[1] * slope
+        error, slope = self.value - value, self.slope
+        self.value = value + self._a[0] * error + self._a[1] * slope
+        self.slope = self._b[0] * error + self._b[1] * slope
 
 
 class IndiAxis:
     """One axis: ``gain`` rad/s^2 per command, bandwidths in rad/s."""
 
-    def __init__(self, gain: float, actuators: Actuators, speed: float, filtered: float, step: float) -> None:
+    def __init__(self, gain: float, actuators: Actuators, speed: float, filter_speed: float, step: float) -> None:
         self._gain, self._actuators, self._speed, self._step = gain, actuators, speed, step
-        self._of_rate, self._of_actuator = SecondOrder(filtered, step), SecondOrder(filtered, step)
+        self._of_rate, self._of_actuator = SecondOrder(filter_speed, step), SecondOrder(filter_speed, step)
         self.reset()
 
     def reset(self) -> None:
@@ -62,11 +62,11 @@ class IndiAxis:
         actuators, gain = self._actuators, self._gain
         self._of_rate.update(measured)
         self._of_actuator.update(actuators.update(applied))
-        acceleration, there = self._of_rate.slope, self._of_actuator.value
-        ahead = actuators.samples * (acceleration - gain * there) + gain * actuators.ahead
-        self.predicted = measured + self._step * ahead
-        wanted = self._speed * (setpoint - self.predicted)
-        return there + (wanted - acceleration) / gain
+        acceleration, actuator = self._of_rate.slope, self._of_actuator.value
+        increment = actuators.samples * (acceleration - gain * actuator) + gain * actuators.upcoming_sum
+        self.predicted = measured + self._step * increment
+        demand = self._speed * (setpoint - self.predicted)
+        return actuator + (demand - acceleration) / gain
 
 
 class Indi(RateLaw):
@@ -74,11 +74,11 @@ class Indi(RateLaw):
 
     parameters = (
         angle(0.2361),
-        tuned("speed", 0.5133, "gain of the rate's error [1/s] times theta"),
-        tuned("filter", 66.73, "natural frequency of the filter H [rad/s] times theta"),
+        positive("speed", 0.5133, "gain of the rate's error [1/s] times theta"),
+        positive("filter", 66.73, "natural frequency of the filter H [rad/s] times theta"),
     )
 
-    def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
+    def on(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
         """Return the law of one axis."""
         theta = axis.delay
-        return IndiAxis(axis.gain, Actuators.of(axis), own["speed"] / theta, own["filter"] / theta, axis.step)
+        return IndiAxis(axis.gain, Actuators.of(axis), values["speed"] / theta, values["filter"] / theta, axis.step)

@@ -19,21 +19,21 @@ from collections.abc import Mapping
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, angle, tuned
+from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, angle, positive
 from cosim.control.predictors.linear import cascade
 from cosim.spec.vehicle import RateModel
 
 
-def delayed(A: Array, B: Array, samples: int) -> tuple[Array, Array]:
+def add_delay(A: Array, B: Array, samples: int) -> tuple[Array, Array]:
     """Return a model with ``samples`` commands in transport as further states, the oldest first."""
     n = len(A)
-    late = np.zeros((n + samples, n + samples))
-    late[:n, :n] = A
+    augmented = np.zeros((n + samples, n + samples))
+    augmented[:n, :n] = A
     if not samples:
-        return late, B.copy()
-    late[:n, n] = B
-    late[n:-1, n + 1 :] = np.eye(samples - 1)
-    return late, np.eye(n + samples)[:, -1]
+        return augmented, B.copy()
+    augmented[:n, n] = B
+    augmented[n:-1, n + 1 :] = np.eye(samples - 1)
+    return augmented, np.eye(n + samples)[:, -1]
 
 
 def regulator(A: Array, B: Array, C: Array, rho: float) -> tuple[Array, float]:
@@ -68,20 +68,20 @@ class Filter:
 
     def update(self, measured: float, arrives: float) -> Array:
         """Model states and disturbance, after the command ``arrives`` has acted for a step and this was measured."""
-        ahead = self.F @ self.state + self._B * arrives
-        self.state = ahead + self.gain * (measured - self.H @ ahead)
+        predicted = self.F @ self.state + self._B * arrives
+        self.state = predicted + self.gain * (measured - self.H @ predicted)
         return self.state
 
 
-def believed(axis: Axis) -> tuple[Array, Array, Array, int]:
+def discrete_model(axis: Axis) -> tuple[Array, Array, Array, int]:
     """Return the model of an axis and its delay in whole steps, rounded to the nearest."""
     model: RateModel = axis.model
     return *cascade(model), round(model.delay_samples)
 
 
-def filtered(axis: Axis, observer: float) -> Filter:
+def kalman_filter(axis: Axis, observer: float) -> Filter:
     """Return the filter of an axis with this bandwidth, rad/s."""
-    A, B, C, _ = believed(axis)
+    A, B, C, _ = discrete_model(axis)
     return Filter(A, B, C, (observer**4 * axis.step**2) / axis.gain**2)
 
 
@@ -89,18 +89,18 @@ class LqgAxis:
     """One axis."""
 
     def __init__(self, axis: Axis, speed: float, observer: float) -> None:
-        A, B, C, samples = believed(axis)
-        self._filter = filtered(axis, observer)
-        self.gain, self.forward = regulator(*delayed(A, B, samples), np.append(C, np.zeros(samples)),
+        A, B, C, samples = discrete_model(axis)
+        self._filter = kalman_filter(axis, observer)
+        self.gain, self.forward = regulator(*add_delay(A, B, samples), np.append(C, np.zeros(samples)),
                                             (axis.gain / speed) ** 2)  # fmt: skip
         self._of_state, self._of_sent = self.gain[: len(A)], self.gain[len(A) :]
         self._of_disturbance = 1.0 + float(self._of_sent.sum())
-        self._late = samples
+        self._samples = samples
         self.reset()
 
     def reset(self) -> None:
         self._filter.reset()
-        self._sent: Array = np.zeros(self._late + 1)  # the oldest first
+        self._sent: Array = np.zeros(self._samples + 1)  # the oldest first
 
     def update(self, setpoint: float, measured: float, applied: float) -> float:
         sent = self._sent
@@ -116,11 +116,11 @@ class Lqg(RateLaw):
 
     parameters = (
         angle(0.348),
-        tuned("speed", 34.13, "bandwidth of the regulator k / sqrt(rho) [rad/s] times theta"),
-        tuned("observer", 0.3128, "bandwidth of the Kalman filter [rad/s] times theta"),
+        positive("speed", 34.13, "bandwidth of the regulator k / sqrt(rho) [rad/s] times theta"),
+        positive("observer", 0.3128, "bandwidth of the Kalman filter [rad/s] times theta"),
     )
 
-    def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
+    def on(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
         """Return the law of one axis."""
         theta = axis.delay
-        return LqgAxis(axis, own["speed"] / theta, own["observer"] / theta)
+        return LqgAxis(axis, values["speed"] / theta, values["observer"] / theta)

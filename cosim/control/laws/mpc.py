@@ -23,11 +23,11 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
-from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, angle, tuned
-from cosim.control.laws.lqg import believed, filtered
+from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, angle, positive
+from cosim.control.laws.lqg import discrete_model, kalman_filter
 
 BLOCKS = (1, 1, 1, 2, 2, 3, 4, 6, 8, 12)  # steps for which each command is kept; the last until the end
-SURE = 1e-9  # of the command, within which OSQP has to keep its answer
+TOLERANCE = 1e-9  # of the command, within which OSQP has to keep its answer
 
 
 def osqp() -> Any:
@@ -43,8 +43,8 @@ class MpcAxis:
     """One axis; ``room`` is how far the command may go either way."""
 
     def __init__(self, axis: Axis, speed: float, observer: float, room: float) -> None:
-        A, B, C, samples = believed(axis)
-        self._filter, self._room, self._late = filtered(axis, observer), room, samples
+        A, B, C, samples = discrete_model(axis)
+        self._filter, self._room, self._samples = kalman_filter(axis, observer), room, samples
         horizon, moves, n = round(2.0 * axis.delay / axis.step), len(BLOCKS), len(A)
         weight = axis.gain**2 / (speed**4 * axis.step**2)
         # state when the first command that can be chosen acts: from the state now, and from the commands on their way
@@ -53,25 +53,25 @@ class MpcAxis:
             powers.append(A @ powers[-1])
         self._of_state = powers[samples]
         self._of_sent = np.stack([powers[samples - 1 - i] @ B for i in range(samples)], axis=1)
-        answers = np.array([C @ power @ B for power in powers[:horizon]])  # of y to a command, step by step
+        responses = np.array([C @ power @ B for power in powers[:horizon]])  # of y to a command, step by step
         block = np.minimum(np.searchsorted(np.cumsum(BLOCKS), np.arange(horizon), side="right"), moves - 1)
-        forced = np.zeros((horizon, moves))
+        forced_response = np.zeros((horizon, moves))
         for j in range(horizon):
             for m in range(j + 1):
-                forced[j, block[m]] += answers[j - m]
-        free = np.stack([C @ power for power in powers[1 : horizon + 1]])
+                forced_response[j, block[m]] += responses[j - m]
+        free_response = np.stack([C @ power for power in powers[1 : horizon + 1]])
         change = np.eye(moves) - np.eye(moves, k=-1)
-        self.hessian: Array = forced.T @ forced + weight * change.T @ change
+        self.hessian: Array = forced_response.T @ forced_response + weight * change.T @ change
         last = weight * change.T @ np.eye(moves)[:, 0]
         # gradient = of_late state_late - of_setpoint r - last u_k-1
-        self._gradient = (forced.T @ free, forced.T @ np.ones(horizon), last)
+        self._gradient = (forced_response.T @ free_response, forced_response.T @ np.ones(horizon), last)
         self._solution = -np.linalg.inv(self.hessian)
         self._osqp = osqp()
         self.reset()
 
     def reset(self) -> None:
         self._filter.reset()
-        self._sent: Array = np.zeros(self._late + 1)  # the oldest first
+        self._sent: Array = np.zeros(self._samples + 1)  # the oldest first
         self._solver: Any = None  # another flight begins with another solver: its answers remember the last ones
 
     def update(self, setpoint: float, measured: float, applied: float) -> float:
@@ -80,15 +80,15 @@ class MpcAxis:
         sent[-1] = applied
         state = self._filter.update(measured, float(sent[0]))
         disturbance = float(state[-1])
-        late = self._of_state @ state[:-1] + self._of_sent @ (sent[1:] + disturbance)
-        of_late, of_setpoint, of_last = self._gradient
-        gradient = of_late @ late - of_setpoint * setpoint - of_last * (applied + disturbance)
+        arrival = self._of_state @ state[:-1] + self._of_sent @ (sent[1:] + disturbance)
+        of_arrival, of_setpoint, of_last = self._gradient
+        gradient = of_arrival @ arrival - of_setpoint * setpoint - of_last * (applied + disturbance)
         plan = self._solution @ gradient  # of command and disturbance together
         if np.abs(plan - disturbance).max() > self._room:
-            plan = self.bounded(gradient, disturbance)
+            plan = self.solve_bounded(gradient, disturbance)
         return float(plan[0]) - disturbance
 
-    def bounded(self, gradient: Array, disturbance: float) -> Array:
+    def solve_bounded(self, gradient: Array, disturbance: float) -> Array:
         """Return the plan within the limits.  Raises FlightError where the solver finds none."""
         from scipy.sparse import csc_matrix
 
@@ -101,7 +101,8 @@ class MpcAxis:
             # a step length that is adapted by the clock would make flights differ
             self._solver.setup(
                 csc_matrix(np.triu(self.hessian / size)), gradient / size, csc_matrix(np.eye(moves)), low, high,
-                verbose=False, eps_abs=SURE, eps_rel=SURE, adaptive_rho=False, rho=1.0, max_iter=20000, polishing=True,
+                eps_abs=TOLERANCE, eps_rel=TOLERANCE, adaptive_rho=False, rho=1.0, max_iter=20000,
+                polishing=True, verbose=False,
             )  # fmt: skip
         else:
             self._solver.update(q=gradient / size, l=low, u=high)
@@ -117,12 +118,12 @@ class Mpc(RateLaw):
 
     parameters = (
         angle(0.3438),
-        tuned("speed", 32.12, "bandwidth that the weight on changes comes to [rad/s], times theta"),
-        tuned("observer", 0.3262, "bandwidth of the Kalman filter [rad/s] times theta"),
+        positive("speed", 32.12, "bandwidth that the weight on changes comes to [rad/s], times theta"),
+        positive("observer", 0.3262, "bandwidth of the Kalman filter [rad/s] times theta"),
     )
 
-    def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
+    def on(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
         """Return the law of one axis; its room is what hover leaves of the throttles, either way."""
         theta, limits, hover = axis.delay, axis.belief.vehicle.control.allocation, axis.belief.hover
         room = min(hover - limits.throttle_min, limits.throttle_max - hover)
-        return MpcAxis(axis, own["speed"] / theta, own["observer"] / theta, room)
+        return MpcAxis(axis, values["speed"] / theta, values["observer"] / theta, room)

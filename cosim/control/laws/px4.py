@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from math import cos, exp, inf, pi, radians, sqrt, tan
 
 from cosim.base.limits import clamp
-from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, angle, tuned
+from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, angle, positive
 
 FADES = radians(400.0)  # rad/s of error at which nothing is integrated any more
 ACCELERATION_HZ = 30.0  # IMU_DGYRO_CUTOFF as it ships
@@ -28,10 +28,10 @@ class LowPass:
 
     def __init__(self, hertz: float, step: float) -> None:
         w = tan(pi * min(hertz * step, 0.45))
-        under = 1.0 + 2.0 * cos(pi / 4.0) * w + w * w
-        self._b = w * w / under
-        self._a1 = 2.0 * (w * w - 1.0) / under
-        self._a2 = (1.0 - sqrt(2.0) * w + w * w) / under
+        denominator = 1.0 + 2.0 * cos(pi / 4.0) * w + w * w
+        self._b = w * w / denominator
+        self._a1 = 2.0 * (w * w - 1.0) / denominator
+        self._a2 = (1.0 - sqrt(2.0) * w + w * w) / denominator
         self.reset()
 
     def reset(self) -> None:
@@ -56,7 +56,7 @@ class Px4Axis:
         self.reset()
 
     def reset(self) -> None:
-        self._integral = self._asked = self._once = self._twice = self._setpoint = 0.0
+        self._integral = self._command = self._once = self._twice = self._setpoint = 0.0
         self._rate: float | None = None
         self._low_pass.reset()
 
@@ -66,15 +66,15 @@ class Px4Axis:
         self._once = keep * self._once + (1.0 - keep) * turning
         self._twice = keep * self._twice + (1.0 - keep) * self._once
         self._setpoint = setpoint
-        wanted = setpoint + self._twice
+        demand = setpoint + self._twice
         slope = self._low_pass.update(measured - (measured if self._rate is None else self._rate))
         self._rate = measured
-        error, refused = wanted - measured, self._asked - applied
-        self._asked = self._p * error + self._integral - self._d * slope + self._forward * wanted
-        if refused * error <= 0.0:
+        error, residual = demand - measured, self._command - applied
+        self._command = self._p * error + self._integral - self._d * slope + self._forward * demand
+        if residual * error <= 0.0:
             factor = max(0.0, 1.0 - (error / FADES) ** 2)
             self._integral = clamp(self._integral + factor * self._i * error, self._limit)
-        return self._asked
+        return self._command
 
 
 class Px4(RateLaw):
@@ -82,25 +82,25 @@ class Px4(RateLaw):
 
     parameters = (
         angle(0.241),
-        tuned("p", 0.704, "MC_ROLLRATE_P times k theta"),
-        tuned("i", 0.1931, "MC_ROLLRATE_I over P [1/s], times theta", 0.0),
-        tuned("d", 0.4921, "MC_ROLLRATE_D over P [s], over theta", 0.0),
-        tuned("forward", 1.135e-4, "MC_ROLLRATE_FF times k theta", 0.0),
-        tuned("reference", 1.157e-3, "natural frequency of the reference model [rad/s] times theta"),
+        positive("p", 0.704, "MC_ROLLRATE_P times k theta"),
+        positive("i", 0.1931, "MC_ROLLRATE_I over P [1/s], times theta", 0.0),
+        positive("d", 0.4921, "MC_ROLLRATE_D over P [s], over theta", 0.0),
+        positive("forward", 1.135e-4, "MC_ROLLRATE_FF times k theta", 0.0),
+        positive("reference", 1.157e-3, "natural frequency of the reference model [rad/s] times theta"),
     )
 
-    def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
+    def on(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
         """Return the law of one axis."""
         unit, theta = 1.0 / (axis.gain * axis.delay), axis.delay
-        p = own["p"] * unit
+        p = values["p"] * unit
         limit = getattr(axis.belief.vehicle.control.rate, axis.name).integral_limit
         return Px4Axis(
             p,
-            p * own["i"] / theta,
-            p * own["d"] * theta,
-            own["forward"] * unit,
-            own["reference"] / theta,
-            own["angle"] / theta,
+            p * values["i"] / theta,
+            p * values["d"] * theta,
+            values["forward"] * unit,
+            values["reference"] / theta,
+            values["angle"] / theta,
             limit if limit > 0.0 else inf,
             axis.step,
         )

@@ -41,4 +41,4 @@ class HingedLean(FlightLaw):
         return self.loops.attitude.thrust_first(demand.command, demand.measured, self._allocator.lean)
 
     def observe(self, monitor: EngineMonitor) -> None:
-        self._allocator.look(monitor.reported)
+        self._allocator.look(monitor.reported_thrust)

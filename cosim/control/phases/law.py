@@ -37,7 +37,7 @@ class CustomRate(Protocol):
 
     def update(self, setpoint: Vector3, measured: Vector3, unallocated: Unallocated) -> Vector3: ...
 
-    def tell(self, added: Vector3) -> None: ...
+    def add_to_command(self, added: Vector3) -> None: ...
 
 
 class Demand:
@@ -126,9 +126,9 @@ class Loops:
             roll, pitch, yaw = roll + added[0], pitch + added[1], yaw + added[2]
         if injected.torque_seen != ZERO3:
             if self.custom_rate is not None:
-                self.custom_rate.tell(injected.torque_seen)
+                self.custom_rate.add_to_command(injected.torque_seen)
             else:
-                self.rate.tell(injected.torque_seen)
+                self.rate.add_to_command(injected.torque_seen)
         return (self._added_delay.update(roll), pitch, yaw)
 
     def follow(self, at: Scheduled) -> None:

@@ -66,9 +66,9 @@ class ShutOpposite(FlightLaw):
         monitor.give_up(opposite)
         if self._recovery is not None:
             self._is_recovering = True
-            self._recovery.reset(monitor.reported, monitor.gains, (self._mass - burnt) * GRAVITY)
+            self._recovery.reset(monitor.reported_thrust, monitor.gains, (self._mass - burnt) * GRAVITY)
         return frozenset([opposite])
 
     def observe(self, monitor: EngineMonitor) -> None:
         if self._is_recovering and self._recovery is not None:
-            self._recovery.observe(monitor.reported, monitor.gains)
+            self._recovery.observe(monitor.reported_thrust, monitor.gains)

@@ -40,9 +40,9 @@ class SpunFlight(FlightLaw):
         """Begin with the first rotor that is lost."""
         failed = [i for i, health in enumerate(monitor.health) if health == JetHealth(0.0)]
         if len(failed) == 1 and not self._reduced.is_flying:
-            self._reduced.begin(failed[0], monitor.reported, monitor.asked)
+            self._reduced.begin(failed[0], monitor.reported_thrust, monitor.commanded_thrust)
         return NO_JETS
 
     def observe(self, monitor: EngineMonitor) -> None:
         if self._reduced.is_flying:
-            self._reduced.observe(monitor.reported)
+            self._reduced.observe(monitor.reported_thrust)

@@ -164,7 +164,7 @@ class GuardedRate:
             self.predicted = (float(x), float(y), float(z))
         return self._asked
 
-    def tell(self, added: Vector3) -> None:
+    def add_to_command(self, added: Vector3) -> None:
         x, y, z = self._asked
         self._asked = (x + added[0], y + added[1], z + added[2])
 

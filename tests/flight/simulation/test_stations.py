@@ -16,7 +16,7 @@ from cosim.base.signals import Sample
 from cosim.base.storage.paths import data_folder
 from cosim.cli.main import main
 from cosim.cli.options import engine_choices, load_scenario
-from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap, inverted
+from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap, invert
 from cosim.engine import EngineBank, load_engine
 from cosim.flight import fly
 from cosim.results.resolved_scenario import resolve
@@ -55,18 +55,18 @@ def test_one_straight_curve_is_left_alone() -> None:
     assert thrust_map.identity
     assert thrust_map.throttle(shares) is shares
     assert thrust_map.idle == 0.0
-    assert thrust_map.share(7.3) == inverted(LINE)(7.3)
+    assert thrust_map.share(7.3) == invert(LINE)(7.3)
 
 
 def test_what_a_curve_answers_does_not_depend_on_what_it_was_asked_before() -> None:
     """It keeps the line that answered last: at every point, beside it and beyond the ends, in any order."""
     curve = StaticCurve("bent", (0.0, 0.2, 0.5, 0.6, 1.0), (1.0, 2.0, 7.0, 7.5, 12.0))
     asked = [f + d for f in curve.thrust for d in (-0.3, 0.0, 0.3)] + [-5.0, 20.0]
-    kept = inverted(curve)
+    kept = invert(curve)
     for one in asked:
         for other in asked:
             kept(one)
-            assert kept(other) == inverted(curve)(other)
+            assert kept(other) == invert(curve)(other)
     for thrust, throttle in zip(curve.thrust, curve.throttle, strict=True):
         assert kept(thrust) == pytest.approx(throttle, abs=1e-15)
 

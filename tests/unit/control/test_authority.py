@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from cosim.base.layout import Layout, Station, Turn
 from cosim.control.allocation.attainable import Hull
-from cosim.control.allocation.authority import NEAR, Range, Reach, reach_of
+from cosim.control.allocation.authority import RESOLUTION, Range, Reach, reach_of
 from cosim.spec.vehicle import load_vehicle
 
 WEIGHT = 10.0
@@ -117,10 +117,10 @@ def test_what_has_no_bound_is_at_least_what_a_search_attains() -> None:
     turns = [Turn(station.place, (0.0, -1.0, 0.0), deflects=(n,)) for n, station in enumerate(stations)]
     turns += [Turn(station.place, (0.0, -1.0, 0.0), carries=(n,)) for n, station in enumerate(stations)]
     reach = Reach(Layout(stations, turns), [0.0] * 2, [50.0] * 2, [(-0.15, 0.15)] * 4, [0.0] * 4, WEIGHT)
-    assert not reach.bounded
+    assert not reach.is_bounded
     found = reach.moment((0.0, 0.0, 1.0))
     assert found.most == inf
-    assert found.in_words() == f"at least {0.5 * WEIGHT * tan(0.3):.3g}"
+    assert found.describe() == f"at least {0.5 * WEIGHT * tan(0.3):.3g}"
 
 
 def test_a_gimballed_vehicle_does_as_much_without_any_engine_that_symmetry_makes_alike() -> None:
@@ -145,4 +145,4 @@ def test_the_section_of_a_gimballed_vehicle_has_no_notch() -> None:
     for size in found:
         assert size.most - size.least <= 0.01 * size.most
     for one, other in pairwise([found[1], found[3], found[5], found[7]]):
-        assert one.least == pytest.approx(other.least, rel=NEAR)
+        assert one.least == pytest.approx(other.least, rel=RESOLUTION)

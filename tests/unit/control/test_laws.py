@@ -25,7 +25,7 @@ from cosim.control.belief import Belief
 from cosim.control.laws.adrc import AdrcAxis
 from cosim.control.laws.axis import Actuators, Axis
 from cosim.control.laws.indi import DAMPING, IndiAxis, SecondOrder
-from cosim.control.laws.lqg import Filter, believed, delayed, regulator
+from cosim.control.laws.lqg import Filter, add_delay, discrete_model, regulator
 from cosim.control.laws.mpc import MpcAxis
 from cosim.control.laws.px4 import ACCELERATION_HZ, FADES, LowPass, Px4Axis
 from cosim.control.predictors.linear import model_response
@@ -288,14 +288,14 @@ def test_indi_filters_exactly_and_sees_what_its_own_plant_will_be() -> None:
 
 
 def test_lqg_is_the_regulator_of_the_state_to_come() -> None:
-    A, B, C, samples = believed(roll())
+    A, B, C, samples = discrete_model(roll())
     rho = 1e-4
     small, _ = regulator(A, B, C, rho)
-    whole, forward = regulator(*delayed(A, B, samples), np.append(C, np.zeros(samples)), rho)
+    whole, forward = regulator(*add_delay(A, B, samples), np.append(C, np.zeros(samples)), rho)
     ahead = np.linalg.matrix_power(A, samples)
     wanted = [*(small @ ahead), *(small @ np.linalg.matrix_power(A, samples - 1 - i) @ B for i in range(samples))]
     assert whole == pytest.approx(wanted, rel=1e-6)
-    late, entering = delayed(A, B, samples)
+    late, entering = add_delay(A, B, samples)
     at_rest = np.linalg.solve(np.eye(len(late)) - late + np.outer(entering, whole), entering * forward)
     assert C @ at_rest[: len(A)] == pytest.approx(1.0)
     # one integrator, x' = x + b u: P = (1 + sqrt(1 + 4 rho / b^2)) / 2, K = b P / (rho + b^2 P), N = K
@@ -327,9 +327,9 @@ def test_mpc_solves_its_programme_without_limits_and_within_them() -> None:
         exact = lsq_linear(
             root, -np.linalg.solve(root.T, gradient), (disturbance - room, disturbance + room), tol=1e-14
         )
-        assert block.bounded(gradient, disturbance) == pytest.approx(exact.x, abs=1e-6)
+        assert block.solve_bounded(gradient, disturbance) == pytest.approx(exact.x, abs=1e-6)
     # the plan of the first step: the model, step by step, and the same sum of squares
-    A, B, C, _ = believed(axis)
+    A, B, C, _ = discrete_model(axis)
     horizon = round(2.0 * axis.delay / STEP)
 
     def cost(plan: Any) -> float:

@@ -185,7 +185,7 @@ def test_new_gains_end_as_if_they_had_always_been() -> None:
 def test_a_new_predictor_does_not_bump_and_has_caught_up(d: float) -> None:
     gains = RateGains(p=0.02, i=0.01, d=d, d_filter_s=0.01, integral_limit=0.1)
     axis = RateAxis(gains, NoPredictor(), DT)
-    axis.remember(1000)
+    axis.keep_history(1000)
     smith = RateAxis(gains, SmithPredictor(MODEL), DT)
     commands = flown(axis, 600)
     axis.retune(gains, SmithPredictor(MODEL))
