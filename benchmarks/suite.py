@@ -187,7 +187,7 @@ def _part(part: str, plan: Plan, folder: Path) -> tuple[Callable[[Callable[[], o
         ENGINES: (partial(measure_engine_counts, steps, rounds, folder), rounds),
         LOG: (partial(measure_log_rates, steps, rounds, folder), rounds),
         PAGES: (partial(measure_pages, plan.pages, rounds, folder), rounds * len(plan.pages.seconds) + 1),
-        START: (partial(measure_startup, plan.starts, folder), plan.starts + 1),
+        START: (partial(measure_startup, plan.starts, folder), 2 * (plan.starts + 1)),
         MEMORY: (partial(measure_memory, plan.memory_minutes, plan.starts, folder), plan.starts),
         CAMPAIGN: (
             partial(measure_campaign, plan.campaign, folder),

@@ -14,7 +14,7 @@ from benchmarks.measures.growth import EngineCounts, Lengths, LogRates
 from benchmarks.measures.others import Others
 from benchmarks.measures.own_blocks import BASELINE, OwnBlocks
 from benchmarks.measures.pages import Pages
-from benchmarks.measures.process import Memory, Startup
+from benchmarks.measures.process import UNIT, Memory, Startup
 from benchmarks.measures.speed import BARE
 from benchmarks.peers.multirotor import Multirotor
 from benchmarks.peers.peers import ALONE, EXCHANGE, Peers
@@ -66,7 +66,7 @@ def tables(result: Result) -> dict[str, list[Table]]:
         ENGINES: (result.engines, _engines),
         LOG: (result.log, lambda part: [_log(part)]),
         PAGES: (result.pages, _pages),
-        START: (result.start, lambda part: [_start(part)]),
+        START: (result.start, _start),
         MEMORY: (result.memory, lambda part: [_memory(part)]),
         CAMPAIGN: (result.campaign, _campaign),
     }
@@ -242,7 +242,7 @@ def _frame(of: Callable[[Seen], Frames | None], name: str) -> Callable[[Seen], S
     return take
 
 
-def _start(startup: Startup) -> Table:
+def _start(startup: Startup) -> Iterator[Table]:
     rows = [
         (name, spread(measured))
         for name, measured in (
@@ -252,7 +252,9 @@ def _start(startup: Startup) -> Table:
             ("to the first step", startup.first_step_s),
         )
     ]
-    return Table("From the command to the first step: hexjet fly hover", ("s",), rows)
+    yield Table("From the command to the first step: hexjet fly hover", ("s",), rows)
+    costs = [(name, spread(cost.cpu_s), spread(cost.units)) for name, cost in startup.commands.items()]
+    yield Table("Whole processes", ("s cpu", f"by {UNIT}"), costs)
 
 
 def _memory(memory: Memory) -> Table:

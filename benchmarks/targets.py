@@ -9,6 +9,7 @@ from typing import Any
 from benchmarks.measures.browser import Seen
 from benchmarks.measures.others import Others
 from benchmarks.measures.own_blocks import CLASSES, PROCESSES
+from benchmarks.measures.process import FLY, HELP, IMPORT, UNIT
 from benchmarks.measures.speed import ENGINES, OUTSIDE, RECORDED
 from benchmarks.suite import Result
 from benchmarks.timing import Spread
@@ -22,6 +23,7 @@ ENGINE_UNITS = 1.5  # JSBSim runs: six engine FMUs, a control step
 CLASS_UNITS = 1.5  # JSBSim runs more: a controller from outside, as a class
 PROCESS_UNITS = 3.0  # JSBSim runs more, of wall time: what is exchanged with a process
 FIRST_STEP_S = 1.5
+COMMAND_UNITS = {HELP: 1.0, IMPORT: 1.0, FLY: 5.7}  # processor time by that of importing numpy and pydantic
 PAGE_MB = {20: 1.5, 600: 12.0}  # by the seconds flown
 CAMPAIGN_PAGE_MB = 2.0
 OPEN_S = 1.0  # until a page is laid out and painted
@@ -111,6 +113,8 @@ def _processes(result: Result) -> Iterator[TargetResult]:
         yield TargetResult(name, Spread.of([campaign.mb]), CAMPAIGN_PAGE_MB, "MB")
     if result.start:
         yield TargetResult("from command to first step", result.start.first_step_s, FIRST_STEP_S, "s")
+        for name, bound in COMMAND_UNITS.items():
+            yield TargetResult(f"{name}, by {UNIT}", result.start.commands[name].units, bound, "times")
     if result.memory:
         minutes = f"{result.memory.minutes:g} min flown"
         if result.memory.growth_mb:

@@ -1,4 +1,7 @@
-"""One flight from a scenario to a finished run."""
+"""One flight from a scenario to a finished run.
+
+What it is made of is imported when it flies: whoever has no more than the name does not wait for it.
+"""
 
 from __future__ import annotations
 
@@ -6,28 +9,20 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.protocols import Observer
-from cosim.results.autopilot.autopilot_record import PilotRecord
-from cosim.results.autopilot.request_log import Replay, read_requests
-from cosim.results.expectations import check_expected
-from cosim.results.log.columns import log_columns, logged_vehicle
-from cosim.results.log.recorder import KeepingSink
-from cosim.results.resolved_scenario import resolve
-from cosim.results.run import AUTOPILOT, REPORT, Recording, Run, begin_run
-from cosim.results.setup import setup_of
-from cosim.simulation.build import build
-from cosim.simulation.code import need_trust_of
-from cosim.simulation.controllers.controller_file import with_controller
-from cosim.simulation.controllers.source import Source, from_object
-from cosim.simulation.ending import Ending
-from cosim.simulation.pacing import Pace
-from cosim.simulation.step import Simulation
-from cosim.simulation.with_autopilot import with_autopilot
-from cosim.spec.controller_name import is_design, seen_from
-from cosim.spec.scenario import Scenario
+
+if TYPE_CHECKING:
+    from cosim.base.protocols import Observer
+    from cosim.results.autopilot.autopilot_record import PilotRecord
+    from cosim.results.autopilot.request_log import Replay
+    from cosim.results.log.recorder import KeepingSink
+    from cosim.results.run import Recording, Run
+    from cosim.simulation.controllers.source import Source
+    from cosim.simulation.pacing import Pace
+    from cosim.simulation.step import Simulation
+    from cosim.spec.scenario import Scenario
 
 
 def fly(
@@ -80,17 +75,21 @@ def fly(
     InputError
         If the scenario, the vehicle, the engine or the folder is not usable; nothing is written then.
     """
+    from cosim.results.expectations import check_expected
+    from cosim.results.resolved_scenario import resolve
+    from cosim.simulation.build import build
+    from cosim.simulation.code import need_trust_of
+    from cosim.simulation.ending import Ending
+    from cosim.simulation.pacing import Pace
+
     scenario, own = opened(scenario, controller)
     need_trust_of(scenario)  # before its metrics are asked for their names
     check_expected(scenario)
     with build(scenario, own) as simulation:
-        replay = pilot = None
-        if scenario.requests is not None:
-            pilot = with_autopilot(simulation, not scenario.initial.on_ground)
-            replay = Replay(pilot, read_requests(scenario.folder / scenario.requests))
+        replay = _replay(simulation) if scenario.requests is not None else None
         folder = None if out is None else Path(out)
         recording = record(simulation, folder, sink=sink)
-        noting = PilotRecord(pilot, folder / AUTOPILOT, simulation.dt) if pilot is not None and folder else None
+        noting = _pilot_record(replay, folder, simulation.dt) if replay is not None and folder else None
         pace = Pace(simulation.dt, realtime_factor)
         watching = [*simulation.plugins.observers, *observers, *([noting] if noting else [])]
         watching += [watch(simulation, pace, folder, realtime_factor)] if watch else []
@@ -120,11 +119,34 @@ def fly(
         return with_page(run, shared_assets) if report else run
 
 
+def _replay(simulation: Simulation) -> Replay:
+    """Put an autopilot in place of the commands, with the requests of the scenario's file to it.  Raises InputError."""
+    from cosim.results.autopilot.request_log import Replay, read_requests
+    from cosim.simulation.with_autopilot import with_autopilot
+
+    scenario = simulation.scenario
+    assert scenario.requests is not None
+    pilot = with_autopilot(simulation, not scenario.initial.on_ground)
+    return Replay(pilot, read_requests(scenario.folder / scenario.requests))
+
+
+def _pilot_record(replay: Replay, folder: Path, step_s: float) -> PilotRecord:
+    from cosim.results.autopilot.autopilot_record import PilotRecord
+    from cosim.results.run import AUTOPILOT
+
+    return PilotRecord(replay.pilot, folder / AUTOPILOT, step_s)
+
+
 def opened(scenario: Scenario | str | Path, controller: Any = None) -> tuple[Scenario, Source | None]:
     """Return a scenario with the controller to fly, and that controller where a program handed it over.
 
     The parameters are those of :func:`fly`.  Raises InputError.
     """
+    from cosim.simulation.controllers.controller_file import with_controller
+    from cosim.simulation.controllers.source import from_object
+    from cosim.spec.controller_name import is_design, seen_from
+    from cosim.spec.scenario import Scenario
+
     if isinstance(controller, (str, Path)) and is_design(str(controller)):
         return with_controller(scenario, Path(controller)), None
     if not isinstance(scenario, Scenario):
@@ -141,6 +163,7 @@ def with_page(run: Run, shared_assets: bool = False) -> Run:
     """Write the page of a run beside its log where it has a folder; return the run.  Raises FlightError."""
     if run.folder is not None:
         from cosim.results.report.flight import write_report
+        from cosim.results.run import REPORT
 
         write_report(run, run.folder / REPORT, shared_assets)
     return run
@@ -158,6 +181,11 @@ def record(
     ``sink`` may keep less in memory than all.  ``background``: a thread writes the rows.  Raises InputError if the
     folder is not usable.
     """
+    from cosim.results.log.columns import log_columns, logged_vehicle
+    from cosim.results.resolved_scenario import resolve
+    from cosim.results.run import begin_run
+    from cosim.results.setup import setup_of
+
     resolved, files = resolve(simulation)
     columns = log_columns(logged_vehicle(simulation.vehicle), simulation.columns)
     files |= dict(contents or {})

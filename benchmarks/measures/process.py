@@ -1,8 +1,9 @@
-"""What a fresh process needs: time from the command to the first step, and memory for a long flight."""
+"""What a fresh process needs: time from the command to the first step and of whole commands, and memory."""
 
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import time
 from collections.abc import Callable
@@ -25,7 +26,7 @@ from cosim.base.runtime.processes import python_command
 _FIRST_STEP = """
 import sys, time
 python = time.time()
-import cosim.cli.console, cosim.flight
+import cosim.cli.console, cosim.flight, cosim.results.run, cosim.simulation.build
 from cosim.cli.main import main
 imported = time.time()
 record = cosim.flight.record
@@ -36,17 +37,33 @@ def begun(*arguments, **options):
 cosim.flight.record = begun
 main()
 """
+# Processes of a user's, by what is typed; and the one that they are compared with.
+UNIT = "import numpy, pydantic"
+HELP, IMPORT, FLY = "hexjet --help", "from cosim import fly", "hexjet fly roll-doublet, with its page"
+_COMMAND = "from cosim.cli.start import main; main()"
 _LONG_FLIGHT = "from benchmarks.measures.long_flight import main; main(*sys.argv[1:])"
 
 
 @dataclass(frozen=True)
 class Startup:
-    """Seconds from the start of ``hexjet fly hover`` to its first step, and of these: Python, imports, building."""
+    """Seconds from the start of ``hexjet fly hover`` to its first step, and of these: Python, imports, building.
+
+    ``commands``: whole processes, by what is typed.
+    """
 
     first_step_s: Spread
     python_s: Spread
     imports_s: Spread
     build_s: Spread
+    commands: dict[str, CommandCost]
+
+
+@dataclass(frozen=True)
+class CommandCost:
+    """Processor seconds of a process from its start to its end, and by those of ``UNIT`` in the same round."""
+
+    cpu_s: Spread
+    units: Spread
 
 
 @dataclass(frozen=True)
@@ -84,11 +101,53 @@ def measure_startup(times: int, folder: Path, on_start: Callable[[], object]) ->
         said, _ = child.communicate()
         if child.returncode:
             raise FlightError(f"the flight to its first step ended with status {child.returncode}")
-        python, imported, stepped = (float(word) for word in said.split())
+        begun, imported, stepped = (float(word) for word in said.split())
         if number:
-            rows.append((stepped - started, python - started, imported - python, stepped - imported))
+            rows.append((stepped - started, begun - started, imported - begun, stepped - imported))
         on_start()
-    return Startup(*(Spread.of(column) for column in zip(*rows, strict=True)))
+    commands = measure_commands(times, folder, on_start)
+    first_step, python, imports, build = (Spread.of(column) for column in zip(*rows, strict=True))
+    return Startup(first_step, python, imports, build, commands)
+
+
+def measure_commands(times: int, folder: Path, on_round: Callable[[], object]) -> dict[str, CommandCost]:
+    """Run what a user waits for ``times`` times in turn, after a round that warms up.
+
+    Raises FlightError if a command fails.
+    """
+    rounds: list[dict[str, float]] = []
+    for number in range(times + 1):
+        out = folder / f"command-{number}"
+        seconds = {
+            UNIT: processor_seconds(UNIT),
+            HELP: processor_seconds(_COMMAND, "--help"),
+            IMPORT: processor_seconds(IMPORT),
+            FLY: processor_seconds(_COMMAND, "fly", "roll-doublet", "--out", str(out)),
+        }
+        rmtree(out)
+        if number:
+            rounds.append(seconds)
+        on_round()
+    return {
+        name: CommandCost(
+            cpu_s=Spread.of([seconds[name] for seconds in rounds]),
+            units=Spread.of([seconds[name] / seconds[UNIT] for seconds in rounds]),
+        )
+        for name in rounds[0]
+    }
+
+
+def processor_seconds(code: str, *arguments: str) -> float:
+    """Return what Python takes for ``code`` as a process, with bytecode kept as Python does.  Raises FlightError."""
+    import resource
+
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    ended = subprocess.run(python_command(code, *arguments), stdout=subprocess.DEVNULL, env=environment, check=False)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    if ended.returncode:
+        raise FlightError(f"{code} {' '.join(arguments)} ended with status {ended.returncode}")
+    return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
 
 
 def measure_memory(

@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 import sys
 from hashlib import sha256
-from importlib.abc import MetaPathFinder
 from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec
 from importlib.util import spec_from_file_location
 from pathlib import Path
@@ -118,7 +117,7 @@ def environment() -> dict[str, str]:
     return {**os.environ, PURE: "1"} if from_source() else dict(os.environ)
 
 
-class _FromSource(MetaPathFinder):
+class _FromSource:
     """Finds the modules' source, where the compiled ones would be found first."""
 
     def __init__(self) -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import errno
 import importlib
-import traceback
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -39,6 +37,8 @@ _IMPORT_MACHINERY = ("<frozen importlib", str(Path(importlib.__file__).parent)) 
 
 def describe_error(error: Exception) -> str:
     """Return an error in one line, with the file and the line that raised it, where the one who caught it did not."""
+    import traceback
+
     frames = [
         frame for frame in traceback.extract_tb(error.__traceback__) if not frame.filename.startswith(_IMPORT_MACHINERY)
     ]
@@ -48,6 +48,8 @@ def describe_error(error: Exception) -> str:
 
 def nearest(name: str, allowed: Iterable[str]) -> str:
     """Return a clause that lists what is allowed, with the likeliest name first when there is a near miss."""
+    import difflib
+
     names = sorted(allowed)
     close = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean {close[0]!r}? " if close else ""
@@ -56,5 +58,7 @@ def nearest(name: str, allowed: Iterable[str]) -> str:
 
 def similar(name: str, allowed: Iterable[str]) -> str:
     """Return a clause with similar names, where too many are allowed for a line: ``hexjet list`` has them all."""
+    import difflib
+
     close = ", ".join(map(repr, difflib.get_close_matches(name, sorted(allowed))))
     return f"{f'did you mean {close}? ' if close else ''}see: hexjet list"

@@ -51,7 +51,7 @@ class Commands(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return all names, those of installed packages among them."""
-        return sorted({*COMMANDS, *_added().names})
+        return sorted({*COMMANDS, *_added(ctx).names})
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return the command, or None; nothing but its own module is imported for it."""
@@ -59,29 +59,32 @@ class Commands(click.Group):
             module, _, name = COMMANDS[cmd_name].partition(":")
             command: click.Command = getattr(import_module(f"cosim.cli.{module}"), name)
             return with_trust(command, cmd_name)
-        entries = tuple(_added().select(name=cmd_name))
+        entries = tuple(_added(ctx).select(name=cmd_name))
         return with_trust(_load_added(entries), cmd_name) if entries else None
 
 
-def _added() -> EntryPoints:
-    """Return the commands of installed packages; what reads their metadata is imported for them alone."""
-    from importlib.metadata import entry_points
+def _added(ctx: click.Context) -> EntryPoints:
+    """Return the commands of installed packages, whose metadata are read once a call, and only if they are needed."""
+    if ADDED not in ctx.meta:
+        from importlib.metadata import entry_points
 
-    return entry_points(group=ADDED)
+        ctx.meta[ADDED] = entry_points(group=ADDED)
+    added: EntryPoints = ctx.meta[ADDED]
+    return added
 
 
 def _load_added(entries: Sequence[EntryPoint]) -> click.Command:
     """Return the command that an installed package adds; one that cannot be loaded says so when it is called."""
     entry, *others = entries
-    package = _package(entry)
     if others:
         return _unavailable(entry.name, f"{' and '.join(map(_package, entries))} both add it; uninstall all but one")
     try:
         command = entry.load()
         if isinstance(command, click.Command):
             return command
-        return _unavailable(entry.name, f"{entry.value} of {package} is no command of click")
+        return _unavailable(entry.name, f"{entry.value} of {_package(entry)} is no command of click")
     except Exception as error:  # whatever the module of somebody else does
+        package = _package(entry)
         if isinstance(error, ModuleNotFoundError) and error.name == entry.module.partition(".")[0]:
             reason = f"needs {error.name!r}, which is not installed; the sources of {package} have it"
             return _unavailable(entry.name, reason, hidden=True)

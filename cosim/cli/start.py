@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import io
 import os
 import signal
@@ -11,10 +13,13 @@ from typing import Any
 from cosim.base.errors import OUTPUT
 from cosim.base.runtime.kernels import set_for_command
 
+COLLECTION = 200_000, 20, 100  # gc's thresholds: what a command imports is a hundred thousand objects that stay
+
 
 def main() -> None:
     """Run the command ``hexjet``."""
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    _collect_seldom()
     set_for_command()
     open_standard_streams()
     sys.stdout = named_output()
@@ -22,6 +27,12 @@ def main() -> None:
 
     signal.signal(signal.SIGINT, before)
     command()
+
+
+def _collect_seldom() -> None:
+    """Let Python look for garbage in circles now and then only, and not in what is left at the end of the process."""
+    gc.set_threshold(*COLLECTION)
+    atexit.register(gc.freeze)
 
 
 def open_standard_streams() -> None:

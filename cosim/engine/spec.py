@@ -236,7 +236,7 @@ def find_source(name_or_path: str) -> EngineSource:
             mapping = mapping.model_copy(update={"parameters": stated | mapping.parameters})
         return EngineSource(path, archive, None, mapping)
     if path.suffix.lower() in (".fmu", SUFFIX) or len(path.parts) > 1 or path.is_file():
-        return EngineSource(path, _read(path), None, MappingFile(fmu=path.name))
+        return EngineSource(path, _read(path), None, MappingFile.model_construct(fmu=path.name))
     name = name_or_path.removesuffix(FMI2_SUFFIX)
     folder = data_folder("engines") / name
     if not (folder / "engine.toml").is_file():
@@ -249,7 +249,7 @@ def find_source(name_or_path: str) -> EngineSource:
     if not path.is_file():
         raise InputError(f"engine {name_or_path}: {path} has not been built; run: hexjet fmu build")
     known = PortMap(ports=engine.ports, search=False)
-    return EngineSource(path, read_archive(path, known), engine, MappingFile(fmu=path.name))
+    return EngineSource(path, read_archive(path, known), engine, MappingFile.model_construct(fmu=path.name))
 
 
 def _definition(folder: Path) -> EngineDefinition:

@@ -23,8 +23,7 @@ from cosim.groundstation.mavlink.wire.signing import Signing, read_key
 from cosim.groundstation.mavlink.wire.tlog import TelemetryLog
 from cosim.groundstation.mavlink.wire.transports import endpoint
 from cosim.groundstation.read_only import ReadOnlyObserver
-from cosim.results.autopilot.request_log import REQUESTS
-from cosim.results.run import TELEMETRY
+from cosim.results.run import REQUESTS, TELEMETRY
 
 if TYPE_CHECKING:
     from cosim.groundstation.foxglove_feed import FoxgloveFeed

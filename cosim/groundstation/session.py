@@ -42,8 +42,7 @@ from cosim.groundstation.parameter_guard import (
 )
 from cosim.groundstation.parameter_store import vehicle_key
 from cosim.groundstation.session_flight import Publisher, SessionFlight, flight_info, pass_on
-from cosim.results.autopilot.request_log import REQUESTS
-from cosim.results.run import Run, claim_folder
+from cosim.results.run import REQUESTS, Run, claim_folder
 from cosim.simulation.build import build
 from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import Pace

@@ -22,8 +22,8 @@ from cosim.groundstation.exchange import Exchange, FlightInfo, Snapshot
 from cosim.groundstation.log_limit import LIMIT_MB, LogLimit
 from cosim.groundstation.stick_owner import StickOwner
 from cosim.results.autopilot.autopilot_record import PilotRecord
-from cosim.results.autopilot.request_log import REQUESTS, RequestLog
-from cosim.results.run import AUTOPILOT, Recording, Run
+from cosim.results.autopilot.request_log import RequestLog
+from cosim.results.run import AUTOPILOT, REQUESTS, Recording, Run
 from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import Pace, PaceReport
 from cosim.simulation.step import Simulation

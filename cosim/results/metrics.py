@@ -8,15 +8,13 @@ What is said of an axis at the end is the mean over the last second; of height, 
 docs/metrics.md has every definition.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from math import pi
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from cosim.base.arrays import Array
 from cosim.base.errors import nearest
@@ -45,7 +43,7 @@ DEFLECTION = "deflection_{}_command"
 class Record(BaseModel):
     """A frozen record of a summary; keys that a newer version wrote are left aside."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, defer_build=True)
 
 
 class AxisMetrics(Record):
@@ -102,9 +100,9 @@ class Metrics(Record):
     axes: dict[str, AxisMetrics]
     altitude: AltitudeMetrics
     touchdown_m_s: float | None = None  # descent speed just before the first contact after a flight
-    position: PositionMetrics = PositionMetrics()
-    speed: SpeedMetrics = SpeedMetrics()
-    effort: EffortMetrics = EffortMetrics()
+    position: PositionMetrics = Field(default_factory=PositionMetrics)
+    speed: SpeedMetrics = Field(default_factory=SpeedMetrics)
+    effort: EffortMetrics = Field(default_factory=EffortMetrics)
     fuel_burnt_kg: float | None = None  # from the first row to the last
 
 

@@ -10,8 +10,7 @@ from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.engine import EngineSpec, load_engine
 from cosim.engine.spec import find_source
-from cosim.results.autopilot.request_log import REQUESTS
-from cosim.results.run import RUN_FILES
+from cosim.results.run import REQUESTS, RUN_FILES
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.plugins import Plugins
 from cosim.simulation.step import Simulation

@@ -51,6 +51,7 @@ SUMMARY, SCENARIO, LOG, STREAM, REPORT = (
 )
 TELEMETRY = "telemetry.tlog"
 AUTOPILOT = "autopilot.jsonl"
+REQUESTS = "requests.jsonl"
 RUN_FILES = (SUMMARY, SCENARIO, LOG, STREAM, REPORT, TELEMETRY, AUTOPILOT)
 
 
@@ -306,7 +307,8 @@ def _settle(
     try:
         stream_to_parquet(folder / STREAM, folder / LOG)
         log = ParquetLog(folder / LOG)
-        summary = summarize(setup, log, outcome, reason, wall_s, pace, custom)
+        with log.keep_open():
+            summary = summarize(setup, log, outcome, reason, wall_s, pace, custom)
         write_whole(folder / SUMMARY, summary_json(summary).encode(), FlightError)
     except FlightError as error:
         raise FlightError(

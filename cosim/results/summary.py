@@ -1,7 +1,5 @@
 """What ``summary.json`` says of a run: what flew, how it ended, what was measured, and what it is compared with."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -10,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from platform import python_version
 from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.outcomes import Outcome, RunVerdict
@@ -123,7 +121,7 @@ class PluginRecord(Record):
 class Setup(BaseModel):
     """What is known of a run before its first step."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, defer_build=True)
 
     scenario: str
     title: str = ""
@@ -208,9 +206,9 @@ class Summary(Setup):
     metrics: dict[str, AxisMetrics]
     altitude: AltitudeMetrics
     touchdown_m_s: float | None = None
-    position: PositionMetrics = PositionMetrics()
-    speed: SpeedMetrics = SpeedMetrics()
-    effort: EffortMetrics = EffortMetrics()
+    position: PositionMetrics = Field(default_factory=PositionMetrics)
+    speed: SpeedMetrics = Field(default_factory=SpeedMetrics)
+    effort: EffortMetrics = Field(default_factory=EffortMetrics)
     fuel_burnt_kg: float | None = None
     own_metrics: dict[str, float | None] = {}  # of the user's, each with "own." before its name
     own_metrics_failed: list[str] = []  # a line for each that could not say anything

@@ -16,7 +16,8 @@ from gcs_tools import LOOPBACK, VehicleProcess, mavlogdump
 from patience import FLIGHT_PATIENCE
 
 from cosim.control.autopilot import requests as rq
-from cosim.results.autopilot.request_log import REQUESTS, read_requests
+from cosim.results.autopilot.request_log import read_requests
+from cosim.results.run import REQUESTS
 
 MAVPROXY = Path(sys.executable).parent / "mavproxy.py"
 MODULES = (

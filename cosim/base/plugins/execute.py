@@ -17,7 +17,6 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
-from importlib.abc import MetaPathFinder
 from importlib.machinery import (
     EXTENSION_SUFFIXES,
     ModuleSpec,
@@ -30,8 +29,6 @@ from importlib.util import cache_from_source, find_spec
 from pathlib import Path
 from sysconfig import get_paths
 from types import CodeType, ModuleType
-from urllib.parse import urlsplit
-from urllib.request import url2pathname
 
 from cosim.base.compiled import PACKAGE
 from cosim.base.errors import InputError, describe_error
@@ -136,7 +133,7 @@ class _TrustedSource(SourceFileLoader):
         return code
 
 
-class _Neighbours(MetaPathFinder):
+class _Neighbours:
     """Finds what a file imports from its folder, and lets none of it run that is not trusted."""
 
     def __init__(self, first: Path, where: str) -> None:
@@ -167,7 +164,7 @@ class _Neighbours(MetaPathFinder):
 
 
 @contextmanager
-def _importing_from(folder: Path, finder: MetaPathFinder) -> Iterator[list[Path]]:
+def _importing_from(folder: Path, finder: _Neighbours) -> Iterator[list[Path]]:
     """Let a file import its neighbours, and note which; nobody else's modules of the same names are mixed up with them.
 
     What is below the folder and found from anywhere, as an installed package is, is no neighbour.
@@ -305,6 +302,9 @@ def _installed_places() -> frozenset[Path]:
 @cache
 def _editable_places(top: str) -> list[Path]:
     """Return where the distributions are developed that are installed in place and have a package of this name."""
+    from urllib.parse import urlsplit
+    from urllib.request import url2pathname
+
     places = []
     for distribution in distributions(path=[str(place) for place in _installed_places()]):
         with suppress(ValueError, LookupError, TypeError, AttributeError):  # metadata that say something else

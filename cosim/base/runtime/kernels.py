@@ -14,7 +14,6 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from types import ModuleType
 from typing import Any
@@ -107,7 +106,7 @@ def _loaded(with_scipy: bool) -> tuple[tuple[str, str], ...]:
     return tuple(sorted(kernels))
 
 
-class _WithReference(MetaPathFinder):
+class _WithReference:
     """Finds numpy and the parts of scipy as ever, and has each loaded while the variable is set."""
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class Model(BaseModel):
     """A frozen table of a TOML file: unknown keys, NaN and infinities are refused."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
     @model_validator(mode="before")
     @classmethod

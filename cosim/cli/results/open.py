@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 from pathlib import Path
 
 import click
 
 from cosim.base.errors import InputError
-from cosim.base.storage.scratch import scratch
 from cosim.cli.options import DONE, example
 from cosim.cli.trust import looks
 
@@ -48,6 +46,10 @@ def open_(folder: Path, port: int, browser: bool) -> int:
 
 def _write_redirect(url: str) -> Path:
     """Write a page that redirects there: every account of the machine can read a browser's command line."""
+    from html import escape
+
+    from cosim.base.storage.scratch import scratch
+
     page = scratch() / "open.html"  # in a folder that nobody else may enter
     page.write_text(f'<!doctype html><meta http-equiv="refresh" content="0;url={escape(url)}">', encoding="utf-8")
     return page

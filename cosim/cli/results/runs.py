@@ -9,7 +9,6 @@ import click
 
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder, files_in, names_in
-from cosim.base.storage.toml import read_toml
 from cosim.cli import opt
 from cosim.cli.console import say
 from cosim.cli.options import DONE, example
@@ -86,7 +85,7 @@ def print_catalogue(catalogues: dict[str, list[dict[str, Any]]]) -> None:
 def catalogue(kind: str) -> list[dict[str, Any]]:
     """Return the entries of one kind, each with ``name`` and ``title``."""
     if kind in ("scenarios", "studies"):
-        return [_entry(name, read_toml(data_folder(kind) / f"{name}.toml")) for name in files_in(kind)]
+        return [_entry(name, data_folder(kind) / f"{name}.toml") for name in files_in(kind)]
     if kind == "controllers":
         from cosim.control.predictors.registry import PREDICTORS
         from cosim.simulation.controllers.source import names as custom_controllers
@@ -94,8 +93,11 @@ def catalogue(kind: str) -> list[dict[str, Any]]:
         built_in = [{"name": spec.name, "title": spec.title} for spec in PREDICTORS.values()]
         return built_in + [{"name": name, "title": title} for name, title in custom_controllers()]
     marker = {"aircraft": "vehicle.toml", "engines": "engine.toml"}[kind]
-    return [_entry(name, read_toml(data_folder(kind) / name / marker)) for name in names_in(kind, marker)]
+    return [_entry(name, data_folder(kind) / name / marker) for name in names_in(kind, marker)]
 
 
-def _entry(name: str, table: dict[str, Any]) -> dict[str, Any]:
+def _entry(name: str, path: Path) -> dict[str, Any]:
+    from cosim.base.storage.toml import read_toml
+
+    table = read_toml(path)
     return {"name": name, "title": str(table.get("title", ""))}

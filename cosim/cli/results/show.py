@@ -11,7 +11,6 @@ import click
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError, similar
 from cosim.base.storage.paths import data_folder
-from cosim.base.storage.toml import read_toml
 from cosim.cli import opt
 from cosim.cli.console import say, show_table
 from cosim.cli.options import DONE, example
@@ -121,6 +120,7 @@ def _entries(name: str, kinds: Sequence[str]) -> list[dict[str, Any]]:
 
 def _design(name: str) -> dict[str, Any] | None:
     """Return what a controller file of ``hexjet design`` is, None for any other name.  Raises InputError."""
+    from cosim.base.storage.toml import read_toml
     from cosim.simulation.controllers.controller_file import describe_proof, purpose_of
 
     path = Path(name)
@@ -147,6 +147,8 @@ def _table(kind: str, name: str) -> dict[str, Any]:
     if kind == "controllers":
         return {}
     inside = {"aircraft": f"{name}/vehicle.toml", "engines": f"{name}/engine.toml"}.get(kind, f"{name}.toml")
+    from cosim.base.storage.toml import read_toml
+
     return read_toml(data_folder(kind) / inside)
 
 

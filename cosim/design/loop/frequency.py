@@ -36,7 +36,7 @@ class Margins(BaseModel):
     deg; None where there is no crossing.
     """
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, defer_build=True)
 
     cutoff: float | None
     gain_margin: float | None

@@ -33,14 +33,12 @@ Of these only ``fmu`` is needed; ports that are not stated are found (:mod:`cosi
     delay_s = 0.1             # of the thrust behind the throttle, if known
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
@@ -134,7 +132,7 @@ class _FlameOut(Model):
     relight_s: Positive | None = None
 
     @model_validator(mode="after")
-    def _one_or_the_other(self) -> _FlameOut:
+    def _one_or_the_other(self) -> Self:
         stated = [self.thrust_left, self.run_down_s, self.exponent, self.relight_s]
         if self.electric and any(value is not None for value in stated):
             raise ValueError("electric = true stands alone")
@@ -168,7 +166,7 @@ class _Stage(Model):
     at_most_s: Annotated[float, Field(gt=0.0, le=LONGEST_START_S)] | None = None
 
     @model_validator(mode="after")
-    def _ends(self) -> _Stage:
+    def _ends(self) -> Self:
         if (self.for_s is None) == (self.until is None):
             raise ValueError("say how it ends: for_s = 5.0, or until = 'output > number'")
         if self.until is not None and CONDITION.fullmatch(self.until) is None:
@@ -195,17 +193,17 @@ class MappingFile(Model):
     fmu: str = Field(min_length=1)
     title: str = ""
     isolated: bool | None = None  # flown in a process of its own; None: where a check found that it needs one
-    ports: _Ports = _Ports()
-    units: _Units = _Units()
-    range: _Range = _Range()
-    scale: _Scale = _Scale()
+    ports: _Ports = Field(default_factory=_Ports.model_construct)
+    units: _Units = Field(default_factory=_Units.model_construct)
+    range: _Range = Field(default_factory=_Range.model_construct)
+    scale: _Scale = Field(default_factory=_Scale.model_construct)
     parameters: Annotated[dict[str, float], BeforeValidator(flat)] = Field(default_factory=dict)
     inputs: Annotated[dict[str, Held], BeforeValidator(flat)] = Field(default_factory=dict)
-    start: _Start = _Start()
-    rest: _Rest = _Rest()
-    rotor: _Rotor = _Rotor()
+    start: _Start = Field(default_factory=_Start.model_construct)
+    rest: _Rest = Field(default_factory=_Rest.model_construct)
+    rotor: _Rotor = Field(default_factory=_Rotor.model_construct)
     flame_out: _FlameOut | None = None
-    ledger: _Ledger = _Ledger()
+    ledger: _Ledger = Field(default_factory=_Ledger.model_construct)
     log: Annotated[dict[str, VariableName], BeforeValidator(flat)] = Field(default_factory=dict)  # column: output
     parameter_set: str | None = Field(default=None, min_length=1)  # a file (SSV) beside it; [parameters] go before it
 
@@ -220,7 +218,7 @@ class PortMap:
     search: bool = True  # look for the ports that are not stated
     scale: Mapping[str, float] = field(default_factory=dict)  # the port is so many times the variable
     inputs: Mapping[str, Held] = field(default_factory=dict)  # that are held
-    start: _Start = field(default_factory=_Start)
+    start: _Start = field(default_factory=_Start.model_construct)
     rest_n: float = 0.0  # N, peak to peak, within which a thrust stands still
 
 

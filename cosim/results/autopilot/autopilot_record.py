@@ -29,15 +29,17 @@ import os
 from collections.abc import Iterator
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.frames import to_euler
 from cosim.base.signals import Sample
 from cosim.base.storage.files import own_file
-from cosim.control.autopilot.autopilot import Autopilot
-from cosim.control.autopilot.status import Status
 from cosim.results.run import AUTOPILOT
+
+if TYPE_CHECKING:  # a page reads the records of flights without an autopilot too: there are none
+    from cosim.control.autopilot.autopilot import Autopilot
+    from cosim.control.autopilot.status import Status
 
 ESTIMATE_S = 0.1  # between two estimates; chosen by us: PX4 logs its local position as often
 _BUFFER_BYTES = 64 * 1024  # bytes that wait for a write: a kill loses as little as a few seconds

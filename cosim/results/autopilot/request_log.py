@@ -21,7 +21,6 @@ from cosim.control.autopilot.requests import (
     to_dict,
 )
 
-REQUESTS = "requests.jsonl"
 _ENTRY_KEYS = ("step", "sender", "result", "text", "asked")  # keys of a line that are not the request's
 
 
@@ -112,7 +111,7 @@ class Replay:
     """Asks a pilot what it was asked before: call it before every step."""
 
     def __init__(self, pilot: Autopilot, entries: Sequence[Entry]) -> None:
-        self._pilot = pilot
+        self.pilot = pilot
         self._entries = entries
         self._next = 0
         self.otherwise: list[str] = []  # a line for each answer that is not the one it got then
@@ -123,7 +122,7 @@ class Replay:
             self._next += 1
             if not entry.asked:
                 continue
-            answer = self._pilot.handle(entry.request, k)
+            answer = self.pilot.handle(entry.request, k)
             if entry.result and answer.result.value != entry.result:
                 name = type(entry.request).__name__
                 self.otherwise.append(

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -101,6 +101,7 @@ class ParquetLog(Columnar):
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._file: Any = None  # while it is kept open
         with _parquet(self._path) as file:
             self.described = _columns_of_schema(file.schema_arrow)
             self.columns = tuple(file.schema_arrow.names)
@@ -110,16 +111,36 @@ class ParquetLog(Columnar):
         return self._rows
 
     def __getitem__(self, name: str) -> Array:
-        with _parquet(self._path) as file:
+        with self._opened() as file:
             column = file.read([require(name, self.columns)], use_threads=False).column(0)
             return np.concatenate([np.empty(0), *map(_numbers, column.chunks)])
 
     def blocks(self, names: tuple[str, ...], rows: int = ROW_GROUP) -> Iterator[dict[str, Array]]:
         """Yield the named columns, at most ``rows`` rows at a time."""
         chosen = [require(name, self.columns) for name in names]
-        with _parquet(self._path) as file:
+        with self._opened() as file:
             for batch in file.iter_batches(batch_size=rows, columns=chosen, use_threads=False):
                 yield {name: _numbers(batch.column(name)) for name in names}
+
+    @contextmanager
+    def keep_open(self) -> Iterator[None]:
+        """Keep the file open, for whoever reads many columns one by one: each reading opens it otherwise."""
+        if self._file is not None:
+            yield
+            return
+        with _readable(self._path):
+            file = _open_parquet(self._path)
+        with file:
+            self._file = file
+            try:
+                yield
+            finally:
+                self._file = None
+
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        with _readable(self._path), nullcontext(self._file) if self._file else _open_parquet(self._path) as file:
+            yield file
 
 
 def _numbers(column: pa.Array) -> Array:
@@ -419,11 +440,22 @@ def _array(name: str, values: Sequence[Value], expected: type[Value] | None) -> 
 
 @contextmanager
 def _parquet(path: Path) -> Iterator[Any]:
-    import pyarrow as pa
+    with _readable(path), _open_parquet(path) as file:
+        yield file
+
+
+def _open_parquet(path: Path) -> Any:
     import pyarrow.parquet as pq
 
+    return pq.ParquetFile(path, pre_buffer=False)
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Turn what pyarrow raises about a file into InputError."""
+    import pyarrow as pa
+
     try:
-        with pq.ParquetFile(path, pre_buffer=False) as file:
-            yield file
+        yield
     except (OSError, UnicodeDecodeError, pa.ArrowException) as error:
         raise InputError(f"{path}: cannot be read as Parquet: {one_line(error)}") from error

@@ -7,6 +7,7 @@ last second; without a folder they stay in memory.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from queue import Full, Queue
 from threading import Thread
 from typing import Any, Protocol
@@ -60,6 +61,8 @@ class Log(Protocol):
     def __len__(self) -> int: ...
 
     def __getitem__(self, name: str) -> Array: ...
+
+    def keep_open(self) -> AbstractContextManager[None]: ...
 
     def table(self, *names: str) -> Any: ...
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from html import escape
 from typing import Any
 
@@ -30,6 +31,10 @@ class Columnar:
 
     def blocks(self, names: tuple[str, ...]) -> Iterator[dict[str, Array]]:
         raise NotImplementedError
+
+    def keep_open(self) -> AbstractContextManager[None]:
+        """Keep the log's file open, where it is in one, while its columns are read one by one."""
+        return nullcontext()
 
     def _read(self, names: Sequence[str]) -> dict[str, Array]:
         """Return these columns, in one reading."""

@@ -44,6 +44,11 @@ def write_report(run: Run, path: Path, shared_assets: bool = False) -> None:
 
     ``shared_assets``: what draws it goes into one folder for all runs, beside that of this one.
     """
+    with run.log.keep_open():
+        _write(run, path, shared_assets)
+
+
+def _write(run: Run, path: Path, shared_assets: bool) -> None:
     summary = run.summary
     events = events_of(run)
     flights = None

@@ -62,12 +62,15 @@ def render(
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+    from cosim.results.report.compiled_templates import CompiledTemplates
+
     environment = Environment(
         loader=FileSystemLoader([template.parent, TEMPLATES]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        bytecode_cache=CompiledTemplates(),
     )
     page = environment.get_template(template.name).render(
         figures={name: figure_json(figure) for name, figure in figures.items()},
@@ -133,7 +136,7 @@ def _asset(name: str) -> str:
 @cache
 def deflated(path: Path) -> str:
     """Return a file of the package, deflated, as base64."""
-    return base64.b64encode(zlib.compress(path.read_bytes(), 9)).decode()
+    return base64.b64encode(zlib.compress(path.read_bytes(), 6)).decode()
 
 
 def drawn(figure: dict[str, Any]) -> Any:

@@ -1,7 +1,5 @@
 """Models of a scenario's commands: signals over time, positions, velocities, waypoints and tracks."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal, get_args
 
 from pydantic import Field

@@ -1,8 +1,6 @@
 """Models of a scenario's disturbances: on the vehicle from outside, and added to the controller's signals."""
 
-from __future__ import annotations
-
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -49,7 +47,7 @@ class TorqueCommandDisturbance(Model):
     seen: bool = False  # by the predictor
 
     @model_validator(mode="after")
-    def _seen_at_the_controller(self) -> TorqueCommandDisturbance:
+    def _seen_at_the_controller(self) -> Self:
         if self.seen and self.at == "actuators":
             raise ValueError("a predictor can see only what is added at the controller (at = 'controller')")
         return self

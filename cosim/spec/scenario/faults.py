@@ -1,8 +1,6 @@
 """Models of a scenario's faults: of engines, servos and sensors."""
 
-from __future__ import annotations
-
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
@@ -102,7 +100,7 @@ class SensorBias(Model):
     velocity_bias: Vector = (0.0, 0.0, 0.0)  # m/s, NED, of the gnss alone
 
     @model_validator(mode="after")
-    def _fits_the_sensor(self) -> SensorBias:
+    def _fits_the_sensor(self) -> Self:
         count = 1 if self.sensor == "barometer" else 3
         if len(self.bias) != count:
             raise ValueError(f"bias: the {self.sensor} needs a list of {count}")

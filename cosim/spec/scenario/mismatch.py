@@ -1,7 +1,5 @@
 """Differences between the simulated vehicle and the one the controller is designed for."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field

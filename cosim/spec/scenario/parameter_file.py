@@ -1,11 +1,9 @@
 """Parameter files that a scenario's values come from."""
 
-from __future__ import annotations
-
 import tomllib
 from hashlib import sha256
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field
 
@@ -25,7 +23,7 @@ class ParameterFile(Model):
     file: str  # from the folder of the scenario
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # of its content; another one does not fly
 
-    def seen_from(self, folder: Path) -> ParameterFile:
+    def seen_from(self, folder: Path) -> Self:
         """Return the same with a path that is valid anywhere."""
         return self.model_copy(update={"file": str((folder / self.file).absolute())})
 

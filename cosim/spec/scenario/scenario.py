@@ -1,10 +1,8 @@
 """The validated model of a scenario's TOML: vehicle, controller, commands, disturbances and expected results."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
@@ -45,9 +43,9 @@ class Scenario(Model):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     sensor_noise: bool = True
     added_delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # on the rate controller's roll output
-    initial: Initial = Initial()
-    environment: Environment = Environment()
-    mismatch: Mismatch = Mismatch()
+    initial: Initial = Field(default_factory=Initial)
+    environment: Environment = Field(default_factory=Environment)
+    mismatch: Mismatch = Field(default_factory=Mismatch)
     command: list[CommandEntry] = []
     disturbance: list[DisturbanceEntry] = []
     fault: list[FaultEntry] = []
@@ -66,11 +64,11 @@ class Scenario(Model):
     parameter_files: list[ParameterFile] = []  # whose numbers are in vehicle; written by hexjet
     changed: list[str] = []  # what was written over the scenario's file, key = value; written into a run by hexjet
     vehicle: dict[str, Any] = {}
-    limits: FlightLimits = FlightLimits()
+    limits: FlightLimits = Field(default_factory=FlightLimits)
     expect: list[Expectation] = []
 
     _folder: Path = PrivateAttr(default_factory=Path)
-    _origin: Scenario | None = PrivateAttr(default=None)  # as its file states it; None: as this is
+    _origin: "Scenario | None" = PrivateAttr(default=None)  # as its file states it; None: as this is
     _resolved: tuple[tuple[Any, ...], dict[str, Any], tuple[Vehicle, Path]] | None = PrivateAttr(default=None)
 
     @model_validator(mode="before")
@@ -83,7 +81,7 @@ class Scenario(Model):
         return data | {"expect": [own | entry if isinstance(entry, dict) else entry for entry in data["expect"]]}
 
     @model_validator(mode="after")
-    def _one_flies(self) -> Scenario:
+    def _one_flies(self) -> Self:
         if self.requests is not None and self.command:
             raise ValueError("requests: the autopilot flies then, there can be no command")
         if self.engine_start == "in flight" and not self.initial.on_ground:
@@ -109,7 +107,7 @@ class Scenario(Model):
         return self._folder
 
     @property
-    def origin(self) -> Scenario | None:
+    def origin(self) -> "Scenario | None":
         """The scenario as in its file, where it was changed since; None where it was not."""
         return self._origin
 
@@ -208,7 +206,7 @@ class Scenario(Model):
         return steps
 
     @classmethod
-    def load(cls, name: str | Path, settings: list[str] | None = None) -> Scenario:
+    def load(cls, name: str | Path, settings: list[str] | None = None) -> Self:
         """Read a scenario.
 
         Parameters
@@ -233,7 +231,7 @@ class Scenario(Model):
         return scenario
 
     @classmethod
-    def read(cls, name: str | Path, settings: Sequence[str] | None = None) -> Scenario:
+    def read(cls, name: str | Path, settings: Sequence[str] | None = None) -> Self:
         """Read a scenario without its vehicle: one of an older version, or one that will get another aircraft.
 
         Parameters
@@ -262,7 +260,7 @@ class Scenario(Model):
         return cls.from_table(data, path.parent, str(path), origin)
 
     @classmethod
-    def as_filed(cls, path: Path) -> Scenario | None:
+    def as_filed(cls, path: Path) -> "Scenario | None":
         """Return the scenario of a file without overrides.
 
         Parameters
@@ -281,7 +279,7 @@ class Scenario(Model):
             return None
 
     @classmethod
-    def from_table(cls, data: dict[str, Any], folder: Path, where: str, origin: Scenario | None = None) -> Scenario:
+    def from_table(cls, data: dict[str, Any], folder: Path, where: str, origin: "Scenario | None" = None) -> Self:
         """Validate a parsed table.
 
         Parameters
@@ -310,7 +308,7 @@ class Scenario(Model):
         scenario._origin = origin
         return scenario if "step_s" in data else scenario._with_aircraft_step()
 
-    def _with_aircraft_step(self) -> Scenario:
+    def _with_aircraft_step(self) -> Self:
         """Return the scenario with its aircraft's control step; an unreadable aircraft is reported where it is used."""
         try:
             step = self.resolved_vehicle()[0].control_step
@@ -340,7 +338,7 @@ class Scenario(Model):
             del data["step_s"]
         return data
 
-    def replace(self, **changes: Any) -> Scenario:
+    def replace(self, **changes: Any) -> Self:
         """Return a copy with changed values.
 
         Code named in the changes is trusted (:func:`cosim.trust`), because the caller names it.
@@ -369,7 +367,7 @@ class Scenario(Model):
         data = merge(data, changes)
         return self.from_table(data, self.folder, f"scenario {self.name}", self._origin or self)
 
-    def resolved(self, **parts: Any) -> Scenario:
+    def resolved(self, **parts: Any) -> Self:
         """Return a copy with validated parts replaced; the copy counts as read from a file of its own.
 
         Parameters
@@ -386,7 +384,7 @@ class Scenario(Model):
         copy._origin = None
         return copy
 
-    def seen_from(self, folder: Path) -> Scenario:
+    def seen_from(self, folder: Path) -> Self:
         """Return a copy whose relative file names start from another folder, where the files have been copied to.
 
         Parameters

@@ -1,9 +1,7 @@
 """Tables of a scenario: initial state, environment, limits, expected results and engine stations."""
 
-from __future__ import annotations
-
 from math import inf
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -40,7 +38,7 @@ class Range(Model):
     max: float | None = None
 
     @model_validator(mode="after")
-    def _says_something(self) -> Range:
+    def _says_something(self) -> Self:
         if self.min is None and self.max is None:
             raise ValueError("give min, max or both")
         return self
@@ -90,7 +88,7 @@ class Station(Model):
     parameters: dict[str, float] = {}  # over the scenario's engine_parameters if the engine is the scenario's
 
     @model_validator(mode="after")
-    def _says_something(self) -> Station:
+    def _says_something(self) -> Self:
         if self.engine is None and not self.parameters:
             raise ValueError("give engine, parameters or both")
         return self

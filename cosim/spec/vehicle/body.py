@@ -1,9 +1,7 @@
 """Models of a vehicle's tank, drag, contact points, ground effect and drawn panels."""
 
-from __future__ import annotations
-
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
@@ -45,7 +43,7 @@ class GroundEffect(Model):
     hot_gas_rise_k: list[NotNegative] = Field(default_factory=list)  # at each; the last is 0
 
     @model_validator(mode="after")
-    def _complete(self) -> GroundEffect:
+    def _complete(self) -> Self:
         if self.jet_m >= self.planform_m:
             raise ValueError(f"jet_m {self.jet_m:g} must be below planform_m {self.planform_m:g}")
         heights, rises = self.hot_gas_height_m, self.hot_gas_rise_k

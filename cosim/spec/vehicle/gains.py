@@ -1,9 +1,7 @@
 """Gains and limits of a vehicle's controllers and autopilot."""
 
-from __future__ import annotations
-
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
@@ -73,8 +71,8 @@ class ThrustLevel(Model):
     """One thrust level of a gain schedule."""
 
     share: Annotated[float, Field(ge=0.0, le=1.0)]  # the collective, in shares of the engines' range
-    roll: ScheduledGains = ScheduledGains()
-    altitude: ScheduledGains = ScheduledGains()
+    roll: ScheduledGains = Field(default_factory=ScheduledGains)
+    altitude: ScheduledGains = Field(default_factory=ScheduledGains)
 
 
 class Schedule(Model):
@@ -84,7 +82,7 @@ class Schedule(Model):
     level: Annotated[list[ThrustLevel], Field(min_length=2)]  # the least share first
 
     @model_validator(mode="after")
-    def _rising(self) -> Schedule:
+    def _rising(self) -> Self:
         shares = [level.share for level in self.level]
         if any(b <= a for a, b in pairwise(shares)):
             raise ValueError(f"level: every share must be above the one before it, not {shares}")
@@ -116,7 +114,7 @@ class AllocationLimits(Model):
         return {key: value for key, value in stated.items() if key != "horizontal" or value}
 
     @model_validator(mode="after")
-    def _ordered(self) -> AllocationLimits:
+    def _ordered(self) -> Self:
         if self.throttle_min >= self.throttle_max:
             raise ValueError(f"throttle_min {self.throttle_min} must be below throttle_max {self.throttle_max}")
         return self
@@ -196,7 +194,7 @@ class WingControl(Model):
     bank_rad: Annotated[float, Field(ge=0.0, lt=1.2)]  # most of that
 
     @model_validator(mode="after")
-    def _has_a_corridor(self) -> WingControl:
+    def _has_a_corridor(self) -> Self:
         least, most = self.alpha_rad
         if not -0.6 <= least < most <= 0.6:
             raise ValueError(f"alpha_rad [{least:g}, {most:g}]: least, then most, within -0.6 to 0.6 rad")
@@ -222,7 +220,7 @@ class Control(Model):
         return {key: value for key, value in stated.items() if key != "wing" or value is not None}
 
     @model_validator(mode="after")
-    def _leads_at_every_level(self) -> Control:
+    def _leads_at_every_level(self) -> Self:
         """Require each lead's parameters at every level, in the lead's own form; those of absent leads are unused."""
         for number, level in enumerate(self.schedule.level if self.schedule else ()):
             for name, stated in (("roll", level.roll), ("altitude", level.altitude)):

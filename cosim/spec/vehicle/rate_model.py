@@ -1,9 +1,7 @@
 """Identified rate responses of a vehicle, in its own file or in a model file."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
@@ -33,7 +31,7 @@ class RateModel(Model):
     engine_sha256: str = ""  # EngineSpec.fingerprint, of an engine that is a file; "" in older models
 
     @model_validator(mode="after")
-    def _strictly_proper(self) -> RateModel:
+    def _strictly_proper(self) -> Self:
         if len(self.all_zeros) >= len(self.all_poles):
             raise ValueError("a predictor needs a strictly proper model: fewer zeros than poles")
         if any(re * re + im * im > 1.0 for re, im in self.pole_pairs):

@@ -1,7 +1,5 @@
 """Models of a vehicle's sensors."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field
@@ -76,4 +74,4 @@ class Sensors(Model):
     attitude: AttitudeSensor
     gnss: PositionSensor
     barometer: AltitudeSensor
-    accelerometer: ForceSensor = ForceSensor()
+    accelerometer: ForceSensor = Field(default_factory=ForceSensor)

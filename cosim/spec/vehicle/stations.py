@@ -1,10 +1,8 @@
 """Models of a vehicle's engine stations, tilt servos, hinges and surfaces, and their layout."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import hypot
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
@@ -96,7 +94,7 @@ class Hinge(Model):
         return self.range_rad if isinstance(self.range_rad, tuple) else (-self.range_rad, self.range_rad)
 
     @model_validator(mode="after")
-    def _can_be(self) -> Hinge:
+    def _can_be(self) -> Self:
         least, most = self.least_most
         if least >= most:
             raise ValueError(f"range_rad [{least:g}, {most:g}]: the first must be below the second")
@@ -135,7 +133,7 @@ class Surface(Model):
     effort: Positive = 1.0
 
     @model_validator(mode="after")
-    def _has_a_range(self) -> Surface:
+    def _has_a_range(self) -> Self:
         if not self.range[0] <= 0.0 <= self.range[1] or self.range[0] == self.range[1]:
             raise ValueError(f"range {list(self.range)}: least and most, and 0 within them")
         return self

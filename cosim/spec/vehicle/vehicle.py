@@ -3,11 +3,9 @@
 Body frame: forward-right-down (FRD), origin at the centre of gravity of the vehicle as built.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from re import fullmatch
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
@@ -72,14 +70,14 @@ class Vehicle(Model):
     limits: Limits
 
     @model_validator(mode="after")
-    def _all_tilt_or_none(self) -> Vehicle:
+    def _all_tilt_or_none(self) -> Self:
         tilting = [jet.servo is not None for jet in self.jets]
         if any(tilting) != all(tilting) or any(tilting) != (self.servo is not None):
             raise ValueError("jets: either all jets have a servo and there is a table [servo], or none and no table")
         return self
 
     @model_validator(mode="after")
-    def _hinges_move_jets(self) -> Vehicle:
+    def _hinges_move_jets(self) -> Self:
         _differ(
             "hinges, surfaces", [*(hinge.name for hinge in self.hinges), *(surface.name for surface in self.surfaces)]
         )
@@ -90,7 +88,7 @@ class Vehicle(Model):
         return self
 
     @model_validator(mode="after")
-    def _surfaces_turn_panels(self) -> Vehicle:
+    def _surfaces_turn_panels(self) -> Self:
         names = [surface.name for surface in self.surfaces]
         for number, panel in enumerate(self.panels):
             if panel.surface is not None and panel.surface not in names:
@@ -103,7 +101,7 @@ class Vehicle(Model):
         return self
 
     @model_validator(mode="after")
-    def _banks_stand_alone(self) -> Vehicle:
+    def _banks_stand_alone(self) -> Self:
         if self.servo is None:
             return self
         if self.hinges:
@@ -118,7 +116,7 @@ class Vehicle(Model):
         return self
 
     @model_validator(mode="after")
-    def _method_fits(self) -> Vehicle:
+    def _method_fits(self) -> Self:
         method, where = self.control.allocation.method, "control.allocation.method"
         if method == "banks" and self.servo is None:
             raise ValueError(f"{where} 'banks': is for two banks with a table [servo]; take 'effectiveness'")
@@ -133,7 +131,7 @@ class Vehicle(Model):
         return self
 
     @model_validator(mode="after")
-    def _wing_turns_thrust(self) -> Vehicle:
+    def _wing_turns_thrust(self) -> Self:
         wing, where = self.control.wing, "control.wing"
         if wing is None:
             return self
@@ -189,7 +187,7 @@ class Vehicle(Model):
         (a, b, c), (xy, xz, yz) = self.inertia_kg_m2, self.products_kg_m2
         return ((a, -xy, -xz), (-xy, b, -yz), (-xz, -yz, c))
 
-    def with_point_mass(self, mass_kg: float, position_m: Vector) -> Vehicle:
+    def with_point_mass(self, mass_kg: float, position_m: Vector) -> Self:
         """Return the vehicle with a point mass [kg] more, or less where it is negative, fixed at a place [m, body].
 
         Inertia is about its own centre of gravity then; places stay stated from the old one, as those of a small part.
@@ -199,7 +197,7 @@ class Vehicle(Model):
         inertia = [j + shift * (sum(squares) - own) for j, own in zip(self.inertia_kg_m2, squares, strict=True)]
         return self.model_copy(update={"mass_kg": self.mass_kg + mass_kg, "inertia_kg_m2": tuple(inertia)})
 
-    def with_fuel(self, fraction: float) -> Vehicle:
+    def with_fuel(self, fraction: float) -> Self:
         """Return the vehicle with that fraction (0 to 1) of its full fuel; the same vehicle if it has no tank."""
         if self.fuel is None:
             return self
@@ -210,12 +208,12 @@ class Vehicle(Model):
         return layout_of(self.jets, self.hinges)
 
     @model_validator(mode="after")
-    def _contacts_differ(self) -> Vehicle:
+    def _contacts_differ(self) -> Self:
         _differ("contacts", [contact.name for contact in self.contacts])
         return self
 
     @model_validator(mode="after")
-    def _inertia_exists(self) -> Vehicle:
+    def _inertia_exists(self) -> Self:
         a, b, c = sorted(self.inertia_kg_m2)
         if a + b < c:
             raise ValueError(
@@ -245,7 +243,7 @@ class Vehicle(Model):
         return table
 
     @model_validator(mode="after")
-    def _banks_are_a_part(self) -> Vehicle:
+    def _banks_are_a_part(self) -> Self:
         if self.servo and 2.0 * self.servo.bank_inertia_kg_m2 >= self.inertia_kg_m2[1]:
             raise ValueError(
                 f"servo.bank_inertia_kg_m2 {self.servo.bank_inertia_kg_m2:g}: two banks are a part of the vehicle and "
@@ -254,7 +252,7 @@ class Vehicle(Model):
         return self
 
     @model_validator(mode="after")
-    def _exists_without_fuel(self) -> Vehicle:
+    def _exists_without_fuel(self) -> Self:
         if self.fuel is None:
             return self
         whole, fuel, position = self.mass_kg, self.fuel.mass_kg, self.fuel.position_m

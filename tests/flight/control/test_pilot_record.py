@@ -21,11 +21,11 @@ from cosim.groundstation.mavlink.services.logs import LogService, LogStore
 from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.session import ground_scenario
 from cosim.results.autopilot.autopilot_record import read_pilot_record
-from cosim.results.autopilot.request_log import REQUESTS, RequestLog
+from cosim.results.autopilot.request_log import RequestLog
 from cosim.results.export.ulog import export_ulog
 from cosim.results.export.ulog_autopilot import NAV_STATE
 from cosim.results.export.ulog_topics import EVERY_S, TOPICS
-from cosim.results.run import AUTOPILOT
+from cosim.results.run import AUTOPILOT, REQUESTS
 
 SECONDS = 24.0
 ASKED = [

@@ -21,7 +21,8 @@ from cosim.design.measured.judge import LoopJudge
 from cosim.flight import fly
 from cosim.groundstation.exchange import Exchange, Restart
 from cosim.groundstation.session import RecordOptions, Session
-from cosim.results.autopilot.request_log import REQUESTS, read_requests
+from cosim.results.autopilot.request_log import read_requests
+from cosim.results.run import REQUESTS
 from cosim.spec.scenario import Scenario
 
 SCENARIO = Scenario.load("hover").replace(name="gcs")

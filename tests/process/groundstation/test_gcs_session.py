@@ -35,9 +35,9 @@ from cosim.groundstation.exchange import (
 )
 from cosim.groundstation.read_only import ReadOnlyObserver
 from cosim.groundstation.session import RecordOptions, Session, parse_place
-from cosim.results.autopilot.request_log import REQUESTS, RequestLog, read_requests
+from cosim.results.autopilot.request_log import RequestLog, read_requests
 from cosim.results.log.recorder import Log
-from cosim.results.run import Run, open_run
+from cosim.results.run import REQUESTS, Run, open_run
 from cosim.simulation.pacing import CATCH_UP, Pace
 from cosim.spec.scenario import Scenario
 

@@ -28,8 +28,9 @@ from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
 from cosim.groundstation.session import ground_scenario
 from cosim.groundstation.web.feed import state as web_state
 from cosim.results.autopilot.autopilot_record import read_pilot_record
-from cosim.results.autopilot.request_log import REQUESTS, RequestLog
+from cosim.results.autopilot.request_log import RequestLog
 from cosim.results.export.ulog import export_ulog
+from cosim.results.run import REQUESTS
 from cosim.simulation.build import build
 from cosim.simulation.with_autopilot import with_autopilot
 from cosim.spec.scenario import Scenario

@@ -262,6 +262,32 @@ def test_an_import_stays_light(module: str) -> None:
     assert answer.stdout.split() == []
 
 
+@pytest.mark.parametrize(
+    "script",
+    [
+        "from cosim import fly",
+        "from cosim.cli.main import cli; cli.main(['--help'], 'hexjet', standalone_mode=False)",
+    ],
+)
+def test_what_only_names_a_flight_loads_no_model(script: str) -> None:
+    """A name, or the list of commands, is there before pydantic and numpy would be."""
+    seen = f"import sys; {script}; print(*sys.modules.keys() & {{'numpy', 'pydantic'}}, file=sys.stderr)"
+    answer = subprocess.run([sys.executable, "-c", seen], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert answer.stderr.split() == []
+
+
+def test_the_library_leaves_the_garbage_collector_alone() -> None:
+    """Whoever imports the package has settings of his own; the command's process is the command's."""
+    calls = [
+        place(path)
+        for path in modules()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Attribute) and node.attr in ("set_threshold", "disable", "freeze")
+        and isinstance(node.value, ast.Name) and node.value.id == "gc"
+    ]  # fmt: skip
+    assert set(calls) == {"cli/start.py", "groundstation/session.py"}
+
+
 def test_a_test_has_a_folder_by_what_it_needs() -> None:
     """No test file beside the folders, no two of one name, and none that takes from another: what is shared is a tool."""
     paths = sorted(TESTS.rglob("test_*.py"))

@@ -146,6 +146,24 @@ def test_every_bit_of_a_block_arrives_in_parquet(tmp_path: Path) -> None:
     assert all(log[name].tobytes() == whole[index].tobytes() for index, name in enumerate(NAMES))
 
 
+def test_a_log_that_is_kept_open_is_opened_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    blocks = tables([30, 1, 20])
+    streamed(tmp_path / "stream", blocks)
+    stream_to_parquet(tmp_path / "stream", tmp_path / "log.parquet")
+    log = ParquetLog(tmp_path / "log.parquet")
+    opened = []
+    open_parquet = arrow_module._open_parquet
+    monkeypatch.setattr(arrow_module, "_open_parquet", lambda path: opened.append(path) or open_parquet(path))
+    alone = {name: log[name].tobytes() for name in NAMES}
+    assert len(opened) == len(NAMES)
+    with log.keep_open(), log.keep_open():
+        assert {name: log[name].tobytes() for name in NAMES} == alone
+    assert len(opened) == len(NAMES) + 1
+    assert log[NAMES[0]].tobytes() == alone[NAMES[0]]
+    with pytest.raises(OSError, match="of somebody else"), log.keep_open():
+        raise OSError("of somebody else")  # is no fault of the log
+
+
 # ---- tables
 
 MANY: dict[str, list[Value]] = {
