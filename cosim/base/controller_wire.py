@@ -16,16 +16,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from cosim.base.constants import SERVOS
-from cosim.base.signals import (
-    AXES,
-    NO_JETS,
-    Actuation,
-    Command,
-    ControlSignals,
-    Measured,
-    Unallocated,
-    Vector3,
-)
+from cosim.base.signals import AXES, NO_JETS, Actuation, Command, ControlSignals, Measured, Unallocated, Vector3
 
 WholeAnswer = tuple[Actuation, ControlSignals | None]
 PROTOCOL, VERSION = "hexjet-controller", 1

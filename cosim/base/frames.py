@@ -74,6 +74,12 @@ def cross(a: Vector3, b: Vector3) -> Vector3:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
+def upright(q: Quaternion) -> float:
+    """Return the cosine of the lean, between the body's z axis and straight down, of a unit quaternion."""
+    _, x, y, _ = q
+    return 1.0 - 2.0 * (x * x + y * y)
+
+
 def jet_axis(tilt: float) -> Vector3:
     """Return the unit thrust, body, of a jet tilted by ``tilt`` rad: 0 is straight up (-z), positive forward (+x)."""
     return (sin(tilt), 0.0, -cos(tilt))

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from cosim.base.constants import GRAVITY
+from cosim.base.frames import upright
 from cosim.base.limits import clamp, clip
 from cosim.base.signals import Command, Measured, Unallocated
 from cosim.control.bumpless import Fade
@@ -79,14 +80,13 @@ class AltitudeController:
             limit = self._limit
             integral = self._integral + self._i * error
             self._integral = clamp(integral, limit)
-        _, x, y, _ = measured.attitude
-        upright = 1.0 - 2.0 * (x * x + y * y)
-        if upright < LEAST_UPRIGHT:
-            upright = LEAST_UPRIGHT
+        cosine = upright(measured.attitude)
+        if cosine < LEAST_UPRIGHT:
+            cosine = LEAST_UPRIGHT
         acceleration = GRAVITY + self._velocity * error + self._integral
         if self._fade is not None:
             acceleration += self._fade_change(self._fade, height_error, measured.velocity[2], acceleration)
-        throttle = self._throttle_for((self._mass - burnt) * acceleration / upright)
+        throttle = self._throttle_for((self._mass - burnt) * acceleration / cosine)
         return throttle if self._lead is None else self._apply_lead(self._lead, throttle, unallocated.collective)
 
     def climb(self, height_error: float) -> float:

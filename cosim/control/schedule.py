@@ -15,12 +15,7 @@ from math import exp
 from typing import NamedTuple
 
 from cosim.base.limits import clip
-from cosim.spec.vehicle import (
-    EngineLead,
-    Leads,
-    Schedule,
-    ScheduledGains,
-)
+from cosim.spec.vehicle import EngineLead, Leads, Schedule, ScheduledGains
 
 FINE = 1e-3  # of the range of the schedule, by which the level moves before the gains do
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import cos, degrees, radians
 
+from cosim.base.frames import upright
 from cosim.base.outcomes import Outcome
 from cosim.base.signals import AXES, State
 from cosim.spec.vehicle import Limits
@@ -34,7 +35,6 @@ class TerminationCheck:
 
     def check(self, state: State, now: float) -> Ending | None:
         """Return the ending, if ``state`` at ``now`` [s] is one."""
-        _, x, y, _ = state.attitude
         p, q, r = state.rate
         limit = self._rate_limit
         if state.hull_contact:
@@ -44,7 +44,7 @@ class TerminationCheck:
             return Ending("crashed", f"hit the ground at {self._descent:.1f} m/s at {now:.3f} s ({_lean(state)})")
         self._was_on_ground = state.on_ground
         self._descent = state.velocity[2]
-        if 1.0 - 2.0 * (x * x + y * y) < self._least_upright:
+        if upright(state.attitude) < self._least_upright:
             return Ending("diverged", f"leaned past {limits.tilt_deg:g} deg at {now:.3f} s ({_lean(state)})")
         if not (-limit < p < limit and -limit < q < limit and -limit < r < limit):
             return Ending("diverged", f"turned faster than {limits.rate_deg_s:g} deg/s at {now:.3f} s ({_lean(state)})")

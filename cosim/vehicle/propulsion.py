@@ -11,17 +11,7 @@ from math import nan
 from typing import Any
 
 from cosim.base.frames import conjugate, cross, rotate
-from cosim.base.signals import (
-    NO_JETS,
-    ZERO3,
-    Actuation,
-    Ambient,
-    EngineOutput,
-    PerJet,
-    PerServo,
-    State,
-    Vector3,
-)
+from cosim.base.signals import NO_JETS, ZERO3, Actuation, Ambient, EngineOutput, PerJet, PerServo, State, Vector3
 from cosim.engine.wrappers import EngineChain
 from cosim.spec.vehicle import Hinge, Jet, Vehicle, layout_of
 from cosim.vehicle.effects.effect import NO_OUTPUT, Effect, Load

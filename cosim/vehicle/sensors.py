@@ -12,20 +12,9 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from cosim.base.frames import (
-    IDENTITY,
-    multiply,
-    normalize,
-    rotate,
-)
+from cosim.base.frames import IDENTITY, multiply, normalize, rotate
 from cosim.base.protocols import Sensors
-from cosim.base.signals import (
-    ZERO3,
-    Measured,
-    Quaternion,
-    State,
-    Vector3,
-)
+from cosim.base.signals import ZERO3, Measured, Quaternion, State, Vector3
 from cosim.spec.scenario import SensorBias, SensorDropout, SensorFault
 from cosim.spec.vehicle import Sensors as SensorSettings
 

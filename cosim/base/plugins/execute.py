@@ -17,13 +17,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
-from importlib.machinery import (
-    EXTENSION_SUFFIXES,
-    ModuleSpec,
-    PathFinder,
-    SourceFileLoader,
-    all_suffixes,
-)
+from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec, PathFinder, SourceFileLoader, all_suffixes
 from importlib.metadata import distributions
 from importlib.util import cache_from_source, find_spec
 from pathlib import Path

@@ -17,17 +17,7 @@ from typing import Any, Final
 
 from cosim.base.errors import InputError
 from cosim.base.limits import clamp, clip
-from cosim.base.signals import (
-    AXES,
-    NO_JETS,
-    ZERO3,
-    Actuation,
-    JetHealth,
-    PerJet,
-    PerServo,
-    Unallocated,
-    Vector3,
-)
+from cosim.base.signals import AXES, NO_JETS, ZERO3, Actuation, JetHealth, PerJet, PerServo, Unallocated, Vector3
 from cosim.control.allocation.reallocation import Plan, plan
 from cosim.spec.vehicle import AllocationLimits, Jet
 

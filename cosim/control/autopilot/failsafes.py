@@ -6,6 +6,7 @@ from collections.abc import Callable
 from math import cos, hypot, radians, tan
 
 from cosim.base.constants import GRAVITY
+from cosim.base.frames import upright
 from cosim.base.protocols import Report
 from cosim.base.signals import Measured
 from cosim.control.autopilot.energy import Energy
@@ -76,9 +77,7 @@ class Watch:
 
     def detect_tipping(self, measured: Measured) -> bool:
         """Return whether the vehicle has leaned further than its limit for half a second; called once a step."""
-        _, x, y, _ = measured.attitude
-        upright = 1.0 - 2.0 * (x * x + y * y)
-        is_leaning = upright < cos(radians(self._parameters["HJ_TIP_LEAN"]))
+        is_leaning = upright(measured.attitude) < cos(radians(self._parameters["HJ_TIP_LEAN"]))
         self._lean_s = self._lean_s + self._step if is_leaning else 0.0
         return self._lean_s >= _LOST_CONTROL_S
 

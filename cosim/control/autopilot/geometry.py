@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import atan2, cos, hypot, pi, sin
 
 from cosim.base.constants import GRAVITY
+from cosim.base.frames import upright
 from cosim.base.signals import Quaternion
 
 Pair = tuple[float, float]
@@ -21,10 +22,7 @@ def limit_length(north: float, east: float, most: float) -> Pair:
 def lean_acceleration(attitude: Quaternion) -> Pair:
     """Return the horizontal acceleration, m/s^2 NED, of thrust along the body's -z that holds the weight."""
     w, x, y, z = attitude
-    upright = 1.0 - 2.0 * (x * x + y * y)
-    if upright < _LEAST_UPRIGHT:
-        upright = _LEAST_UPRIGHT
-    scale = -2.0 * GRAVITY / upright
+    scale = -2.0 * GRAVITY / max(upright(attitude), _LEAST_UPRIGHT)
     return (scale * (x * z + w * y), scale * (y * z - w * x))
 
 

@@ -389,34 +389,10 @@ class LinkBack(CheckedRecord):
 
 
 Request = (
-    Arm
-    | Disarm
-    | SetMode
-    | Takeoff
-    | Land
-    | ReturnHome
-    | Goto
-    | Orbit
-    | Hold
-    | SetSpeed
-    | SetHome
-    | Kill
-    | Sticks
-    | OffboardAttitude
-    | OffboardVelocity
-    | OffboardPosition
-    | MissionUpload
-    | MissionStart
-    | MissionSetCurrent
-    | MissionClear
-    | FenceUpload
-    | RallyUpload
-    | SetParameter
-    | InjectFault
-    | ClearFaults
-    | LinkLost
-    | LinkBack
-)
+    Arm | Disarm | SetMode | Takeoff | Land | ReturnHome | Goto | Orbit | Hold | SetSpeed | SetHome | Kill | Sticks
+    | OffboardAttitude | OffboardVelocity | OffboardPosition | MissionUpload | MissionStart | MissionSetCurrent
+    | MissionClear | FenceUpload | RallyUpload | SetParameter | InjectFault | ClearFaults | LinkLost | LinkBack
+)  # fmt: skip
 _KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in get_args(Request)}
 
 

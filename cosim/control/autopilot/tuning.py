@@ -75,9 +75,9 @@ class Live:
         elif name in _RATE_NAMES:
             self._blocks.rate.retune(rate_gains(self._control, new))
         elif name.startswith("HJ_ATT_") or name.startswith("HJ_RLIM_"):
-            self._set_attitude_gains(new)
+            self._blocks.attitude.retune(_attitude(self._control, new), self._step)
         elif name in ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_I", "HJ_SPEED_UP", "HJ_SPEED_DN"):
-            self._set_altitude_gains(new)
+            self._blocks.altitude.retune(_altitude(self._control, new))
         elif name in ("HJ_POS_P", "HJ_VEL_P", "HJ_LEAN_MAX"):
             lean = radians(new["HJ_LEAN_MAX"])
             self._blocks.position.retune(new["HJ_POS_P"], new["HJ_VEL_P"], lean)
@@ -91,12 +91,6 @@ class Live:
         tuning = _predictor_tuning(self._control, values)
         predictors = self._blocks.predictors(name, values["HJ_PRED_DELAY"], tuning)
         self._blocks.rate.retune(rate_gains(self._control, values), predictors)
-
-    def _set_attitude_gains(self, values: Mapping[str, float]) -> None:
-        self._blocks.attitude.retune(_attitude(self._control, values), self._step)
-
-    def _set_altitude_gains(self, values: Mapping[str, float]) -> None:
-        self._blocks.altitude.retune(_altitude(self._control, values))
 
 
 _RATE_NAMES = frozenset(f"HJ_{axis.upper()}_{term}" for axis in AXES for term in "PID")

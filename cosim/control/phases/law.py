@@ -5,18 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+from cosim.base.frames import upright
 from cosim.base.protocols import Allocator, AttitudeLoop
-from cosim.base.signals import (
-    NO_JETS,
-    UNKNOWN3,
-    ZERO3,
-    Actuation,
-    Command,
-    Disturbance,
-    Measured,
-    Unallocated,
-    Vector3,
-)
+from cosim.base.signals import NO_JETS, UNKNOWN3, ZERO3, Actuation, Command, Disturbance, Measured, Unallocated, Vector3
 from cosim.control.allocation.allocation import TiltAllocator
 from cosim.control.allocation.engine_monitor import EngineMonitor
 from cosim.control.altitude import LEAST_UPRIGHT, AltitudeController
@@ -61,8 +52,7 @@ class Demand:
     @property
     def upright(self) -> float:
         """Cosine of the lean, no less than the height loop makes up for."""
-        _, x, y, _ = self.measured.attitude
-        return max(LEAST_UPRIGHT, 1.0 - 2.0 * (x * x + y * y))
+        return max(LEAST_UPRIGHT, upright(self.measured.attitude))
 
 
 class Loops:

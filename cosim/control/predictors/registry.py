@@ -20,12 +20,7 @@ from zlib import crc32
 from cosim.base.errors import InputError, nearest
 from cosim.base.protocols import Predictor
 from cosim.base.trust import CodeRefusedError, is_looking
-from cosim.control.predictors.smith import (
-    FilteredSmithPredictor,
-    NoPredictor,
-    SmithPredictor,
-    robustness_filter,
-)
+from cosim.control.predictors.smith import FilteredSmithPredictor, NoPredictor, SmithPredictor, robustness_filter
 from cosim.spec.vehicle import PredictorTuning, RateModel
 
 if TYPE_CHECKING:

@@ -5,11 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import pow  # of floats, without an object in compiled code
 
-from cosim.base.frames import (
-    conjugate,
-    cross,
-    rotate,
-)
+from cosim.base.frames import conjugate, cross, rotate
 from cosim.base.signals import Vector3
 from cosim.spec.vehicle import Airflow, Hinge, Jet, layout_of
 from cosim.vehicle.effects.effect import Effect, Load

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import radians
 
+from cosim.base.frames import upright
 from cosim.base.signals import AXES, Command
 from cosim.control.autopilot.estimation.estimates import Estimates
 from cosim.control.autopilot.guidance.descent import Floor, HeightLimits, height_limits, thrust_margins
@@ -82,7 +83,6 @@ class Envelope:
         ``remaining``: fraction of the fuel; None: the vehicle has none, or it is not known.
         """
         measured, fuel = self._estimates.now, self._vehicle.fuel
-        _, x, y, _ = measured.attitude
         weight = 1.0
         if fuel is not None and remaining is not None:
             weight -= fuel.mass_kg * (1.0 - remaining) / self._vehicle.mass_kg
@@ -91,6 +91,6 @@ class Envelope:
             measured.altitude - ground,
             measured.velocity[2],
             self._parameters["MPC_LAND_SPEED"],
-            1.0 - 2.0 * (x * x + y * y),
+            upright(measured.attitude),
             weight,
         )
