@@ -87,7 +87,7 @@ def print_check(report: AircraftCheck) -> None:
     show_table(("checked", "what it is", "fault"), [(line.name, line.text, line.fault) for line in report.lines])
     rows = []
     for row in report.authority:
-        moments = [row.span(axis).in_words() for axis in range(3)]
+        moments = [row.span(axis).describe() for axis in range(3)]
         if row.moment is None:
             moments = ["falls" if row.falls else "none found", "", ""]
         rows.append((", ".join(map(str, row.lost)) or "none", f"{row.lift:.2f}", *moments))

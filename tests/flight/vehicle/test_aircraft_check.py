@@ -147,7 +147,7 @@ def test_the_quadjets_page_has_what_is_left_without_an_engine() -> None:
     assert all(each.met for each in (roll, pitch, yaw))
     page = " ".join((ROOT / "aircraft" / "quadjet" / "README.md").read_text().split())
     assert (
-        f"{roll.in_words()} N m of roll, {pitch.in_words()} N m of pitch and {yaw.in_words()} N m of yaw either way"
+        f"{roll.describe()} N m of roll, {pitch.describe()} N m of pitch and {yaw.describe()} N m of yaw either way"
         in page
     )
     report = AircraftCheck("quadjet", "", "", [], [found, Authority((2,), 0.5, None, inf, (inf,) * 3)], (1.0,) * 3)
