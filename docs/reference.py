@@ -24,7 +24,7 @@ from pydantic_core import PydanticUndefined
 from cosim.base.signals import JETS, MOST_JETS
 from cosim.base.storage.paths import data_folder, files_in
 from cosim.base.storage.toml import read_toml
-from cosim.campaign.study.keys import unit_of
+from cosim.campaign.study.key import unit_of
 from cosim.campaign.study.study import Study
 from cosim.cli.main import INTERRUPTED, TERMINATED, cli
 from cosim.cli.options import DONE, FLIGHT_FAILED, WRONG_INPUT

@@ -15,7 +15,7 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.base.storage.files import one_line, write_whole
 from cosim.campaign.folder import COLUMNS
-from cosim.campaign.study.keys import Key
+from cosim.campaign.study.key import Key
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Kinds, custom_metric_names, kinds
 from cosim.simulation.plugins import PREFIX

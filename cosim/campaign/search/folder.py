@@ -32,7 +32,7 @@ from cosim.campaign.search.search import (
     search,
 )
 from cosim.campaign.search.span import span
-from cosim.campaign.study.distributions import Vary, parse_vary
+from cosim.campaign.study.distributions import Vary, first_repeated, parse_number, parse_vary
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import scenario_of
 from cosim.campaign.study.study import Study
@@ -72,7 +72,7 @@ def resolve_search(
     varied = [parse_vary(text) for text in vary]
     over_entries = _parse_over(over)
     keys = [entry.key for entry in (*varied, *over_entries)]
-    repeated = next((key for position, key in enumerate(keys) if key in keys[:position]), None)
+    repeated = first_repeated(keys)
     if repeated is not None:
         raise InputError(f"--vary {repeated}: is there twice")
     if not varied:
@@ -117,10 +117,7 @@ def _tolerances(texts: Sequence[str], keys: Sequence[str]) -> dict[str, float]:
         key = key.strip() if equals else keys[0]
         if key not in keys or (not equals and len(keys) > 1):
             raise InputError(f"--tolerance {text}: write it as KEY=X with a key that is varied: {', '.join(keys)}")
-        try:
-            tolerances[key] = float(number)
-        except ValueError as error:
-            raise InputError(f"--tolerance {text}: {number.strip()!r} is not a number") from error
+        tolerances[key] = parse_number(number, f"--tolerance {text}")
     return tolerances
 
 

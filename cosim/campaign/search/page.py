@@ -17,7 +17,7 @@ from cosim.campaign.search.search import (
     SearchResult,
 )
 from cosim.campaign.search.span import Span
-from cosim.campaign.study.keys import Value
+from cosim.campaign.study.key import Value
 from cosim.results.report.page import render
 from cosim.results.report.plot import ABOVE, GREEN, GREY, RED, layout, run_colour
 from cosim.results.run import REPORT, SCENARIO

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from cosim.base.errors import FlightError
 from cosim.base.storage.files import map_os_errors, one_line, own_file
-from cosim.campaign.study.keys import Value
+from cosim.campaign.study.key import Value
 from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row

@@ -9,7 +9,8 @@ from typing import Any
 
 from cosim.campaign.search.probe import Point
 from cosim.campaign.search.search import Plan, SearchResult
-from cosim.campaign.study.keys import Value, with_values
+from cosim.campaign.study.key import Value
+from cosim.campaign.study.keys import with_values
 from cosim.simulation.controllers.plugged import find_controller
 from cosim.spec.controller_name import is_design
 from cosim.spec.scenario import Scenario

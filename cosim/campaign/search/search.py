@@ -29,7 +29,7 @@ from cosim.campaign.search.probe import (
     count_needed,
 )
 from cosim.campaign.search.span import Span
-from cosim.campaign.study.keys import Key, Value
+from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row
 from cosim.results.metrics import check_expectations

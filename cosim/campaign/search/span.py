@@ -12,7 +12,7 @@ from math import ceil, exp, log
 from cosim.base.errors import InputError
 from cosim.campaign.search.line_search import Between
 from cosim.campaign.study.distributions import Vary
-from cosim.campaign.study.keys import Key, Value
+from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.values import (
     absolute_support,
     check_vary,

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Sequence
 from math import inf, isfinite, log
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from cosim.base.errors import InputError, nearest
 from cosim.base.storage.toml import Model, Positive, validate
 
+T = TypeVar("T")
 FORMS = ("range", "values", "normal", "lognormal", "triangular")
 RELATIVE: dict[str, Literal["", "factor", "offset"]] = {"=": "", "*=": "factor", "+=": "offset"}
 USAGE = (
@@ -110,7 +112,7 @@ class Vary(Model):
         kinds = {"text" if isinstance(v, str) else "bool" if isinstance(v, bool) else "number" for v in values}
         if len(kinds) > 1:
             raise ValueError(f"{self.key}: values of different kinds: {', '.join(map(_text, values))}")
-        repeated = next((v for n, v in enumerate(values) if v in values[:n]), None)
+        repeated = first_repeated(values)
         if repeated is not None:
             raise ValueError(f"{self.key}: {_text(repeated)} is there twice")
         if self.relative and kinds - {"number"}:
@@ -207,14 +209,16 @@ def _parse_form(form: str, text: str) -> dict[str, Any]:
     omitted = [
         bound for bound, part in bounded.items() if not part and bound in ("min", "max") and name != "triangular"
     ]
-    return {name: {bound: _number(part, text) for bound, part in bounded.items() if bound not in omitted}}
+    return {
+        name: {bound: parse_number(part, f"--vary {text}") for bound, part in bounded.items() if bound not in omitted}
+    }
 
 
 def _span(span: str, text: str) -> dict[str, Any]:
     numbers = span.split(":")
     if len(numbers) not in (2, 3):
         raise InputError(f"--vary {text}: {USAGE}")
-    table: dict[str, Any] = {"range": [_number(part, text) for part in numbers[:2]]}
+    table: dict[str, Any] = {"range": [parse_number(part, f"--vary {text}") for part in numbers[:2]]}
     if len(numbers) == 3:
         if not re.fullmatch(r"\s*\d+\s*", numbers[2]):
             raise InputError(f"--vary {text}: {numbers[2].strip()!r} is no number of levels: a whole one from 2 on")
@@ -222,11 +226,17 @@ def _span(span: str, text: str) -> dict[str, Any]:
     return table
 
 
-def _number(part: str, text: str) -> float:
+def parse_number(text: str, where: str) -> float:
+    """Return a number of a command line.  Raises InputError, which begins with ``where``."""
     try:
-        return float(part)
+        return float(text)
     except ValueError as error:
-        raise InputError(f"--vary {text}: {part.strip() or 'nothing'!r} is not a number") from error
+        raise InputError(f"{where}: {text.strip() or 'nothing'!r} is not a number") from error
+
+
+def first_repeated(values: Sequence[T]) -> T | None:
+    """Return the first of the values that is there twice; None if each is there once."""
+    return next((value for index, value in enumerate(values) if value in values[:index]), None)
 
 
 def _value(part: str) -> Any:

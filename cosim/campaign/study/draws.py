@@ -21,7 +21,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.campaign.study.distributions import Normal, Vary
-from cosim.campaign.study.keys import Key, Value
+from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.study import Study
 from cosim.campaign.study.values import (
     absolute_support,

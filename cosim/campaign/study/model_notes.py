@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from cosim.base.errors import FlightError, InputError
-from cosim.campaign.study.keys import Value
+from cosim.campaign.study.key import Value
 from cosim.campaign.study.plan import Flight, flights, scenario_of
 from cosim.campaign.study.study import Study
 from cosim.control.predictors.registry import PREDICTORS

@@ -12,7 +12,7 @@ from cosim.base.errors import InputError, nearest, similar
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import parse_setting, read_toml, validate
 from cosim.base.trust import mention
-from cosim.campaign.study.distributions import parse_vary
+from cosim.campaign.study.distributions import parse_number, parse_vary
 from cosim.campaign.study.study import (
     DESIGNS,
     Correlation,
@@ -134,10 +134,7 @@ def parse_correlate(text: str) -> Correlation:
     match = re.fullmatch(r"\s*([^=,\s]+)\s*,\s*([^=,\s]+)\s*=\s*(\S+)\s*", text)
     if match is None:
         raise InputError(f"--correlate {text}: write it as KEY,KEY=R with the rank correlation R above -1 and below 1")
-    try:
-        rank = float(match[3])
-    except ValueError as error:
-        raise InputError(f"--correlate {text}: {match[3]!r} is not a number") from error
+    rank = parse_number(match[3], f"--correlate {text}")
     return validate(Correlation, {"keys": [match[1], match[2]], "rank": rank}, f"--correlate {text}")
 
 
@@ -148,10 +145,7 @@ def parse_success(texts: Iterable[str]) -> dict[str, Range]:
         match = re.fullmatch(r"\s*([^<>=\s]+)\s*(<=|>=)\s*(\S+)\s*", text)
         if match is None:
             raise InputError(f"--success {text}: write it as METRIC<=X or METRIC>=X")
-        try:
-            limit = float(match[3])
-        except ValueError as error:
-            raise InputError(f"--success {text}: {match[3]!r} is not a number") from error
+        limit = parse_number(match[3], f"--success {text}")
         side = "max" if match[2] == "<=" else "min"
         if not isfinite(limit) or side in success.get(match[1], {}):
             raise InputError(f"--success {text}: {'there is one already' if isfinite(limit) else 'must be finite'}")

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, overload
 
 from cosim.campaign.study.draws import draws
-from cosim.campaign.study.keys import Value, with_values
+from cosim.campaign.study.key import Value
+from cosim.campaign.study.keys import with_values
 from cosim.campaign.study.study import Study
 from cosim.spec.controller_name import file_name, seen_from
 

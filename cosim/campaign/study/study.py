@@ -21,14 +21,9 @@ from cosim.base.storage.paths import data_folder, files_in
 from cosim.base.storage.toml import Model, read_toml, set_path, split_key, toml_text, validate
 from cosim.base.trust import Code, code_of, is_looking, need_trust
 from cosim.campaign.study.autopilot import StudyAutopilot
-from cosim.campaign.study.distributions import Vary, parse_vary
-from cosim.campaign.study.keys import (
-    CUSTOM_PARAMETERS,
-    Key,
-    custom_keys,
-    find_key,
-    with_values,
-)
+from cosim.campaign.study.distributions import Vary, first_repeated, parse_vary
+from cosim.campaign.study.key import Key
+from cosim.campaign.study.keys import CUSTOM_PARAMETERS, custom_keys, find_key, with_values
 from cosim.campaign.study.values import check_vary
 from cosim.results.metrics import metric_names
 from cosim.simulation.code import aircraft_code, block_code, engine_code, scenario_code
@@ -51,7 +46,7 @@ ROW_COLUMNS = {  # a row of the campaign has these itself
 
 
 def _without_repeats(names: list[str]) -> list[str]:
-    repeated = next((name for index, name in enumerate(names) if name in names[:index]), None)
+    repeated = first_repeated(names)
     if repeated is not None:
         raise ValueError(f"{repeated} is there twice")
     return names

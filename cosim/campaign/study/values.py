@@ -6,7 +6,7 @@ from math import ceil, exp, floor, isfinite, log
 
 from cosim.base.errors import InputError
 from cosim.campaign.study.distributions import Vary
-from cosim.campaign.study.keys import Key, Value
+from cosim.campaign.study.key import Key, Value
 
 
 def check_vary(vary: Vary, key: Key) -> None:

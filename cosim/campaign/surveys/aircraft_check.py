@@ -21,7 +21,9 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES, ZERO3, Disturbance, Vector3
 from cosim.base.storage.files import write_files
 from cosim.campaign.surveys.authority_drawing import attainable_moments
+from cosim.campaign.surveys.survey import subject_of
 from cosim.control.allocation.authority import Authority, Range, Reach, reach_of
+from cosim.control.predictors.registry import BASELINE
 from cosim.engine import engine_names
 from cosim.flight import fly
 from cosim.results.report.three_views import points_of, three_views
@@ -117,16 +119,8 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
     engine = file_seen_from(engine, Path()) if engine else engine_of(aircraft)
     if engine is None:
         raise InputError(f"{aircraft}: vehicle.toml names no engine: name one with --engine")
-    table = {
-        "name": "check",
-        "aircraft": aircraft,
-        "engine": engine,
-        "controller": "baseline",
-        "duration_s": FLIGHT_S,
-        "initial": {"altitude_m": HEIGHT_M},
-    }
-    scenario = Scenario.from_table(table, Path(), "aircraft check")
-    vehicle, _ = scenario.resolved_vehicle()
+    subject = subject_of(aircraft, engine)
+    scenario, vehicle = subject.scenario("aircraft-check", BASELINE.name, HEIGHT_M, FLIGHT_S), subject.vehicle
     with build(scenario) as simulation:
         lines = [_forces(simulation), _masses(simulation), *_sizes(vehicle)]
         least, most = _thrust(simulation)

@@ -191,11 +191,11 @@ def _scenario(subject: Subject, file: ControllerFile, jet: int, means: Means) ->
     monitor = {"shut_opposite": means != PLANNED, "threshold": threshold, "catch": means == SOONER}
     return subject.scenario(
         "engine-out",
-        controller=file.controller,
+        file.controller,
+        HEIGHT_M,
+        begin + AFTER_S,
         vehicle=file.vehicle,
         step_s=STEP_S,
-        duration_s=begin + AFTER_S,
-        initial={"altitude_m": HEIGHT_M},
         fault=[{"kind": "flame_out", "start_s": begin, "jet": jet}],
     ).replace(vehicle={"control": {"monitor": monitor}})
 

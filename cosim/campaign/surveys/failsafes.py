@@ -246,9 +246,9 @@ def scenario_of(subject: Subject, controller: str, height: float, wind: float) -
     """Return the flight of one cell of the table, without what is asked in it; it begins in the air."""
     return subject.scenario(
         "failsafe",
-        controller=controller,
-        duration_s=LONGEST_SETTLING_S + MOVING_S + LONGEST_S + 2.0 * PER_METRE_S * height,
+        controller,
+        height,
+        LONGEST_SETTLING_S + MOVING_S + LONGEST_S + 2.0 * PER_METRE_S * height,
         monitor=subject.vehicle.control.monitor is not None,
-        initial={"altitude_m": height},
         environment={"wind_ned_m_s": [0.0, wind, 0.0]},
     )

@@ -252,11 +252,11 @@ def scenario_of(subject: Subject, case: Case, start: str, controller: str, step:
     roll = {"kind": "step", "signal": "roll_deg", "start_s": 0.5, "amplitude": ROLL_DEG}
     return subject.scenario(
         "survival",
-        controller=controller,
+        controller,
+        HEIGHT_M,
+        begin + AFTER_S,
         vehicle=gains,
         step_s=step,
-        duration_s=begin + AFTER_S,
-        initial={"altitude_m": HEIGHT_M},
         command=[roll] if start == "roll" else [],
         fault=[] if case.fault is None else [case.fault | {"start_s": begin}],
     )

@@ -35,9 +35,10 @@ class Subject(NamedTuple):
     vehicle: Vehicle
     engine: str
 
-    def scenario(self, name: str, **table: Any) -> Scenario:
-        """Return a flight of it at its control step.  Raises InputError."""
-        table |= {"name": name, "aircraft": self.aircraft, "engine": self.engine}
+    def scenario(self, name: str, controller: str, height: float, duration: float, **table: Any) -> Scenario:
+        """Return a flight at its control step, from ``height`` [m] on, of ``duration`` [s].  Raises InputError."""
+        table |= {"name": name, "aircraft": self.aircraft, "engine": self.engine, "controller": controller}
+        table |= {"duration_s": duration, "initial": {"altitude_m": height}}
         return Scenario.from_table({"step_s": self.vehicle.control_step} | table, Path(), name)
 
     def controllers(self) -> list[str]:

@@ -61,11 +61,11 @@ def tip_speed(aircraft: str, engine: str, above_m: float = ABOVE_M) -> float:
         leg |= {"friction_static": FRICTION, "friction_dynamic": FRICTION}
     scenario = subject.scenario(
         "tipping",
-        controller=BASELINE.name,
-        duration_s=LONGEST_S,
+        BASELINE.name,
+        max(leg["position_m"][2] for leg in legs) + above_m,
+        LONGEST_S,
         sensor_noise=False,
         vehicle={"contacts": contacts},
-        initial={"altitude_m": max(leg["position_m"][2] for leg in legs) + above_m},
     )
     slowest = FASTEST_M_S
     for heading in HEADINGS_DEG:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cosim.base.errors import InputError
-from cosim.base.storage.files import map_os_errors
 from cosim.cli import opt
 from cosim.cli.console import output_to_stderr, say, show_table, terminal
 from cosim.cli.options import DONE, example
@@ -68,6 +67,7 @@ def compare(options: Compare) -> int:
     What is flown runs code (--trust); what was flown is only looked at.  Leaves a page with all of it.  Status 0,
     whatever differs; 2: wrong input.
     """
+    from cosim.base.storage.files import map_os_errors
     from cosim.results.comparison import pairs
     from cosim.results.report.comparison import write_comparison
 

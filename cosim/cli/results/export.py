@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -55,6 +56,7 @@ _FILES = {
     "csv": "flight.csv",
     "parquet": "flight.parquet",
 }
+_MODULES = {"ulog": "ulog", "mcap": "mcap_file", "mat": "mat", "csv": "csv_file", "parquet": "parquet"}
 _ENDINGS = {"ulog": (".ulg", ".ulog")} | {name: (f".{name}",) for name in _FILES if name != "ulog"}
 _LOG_OUT = Out(*(ending for endings in _ENDINGS.values() for ending in endings))
 _VEHICLE_OUT = Out(".fmu", ".ssp")
@@ -101,27 +103,8 @@ def log(options: Log) -> int:
     path = _log_path(target, options.out or folder)
     if target != "ulog" and options.rates != "all":
         raise InputError(f"--rates: is for --to ulog; {target} has every step")
-    match target:
-        case "ulog":
-            from cosim.results.export.ulog import export_ulog
-
-            export_ulog(folder, path, options.rates)
-        case "mcap":
-            from cosim.results.export.mcap_file import export_mcap
-
-            export_mcap(folder, path)
-        case "mat":
-            from cosim.results.export.mat import export_mat
-
-            export_mat(folder, path)
-        case "parquet":
-            from cosim.results.export.parquet import export_parquet
-
-            export_parquet(folder, path)
-        case _:
-            from cosim.results.export.csv_file import export_csv
-
-            export_csv(folder, path)
+    rates = {"rates": options.rates} if target == "ulog" else {}
+    getattr(import_module(f"cosim.results.export.{_MODULES[target]}"), f"export_{target}")(folder, path, **rates)
     click.echo(str(path))
     return DONE
 

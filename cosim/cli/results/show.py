@@ -21,11 +21,6 @@ from cosim.spec.controller_name import is_design
 if TYPE_CHECKING:
     from cosim.spec.vehicle import Vehicle
 
-_UNITS = {  # what a key ends with, the longest first
-    "_kg_m2": "kg m^2", "_rad_s": "rad/s", "_samples": "samples", "_percent": "%", "_N_m": "N m", "_m_s": "m/s",
-    "_1_s": "1/s", "_deg": "deg", "_rad": "rad", "_m2": "m^2", "_db": "dB", "_hz": "Hz", "_kg": "kg", "_m": "m",
-    "_s": "s", "_N": "N", "_K": "K",
-}  # fmt: skip
 _MEANINGS = {  # of the first part of a key in the file of a scenario or a study
     "duration_s": "planned length of the flight",
     "step_s": "control step",
@@ -332,7 +327,9 @@ def _words(table: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _unit(key: str) -> str:
-    return next((unit for end, unit in _UNITS.items() if key.endswith(end)), "")
+    from cosim.campaign.study.key import unit_of
+
+    return unit_of(key)
 
 
 def _text(value: Any) -> str:

@@ -18,7 +18,7 @@ from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, aircraft_settings, 
 if TYPE_CHECKING:
     from cosim.campaign.search.result import SavedSearch
     from cosim.campaign.store import Campaign, Tally
-    from cosim.campaign.study.keys import Key
+    from cosim.campaign.study.key import Key
 
 
 class Many(opt.Output):

@@ -22,7 +22,7 @@ from cosim.campaign.study.draws import (
     inverse,
     reorder_points,
 )
-from cosim.campaign.study.keys import Key
+from cosim.campaign.study.key import Key
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.study import Study
 from cosim.campaign.study.values import levels

@@ -9,13 +9,8 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import split_key
-from cosim.campaign.study.keys import (
-    Key,
-    all_keys,
-    find_key,
-    matching,
-    with_values,
-)
+from cosim.campaign.study.key import Key
+from cosim.campaign.study.keys import all_keys, find_key, matching, with_values
 from cosim.flight import fly
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario, scenario_names

@@ -23,8 +23,6 @@ MOST_LINES = 500
 LONGER = {
     # one class: an airframe's properties in JSBSim are set and read together, in the order of a control step
     "vehicle/airframe.py",
-    # not divided yet: values are written into a scenario beside the walk that finds its keys
-    "campaign/study/keys.py",
 }
 
 # A foreign library has one home: a module, or a folder with one duty.

@@ -1,0 +1,124 @@
+"""One value of a flight that can be varied: its unit, its bounds, and a value as it takes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, isfinite
+from typing import Literal
+
+from cosim.base.errors import InputError
+from cosim.spec.vehicle import is_file, is_own
+
+Value = float | int | str | bool
+Kind = Literal["float", "int", "bool", "choice"]
+
+# What the end of a name says of the unit, the longest first.
+UNITS = {
+    "per_unit": "",
+    "kg_m2": "kg m^2",
+    "n_m_s": "N m s",
+    "n_s_m": "N s/m",
+    "m_s25": "m/s^2.5",
+    "m_s15": "m/s^1.5",
+    "rad_s": "rad/s",
+    "deg_s": "deg/s",
+    "m_s3": "m/s^3",
+    "m_s2": "m/s^2",
+    "1_s2": "1/s^2",
+    "kg_s": "kg/s",
+    "m_s": "m/s",
+    "1_s": "1/s",
+    "n_m": "N m",
+    "samples": "samples",
+    "percent": "%",
+    "rad": "rad",
+    "deg": "deg",
+    "kg": "kg",
+    "hz": "Hz",
+    "db": "dB",
+    "m2": "m^2",
+    "m": "m",
+    "n": "N",
+    "s": "s",
+}
+ODD_UNITS = {"spring_n_m": "N/m", "reaction_m": "m"}  # a stiffness reads as a moment does
+
+
+@dataclass(frozen=True)
+class Key:
+    """One value that can be varied: its nominal value, unit and bounds."""
+
+    path: str
+    kind: Kind
+    nominal: Value | None  # as the scenario flies; None where it states none
+    unit: str = ""  # where the name says it
+    low: float = -inf
+    high: float = inf
+    open_low: bool = False  # ``low`` itself is not allowed
+    open_high: bool = False
+    choices: tuple[Value, ...] = ()
+    grid: float | None = None  # s: only whole multiples of it, because it is counted in control steps
+
+    @property
+    def allowed(self) -> str:
+        """The range or the names, in words."""
+        if self.kind == "bool":
+            return "true or false"
+        if self.choices:
+            return ", ".join(str(choice) for choice in self.choices)
+        what = "a whole number" if self.kind == "int" else "a number"
+        above, below = ("above" if self.open_low else "from"), ("below" if self.open_high else "to")
+        if isfinite(self.low) and isfinite(self.high):
+            return f"{what} {above} {self.low:g} {below} {self.high:g}"
+        if isfinite(self.low):
+            return f"{what} above {self.low:g}" if self.open_low else f"{what}, at least {self.low:g}"
+        if isfinite(self.high):
+            return f"{what} below {self.high:g}" if self.open_high else f"{what}, at most {self.high:g}"
+        return what
+
+    def fit(self, value: Value) -> Value:
+        """Return ``value`` as the key takes it: rounded where the key counts something.
+
+        Raises InputError: one line with the key, the value and what is allowed.
+        """
+        if self.kind == "bool" and isinstance(value, bool):
+            return value
+        if self.kind == "choice":
+            if value in self.choices:
+                return self.choices[self.choices.index(value)]
+            if self._takes_files and (is_file(str(value)) or ":" in str(value)):
+                return value
+            if self.path == "aircraft" and is_own(str(value)):
+                return value
+        elif self.kind in ("float", "int") and isinstance(value, (int, float)) and not isinstance(value, bool):
+            number = self._rounded(float(value)) if isfinite(value) else value
+            if isfinite(number) and self._within(number):
+                return number
+        raise InputError(f"{self.path} = {value}: must be {self._requirement}")
+
+    @property
+    def _takes_files(self) -> bool:
+        return self.path.split(".")[-1] in ("engine", "controller")
+
+    @property
+    def _requirement(self) -> str:
+        return f"one of {self.allowed}" if self.kind == "choice" else self.allowed
+
+    def _rounded(self, value: float) -> float | int:
+        if self.kind == "int":
+            return round(value)
+        # a billionth of a step is noise of the division, and what a person wrote would not be that number again
+        return value if self.grid is None else float(f"{round(value / self.grid) * self.grid:.12g}")
+
+    def _within(self, value: float) -> bool:
+        above = value > self.low if self.open_low else value >= self.low
+        below = value < self.high if self.open_high else value <= self.high
+        return above and below
+
+
+def unit_of(path: str) -> str:
+    """Return the unit in which the suffix of the name says the value is; indices in lists do not count."""
+    name = next((part for part in reversed(path.split(".")) if not part.isdigit()), "")
+    if name in ODD_UNITS:
+        return ODD_UNITS[name]
+    return next((unit for end, unit in UNITS.items() if f"_{name}".endswith(f"_{end}")), "")
