@@ -49,12 +49,12 @@ def bench(options: Bench) -> int:
     with progress(quiet=options.as_json) as tell:
         result = measure(plan, tell)
     if page is not None:
-        write_page(page, result, _as_given())
+        write_page(page, result, _command_line())
     options.answer(lambda: to_dict(result), lambda: print_result(result))
     return FLIGHT_FAILED if result.failed else DONE
 
 
-def _as_given() -> str:
+def _command_line() -> str:
     """Return the running command with the options that were given, as it can be typed again."""
     context = click.get_current_context()
     words = ["hexjet", context.info_name or ""]

@@ -84,7 +84,7 @@ class Station:
 def listen(port: int) -> None:
     """Print when each ATTITUDE came, and the flight time [ms] in it."""
     station, end = Station(port), _end()
-    found: dict[int, float] = {}  # the first time that each state came
+    first_seen: dict[int, float] = {}  # the first time that each state came
     station.socket.settimeout(0.1)
     while not end.is_set():
         station.beat()
@@ -93,8 +93,8 @@ def listen(port: int) -> None:
         except OSError:
             continue
         if data[0] == 0xFD and data[7] == ATTITUDE and not data[8]:
-            found.setdefault(struct.unpack_from("<I", data, 10)[0], time.monotonic())
-    print(json.dumps([(came, ms) for ms, came in found.items()]))
+            first_seen.setdefault(struct.unpack_from("<I", data, 10)[0], time.monotonic())
+    print(json.dumps([(came, ms) for ms, came in first_seen.items()]))
 
 
 def flood(port: int) -> None:
@@ -222,7 +222,7 @@ def soak(seconds: float) -> dict[str, Any]:
 
 
 def _to_and_fro(exchange: Exchange) -> None:
-    place = 5.0
+    position = 5.0
     while True:
         snapshot = exchange.snapshot
         if snapshot is not None:
@@ -234,8 +234,8 @@ def _to_and_fro(exchange: Exchange) -> None:
                 if int(snapshot.time) % 300 > 270:
                     exchange.ask(rq.Land(), sender="soak")
                 else:
-                    place = -place
-                    exchange.ask(rq.Goto(place, 0.5 * place), sender="soak")
+                    position = -position
+                    exchange.ask(rq.Goto(position, 0.5 * position), sender="soak")
                 exchange.ask(rq.SetParameter("MPC_XY_VEL_MAX", 2.0 + 0.1 * (int(snapshot.time) % 20)), sender="soak")
         time.sleep(0.5)
 
@@ -243,10 +243,10 @@ def _to_and_fro(exchange: Exchange) -> None:
 # --- lines ---------------------------------------------------------------------------------------------------------
 
 BAUD = (9600, 19200, 38400, 57600, 115200, 230400, 921600)
-SHOWN = ("HEARTBEAT", "ATTITUDE", "GLOBAL_POSITION_INT", "VFR_HUD", "SYS_STATUS")
+COUNTED = ("HEARTBEAT", "ATTITUDE", "GLOBAL_POSITION_INT", "VFR_HUD", "SYS_STATUS")
 SETTLE, COUNT = 5.0, 40.0  # s of the link's clock: until the rates are found, and while they are counted
 LOOK = 0.01  # s between two looks of the link's loop
-NOT_GIVEN = [float("nan")] * 6
+NO_PARAMETERS = [float("nan")] * 6
 
 
 class _Wire:
@@ -283,8 +283,8 @@ def line(baud: int) -> tuple[dict[str, float], float, list[float]]:
         link.handler = vehicle = MavlinkVehicle(vehicle_info(info, "px4"), Port(exchange, "mavlink"), link)
         wire = _Wire(lambda: now[0], link, baud)
         link._channels.append(wire)
-        asked: list[float] = []
-        number = mav.MAVLink_command_long_message(1, 1, 401, 0, *NOT_GIVEN, 0.0)
+        latencies: list[float] = []
+        number = mav.MAVLink_command_long_message(1, 1, 401, 0, *NO_PARAMETERS, 0.0)
         sender = mav.MAVLink(None, srcSystem=255, srcComponent=190)
         begun = 0
         while now[0] < SETTLE + COUNT:
@@ -297,8 +297,8 @@ def line(baud: int) -> tuple[dict[str, float], float, list[float]]:
                 exchange.publish(snapshot_of(simulation, info, sample, status, PaceReport(load=0.1), now[0]))
             if now[0] >= SETTLE:
                 begun = begun or len(wire.arrived)
-                if len(asked) <= (now[0] - SETTLE) / 0.7:
-                    asked.append(now[0])
+                if len(latencies) <= (now[0] - SETTLE) / 0.7:
+                    latencies.append(now[0])
                     link.take(wire.peer.feed(number.pack(sender), now[0]), wire.peer, now[0])
             link.poll(now[0])
             now[0] += LOOK
@@ -311,24 +311,24 @@ def line(baud: int) -> tuple[dict[str, float], float, list[float]]:
             if name == "COMMAND_ACK":
                 acknowledged.append(at)
         carried = sum(len(data) for _, data in wire.arrived[begun:]) / COUNT
-        assert vehicle.acknowledged == len(asked)
+        assert vehicle.acknowledged == len(latencies)
         assert not link.failures, link.failures
         link.close()
         return (
-            {name: counts[name] / COUNT for name in SHOWN},
+            {name: counts[name] / COUNT for name in COUNTED},
             carried,
-            [came - at for came, at in zip(acknowledged, asked, strict=False)],
+            [came - at for came, at in zip(acknowledged, latencies, strict=False)],
         )
 
 
 def lines() -> str:
     """Return the page's table of serial lines by baud rate."""
-    columns = ("baud", "bytes/s", "of them used", *(f"{name}, Hz" for name in SHOWN), "latest acknowledgement, s")
+    columns = ("baud", "bytes/s", "of them used", *(f"{name}, Hz" for name in COUNTED), "latest acknowledgement, s")
     rows = []
     for baud in BAUD:
         rates, carried, late = line(baud)
-        shown = (f"{rates[name]:.2g}" if rates[name] < 10 else f"{rates[name]:.0f}" for name in SHOWN)
-        rows.append((f"{baud}", f"{baud // 10}", f"{carried:.0f}", *shown, f"{max(late):.2f}"))
+        rates_shown = (f"{rates[name]:.2g}" if rates[name] < 10 else f"{rates[name]:.0f}" for name in COUNTED)
+        rows.append((f"{baud}", f"{baud // 10}", f"{carried:.0f}", *rates_shown, f"{max(late):.2f}"))
     return table(columns, rows)
 
 
@@ -356,7 +356,7 @@ class _Asker:
 
     def _run(self) -> None:
         beat = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)
-        ask = mav.MAVLink_command_long_message(1, 1, 512, 0, 148.0, *NOT_GIVEN)
+        ask = mav.MAVLink_command_long_message(1, 1, 512, 0, 148.0, *NO_PARAMETERS)
         due = 0.0
         while not self._over.is_set():
             now = time.monotonic()
@@ -390,10 +390,10 @@ def stalled(seconds: float) -> str:
     """Fly at real time with a pseudo-terminal read for 3 s, not for ``seconds``, then again; return a table."""
     import tty
 
-    ours, theirs = os.openpty()
-    tty.setraw(ours)
-    os.set_blocking(ours, False)
-    urls = [f"serial:{os.ttyname(theirs)}:57600", "udpin:127.0.0.1:0", "tcpin:127.0.0.1:0"]
+    pilot_side, vehicle_side = os.openpty()
+    tty.setraw(pilot_side)
+    os.set_blocking(pilot_side, False)
+    urls = [f"serial:{os.ttyname(vehicle_side)}:57600", "udpin:127.0.0.1:0", "tcpin:127.0.0.1:0"]
     rows: list[tuple[str, ...]] = []
     with Links(urls) as links, TemporaryDirectory(dir=scratch()) as folder:
         session = _session(links, Path(folder) / "run", 1.0)
@@ -410,7 +410,7 @@ def stalled(seconds: float) -> str:
         def read(until: Callable[[], bool]) -> None:
             while not until():
                 try:
-                    os.read(ours, 65536)
+                    os.read(pilot_side, 65536)
                 except BlockingIOError:
                     time.sleep(0.01)
 
@@ -437,8 +437,8 @@ def stalled(seconds: float) -> str:
 
         threading.Thread(target=measure, daemon=True).start()
         (run,) = session.run()
-    os.close(ours)
-    os.close(theirs)
+    os.close(pilot_side)
+    os.close(vehicle_side)
     summary = run.summary
     assert summary.pacing is not None
     columns = ("link", "commands", "without an answer", "answer, median, ms", "latest answer, ms")
@@ -481,19 +481,19 @@ def main() -> None:
     parser.add_argument("--write", type=Path, metavar="PAGE.md")
     parser.add_argument("--station", choices=["listen", "flood", "silent"], help=argparse.SUPPRESS)
     parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.station:
-        {"listen": listen, "flood": flood, "silent": silent}[given.station](given.port)
-    elif given.lines or given.stalled:
-        parts = {"lines": lines()} if given.lines else {}
-        parts |= {"stalled": stalled(given.stalled)} if given.stalled else {}
-        print("\n".join(parts.values()))
-        if given.write:
-            write_marks(given.write, parts)
-    elif given.soak:
-        print(json.dumps(soak(given.soak), indent=2))
+    options = parser.parse_args()
+    if options.station:
+        {"listen": listen, "flood": flood, "silent": silent}[options.station](options.port)
+    elif options.lines or options.stalled:
+        results = {"lines": lines()} if options.lines else {}
+        results |= {"stalled": stalled(options.stalled)} if options.stalled else {}
+        print("\n".join(results.values()))
+        if options.write:
+            write_marks(options.write, results)
+    elif options.soak:
+        print(json.dumps(soak(options.soak), indent=2))
     else:
-        print(json.dumps(realtime(given.seconds, given.flood, given.rtf), indent=2))
+        print(json.dumps(realtime(options.seconds, options.flood, options.rtf), indent=2))
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ from cosim.pages import table, write_marks
 MARK = "lockstep"
 HOVER = Scenario.load("hover").replace(engine="edf")
 VEHICLE = HOVER.resolved_vehicle()[0]
-PLACE = Geodesy(22.35, 113.59)
+ORIGIN = Geodesy(22.35, 113.59)
 ROUNDS, FRAMES = 7, 4000
 INSTANCE = {"ardupilot": 2711, "px4": 31_711}  # ports that nobody has
 STILL = Frame(
@@ -119,47 +119,47 @@ def bare(kind: str) -> Clocked:
 
 
 @contextmanager
-def paired(kind: str, folder: Path) -> Iterator[Autopilot]:
-    ours: ArduPilot | Px4
+def pair_of(kind: str, folder: Path) -> Iterator[Autopilot]:
+    autopilot: ArduPilot | Px4
     if kind == "ardupilot":
         launch = Launch(INSTANCE[kind], limit_s=20.0)
-        ours = ArduPilot(None, folder, VEHICLE, HOVER.step_s, PLACE, launch)
+        autopilot = ArduPilot(None, folder, VEHICLE, HOVER.step_s, ORIGIN, launch)
     else:
-        ours = Px4(None, folder, VEHICLE, HOVER.step_s, PLACE, px4.Launch(INSTANCE[kind], limit_s=20.0))
+        autopilot = Px4(None, folder, VEHICLE, HOVER.step_s, ORIGIN, px4.Launch(INSTANCE[kind], limit_s=20.0))
     with child(kind):
         try:
-            yield ours
+            yield autopilot
         finally:
-            ours.close()
+            autopilot.close()
 
 
-def exchanged(kind: str, folder: Path) -> Clocked:
-    with paired(kind, folder) as ours:
-        ours.start()
+def time_exchanges(kind: str, folder: Path) -> Clocked:
+    with pair_of(kind, folder) as autopilot:
+        autopilot.start()
         for k in range(20):  # its boot
-            ours.exchange(STILL._replace(time=k * HOVER.step_s))
-        return timed(lambda k: ours.exchange(STILL._replace(time=(20 + k) * HOVER.step_s)))
+            autopilot.exchange(STILL._replace(time=k * HOVER.step_s))
+        return timed(lambda k: autopilot.exchange(STILL._replace(time=(20 + k) * HOVER.step_s)))
 
 
-def measured() -> dict[str, list[tuple[Clocked, Clocked]]]:
+def measure() -> dict[str, list[tuple[Clocked, Clocked]]]:
     """Cost of an exchange and of a bare round trip, round by round, of each autopilot."""
-    found: dict[str, list[tuple[Clocked, Clocked]]] = {"ardupilot": [], "px4": []}
+    rounds: dict[str, list[tuple[Clocked, Clocked]]] = {"ardupilot": [], "px4": []}
     for number in range(ROUNDS):
         for kind, sort in (("ardupilot", "udp"), ("px4", "tcp")):
             with TemporaryDirectory(dir=scratch()) as folder:
-                found[kind].append((exchanged(kind, Path(folder)), bare(sort)))
+                rounds[kind].append((time_exchanges(kind, Path(folder)), bare(sort)))
         print(f"round {number + 1} of {ROUNDS}", flush=True)
-    return found
+    return rounds
 
 
-def text_of(found: dict[str, list[tuple[Clocked, Clocked]]]) -> str:
+def text_of(measurements: dict[str, list[tuple[Clocked, Clocked]]]) -> str:
     rows = []
-    for kind, rounds in found.items():
-        (wall, own), (bare_wall, bare_own) = (
-            tuple(1e6 * median(each[part][k] for each in rounds) for k in (0, 1)) for part in (0, 1)
+    for kind, rounds in measurements.items():
+        (wall, own_cpu), (bare_wall, bare_cpu) = (
+            tuple(1e6 * median(round_[part][k] for round_ in rounds) for k in (0, 1)) for part in (0, 1)
         )
         rows.append([
-            kind, f"{wall:.0f}", f"{own:.0f}", f"{bare_wall:.0f}", f"{bare_own:.0f}", f"{own - bare_own:.0f}",
+            kind, f"{wall:.0f}", f"{own_cpu:.0f}", f"{bare_wall:.0f}", f"{bare_cpu:.0f}", f"{own_cpu - bare_cpu:.0f}",
             f"{HOVER.step_s * 1e6 / wall:.0f}",
         ])  # fmt: skip
     head = [
@@ -173,14 +173,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--stand-in", help=argparse.SUPPRESS)
     parser.add_argument("--write", type=Path, metavar="PAGE.md")
-    asked = parser.parse_args()
-    if asked.stand_in:
-        stand_in(asked.stand_in)
+    options = parser.parse_args()
+    if options.stand_in:
+        stand_in(options.stand_in)
         return
-    text = text_of(measured())
+    text = text_of(measure())
     print(text)
-    if asked.write is not None:
-        write_marks(asked.write, {MARK: text})
+    if options.write is not None:
+        write_marks(options.write, {MARK: text})
 
 
 if __name__ == "__main__":

@@ -29,13 +29,13 @@ def check_page(path: Path) -> None:
 
 def write_page(path: Path, result: Result, command: str) -> None:
     """Write the measurements into the page, or a new page.  Raises InputError if that is not possible."""
-    parts = {key: f"Not measured: {cell(why)}\n" for key, why in result.failed.items()}
-    parts |= {key: _part(part) for key, part in tables(result).items()}
-    page = fill(path, parts | {COMMAND: f"```\n{command}\n```\n"})
+    texts = {key: f"Not measured: {cell(why)}\n" for key, why in result.failed.items()}
+    texts |= {key: _part(part) for key, part in tables(result).items()}
+    page = fill(path, texts | {COMMAND: f"```\n{command}\n```\n"})
     write_whole(path, page, InputError)
 
 
-def fill(path: Path, parts: dict[str, str]) -> str:
+def fill(path: Path, texts: dict[str, str]) -> str:
     """Return the page with what is between its marks replaced; a new one if there is none yet.
 
     Raises InputError for a page that cannot be read, or whose marks do not fit together.
@@ -47,7 +47,7 @@ def fill(path: Path, parts: dict[str, str]) -> str:
             raise InputError(f"{path}: unknown mark {name!r}; {nearest(name, NAMES)}")
     if not names:
         raise InputError(f"{path}: it has no mark <!-- measured: NAME -->; a file that is not there yet gets them all")
-    return filled(page, {name: parts.get(name, ABSENT) for name in names}, path)
+    return filled(page, {name: texts.get(name, ABSENT) for name in names}, path)
 
 
 def _read(path: Path) -> str:
@@ -68,6 +68,6 @@ def _lines(table: Table) -> Iterator[str]:
     width = len(table.columns)
     yield row(("", *table.columns))
     yield row(("---", *["---:" if width > 1 else "---"] * width))
-    yield from (row(each) for each in table.rows)
+    yield from (row(cells) for cells in table.rows)
     for note in table.notes:
         yield from ("", cell(note))

@@ -8,17 +8,12 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from benchmarks.suite import PARTS, Result
-from benchmarks.tables import (
-    ASKED,
-    MACHINE,
-    Table,
-    tables,
-)
+from benchmarks.tables import ASKED, MACHINE, Table, tables
 
 if TYPE_CHECKING:
     from rich.table import Table as Drawn
 
-QUIET_SHARE = 0.95  # of processor time in the wall time, below which others had the machine too
+QUIET_FRACTION = 0.95  # of processor time in the wall time, below which others had the machine too
 UNIT = (
     "Median [quartiles] of the rounds; cpu: processor time of the thread.  A unit is one bare JSBSim run(), timed in "
     "the same round just before and after, cpu by cpu."
@@ -37,10 +32,10 @@ def progress(quiet: bool) -> Iterator[Callable[[str, int, int], object]]:
     with Progress(console=Console(stderr=True), transient=True) as bars:
         tasks: dict[str, TaskID] = {}
 
-        def tell(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = bars.add_task(what, total=total)
-            bars.update(tasks[what], completed=done)
+        def tell(part: str, done: int, total: int) -> None:
+            if part not in tasks:
+                tasks[part] = bars.add_task(part, total=total)
+            bars.update(tasks[part], completed=done)
 
         yield tell
 
@@ -61,7 +56,7 @@ def print_result(result: Result) -> None:
         f"JSBSim {result.versions.get('jsbsim', '?')}; {plan.rounds} rounds of {plan.steps} steps"
     )
     console.print(UNIT)
-    if machine.processor_share is not None and machine.processor_share < QUIET_SHARE:
+    if machine.processor_share is not None and machine.processor_share < QUIET_FRACTION:
         console.print(
             f"Other work took {1.0 - machine.processor_share:.0%} of the wall time: "
             "trust the units rather than the microseconds.",
@@ -69,20 +64,20 @@ def print_result(result: Result) -> None:
         )
     if not machine.compiled:
         console.print("The modules of a control step are not compiled: make setup compiles them.", style="yellow")
-    parts = tables(result)
-    for key in [*(key for key in parts if key not in (ASKED, MACHINE)), ASKED]:
-        for table in parts[key]:
-            console.print(_drawn(table))
+    tables_by_part = tables(result)
+    for key in [*(key for key in tables_by_part if key not in (ASKED, MACHINE)), ASKED]:
+        for table in tables_by_part[key]:
+            console.print(_rich_table(table))
             for note in table.notes:
                 console.print(note)
     for part, why in result.failed.items():
         console.print(f"{part} not measured: {why}", style="red")
-    left_out = [part for part in PARTS if part not in parts and part not in result.failed]
+    left_out = [part for part in PARTS if part not in tables_by_part and part not in result.failed]
     if left_out:
         console.print(f"not measured: {', '.join(left_out)}; --full measures everything")
 
 
-def _drawn(table: Table) -> Drawn:
+def _rich_table(table: Table) -> Drawn:
     from rich import box
     from rich.table import Table as Drawn
 

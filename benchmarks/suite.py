@@ -10,13 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from benchmarks.machine import (
-    Machine,
-    compilers,
-    load,
-    look_around,
-    package_versions,
-)
+from benchmarks.machine import Machine, compilers, load, look_around, package_versions
 from benchmarks.measures.blocks import Breakdown, measure_blocks
 from benchmarks.measures.campaign import CampaignCost, CampaignPlan, measure_campaign
 from benchmarks.measures.growth import (
@@ -30,12 +24,7 @@ from benchmarks.measures.growth import (
 from benchmarks.measures.others import Others, measure_others
 from benchmarks.measures.own_blocks import OwnBlocks, measure_own_blocks
 from benchmarks.measures.pages import Pages, PagesPlan, measure_pages
-from benchmarks.measures.process import (
-    Memory,
-    Startup,
-    measure_memory,
-    measure_startup,
-)
+from benchmarks.measures.process import Memory, Startup, measure_memory, measure_startup
 from benchmarks.measures.speed import RECORDED, measure_speed, warm_up
 from benchmarks.peers.multirotor import Multirotor, measure_multirotor
 from benchmarks.peers.peers import Peers, measure_peers
@@ -96,11 +85,11 @@ def make_plan(full: bool, campaign: bool, only: Sequence[str], amounts: Mapping[
         if part not in PARTS:
             raise InputError(f"--only: unknown part {part!r}; {nearest(part, PARTS)}")
     plan = FULL if full else Plan()
-    wanted = {*(only or plan.parts), *([CAMPAIGN] if campaign else [])}
+    chosen = {*(only or plan.parts), *([CAMPAIGN] if campaign else [])}
     if amounts.get("memory_minutes") is not None and not only:
-        wanted.add(MEMORY)
-    given = {name: value for name, value in amounts.items() if value is not None}
-    return replace(plan, parts=tuple(part for part in PARTS if part in wanted), **given)
+        chosen.add(MEMORY)
+    settings = {name: value for name, value in amounts.items() if value is not None}
+    return replace(plan, parts=tuple(part for part in PARTS if part in chosen), **settings)
 
 
 @dataclass(frozen=True)
@@ -156,11 +145,11 @@ def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda 
                     results[part] = measured(_Counter(on_progress, part, total))
                 except FlightError as error:  # the others are worth having
                     failed[part] = str(error)
-    share = None
+    busy = None
     if STEP in results:
-        share = min(costs[RECORDED].cpu_us.median / costs[RECORDED].wall_us.median for costs in results[STEP].values())
+        busy = min(costs[RECORDED].cpu_us.median / costs[RECORDED].wall_us.median for costs in results[STEP].values())
     return Result(
-        machine=look_around(before, share),
+        machine=look_around(before, busy),
         versions=package_versions(),
         compilers=compilers(),
         plan=plan,
@@ -173,7 +162,7 @@ def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda 
 def _part(part: str, plan: Plan, folder: Path) -> tuple[Callable[[Callable[[], object]], object], int]:
     """Return what measures a part, and how often it says that it has got further."""
     steps, rounds = plan.steps, plan.rounds
-    parts: dict[str, tuple[Callable[[Callable[[], object]], object], int]] = {
+    measures: dict[str, tuple[Callable[[Callable[[], object]], object], int]] = {
         STEP: (partial(measure_speed, steps, rounds, folder), rounds),
         BLOCKS: (partial(measure_blocks, steps, rounds, folder), rounds),
         OTHERS: (partial(measure_others, plan.others_s, rounds, folder), rounds),
@@ -194,7 +183,7 @@ def _part(part: str, plan: Plan, folder: Path) -> tuple[Callable[[Callable[[], o
             plan.campaign.rounds + bool(plan.campaign.study),
         ),
     }
-    return parts[part]
+    return measures[part]
 
 
 class _Counter:

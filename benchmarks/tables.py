@@ -8,7 +8,7 @@ from itertools import starmap
 from typing import Any
 
 from benchmarks.measures.blocks import Breakdown
-from benchmarks.measures.browser import Frames, Seen
+from benchmarks.measures.browser import Frames, PageTimes
 from benchmarks.measures.campaign import EARLY, PROCESSES, CampaignCost
 from benchmarks.measures.growth import EngineCounts, Lengths, LogRates
 from benchmarks.measures.others import Others
@@ -34,7 +34,7 @@ from benchmarks.suite import (
     TIME,
     Result,
 )
-from benchmarks.targets import judge, runs_a_step
+from benchmarks.targets import judge_targets, runs_a_step
 from benchmarks.timing import Cost, Spread
 
 ASKED, MACHINE = "asked", "machine"
@@ -59,7 +59,7 @@ def tables(result: Result) -> dict[str, list[Table]]:
         STEP: (result.step, lambda runs: starmap(_step, runs.items())),
         BLOCKS: (result.blocks, lambda part: [_blocks(part)]),
         OTHERS: (result.others, _others),
-        OWN: (result.own, lambda part: [_own(part)]),
+        OWN: (result.own, lambda part: [_own_blocks(part)]),
         PEERS: (result.peers, lambda part: [_peers(part)]),
         ROTORPY: (result.rotorpy, lambda part: [_rotorpy(part)]),
         TIME: (result.time, lambda part: [_time(part)]),
@@ -70,8 +70,8 @@ def tables(result: Result) -> dict[str, list[Table]]:
         MEMORY: (result.memory, lambda part: [_memory(part)]),
         CAMPAIGN: (result.campaign, _campaign),
     }
-    parts = {key: list(make(part)) for key, (part, make) in measured.items() if part}
-    return {ASKED: [_asked(result)], **parts, MACHINE: list(_machine(result))}
+    tables_by_part = {key: list(make(part)) for key, (part, make) in measured.items() if part}
+    return {ASKED: [_options(result)], **tables_by_part, MACHINE: list(_machine(result))}
 
 
 def spread(value: Spread) -> str:
@@ -86,9 +86,9 @@ def _digits(value: float) -> int:
     return 0 if size >= 100.0 else 1 if size >= 10.0 else 2 if size >= 1.0 else 3
 
 
-def _asked(result: Result) -> Table:
+def _options(result: Result) -> Table:
     rows = []
-    for judged in judge(result):
+    for judged in judge_targets(result):
         bound = f"at {'least' if judged.least else 'most'} {judged.bound:g} {judged.unit}"
         rows.append((judged.name, spread(judged.measured), bound, "yes" if judged.met else "no"))
     return Table("asked for", ("measured", "asked for", "met"), rows)
@@ -107,15 +107,15 @@ def _step(runs: int, costs: dict[str, Cost]) -> Table:
 
 
 def _blocks(breakdown: Breakdown) -> Table:
-    whole = breakdown.outside.units.median
+    outside = breakdown.outside.units.median
     rows = []
     for name, cost in breakdown.alone.items():
         met = breakdown.in_flight.get(name)
         us, units = ("-", cost.units.median) if met is None else (f"{met.us:.2f}", met.units)
-        rows.append((name, spread(cost.cpu_us), us, f"{units:.2f}", f"{100.0 * units / whole:.0f}"))
-    rest = breakdown.rest_units
-    rows.append(("rest: loop, records", "", "", f"{rest:.2f}", f"{100.0 * rest / whole:.0f}"))
-    rows.append(("all, recorded to disk", "", spread(breakdown.outside.cpu_us), f"{whole:.2f}", "100"))
+        rows.append((name, spread(cost.cpu_us), us, f"{units:.2f}", f"{100.0 * units / outside:.0f}"))
+    remainder = breakdown.rest_units
+    rows.append(("rest: loop, records", "", "", f"{remainder:.2f}", f"{100.0 * remainder / outside:.0f}"))
+    rows.append(("all, recorded to disk", "", spread(breakdown.outside.cpu_us), f"{outside:.2f}", "100"))
     title = f"where it goes outside JSBSim, {breakdown.substeps} runs a step"
     return Table(title, ("us alone", "us in flight", "units", "%"), rows)
 
@@ -130,23 +130,23 @@ def _others(others: Others) -> Iterator[Table]:
     )
 
 
-def _own(found: OwnBlocks) -> Table:
+def _own_blocks(blocks: OwnBlocks) -> Table:
     """By both clocks: what waits for a process takes none of the processor's time."""
     rows = [
-        (f"{BASELINE}, what is not JSBSim", *_cost(found.ours), spread(found.ours.units_wall)),
-        *((f"more by {name}", *_cost(cost), spread(cost.units_wall)) for name, cost in found.more.items()),
+        (f"{BASELINE}, what is not JSBSim", *_cost(blocks.ours), spread(blocks.ours.units_wall)),
+        *((f"more by {name}", *_cost(cost), spread(cost.units_wall)) for name, cost in blocks.more.items()),
     ]
-    notes = [] if found.missing is None else [_missing("a whole controller, as an FMU", found.missing)]
+    notes = [] if blocks.missing is None else [_missing("a whole controller, as an FMU", blocks.missing)]
     return Table("a hover with blocks of one's own, 1 run a step", (*US, "units of wall time"), rows, notes)
 
 
 def _peers(peers: Peers) -> Table:
     """Units of all threads' processor time: some of them step in threads of their own."""
     rows = [
-        (f"{name} {peers.versions[name]}: {what}", spread(costs[what].wall_us), spread(costs[what].units_process))
+        (f"{name} {peers.versions[name]}: {task}", spread(costs[task].wall_us), spread(costs[task].units_process))
         for name, costs in peers.costs.items()
-        for what in (EXCHANGE, ALONE)
-        if what in costs
+        for task in (EXCHANGE, ALONE)
+        if task in costs
     ]
     title = f"six instances of {peers.fmu}, {peers.steps} steps; units of all threads together"
     return Table(title, ("us wall", "units"), rows, [_missing(name, why) for name, why in peers.missing.items()])
@@ -176,8 +176,8 @@ def _time(lengths: Lengths) -> Table:
     for seconds, cost in lengths.steps.items():
         memory = lengths.memory[seconds]
         flying = next(mark.resident_mb for mark in memory.landmarks if mark.where == "4/4")
-        held = "-" if flying is None else spread(flying)
-        rows.append((f"{seconds} s", spread(cost.cpu_us), spread(cost.units), held, spread(memory.peak_mb)))
+        flying_text = "-" if flying is None else spread(flying)
+        rows.append((f"{seconds} s", spread(cost.cpu_us), spread(cost.units), flying_text, spread(memory.peak_mb)))
     notes = [f"A step of the longest flight costs {spread(lengths.growth)} times one of the shortest, round by round."]
     columns = ("us cpu", "units", "resident at its end, MB", "peak with log and summary, MB")
     return Table("a recorded step by the time that is flown", columns, rows, notes)
@@ -186,8 +186,8 @@ def _time(lengths: Lengths) -> Table:
 def _engines(counts: EngineCounts) -> Iterator[Table]:
     banks = [(f"{count}", spread(cost.cpu_us), spread(cost.units)) for count, cost in counts.banks.items()]
     yield Table(f"a bank's step by its engines ({counts.engine})", ("us cpu", "units"), banks)
-    flown = [(name, *_cost(cost)) for name, cost in counts.flown.items()]
-    yield Table("whole recorded step, 4 runs in it; units of the Hex-Jet's airframe", US, flown)
+    rows = [(name, *_cost(cost)) for name, cost in counts.flown.items()]
+    yield Table("whole recorded step, 4 runs in it; units of the Hex-Jet's airframe", US, rows)
 
 
 def _log(rates: LogRates) -> Table:
@@ -214,29 +214,29 @@ def _pages(pages: Pages) -> Iterator[Table]:
     if pages.missing:
         yield Table(title, ("",), [], [_missing(title, pages.missing)])
         return
-    seen = {f"{seconds} s": page.seen for seconds, page in pages.by_length.items()}
-    seen[f"{flights} flights"] = pages.campaign.seen
-    looks = [(name, each) for name, each in seen.items() if each]
-    found: list[tuple[str, Callable[[Seen], Spread | None]]] = [
-        ("s until it is there", lambda each: each.open_s),
-        ("s of its thread until then", lambda each: each.open_cpu_s),
+    looks_by_page = {f"{seconds} s": page.seen for seconds, page in pages.by_length.items()}
+    looks_by_page[f"{flights} flights"] = pages.campaign.seen
+    looks = [(name, look) for name, look in looks_by_page.items() if look]
+    takes: list[tuple[str, Callable[[PageTimes], Spread | None]]] = [
+        ("s until it is there", lambda look: look.open_s),
+        ("s of its thread until then", lambda look: look.open_cpu_s),
     ]
-    for what, of in (("scrolled", lambda each: each.scrolled), ("replaying", lambda each: each.replayed)):
-        found += [
-            (f"{what}: frames a second", _frame(of, "rate")),
-            (f"{what}: % of them late", _frame(of, "late")),
-            (f"{what}: ms of its thread a frame", _frame(of, "page_ms")),
-            (f"{what}: ms of what draws a frame", _frame(of, "drawing_ms")),
+    for action, of in (("scrolled", lambda look: look.scrolled), ("replaying", lambda look: look.replayed)):
+        takes += [
+            (f"{action}: frames a second", _frame(of, "rate")),
+            (f"{action}: % of them late", _frame(of, "late")),
+            (f"{action}: ms of its thread a frame", _frame(of, "page_ms")),
+            (f"{action}: ms of what draws a frame", _frame(of, "drawing_ms")),
         ]
     rows = [
-        (name, *("-" if (value := take(each)) is None else spread(value) for _, each in looks)) for name, take in found
+        (name, *("-" if (value := take(look)) is None else spread(value) for _, look in looks)) for name, take in takes
     ]
     yield Table(title, tuple(name for name, _ in looks), rows, [f"{pages.browser}."])
 
 
-def _frame(of: Callable[[Seen], Frames | None], name: str) -> Callable[[Seen], Spread | None]:
-    def take(seen: Seen) -> Spread | None:
-        frames = of(seen)
+def _frame(of: Callable[[PageTimes], Frames | None], name: str) -> Callable[[PageTimes], Spread | None]:
+    def take(look: PageTimes) -> Spread | None:
+        frames = of(look)
         return None if frames is None else getattr(frames, name)
 
     return take
@@ -261,8 +261,8 @@ def _memory(memory: Memory) -> Table:
     rows = []
     for mark in memory.landmarks:
         where = f"{mark.where} of the flight" if "/" in mark.where else mark.where
-        held = "-" if mark.resident_mb is None else spread(mark.resident_mb)
-        rows.append((where, held, spread(mark.peak_mb)))
+        resident = "-" if mark.resident_mb is None else spread(mark.resident_mb)
+        rows.append((where, resident, spread(mark.peak_mb)))
     note = f"Each flight with its files took {spread(memory.wall_s)} s; its folder has {memory.log_mb:.0f} MB."
     title = f"{memory.minutes:g} min flown, {memory.steps} steps"
     return Table(title, ("resident MB", "peak so far MB"), rows, [note])
@@ -290,8 +290,8 @@ def _campaign(cost: CampaignCost) -> Iterator[Table]:
             (f"worker {number}, {worker.flights} flights", _mb(worker.early_mb), _mb(worker.end_mb))
             for number, worker in enumerate(study.workers, 1)
         ]
-        took = f"{study.flights} flights in {study.wall_s:.0f} s, one run"
-        note = f"{took}; {spread(study.rate)} flights a second over its tenths."
+        duration = f"{study.flights} flights in {study.wall_s:.0f} s, one run"
+        note = f"{duration}; {spread(study.rate)} flights a second over its tenths."
         title = f"a study of {study.flights} flights, two workers: resident memory, MB"
         yield Table(title, (f"after {EARLY} flights", "after the last"), held, [note])
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from benchmarks.measures.browser import Seen
+from benchmarks.measures.browser import PageTimes
 from benchmarks.measures.others import Others
 from benchmarks.measures.own_blocks import CLASSES, PROCESSES
 from benchmarks.measures.process import FLY, HELP, IMPORT, UNIT
@@ -31,7 +31,7 @@ FRAMES_S = 59.0  # of the 60 that a screen shows; what is counted in a few secon
 STEP_GROWTH = 1.05  # the step of the longest flight by that of the shortest: what a quiet machine can tell from 1
 FLIGHT_GROWTH_MB = 2.0  # from the first quarter of a long flight to its end: blocks of the log come and go
 PEAK_MB = 300.0
-CAMPAIGN_SHARE = 0.95  # of bare JSBSim's gain from one process to two
+CAMPAIGN_GAIN = 0.95  # of bare JSBSim's gain from one process to two
 WORKER_GROWTH = 1.05  # a worker's memory at its end by that after its first flights
 STUDY_FLIGHTS = 2000
 STUDY_S = 300.0
@@ -53,14 +53,14 @@ class TargetResult:
         return median >= self.bound if self.least else median <= self.bound
 
 
-def judge(result: Result) -> list[TargetResult]:
+def judge_targets(result: Result) -> list[TargetResult]:
     """Everything that is asked for and was measured."""
     return [*_step(result), *_processes(result), *_campaign(result)]
 
 
 def to_dict(result: Result) -> dict[str, Any]:
     """Return a result as it goes into JSON, with what is asked for."""
-    return result.to_dict() | {"asked": [asdict(row) | {"met": row.met} for row in judge(result)]}
+    return result.to_dict() | {"asked": [asdict(row) | {"met": row.met} for row in judge_targets(result)]}
 
 
 def runs_a_step(runs: int) -> str:
@@ -72,8 +72,8 @@ def _step(result: Result) -> Iterator[TargetResult]:
     for runs, costs in (result.step or {}).items():
         in_it = runs_a_step(runs)
         yield TargetResult(f"not JSBSim, recorded in full, {in_it}", costs[OUTSIDE].units, OUTSIDE_UNITS, RUNS)
-        whole = costs[RECORDED].units.times(1.0 / runs)
-        yield TargetResult(f"whole flight by bare JSBSim, {in_it}", whole, BY_BARE[runs], "times")
+        recorded = costs[RECORDED].units.times(1.0 / runs)
+        yield TargetResult(f"whole flight by bare JSBSim, {in_it}", recorded, BY_BARE[runs], "times")
         yield TargetResult(f"{ENGINES}, {in_it}", costs[ENGINES].units, ENGINE_UNITS, RUNS)
     if result.others:
         units = [cost.units for costs in result.others.outside.values() for cost in costs.values()]
@@ -107,7 +107,7 @@ def _processes(result: Result) -> Iterator[TargetResult]:
             if seconds in PAGE_MB:
                 name = f"the page of {seconds} s flown"
                 yield TargetResult(name, Spread.of([page.whole_mb]), PAGE_MB[seconds], "MB")
-                yield from _seen(name, page.seen)
+                yield from _page_times(name, page.seen)
         campaign = result.pages.campaign
         name = f"the page of a campaign of {campaign.flights} flights"
         yield TargetResult(name, Spread.of([campaign.mb]), CAMPAIGN_PAGE_MB, "MB")
@@ -124,17 +124,17 @@ def _processes(result: Result) -> Iterator[TargetResult]:
         yield TargetResult(f"memory at its peak, {minutes}", result.memory.peak_mb, PEAK_MB, "MB")
 
 
-def _seen(name: str, seen: Seen | None) -> Iterator[TargetResult]:
-    if seen:
-        yield TargetResult(f"{name}, until it is there", seen.open_s, OPEN_S, "s")
-        yield TargetResult(f"{name}, scrolled", seen.scrolled.rate, FRAMES_S, "frames a second", least=True)
+def _page_times(name: str, times: PageTimes | None) -> Iterator[TargetResult]:
+    if times:
+        yield TargetResult(f"{name}, until it is there", times.open_s, OPEN_S, "s")
+        yield TargetResult(f"{name}, scrolled", times.scrolled.rate, FRAMES_S, "frames a second", least=True)
 
 
 def _campaign(result: Result) -> Iterator[TargetResult]:
     campaign = result.campaign
     if campaign is None:
         return
-    yield TargetResult("gain by a second worker, by bare JSBSim's", campaign.share, CAMPAIGN_SHARE, "times", least=True)
+    yield TargetResult("gain by a second worker, by bare JSBSim's", campaign.share, CAMPAIGN_GAIN, "times", least=True)
     if campaign.study:
         growth = [
             worker.end_mb / worker.early_mb for worker in campaign.study.workers if worker.end_mb and worker.early_mb

@@ -15,26 +15,10 @@ import tomli_w
 
 from cosim.loops import margins
 from hexjet_paper import numbers
-from hexjet_paper.experiments import (
-    Experiment,
-    hexjet_ratios,
-    linear,
-    linear_run,
-    quadrotor_axis,
-)
-from hexjet_paper.frozen import (
-    FILE,
-    Calibration,
-    FittedNumber,
-    Frozen,
-)
+from hexjet_paper.experiments import Experiment, hexjet_ratios, linear, linear_run, quadrotor_axis
+from hexjet_paper.frozen import FILE, Calibration, FittedNumber, Frozen
 from hexjet_paper.linear import STATE_AS_PRINTED
-from hexjet_paper.loops import (
-    LOW_END_HZ,
-    gain_at,
-    open_loop,
-    unstable_poles,
-)
+from hexjet_paper.loops import LOW_END_HZ, gain_at, open_loop, unstable_poles
 from hexjet_paper.readings import DELAY_ONLY, READINGS, Reading, doublet_of, gain_pairs, reading_axis
 
 START = Calibration(
@@ -54,12 +38,12 @@ START = Calibration(
 
 def _margins(trial: Calibration) -> dict[str, float]:
     loop = quadrotor_axis(trial, "baseline", 5)
-    known = margins(open_loop(loop), loop.step, points=800)
+    loop_margins = margins(open_loop(loop), loop.step, points=800)
     prefix = "frequency.baseline."
     return {
-        prefix + "cutoff": known.cutoff or 0.0,
-        prefix + "phase_margin": known.phase_margin or 0.0,
-        prefix + "gain_margin": known.gain_margin or 0.0,
+        prefix + "cutoff": loop_margins.cutoff or 0.0,
+        prefix + "phase_margin": loop_margins.phase_margin or 0.0,
+        prefix + "gain_margin": loop_margins.gain_margin or 0.0,
         "frequency.dc_gain": gain_at(loop, LOW_END_HZ),
     }
 
@@ -69,7 +53,7 @@ def _quadrotor(trial: Calibration) -> dict[str, float]:
 
     The state predictor runs with the matrices as printed: they are what the paper says it used.
     """
-    run = linear(trial, noisy=False, whole=False)
+    run = linear(trial, noisy=False, is_whole=False)
     times = [run(Experiment("step", c, 5)).metrics.time_constant_s or 1.0 for c in ("baseline", "smith")]
     values = {"step.time_constant": sum(times) / len(times)}
     for printed, controller, payload in (
@@ -87,7 +71,7 @@ def _hexjet(trial: Calibration) -> dict[str, float]:
     return _ratios(trial, DELAY_ONLY)
 
 
-def _hexjet_corrected(trial: Calibration) -> dict[str, float]:
+def _correct_hexjet(trial: Calibration) -> dict[str, float]:
     return _ratios(trial, READINGS["corrected"])
 
 
@@ -97,7 +81,7 @@ def _ratios(trial: Calibration, reading: Reading) -> dict[str, float]:
     loops = {c: reading_axis(reading, gains, c, trial, noisy=False) for c in ("baseline", "smith")}
     if unstable_poles(loops["baseline"]):
         return {"hexjet.less_overshoot": 0.0, "hexjet.faster_settling": 0.0}
-    a, b = (linear_run(doublet_of(reading, gains, c), loop, trial, whole=False).metrics for c, loop in loops.items())
+    a, b = (linear_run(doublet_of(reading, gains, c), loop, trial, is_whole=False).metrics for c, loop in loops.items())
     return hexjet_ratios(a.overshoot_percent, b.overshoot_percent, a.settling_s, b.settling_s)
 
 
@@ -111,8 +95,8 @@ class Stage(NamedTuple):
 
     def cost(self, trial: Calibration) -> float:
         """Return the sum of the squared residuals."""
-        answers = self.answers(trial)
-        return sum(((answers[key] - numbers.value(key)) / scale) ** 2 for key, scale in self.targets.items())
+        values = self.answers(trial)
+        return sum(((values[key] - numbers.value(key)) / scale) ** 2 for key, scale in self.targets.items())
 
 
 # Scales are chosen by us: 2 % of the cut-off, 10 % of the phase margin and of the table.  The gain margin lies where a
@@ -159,7 +143,7 @@ STAGES: list[Stage] = [
     Stage(
         "Hex-Jet gains, turbojet's dynamics in the plant",
         {"corrected_p": (0.004, 0.01), "corrected_attitude_gain_1_s": (0.5, 1.2)},
-        _hexjet_corrected,
+        _correct_hexjet,
         {"hexjet.less_overshoot": 4.0, "hexjet.faster_settling": 6.0},
     ),
 ]
@@ -175,11 +159,9 @@ def calibrate(start: Calibration = START, say: Callable[[str], None] = lambda li
     for stage in STAGES:
         say(stage.name)
         parameters = _fit(stage, parameters)
-        answers = stage.answers(parameters)
+        values = stage.answers(parameters)
         used += [
-            FittedNumber(
-                key=key, paper=numbers.value(key), ours=_digits(answers[key], 6), scale=scale, stage=stage.name
-            )
+            FittedNumber(key=key, paper=numbers.value(key), ours=_digits(values[key], 6), scale=scale, stage=stage.name)
             for key, scale in stage.targets.items()
         ]
     return Frozen(parameters=parameters, used=used)
@@ -205,24 +187,24 @@ def _fit(stage: Stage, base: Calibration) -> Calibration:
         corners = [point, *([v + (0.07 if n == m else 0.0) for n, v in enumerate(point)] for m in range(len(keys)))]
         options = {"initial_simplex": corners, "xatol": 1e-4, "fatol": 1e-5, "maxiter": 250}
         ends.append(minimize(cost, point, method="Nelder-Mead", options=options))
-    return _rounded(trial(min(ends, key=lambda end: float(end.fun)).x), keys)
+    return _round(trial(min(ends, key=lambda end: float(end.fun)).x), keys)
 
 
 def _starts(unknowns: int, count: int = 300) -> list[list[float]]:
     """Return Halton's points in the unit cube: evenly spread, the same every time."""
 
     def element(n: int, base: int) -> float:
-        value, share = 0.0, 1.0 / base
+        value, digit_weight = 0.0, 1.0 / base
         while n:
             n, digit = divmod(n, base)
-            value += digit * share
-            share /= base
+            value += digit * digit_weight
+            digit_weight /= base
         return value
 
     return [[element(n, base) for base in (2, 3, 5, 7)[:unknowns]] for n in range(1, count + 1)]
 
 
-def _rounded(calibration: Calibration, keys: list[str]) -> Calibration:
+def _round(calibration: Calibration, keys: list[str]) -> Calibration:
     step = 1.0 / numbers.value("quadrotor.rate")
     values = {key: _digits(getattr(calibration, key), 4) for key in keys}
     if "disturbance_each_s" in values:

@@ -23,16 +23,9 @@ from pydantic import BaseModel, ConfigDict
 
 from cosim.loops import Margins
 from hexjet_paper import numbers
-from hexjet_paper.experiments import (
-    Metrics,
-    hexjet_ratios,
-)
-from hexjet_paper.linear import (
-    STATE_AS_PRINTED,
-)
-from hexjet_paper.loops import (
-    LOW_END_HZ,
-)
+from hexjet_paper.experiments import Metrics, hexjet_ratios
+from hexjet_paper.linear import STATE_AS_PRINTED
+from hexjet_paper.loops import LOW_END_HZ
 from hexjet_paper.numbers import Basis
 
 Verdict = Literal["holds", "under a condition", "by construction", "does not hold", "not flown"]
@@ -42,7 +35,7 @@ SIMILAR = 15.0  # percent, chosen by us: a smaller spread is similar, a smaller 
 DISTINCT = 10.0  # percent of overshoot, chosen by us: less is not distinct
 PRINTED_MATRICES = "holds for the state predictor run with the printed matrices, not with G_n(z) realised"
 WAITING = "holds if the wait itself is left out: the answer comes 20 samples later and is otherwise no worse"
-SEEN = "holds where the disturbance enters before the predictor's tap, so that the predictor is told of it"
+SEEN_BY_PREDICTOR = "holds where the disturbance enters before the predictor's tap, so that the predictor is told of it"
 FITTED_ORDER = (
     "the numbers of baseline, Smith and the printed matrices with 5 samples are eight of the nine to which attitude "
     "gain, length of the disturbance, observer and payload are fitted"
@@ -177,13 +170,13 @@ def _stability(name: str, expected: bool) -> Test:
     return test
 
 
-def _below(what: str, lower: str, higher: str, by: float = 0.0) -> Test:
+def _below(quantity: str, lower: str, higher: str, by: float = 0.0) -> Test:
     """Return a test that ``lower`` is more than ``by`` percent below ``higher``, or ``higher`` unstable."""
 
     def test(e: Evidence, state: str) -> Answer:
         a, b = lower.format(state=state), higher.format(state=state)
-        x, y = float(getattr(e.metrics[a], what)), float(getattr(e.metrics[b], what))
-        detail = f"{a} {what} {x:.4g}, {b} {y:.4g} ({growth_percent(x, y):+.1f} %)"
+        x, y = float(getattr(e.metrics[a], quantity)), float(getattr(e.metrics[b], quantity))
+        detail = f"{a} {quantity} {x:.4g}, {b} {y:.4g} ({growth_percent(x, y):+.1f} %)"
         if not e.stable(a):
             return False, f"{detail}, {a} unstable"
         return (x < y * (1.0 - 0.01 * by) or not e.stable(b)), detail
@@ -191,24 +184,24 @@ def _below(what: str, lower: str, higher: str, by: float = 0.0) -> Test:
     return test
 
 
-def _grows(what: str, new: str, old: str, most: float, least: float = -100.0) -> Test:
+def _grows(quantity: str, new: str, old: str, most: float, least: float = -100.0) -> Test:
     """Return a test that ``new`` is above ``old`` by ``least`` to ``most`` percent."""
 
     def test(e: Evidence, state: str) -> Answer:
         a, b = new.format(state=state), old.format(state=state)
         if not e.stable(a):
             return most == np.inf, f"{a} unstable"
-        x, y = float(getattr(e.metrics[a], what)), float(getattr(e.metrics[b], what))
+        x, y = float(getattr(e.metrics[a], quantity)), float(getattr(e.metrics[b], quantity))
         growth = growth_percent(x, y)
-        return least <= growth <= most, f"{what} {y:.4g} -> {x:.4g} ({growth:+.1f} %)"
+        return least <= growth <= most, f"{quantity} {y:.4g} -> {x:.4g} ({growth:+.1f} %)"
 
     return test
 
 
 def _all(*tests: Test) -> Test:
     def test(e: Evidence, state: str) -> Answer:
-        answers = [claim(e, state) for claim in tests]
-        return all(holds for holds, _ in answers), "; ".join(detail for _, detail in answers)
+        results = [claim(e, state) for claim in tests]
+        return all(holds for holds, _ in results), "; ".join(detail for _, detail in results)
 
     return test
 
@@ -249,8 +242,8 @@ def _half_amplitude(e: Evidence, state: str) -> Answer:
     """Test the errors at half the amplitude, 15 deg from peak to peak, which in a linear loop are half as large."""
     names = ["step-5.baseline", "step-5.smith", "step-10.smith", "step-25.smith"]
     pairs = [(0.5 * e.rmse(n), numbers.value(n + ".rmse")) for n in names]
-    worst = max(abs(growth_percent(ours, paper)) for ours, paper in pairs)
-    detail = ", ".join(f"{n} {ours:.4f} ({paper:.4f})" for n, (ours, paper) in zip(names, pairs, strict=True))
+    worst = max(abs(growth_percent(computed, paper)) for computed, paper in pairs)
+    detail = ", ".join(f"{n} {computed:.4f} ({paper:.4f})" for n, (computed, paper) in zip(names, pairs, strict=True))
     return worst < SIMILAR, f"{detail}, worst {worst:.1f} %"
 
 
@@ -297,13 +290,13 @@ def _state_deviates(e: Evidence, state: str) -> Answer:
 def _hexjet_ratio(key: str) -> Test:
     def test(e: Evidence, state: str) -> Answer:
         a, b = e.metrics["hexjet-doublet-calibrated.baseline"], e.metrics["hexjet-doublet-calibrated.smith"]
-        ours = hexjet_ratios(a.overshoot_percent, b.overshoot_percent, a.settling_s, b.settling_s)[key]
+        ratio = hexjet_ratios(a.overshoot_percent, b.overshoot_percent, a.settling_s, b.settling_s)[key]
         paper = numbers.value(key)
         detail = (
-            f"{ours:.1f} % (paper {paper:g} %): overshoot {a.overshoot_percent or 0:.1f} -> "
+            f"{ratio:.1f} % (paper {paper:g} %): overshoot {a.overshoot_percent or 0:.1f} -> "
             f"{b.overshoot_percent or 0:.1f} %, settling {a.settling_s or np.inf:.2f} -> {b.settling_s or np.inf:.2f} s"
         )
-        return a.stable and b.stable and abs(ours - paper) < 10.0, detail
+        return a.stable and b.stable and abs(ratio - paper) < 10.0, detail
 
     return test
 
@@ -312,10 +305,10 @@ def _tracks(*axes: str) -> Test:
     """Return a test that the manual flight's errors in angle and rate are at most the printed ones."""
 
     def test(e: Evidence, state: str) -> Answer:
-        keys = [f"hexjet-manual.{axis}.{what}" for axis in axes for what in ("rmse", "rate_rmse")]
+        keys = [f"hexjet-manual.{axis}.{quantity}" for axis in axes for quantity in ("rmse", "rate_rmse")]
         pairs = [(key, e.tracking[key], numbers.PRINTED[key]) for key in keys]
-        detail = ", ".join(f"{key} {ours:.4f} (paper {printed.value:g}) {printed.unit}" for key, ours, printed in pairs)
-        return all(ours <= printed.value for _, ours, printed in pairs), detail
+        detail = ", ".join(f"{key} {v:.4f} (paper {printed.value:g}) {printed.unit}" for key, v, printed in pairs)
+        return all(v <= printed.value for _, v, printed in pairs), detail
 
     return test
 
@@ -396,7 +389,7 @@ CLAIMS: list[Claim] = [
           rests_on=ATTITUDE_CLOSED),
     Claim("disturbance-smith-growth", "from 5 to 10 samples Smith's errors grow by only 2.9 % and 0.2 %",
           numbers.DISTURBANCE, f"growth below {SIMILAR:g} %, disturbance unknown to the predictor", _UNSEEN_GROWTH,
-          condition=SEEN, condition_test=_SEEN_GROWTH),
+          condition=SEEN_BY_PREDICTOR, condition_test=_SEEN_GROWTH),
     Claim("disturbance-state-growth", "from 5 to 10 samples the state predictor's errors grow much (41.3 % and 22.4 %)",
           numbers.DISTURBANCE, "growth of RMSE above 20 % and of the largest error above 0",
           _all(_grows("rmse", "disturbance-10.{state}", "disturbance-5.{state}", np.inf, 20.0),

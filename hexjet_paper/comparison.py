@@ -20,25 +20,11 @@ from cosim.loops import margins
 from hexjet_paper import extensions, numbers
 from hexjet_paper.claims import ClaimRow, Evidence
 from hexjet_paper.conditions import Condition, conditions
-from hexjet_paper.experiments import (
-    COMPARED,
-    Experiment,
-    Metrics,
-    Result,
-    experiments,
-    hexjet_ratios,
-    quadrotor_axis,
-)
+from hexjet_paper.experiments import COMPARED, Experiment, Metrics, Result, experiments, hexjet_ratios, quadrotor_axis
 from hexjet_paper.experiments import linear as on_linear_plant
 from hexjet_paper.frozen import Frozen, load
 from hexjet_paper.linear import STATE_AS_PRINTED
-from hexjet_paper.loops import (
-    LOW_END_HZ,
-    Sweep,
-    gain_at,
-    open_loop,
-    sweep,
-)
+from hexjet_paper.loops import LOW_END_HZ, Sweep, gain_at, open_loop, sweep
 from hexjet_paper.numbers import Basis
 
 Origin = Basis | Literal["given", "derived"]
@@ -121,7 +107,7 @@ def linear_part(say: Callable[[str], None] = lambda stage: None) -> LinearPart:
         gain_at_8_hz={name: gain_at(loop, 8.0) for name, loop in loops.items()},
     )
     say("what would make it true")
-    answers = conditions(calibration)
+    values = conditions(calibration)
     say("robustness maps")
     maps = extensions.robustness_maps(calibration)
     say("delay sweep")
@@ -135,7 +121,7 @@ def linear_part(say: Callable[[str], None] = lambda stage: None) -> LinearPart:
         results=results,
         evidence=evidence,
         sweeps=sweeps,
-        conditions=answers,
+        conditions=values,
         maps=maps,
         delays=delays,
         offsets=offsets,
@@ -156,7 +142,7 @@ _DERIVED: dict[str, Callable[[], float]] = {
     "hexjet.thrust": lambda: 6.0 * numbers.value("edf.gain") / (1.0 - numbers.value("edf.pole")),
     "quadrotor.payload_percent": lambda: 100.0 * numbers.value("quadrotor.payload") / numbers.value("quadrotor.mass"),
 }
-_GIVEN = ("hexjet.", "quadrotor.", "turbojet.", "edf.", "roll.", "step.", "disturbance.amplitude")
+_INPUT_PREFIXES = ("hexjet.", "quadrotor.", "turbojet.", "edf.", "roll.", "step.", "disturbance.amplitude")
 _STICKS = "the pilot's sticks are not printed; ours are calm, and there is no wind"
 _TWO = '; printed as "RMSE and MAE for pitch and yaw", and taken for one RMSE of each'
 # computed from what we chose: gains and lengths, the sticks; in flight the lags and inertia behind the roll response
@@ -205,17 +191,17 @@ def _row(
     extra: Mapping[str, float],
     used: set[str],
 ) -> Row:
-    ours = _ours(key, evidence)
-    in_flight = extra.get(key, _ours(key, flight) if flight else None)
+    value = _computed(key, evidence)
+    in_flight = extra.get(key, _computed(key, flight) if flight else None)
     origin: Origin = "predicted"
     # the state predictor's numbers were used with the matrices as printed
     if printed.key in used and (".state." not in printed.key or key != printed.key):
         origin = "calibrated"
     elif printed.key in _DERIVED:
-        origin, ours = "derived", _DERIVED[printed.key]()
+        origin, value = "derived", _DERIVED[printed.key]()
     elif printed.key.startswith(_CHOSEN) or (printed.key.startswith(_CHOSEN_IN_FLIGHT) and in_flight is not None):
         origin = "follows from a choice"
-    elif ours is None and printed.key.startswith(_GIVEN):
+    elif value is None and printed.key.startswith(_INPUT_PREFIXES):
         origin = "given"
     note = _NOTES.get(printed.key, "")
     if ".state." in printed.key:
@@ -227,7 +213,7 @@ def _row(
         unit=printed.unit,
         place=printed.place,
         paper=printed.value,
-        linear=ours,
+        linear=value,
         flight=in_flight,
         origin=origin,
         note=note,
@@ -244,13 +230,13 @@ def _growth_with_payload(printed: str, key: str, evidence: Evidence, flight: Evi
         return f"{100.0 * (with_it / without - 1.0):+.1f} %" if with_it and without else "not flown"
 
     growths = [f"growth with payload {growth(numbers.value, printed)} in the paper"]
-    growths += [f"{growth(lambda name: _ours(name, evidence), key)} on the linear plant"]
+    growths += [f"{growth(lambda name: _computed(name, evidence), key)} on the linear plant"]
     if flight:
-        growths += [f"{growth(lambda name: _ours(name, flight), key)} in flight"]
+        growths += [f"{growth(lambda name: _computed(name, flight), key)} in flight"]
     return ("; " if ".state." in printed else "") + ", ".join(growths)
 
 
-def _ours(key: str, evidence: Evidence) -> float | None:
+def _computed(key: str, evidence: Evidence) -> float | None:
     """Return the value of a printed key in one fidelity, None where that fidelity has none."""
     metrics = evidence.metrics
     head, _, last = key.rpartition(".")
@@ -263,8 +249,8 @@ def _ours(key: str, evidence: Evidence) -> float | None:
         return _READ[last](metrics[head])
     if key == "step.time_constant":
         times = [metrics[f"step-5.{c}"].time_constant_s for c in ("baseline", "smith") if f"step-5.{c}" in metrics]
-        known = [t for t in times if t is not None]
-        return sum(known) / 2.0 if len(known) == 2 else None
+        finite = [t for t in times if t is not None]
+        return sum(finite) / 2.0 if len(finite) == 2 else None
     if key == "step-25.smith.increase" and {"step-25.smith", "step-5.smith"} <= metrics.keys():
         return 100.0 * (metrics["step-25.smith"].rmse / metrics["step-5.smith"].rmse - 1.0)
     if key in ("hexjet.less_overshoot", "hexjet.faster_settling"):
@@ -275,8 +261,8 @@ def _ours(key: str, evidence: Evidence) -> float | None:
     return None
 
 
-def _deviation(ours: float | None, paper: float) -> float | None:
-    return None if ours is None else 100.0 * (ours / paper - 1.0)
+def _deviation(value: float | None, paper: float) -> float | None:
+    return None if value is None else 100.0 * (value / paper - 1.0)
 
 
 def write_csv(rows: list[Row], path: Path) -> None:
@@ -327,7 +313,7 @@ def figures(results: Mapping[str, Result], sweeps: Mapping[str, Sweep]) -> list[
 
     The two Bode diagrams show the computed or measured points of ``sweeps``.
     """
-    made = [
+    sections = [
         _angles(f"step-{n}", f"Step response, {n} samples of added delay", results, [f"step-{n}.{c}" for c in COMPARED])
         for n in (5, 10, 25)
     ]
@@ -335,12 +321,12 @@ def figures(results: Mapping[str, Result], sweeps: Mapping[str, Sweep]) -> list[
         for n in (5, 10):
             names = [f"step-{n}.{controller}", f"step-{n}-payload.{controller}"]
             title = f"With and without payload, {TITLES[controller]}, {n} samples"
-            made.append(_angles(f"payload-{controller}-{n}", title, results, names))
+            sections.append(_angles(f"payload-{controller}-{n}", title, results, names))
     for condition, title in (("", "gains of vehicle.toml"), ("-calibrated", "calibrated gains")):
         names = [f"hexjet-doublet{condition}.{c}" for c in ("baseline", "smith")]
-        made.append(_angles(f"hexjet-doublet{condition}", f"Hex-Jet roll doublet, {title}", results, names))
+        sections.append(_angles(f"hexjet-doublet{condition}", f"Hex-Jet roll doublet, {title}", results, names))
     for key, title, unit in (("gain", "Open loop C G*, gain", "dB"), ("phase", "Open loop C G*, phase", "deg")):
-        made.append(
+        sections.append(
             Figure(
                 key=f"bode-{key}",
                 title=f"{title}, 5 samples of added delay",
@@ -350,7 +336,7 @@ def figures(results: Mapping[str, Result], sweeps: Mapping[str, Sweep]) -> list[
                 lines=[Line(name=TITLES[c], x=s.frequency, y=getattr(s, key)) for c, s in sweeps.items()],
             )
         )
-    return [figure for figure in made if figure.lines]
+    return [figure for figure in sections if figure.lines]
 
 
 def _angles(key: str, title: str, results: Mapping[str, Result], names: list[str]) -> Figure:

@@ -11,27 +11,10 @@ from pydantic import BaseModel, ConfigDict
 from cosim.loops import Margins, margins
 from hexjet_paper import numbers
 from hexjet_paper.claims import growth_percent
-from hexjet_paper.experiments import (
-    Experiment,
-    Fidelity,
-    flight_payload_gain,
-    hexjet_axis,
-    linear,
-    quadrotor_axis,
-)
+from hexjet_paper.experiments import Experiment, Fidelity, flight_payload_gain, hexjet_axis, linear, quadrotor_axis
 from hexjet_paper.frozen import Calibration
-from hexjet_paper.linear import (
-    STATE_AS_PRINTED,
-    Plant,
-    doublet,
-    simulate,
-)
-from hexjet_paper.loops import (
-    LoopMap,
-    open_loop,
-    predictor_response,
-    unstable_poles,
-)
+from hexjet_paper.linear import STATE_AS_PRINTED, Plant, doublet, simulate
+from hexjet_paper.loops import LoopMap, open_loop, predictor_response, unstable_poles
 
 
 class Condition(BaseModel):
@@ -82,7 +65,7 @@ def _plant_error(calibration: Calibration, controller: str, called: str) -> Cond
             (response.phase_margin, "phase_margin"),
             (response.gain_margin, "gain_margin"),
         )
-        return sum(((ours or 0.0) / printed[name] - 1.0) ** 2 for ours, name in pairs)
+        return sum(((value or 0.0) / printed[name] - 1.0) ** 2 for value, name in pairs)
 
     starts = [(g, h) for g in (0.6, 0.75, 0.9, 1.05) for h in (0.05, 0.35, 0.7)]
     options = {"xatol": 1e-3, "fatol": 1e-5, "maxiter": 60}
@@ -161,7 +144,7 @@ def _payload_condition(calibration: Calibration) -> Condition:
         holds = []
         for length in lengths:
             trial = calibration.model_copy(update={"disturbance_each_s": float(length), "payload_gain": gain})
-            run = linear(trial, noisy=False, whole=False)
+            run = linear(trial, noisy=False, is_whole=False)
             growth = {
                 c: growth_percent(
                     *(run(Experiment("disturbance", c, 5, payload=p)).metrics.rmse for p in (True, False))

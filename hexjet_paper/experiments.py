@@ -19,16 +19,7 @@ from cosim import load_vehicle
 from cosim.loops import PredictorTuning, RateGains, overshoot, settling_time
 from hexjet_paper import numbers
 from hexjet_paper.frozen import Calibration
-from hexjet_paper.linear import (
-    STATE_AS_PRINTED,
-    Array,
-    Axis,
-    Plant,
-    Signal,
-    doublet,
-    nothing,
-    simulate,
-)
+from hexjet_paper.linear import STATE_AS_PRINTED, Array, Axis, Plant, Signal, doublet, nothing, simulate
 
 Kind = Literal["step", "disturbance", "hexjet-doublet"]
 Gains = Literal["calibrated", "vehicle"]
@@ -40,7 +31,7 @@ RUN_S = 6.0  # chosen by us: the record is the paper's 2 s, the rest shows wheth
 # length of either half and of the run, s; neither is printed.  At the vehicle's gains as in the scenario roll-doublet,
 # at the calibrated ones long enough for the baseline to settle, whose settling time is printed.
 HEXJET_LENGTHS: dict[Gains, tuple[float, float]] = {"vehicle": (3.0, 12.0), "calibrated": (6.0, 22.0)}
-PAYLOAD_PLACE = [0.0, 0.0, 0.03]  # m, body: below the quadrotor's frame; chosen by us
+PAYLOAD_POSITION = [0.0, 0.0, 0.03]  # m, body: below the quadrotor's frame; chosen by us
 _GROWS = 0.9  # a loop that swings as much at the end as right after the last edge does not settle
 _FLOOR = 0.05  # rad/s: less is noise
 
@@ -154,10 +145,10 @@ def axis(experiment: Experiment, calibration: Calibration, noisy: bool = True) -
     """Return the loop of an experiment on the linear plant."""
     if experiment.kind == "hexjet-doublet":
         return hexjet_axis(calibration, experiment.controller, experiment.gains, noisy)
-    made = quadrotor_axis(calibration, experiment.controller, experiment.delay_samples, noisy)
+    loop = quadrotor_axis(calibration, experiment.controller, experiment.delay_samples, noisy)
     if experiment.payload:
-        made = replace(made, plant=replace(made.plant, gain=calibration.payload_gain))
-    return replace(made, knows_disturbance=False) if experiment.unseen else made
+        loop = replace(loop, plant=replace(loop.plant, gain=calibration.payload_gain))
+    return replace(loop, knows_disturbance=False) if experiment.unseen else loop
 
 
 def quadrotor_axis(calibration: Calibration, controller: str, delay: int, noisy: bool = True) -> Axis:
@@ -196,7 +187,7 @@ def flight_payload_gain() -> float:
     vehicle, _ = load_vehicle("quadrotor")
     payload, inertia = numbers.value("quadrotor.payload"), vehicle.inertia_kg_m2[0]
     shared = vehicle.mass_kg * payload / (vehicle.mass_kg + payload)
-    return inertia / (inertia + shared * PAYLOAD_PLACE[2] ** 2)
+    return inertia / (inertia + shared * PAYLOAD_POSITION[2] ** 2)
 
 
 def hexjet_axis(calibration: Calibration, controller: str, gains: Gains, noisy: bool = True) -> Axis:
@@ -204,8 +195,8 @@ def hexjet_axis(calibration: Calibration, controller: str, gains: Gains, noisy: 
     vehicle, _ = load_vehicle("hexjet")
     rate, attitude = vehicle.control.rate.roll, vehicle.control.attitude.gain_1_s[0]
     if gains == "calibrated":
-        share = rate.i / rate.p
-        rate = rate.model_copy(update={"p": calibration.hexjet_p, "i": share * calibration.hexjet_p})
+        integral_ratio = rate.i / rate.p
+        rate = rate.model_copy(update={"p": calibration.hexjet_p, "i": integral_ratio * calibration.hexjet_p})
         attitude = calibration.hexjet_attitude_gain_1_s
     model = numbers.roll_model()
     return Axis(
@@ -222,16 +213,16 @@ def hexjet_axis(calibration: Calibration, controller: str, gains: Gains, noisy: 
     )
 
 
-def linear(calibration: Calibration, noisy: bool = True, whole: bool = True) -> Fidelity:
-    """Return the fidelity of the linear plant; ``whole`` False runs the record alone and cannot tell what is stable."""
+def linear(calibration: Calibration, noisy: bool = True, is_whole: bool = True) -> Fidelity:
+    """Return the fidelity of the linear plant; not ``is_whole``: the record alone, which tells nothing stable."""
 
-    return lambda experiment: linear_run(experiment, axis(experiment, calibration, noisy), calibration, whole)
+    return lambda experiment: linear_run(experiment, axis(experiment, calibration, noisy), calibration, is_whole)
 
 
-def linear_run(experiment: Experiment, loop: Axis, calibration: Calibration, whole: bool = True) -> Result:
-    """Run an experiment on any loop of the linear plant; ``whole`` as in :func:`linear`."""
+def linear_run(experiment: Experiment, loop: Axis, calibration: Calibration, is_whole: bool = True) -> Result:
+    """Run an experiment on any loop of the linear plant; ``is_whole`` as in :func:`linear`."""
     signal = experiment.signal(calibration)
-    steps = round((experiment.run if whole else experiment.record) / experiment.step)
+    steps = round((experiment.run if is_whole else experiment.record) / experiment.step)
     disturbed = experiment.kind == "disturbance"
     record = simulate(
         loop,
@@ -258,8 +249,8 @@ def result(
     reference, is_angle, is_rate = np.array(setpoint), np.array(angle), np.array(rate)
     rows = round(experiment.record / step)
     error = (is_rate if experiment.kind == "disturbance" else reference - is_angle)[:rows]
-    whole = len(is_rate) >= round(experiment.run / step)
-    settles = whole and not swings(is_rate, step, experiment.start + 2.0 * width, experiment.stretch)
+    is_whole = len(is_rate) >= round(experiment.run / step)
+    settles = is_whole and not swings(is_rate, step, experiment.start + 2.0 * width, experiment.stretch)
     edges = [round((experiment.start + n * width) / step) for n in range(3)]
     commanded = experiment.kind != "disturbance" and len(error) == rows
     overshoots, times = _steps(reference[:rows], is_angle[:rows], edges, step) if commanded else ([], [])
@@ -314,8 +305,8 @@ def _rise(angle: Array, first: int, end: int, step: float) -> float | None:
     if not past.size or past[0] == 0:
         return None
     k = first + int(past[0])
-    share = (level - angle[k - 1]) / (angle[k] - angle[k - 1])
-    return float((k - 1 - first + share) * step)
+    fraction = (level - angle[k - 1]) / (angle[k] - angle[k - 1])
+    return float((k - 1 - first + fraction) * step)
 
 
 def hexjet_ratios(

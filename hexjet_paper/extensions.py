@@ -16,15 +16,7 @@ from cosim.loops import PredictorTuning, RateModel, grid, model_response
 from hexjet_paper import numbers
 from hexjet_paper.experiments import hexjet_axis, quadrotor_axis
 from hexjet_paper.frozen import Calibration
-from hexjet_paper.linear import (
-    STATE_AS_PRINTED,
-    Axis,
-    Complex,
-    Plant,
-    doublet,
-    predictor,
-    simulate,
-)
+from hexjet_paper.linear import STATE_AS_PRINTED, Axis, Complex, Plant, doublet, predictor, simulate
 from hexjet_paper.loops import LoopMap, controllers_response, predictor_response
 
 QUADROTOR = ("baseline", "smith", "filtered-smith", "state", STATE_AS_PRINTED, "state-model", "state-disturbance")
@@ -67,9 +59,9 @@ class RobustnessMap(Record):
 
 def loops(calibration: Calibration) -> dict[tuple[str, str], Axis]:
     """Return the nominal loops without noise, by vehicle and controller."""
-    made = {("quadrotor", c): quadrotor_axis(calibration, c, QUADROTOR_DELAY, noisy=False) for c in QUADROTOR}
-    made |= {("hexjet", c): hexjet_axis(calibration, c, "vehicle", noisy=False) for c in HEXJET}
-    return made
+    axes = {("quadrotor", c): quadrotor_axis(calibration, c, QUADROTOR_DELAY, noisy=False) for c in QUADROTOR}
+    axes |= {("hexjet", c): hexjet_axis(calibration, c, "vehicle", noisy=False) for c in HEXJET}
+    return axes
 
 
 def robustness_maps(calibration: Calibration) -> list[RobustnessMap]:
@@ -243,16 +235,16 @@ def turbojet_plant() -> tuple[RateModel, RateModel]:
         name: numbers.value(f"{name}.gain") / (1.0 - numbers.value(f"{name}.pole")) for name in ("turbojet", "edf")
     }
     edf, jet = (-step / log(numbers.value(f"{name}.pole")) for name in ("edf", "turbojet"))
-    rest = -step / log(numbers.value("roll.pole_fast")) - edf
+    remaining_lag = -step / log(numbers.value("roll.pole_fast")) - edf
     slow = -log(numbers.value("roll.pole_slow")) / step
     at_rest = model_response(numbers.roll_model(), np.ones(1, dtype=np.complex128))[0].real
     gain = float(at_rest) * slow * thrust["turbojet"] / thrust["edf"]
-    truth = _discretised(gain, slow, [jet, rest], step, "true turbojet and gyro filter")
-    model = _discretised(gain, slow, [jet + rest], step, "true turbojet, one lag")
+    truth = _discretise(gain, slow, [jet, remaining_lag], step, "true turbojet and gyro filter")
+    model = _discretise(gain, slow, [jet + remaining_lag], step, "true turbojet, one lag")
     return truth, model
 
 
-def _discretised(gain: float, slow: float, lags: list[float], step: float, source: str) -> RateModel:
+def _discretise(gain: float, slow: float, lags: list[float], step: float, source: str) -> RateModel:
     """Return the zero-order hold of ``gain / ((s + slow) prod(lag s + 1))`` with the turbojet's delay, by its modes."""
     rates = [slow, *(1.0 / lag for lag in lags)]
     poles = [exp(-rate * step) for rate in rates]
@@ -261,8 +253,8 @@ def _discretised(gain: float, slow: float, lags: list[float], step: float, sourc
     for i, rate in enumerate(rates):
         others = [other for j, other in enumerate(rates) if j != i]
         residue = top / float(np.prod([other - rate for other in others]))
-        held = residue * (1.0 - poles[i]) / rate
-        numerator = numerator + held * np.poly([pole for j, pole in enumerate(poles) if j != i])
+        weight = residue * (1.0 - poles[i]) / rate
+        numerator = numerator + weight * np.poly([pole for j, pole in enumerate(poles) if j != i])
     zeros = np.roots(numerator)
     return RateModel(
         gain=float(numerator[0]),
@@ -313,7 +305,7 @@ def _reach(engine: str, axis: Axis, lag: float) -> Reach:
     # p in units of the gain that makes the rate loop as fast as the lag
     unit = 1.0 / integrating_gain(axis.model) / lag
 
-    def made(tuned: Axis, p: float, d: float, gain: float) -> Axis:
+    def candidate(tuned: Axis, p: float, d: float, gain: float) -> Axis:
         gains = axis.gains.model_copy(update={"p": p * unit, "i": 0.0, "d": d * lag * p * unit})
         return replace(tuned, gains=gains, attitude_gain=gain)
 
@@ -321,7 +313,7 @@ def _reach(engine: str, axis: Axis, lag: float) -> Reach:
     chosen: Axis | None = None
     for tuning in _tunings(axis):
         tuned = replace(axis, tuning=tuning)
-        known = (z, *predictor_response(tuned.controller, tuned.model, tuning)(z))
+        responses = (z, *predictor_response(tuned.controller, tuned.model, tuning)(z))
         points = [
             (float(p), d, float(gain))
             for d in (0.0, 0.5, 1.0)
@@ -337,8 +329,8 @@ def _reach(engine: str, axis: Axis, lag: float) -> Reach:
                 shapes = {max(0.0, d + shift * (width - 1.0)) for shift in (-0.5, 0.0, 0.5)}
                 points = [(p * a, shape, gain * b) for shape in sorted(shapes) for a in factors for b in factors]
             for point in points:
-                trial = made(tuned, *point)
-                bandwidth = _bandwidth(trial, known, best)
+                trial = candidate(tuned, *point)
+                bandwidth = _bandwidth(trial, responses, best)
                 if bandwidth is not None:
                     best, at, chosen = bandwidth, point, trial
     if chosen is None:
@@ -361,10 +353,10 @@ def _reach(engine: str, axis: Axis, lag: float) -> Reach:
     )
 
 
-def _bandwidth(axis: Axis, known: tuple[Complex, Complex, Complex], beat: float) -> float | None:
+def _bandwidth(axis: Axis, responses: tuple[Complex, Complex, Complex], beat: float) -> float | None:
     """Return the -3 dB bandwidth of roll, Hz; None unless above ``beat``, stable, and of small peak sensitivity."""
-    z = known[0]
-    loop = LoopMap(axis, known=known)
+    z = responses[0]
+    loop = LoopMap(axis, known=responses)
     error, _ = controllers_response(axis, z)
     angle = 0.5 * axis.step * (z + 1.0) / (z - 1.0) * loop.plant(1.0, axis.delay_samples)
     closed = np.abs(axis.attitude_gain * error * angle / loop.characteristic(1.0, axis.delay_samples))
@@ -373,8 +365,8 @@ def _bandwidth(axis: Axis, known: tuple[Complex, Complex, Complex], beat: float)
     if not below.size or below[0] == 0:
         return None
     k = below[0]
-    share = (closed[k - 1] - level) / (closed[k - 1] - closed[k])
-    turn = float(np.angle(z[k - 1]) + share * (np.angle(z[k]) - np.angle(z[k - 1])))
+    fraction = (closed[k - 1] - level) / (closed[k - 1] - closed[k])
+    turn = float(np.angle(z[k - 1]) + fraction * (np.angle(z[k]) - np.angle(z[k - 1])))
     bandwidth = turn / (2.0 * pi * axis.step)
     if bandwidth <= beat or loop.peak_sensitivity(1.0, axis.delay_samples) > ROBUST:
         return None

@@ -11,13 +11,7 @@ from typing import Any
 
 from cosim import Run, Scenario, fly, load_vehicle
 from hexjet_paper import numbers
-from hexjet_paper.experiments import (
-    PAYLOAD_PLACE,
-    Experiment,
-    Fidelity,
-    Result,
-    result,
-)
+from hexjet_paper.experiments import PAYLOAD_POSITION, Experiment, Fidelity, Result, result
 from hexjet_paper.frozen import Calibration
 
 
@@ -46,7 +40,7 @@ def read(experiment: Experiment, calibration: Calibration, run: Run) -> Result:
 def scenario(experiment: Experiment, calibration: Calibration, noisy: bool = True) -> Scenario:
     """Return an experiment as a scenario that a user can fly and change on its own."""
     hexjet = experiment.kind == "hexjet-doublet"
-    made = (_hexjet if hexjet else _quadrotor)(experiment, calibration)
+    table = (_hexjet if hexjet else _quadrotor)(experiment, calibration)
     data: dict[str, Any] = {
         "name": experiment.name,
         "title": f"{experiment.kind}, {experiment.delay_samples} samples, {experiment.controller}",
@@ -54,13 +48,13 @@ def scenario(experiment: Experiment, calibration: Calibration, noisy: bool = Tru
         "duration_s": experiment.run,
         "sensor_noise": noisy,
         "step_s": experiment.step,
-        **made,
+        **table,
     }
     if experiment.kind == "disturbance":
         # an edge must fall on a step: the calibrated length, rounded to one
         width = round(experiment.half_length(calibration) / experiment.step) * experiment.step
         data["disturbance"] = [
-            *made.get("disturbance", []),
+            *table.get("disturbance", []),
             {
                 "kind": "torque_command",
                 "axis": "roll",
@@ -119,7 +113,7 @@ def _quadrotor(experiment: Experiment, calibration: Calibration) -> dict[str, An
     }
     if experiment.payload:
         mass = numbers.value("quadrotor.payload")
-        data["disturbance"] = [{"kind": "payload", "start_s": 0.0, "mass_kg": mass, "offset_m": PAYLOAD_PLACE}]
+        data["disturbance"] = [{"kind": "payload", "start_s": 0.0, "mass_kg": mass, "offset_m": PAYLOAD_POSITION}]
         # it takes off with the load: the throttle that holds it up is known
         data["vehicle"]["control"]["altitude"] = {"integral_limit_m_s2": 6.0}
     return data
@@ -130,11 +124,11 @@ def _hexjet(experiment: Experiment, calibration: Calibration) -> dict[str, Any]:
     if experiment.gains == "calibrated":
         vehicle, _ = load_vehicle("hexjet")
         control = vehicle.control
-        share = control.rate.roll.i / control.rate.roll.p
+        integral_ratio = control.rate.roll.i / control.rate.roll.p
         gains = [calibration.hexjet_attitude_gain_1_s, *control.attitude.gain_1_s[1:]]
         data["vehicle"] = {
             "control": {
-                "rate": {"roll": {"p": calibration.hexjet_p, "i": share * calibration.hexjet_p}},
+                "rate": {"roll": {"p": calibration.hexjet_p, "i": integral_ratio * calibration.hexjet_p}},
                 "attitude": {"gain_1_s": gains},
             }
         }

@@ -113,8 +113,8 @@ class Record:
     disturbance: array[float] = field(default_factory=lambda: array("d"))
 
 
-def _as_printed(model: RateModel, own: Mapping[str, float]) -> Predictor:
-    observer = DoubleIntegratorObserver(own["observer_rad_s"], model.sample_time_s)
+def _as_printed(model: RateModel, parameters: Mapping[str, float]) -> Predictor:
+    observer = DoubleIntegratorObserver(parameters["observer_rad_s"], model.sample_time_s)
     state = StateModel(model)
     state.A, state.B = np.array(numbers.A_D), np.array(numbers.B_D)
     return StatePredictor(model, observer, state)

@@ -28,17 +28,7 @@ from cosim.loops import (
     pid_response,
     zeros_outside,
 )
-from hexjet_paper.linear import (
-    Array,
-    Axis,
-    Complex,
-    Pair,
-    PairResponse,
-    Plant,
-    Response,
-    predictor,
-    simulate,
-)
+from hexjet_paper.linear import Array, Axis, Complex, Pair, PairResponse, Plant, Response, predictor, simulate
 
 BY_IMPULSE = ("state-model", "state-disturbance")  # found as the paper's own, not by their closed form
 LOW_END_HZ = 1.0  # taken for the low end of the paper's Bode diagrams: with an integral there is no gain at 0 Hz
@@ -153,8 +143,8 @@ def _margins_of_points(frequency: Array, gain: Array, phase: Array) -> Margins:
         above = values > level
         crossed = []
         for k in np.flatnonzero(above[:-1] != above[1:]):
-            share = (level - values[k]) / (values[k + 1] - values[k])
-            crossed.append((float(x[k] + share * (x[k + 1] - x[k])), int(k)))
+            fraction = (level - values[k]) / (values[k + 1] - values[k])
+            crossed.append((float(x[k] + fraction * (x[k + 1] - x[k])), int(k)))
         return crossed
 
     cuts = crossings(gain, 0.0)

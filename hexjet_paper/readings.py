@@ -82,10 +82,10 @@ class Reading:
         if not self.corrected:
             return {}
         shipped, _ = load_vehicle("hexjet")
-        share = self.inertia / shipped.inertia_kg_m2[0]
+        ratio = self.inertia / shipped.inertia_kg_m2[0]
         return {
             "inertia_kg_m2": [self.inertia, *shipped.inertia_kg_m2[1:]],
-            "aero": {"damping_n_m_s": [share * shipped.aero.damping_n_m_s[0], *shipped.aero.damping_n_m_s[1:]]},
+            "aero": {"damping_n_m_s": [ratio * shipped.aero.damping_n_m_s[0], *shipped.aero.damping_n_m_s[1:]]},
             "identified": {self.engine: {"roll": self.model.model_dump()}},
         }
 
@@ -174,8 +174,8 @@ def reading_scenario(
     """Return the doublet of a reading as a scenario: the shipped aircraft with the changes of the reading."""
     control = load_vehicle("hexjet")[0].control
     rate = control.rate.roll
-    made = scenario(doublet_of(reading, gains, controller), calibration, noisy)
-    return made.replace(
+    base = scenario(doublet_of(reading, gains, controller), calibration, noisy)
+    return base.replace(
         name=f"reading-{reading.key}-{gains.name}.{controller}",
         engine=reading.engine,
         vehicle=reading.vehicle()
@@ -231,15 +231,15 @@ def fly_reading(key: str) -> ReadingResult:
         for controller in COMPARED:
             experiment = doublet_of(reading, gains, controller)
             axis = reading_axis(reading, gains, controller, calibration)
-            flown = read(experiment, calibration, fly(reading_scenario(reading, gains, controller, calibration)))
+            result = read(experiment, calibration, fly(reading_scenario(reading, gains, controller, calibration)))
             trials.append(
                 Trial(
                     gains=gains,
                     controller=controller,
                     each_s=experiment.half_length(calibration),
                     linear=linear_run(experiment, axis, calibration).metrics,
-                    flight=flown.metrics,
-                    lost_s=_lost(flown),
+                    flight=result.metrics,
+                    lost_s=_loss_time(result),
                 )
             )
     return ReadingResult(
@@ -255,9 +255,9 @@ def fly_reading(key: str) -> ReadingResult:
     )
 
 
-def _lost(flown: Result) -> float | None:
-    seconds = len(flown.time) * flown.experiment.step
-    return seconds if seconds < flown.experiment.record - 0.5 * flown.experiment.step else None
+def _loss_time(result: Result) -> float | None:
+    seconds = len(result.time) * result.experiment.step
+    return seconds if seconds < result.experiment.record - 0.5 * result.experiment.step else None
 
 
 # --- the model that the predictor is given, off ----------------------------------------------------------------------
@@ -288,8 +288,8 @@ def fly_model_errors() -> list[ModelError]:
         for factor in GAIN_FACTORS:
             model = {"gain": factor * printed.gain, "delay_samples": printed.delay_samples + delay}
             vehicle = {"identified": {DELAY_ONLY.engine: {"roll": model}}}
-            flown = read(experiment, calibration, fly(scenario(experiment, calibration).replace(vehicle=vehicle)))
-            m = flown.metrics
+            result = read(experiment, calibration, fly(scenario(experiment, calibration).replace(vehicle=vehicle)))
+            m = result.metrics
             rows.append(
                 ModelError(
                     delay_error=delay,

@@ -25,30 +25,13 @@ from cosim.files import data_folder, write_whole
 from cosim.identify import fit, identify_axis, identify_engine
 from hexjet_paper import numbers
 from hexjet_paper.claims import CONSISTENCY, Evidence, claim_rows
-from hexjet_paper.comparison import (
-    LinearPart,
-    as_data,
-    comparison_rows,
-    linear_part,
-    write_csv,
-)
-from hexjet_paper.experiments import (
-    CONTROLLERS,
-    Experiment,
-    Result,
-    experiments,
-    quadrotor_axis,
-)
+from hexjet_paper.comparison import LinearPart, as_data, comparison_rows, linear_part, write_csv
+from hexjet_paper.experiments import CONTROLLERS, Experiment, Result, experiments, quadrotor_axis
 from hexjet_paper.extensions import Reach, turbojet_plant
 from hexjet_paper.flight import flight, scenario
 from hexjet_paper.frozen import load
 from hexjet_paper.linear import STATE_AS_PRINTED
-from hexjet_paper.loops import (
-    LOW_END_HZ,
-    Sweep,
-    controllers_response,
-    measured_sweep,
-)
+from hexjet_paper.loops import LOW_END_HZ, Sweep, controllers_response, measured_sweep
 from hexjet_paper.readings import READINGS, fly_model_errors, fly_reading
 from hexjet_paper.report.page import write_page
 from hexjet_paper.report.result import (
@@ -84,7 +67,7 @@ def reproduce(folder: Path, say: Say = lambda what, done, of: None, workers: int
     parts = _run(tasks, folder / "parts", say, workers)
     parts |= _run(_turbojet_tasks(parts), folder / "parts", say, workers)
     write_scenarios(folder / SCENARIOS)
-    reproduction = _put_together(parts)
+    reproduction = _assemble(parts)
     write_csv(reproduction.rows, folder / COMPARISON)
     data = as_data(reproduction.linear, reproduction.rows, reproduction.claims) | {"flight": _flight_data(reproduction)}
     write_whole(folder / DATA, json.dumps(data, indent=1, allow_nan=False) + "\n")
@@ -163,8 +146,8 @@ def write_scenarios(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     frozen = load().parameters
     for experiment in flight_experiments():
-        made = scenario(experiment, frozen)
-        text = tomli_w.dumps(made.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
+        paper_scenario = scenario(experiment, frozen)
+        text = tomli_w.dumps(paper_scenario.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
         write_whole(folder / f"{experiment.name}.toml", text)
 
 
@@ -281,15 +264,15 @@ def _response(measured: FrequencyResponse, unit: float) -> Response:
 def _run(
     tasks: Mapping[str, tuple[Callable[..., Any], tuple[Any, ...]]], folder: Path, say: Say, workers: int
 ) -> dict[str, Any]:
-    made_from = _fingerprint()
-    files = {name: folder / f"{name}-{made_from}.json" for name in tasks}
+    fingerprint = _fingerprint()
+    files = {name: folder / f"{name}-{fingerprint}.json" for name in tasks}
     kinds = {name: TypeAdapter(get_type_hints(function)["return"]) for name, (function, _) in tasks.items()}
     parts = {name: part for name, file in files.items() if (part := _taken_up(file, kinds[name])) is not None}
     say("parts", len(parts), len(tasks))
     names = [name for name in tasks if name not in parts]
     try:
-        for place, part in as_finished(_do, [tasks[name] for name in names], workers):
-            name = names[place]
+        for index, part in as_finished(_do, [tasks[name] for name in names], workers):
+            name = names[index]
             parts[name] = part
             write_whole(files[name], json.dumps(kinds[name].dump_python(part, mode="json")))
             say(name, len(parts), len(tasks))
@@ -340,7 +323,7 @@ def _fingerprint() -> str:
     return digest.hexdigest()[:16]
 
 
-def _put_together(parts: Mapping[str, Any]) -> Reproduction:
+def _assemble(parts: Mapping[str, Any]) -> Reproduction:
     part: LinearPart = parts["linear"]
     flights: dict[str, Result] = {e.name: parts[e.name] for e in flight_experiments()}
     sweeps: dict[str, Sweep] = {controller: parts[f"loop.{controller}"] for controller in FLIGHT_LOOPS}

@@ -20,19 +20,19 @@ from cosim import InputError
 from cosim.pages import check_marks, table, write_marks
 from cosim.vehicle.executive import VERSION
 
-BESIDE = (SCHEMES["flown"], SCHEMES["masses"])  # of flights that are no study of methods
+OTHER_FLIGHTS = (SCHEMES["flown"], SCHEMES["masses"])  # of flights that are no study of methods
 CASE_MARK, FLIGHT_MARK, CLOSED_MARK, BARE_MARK = "check cases", "flights", "closed loop", "bare JSBSim"
-PARTS = {"cases": [CASE_MARK], "flights": [FLIGHT_MARK, CLOSED_MARK], "bare": [BARE_MARK]}
+MARKS_BY_PART = {"cases": [CASE_MARK], "flights": [FLIGHT_MARK, CLOSED_MARK], "bare": [BARE_MARK]}
 
 
 def case_table(folder: Path) -> tuple[str, list[Compared]]:
     """Of the five cases, and its rows as data; quantities in which all agree to the last digit are left out."""
-    found = [
+    comparisons = [
         row
         for number, case in CASES.items()
         for row in compare(number, fly_case(case), read_simulators(folder, number))
     ]
-    told = [row for row in found if row.spread > 1e-9 or not row.inside]
+    notable = [row for row in comparisons if row.spread > 1e-9 or not row.inside]
     rows = [
         [
             f"{row.case} {CASES[row.case].title}",
@@ -43,28 +43,28 @@ def case_table(folder: Path) -> tuple[str, list[Compared]]:
             f"{row.beyond:.1e}",
             "inside" if row.inside else "**outside**",
         ]
-        for row in told
+        for row in notable
     ]
     columns = ["case", "quantity", "simulators", "their spread", "ours from the nearest", "ours beyond all", ""]
-    return table(columns, rows), found
+    return table(columns, rows), comparisons
 
 
 def flight_table() -> str:
     """Return the table of the study of methods and runs on the project's own flights."""
     rows = []
-    for flown in courses():
-        truth = exact(flown, 1)
+    for course in courses():
+        truth = exact(course, 1)
         for scheme in SCHEMES.values():
             for runs in RUNS:
                 # the others at the number of runs that flights use
-                if runs != FLOWN_RUNS and not (flown.study and scheme is SCHEMES["flown"]):
+                if runs != FLOWN_RUNS and not (course.study and scheme is SCHEMES["flown"]):
                     continue
-                if not flown.study and scheme not in BESIDE:
+                if not course.study and scheme not in OTHER_FLIGHTS:
                     continue
-                wrong = error(fly_again(flown, scheme, runs)[1], truth)
+                wrong = error(fly_again(course, scheme, runs)[1], truth)
                 rows.append(
                     [
-                        f"{flown.title}, {len(flown.held) * flown.step:.1f} s",
+                        f"{course.title}, {len(course.held) * course.step:.1f} s",
                         scheme.title,
                         str(runs),
                         f"{wrong.attitude_deg:.1e}",
@@ -80,8 +80,8 @@ def closed_table() -> str:
     """Whole flights with their controllers, at the number of runs that flights use."""
     rows = []
     for name in CLOSED:
-        angle, place = closed_loop(name, FLOWN_RUNS)
-        rows.append([name, f"{angle:.1e}", f"{place:.1e}"])
+        angle, position = closed_loop(name, FLOWN_RUNS)
+        rows.append([name, f"{angle:.1e}", f"{position:.1e}"])
     return table(["flight, four runs against 64", "Euler angles, deg", "place, mm"], rows)
 
 
@@ -89,30 +89,30 @@ def main(arguments: list[str] | None = None) -> int:
     """Write the tables of the chosen parts and return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy", description="How exact the airframe is.")
     parser.add_argument("--data", type=Path, help="folder with the trajectories of NASA's simulators")
-    parser.add_argument("--only", choices=list(PARTS), help="this part alone")
+    parser.add_argument("--only", choices=list(MARKS_BY_PART), help="this part alone")
     parser.add_argument("--page", type=Path, help="write the tables between the marks of this page")
-    asked = parser.parse_args(arguments)
-    wanted = [asked.only] if asked.only else list(PARTS)
-    if asked.data is None and "cases" in wanted:
+    options = parser.parse_args(arguments)
+    chosen = [options.only] if options.only else list(MARKS_BY_PART)
+    if options.data is None and "cases" in chosen:
         parser.error("--data FOLDER is needed for the check cases; without it: --only flights")
     try:
-        parts = {}
-        if asked.page:
-            check_marks(asked.page, [mark for part in wanted for mark in PARTS[part]])
+        texts = {}
+        if options.page:
+            check_marks(options.page, [mark for part in chosen for mark in MARKS_BY_PART[part]])
         outside = 0
-        if "cases" in wanted:
-            parts[CASE_MARK], rows = case_table(asked.data)
+        if "cases" in chosen:
+            texts[CASE_MARK], rows = case_table(options.data)
             outside = sum(not row.inside for row in rows)
-        if "flights" in wanted:
-            parts[FLIGHT_MARK], parts[CLOSED_MARK] = flight_table(), closed_table()
-        if "bare" in wanted:
-            parts[BARE_MARK] = table([f"JSBSim {VERSION} alone", "comes to"], measure())
-        if asked.page:
-            write_marks(asked.page, parts)
+        if "flights" in chosen:
+            texts[FLIGHT_MARK], texts[CLOSED_MARK] = flight_table(), closed_table()
+        if "bare" in chosen:
+            texts[BARE_MARK] = table([f"JSBSim {VERSION} alone", "comes to"], measure())
+        if options.page:
+            write_marks(options.page, texts)
     except InputError as problem:
         print(f"accuracy: {problem}", file=sys.stderr)
         return 2
-    print("\n".join(parts.values()))
+    print("\n".join(texts.values()))
     if outside:
         print(f"{outside} quantities outside the spread of NASA's simulators", file=sys.stderr)
     return 1 if outside else 0

@@ -19,8 +19,8 @@ RECTANGULAR, ADAMS_BASHFORTH_2 = 1, 3
 LOAD = "inertia/pointmass-weight-lbs"
 
 
-def start(place: tuple[float, float, float], rate: float, method: int, newtons: float) -> jsbsim.FGFDMExec:
-    """JSBSim with the part on board at ``place`` [m, structural], turning about its z axis at ``rate`` [rad/s]."""
+def start(position: tuple[float, float, float], rate: float, method: int, newtons: float) -> jsbsim.FGFDMExec:
+    """JSBSim with the part on board at ``position`` [m, structural], turning about its z axis at ``rate`` [rad/s]."""
     fdm = jsbsim.FGFDMExec(str(Path(__file__).parent), None)
     fdm.set_debug_level(0)
     fdm.set_aircraft_path(".")
@@ -30,7 +30,7 @@ def start(place: tuple[float, float, float], rate: float, method: int, newtons: 
         fdm[f"simulation/integrator/rate/{kind}"] = method
     fdm["ic/h-sl-ft"], fdm["ic/r-rad_sec"] = 1000.0, rate
     fdm[LOAD] = 1.0 / 0.45359237
-    for axis, metres in zip("XYZ", place, strict=True):
+    for axis, metres in zip("XYZ", position, strict=True):
         fdm[f"inertia/pointmass-location-{axis}-inches"] = metres / INCH
     fdm["external_reactions/jet1/magnitude"] = newtons / POUND
     fdm.run_ic()
@@ -71,33 +71,33 @@ def origin(fdm: jsbsim.FGFDMExec) -> np.ndarray:
     return np.array(centre + to_earth @ np.array([x, -y, z]))
 
 
-def structure_jumps(place: tuple[float, float, float], rate: float) -> tuple[float, float]:
+def structure_jumps(position: tuple[float, float, float], rate: float) -> tuple[float, float]:
     """Return by how much place [m] and velocity [m/s] of the structure jump in the run in which the part comes off."""
-    fdm = start(place, rate, ADAMS_BASHFORTH_2, 0.0)
-    seen = [origin(fdm)]
+    fdm = start(position, rate, ADAMS_BASHFORTH_2, 0.0)
+    origins = [origin(fdm)]
     for k in range(4):
         if k == 2:
             fdm[LOAD] = 0.0
         fdm.run()
-        seen.append(origin(fdm))
-    moved = np.diff(seen, axis=0)
+        origins.append(origin(fdm))
+    moved = np.diff(origins, axis=0)
     change = moved[1] - moved[0]  # from run to run, by gravity and turning
-    place_jump, velocity_jump = moved[2] - moved[1] - change, moved[3] - moved[1] - 2.0 * change
-    return float(np.linalg.norm(place_jump)), float(np.linalg.norm(velocity_jump)) / RUN
+    position_jump, velocity_jump = moved[2] - moved[1] - change, moved[3] - moved[1] - 2.0 * change
+    return float(np.linalg.norm(position_jump)), float(np.linalg.norm(velocity_jump)) / RUN
 
 
 def measure() -> list[list[str]]:
     """Return the rows of the table in docs/accuracy.md: what is looked at, and what it comes to."""
-    place, velocity = structure_jumps((0.2, 0.0, 0.0), 3.0)
+    position, velocity = structure_jumps((0.2, 0.0, 0.0), 3.0)
     return [
         ["a new mass is late by, rectangular rule", f"{velocity_late(RECTANGULAR):.3f} runs"],
         ["a new mass is late by, Adams-Bashforth 2", f"{velocity_late(ADAMS_BASHFORTH_2):.3f} runs"],
         ["the same, evaluated before its run", f"{velocity_late(ADAMS_BASHFORTH_2, anew=True):.3f} runs"],
-        ["the structure jumps, as the centre of gravity moves by 100 mm, by", f"{1e3 * place:.1f} mm"],
+        ["the structure jumps, as the centre of gravity moves by 100 mm, by", f"{1e3 * position:.1f} mm"],
         ["its velocity jumps, at 3 rad/s, by", f"{1e3 * velocity:.1f} mm/s"],
     ]
 
 
 if __name__ == "__main__":
-    for what, measured in measure():
-        print(f"{what} {measured}")
+    for quantity, measured in measure():
+        print(f"{quantity} {measured}")

@@ -138,8 +138,8 @@ def fly_case(case: Case, step: float | None = None, substeps: int | None = None)
     )
     wn, we, wd = (speed * FOOT for speed in case.wind_ned_ft_s)
     vehicle, calm = body(case), Disturbance(wind=(wn, we, wd))
-    place = Environment(latitude_deg=0.0, longitude_deg=0.0)
-    frame = Airframe(vehicle, Path(__file__).parent, place, step, substeps, 1)
+    environment = Environment(latitude_deg=0.0, longitude_deg=0.0)
+    frame = Airframe(vehicle, Path(__file__).parent, environment, step, substeps, 1)
     off = [ZERO3] * len(vehicle.jets)
     rows = []
     try:
@@ -174,18 +174,18 @@ def read_simulators(folder: Path, number: str) -> dict[str, dict[str, tuple[Arra
 
     Raises InputError if there are none.
     """
-    found: dict[str, dict[str, tuple[Array, Array]]] = {}
+    by_case: dict[str, dict[str, tuple[Array, Array]]] = {}
     for path in sorted(folder.glob(f"Atmos_{number}_sim_*.csv")):
         with path.open(newline="") as file:
             rows = list(csv.DictReader(file))
-        found[path.stem[-2:]] = {
+        by_case[path.stem[-2:]] = {
             name: (np.array([float(row[name]) for row in rows]), np.array([_half_digit(row[name]) for row in rows]))
             for name in QUANTITIES
             if name in rows[0]
         }
-    if not found:
+    if not by_case:
         raise InputError(f"{folder}: no files Atmos_{number}_sim_*.csv of the check cases")
-    return found
+    return by_case
 
 
 def _half_digit(text: str) -> float:
@@ -206,20 +206,20 @@ class Compared:
     inside: bool  # at every time no further from the nearest of them than they are from each other about that time
 
 
-def compare(number: str, ours: dict[str, Array], theirs: dict[str, dict[str, tuple[Array, Array]]]) -> list[Compared]:
+def compare(number: str, hexjet: dict[str, Array], others: dict[str, dict[str, tuple[Array, Array]]]) -> list[Compared]:
     """Ours beside NASA's simulators, time by time, for what at least two of them give.
 
     What they are from each other about a time is the greatest spread within a second of it, because their curves cross,
     and half a unit of the last digit printed.
     """
-    found = []
+    comparisons = []
     for name in QUANTITIES:
-        given = [columns[name] for columns in theirs.values() if name in columns]
-        if len(given) < 2:
+        reference_columns = [columns[name] for columns in others.values() if name in columns]
+        if len(reference_columns) < 2:
             continue
-        values = np.array([value for value, _ in given])
-        digits = np.max([digit for _, digit in given], axis=0) + FLOOR
-        own = ours[name]
+        values = np.array([value for value, _ in reference_columns])
+        digits = np.max([digit for _, digit in reference_columns], axis=0) + FLOOR
+        own = hexjet[name]
         if name.startswith("eulerAngle"):
             values = own + (values - own + 180.0) % 360.0 - 180.0
         low, high = values.min(axis=0), values.max(axis=0)
@@ -227,18 +227,18 @@ def compare(number: str, ours: dict[str, Array], theirs: dict[str, dict[str, tup
         spread = high - low
         about = np.array([spread[max(0, row - ABOUT) : row + ABOUT + 1].max() for row in range(len(spread))])
         beyond = np.maximum(np.maximum(low - own, own - high), 0.0)
-        found.append(
+        comparisons.append(
             Compared(
                 number,
                 name,
-                len(given),
+                len(reference_columns),
                 float(spread.max()),
                 float(nearest.max()),
                 float(beyond.max()),
                 bool((nearest <= about + digits).all()),
             )
         )
-    return found
+    return comparisons
 
 
 # Least and greatest of NASA's simulators after 30 s, from the same files, for where these are not at hand

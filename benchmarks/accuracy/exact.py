@@ -29,7 +29,7 @@ Air = tuple[Vector3, Vector3]  # wind, m/s, NED, and rate at which turbulence tu
 
 
 @dataclass(frozen=True)
-class Held:
+class StepInputs:
     """What acts over one control step."""
 
     forces: tuple[Vector3, ...]  # N, body, at the jets' stations
@@ -81,9 +81,9 @@ def local(latitude: float, longitude: float) -> Array:
     return np.array([[-s * cl, -sl, -c * cl], [-s * sl, cl, -c * sl], [c, 0.0, -s]])
 
 
-def geodetic(place: Array) -> tuple[float, float, float]:
+def geodetic(position: Array) -> tuple[float, float, float]:
     """Latitude and longitude, rad, and height above the ellipsoid, m, of an Earth-fixed place (Bowring, iterated)."""
-    x, y, z = place.tolist()
+    x, y, z = position.tolist()
     e2 = 1.0 - (POLAR / RADIUS) ** 2
     flat = np.hypot(x, y)
     latitude = np.arctan2(z, flat * (1.0 - e2))
@@ -114,15 +114,15 @@ class Body:
     """The vehicle with what is fixed to it during one step."""
 
     def __init__(self, vehicle: Vehicle, payload: Payload, burnt: float = 0.0) -> None:
-        parts = [(payload[0], np.array(payload[1:]))]
+        masses = [(payload[0], np.array(payload[1:]))]
         if vehicle.fuel:
-            parts.append((-burnt, np.array(vehicle.fuel.position_m)))
-        self.mass = vehicle.mass_kg + sum(mass for mass, _ in parts)
-        self.centre = sum((mass * place for mass, place in parts), np.zeros(3)) / self.mass
+            masses.append((-burnt, np.array(vehicle.fuel.position_m)))
+        self.mass = vehicle.mass_kg + sum(mass for mass, _ in masses)
+        self.centre = sum((mass * position for mass, position in masses), np.zeros(3)) / self.mass
         xy, xz, yz = vehicle.products_kg_m2
         self.inertia = np.diag(vehicle.inertia_kg_m2) - np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
-        for mass, place in [*parts, (-self.mass, self.centre)]:  # to the origin, and from there to the centre
-            self.inertia = self.inertia + mass * (place @ place * np.eye(3) - np.outer(place, place))
+        for mass, position in [*masses, (-self.mass, self.centre)]:  # to the origin, and from there to the centre
+            self.inertia = self.inertia + mass * (position @ position * np.eye(3) - np.outer(position, position))
         self.inverse = np.linalg.inv(self.inertia)
         self.arms = [np.array(jet.position_m) - self.centre for jet in vehicle.jets]
         self.drag_area, self.damping = np.array(vehicle.aero.drag_area_m2), np.array(vehicle.aero.damping_n_m_s)
@@ -164,10 +164,10 @@ def motion_of(state: Array, t: float) -> Motion:
     """Return the motion that an observer on the ground sees ``t`` seconds after the start."""
     r, v, turn = state[:3], state[3:6], matrix(state[6:10])
     to_earth = earth(t)
-    place = to_earth @ r
-    latitude, longitude, _ = geodetic(place)
+    position = to_earth @ r
+    latitude, longitude, _ = geodetic(position)
     to_ned = local(latitude, longitude).T @ to_earth
-    return Motion(to_ned @ turn, state[10:] - turn.T @ EARTH_RATE, to_ned @ (v - cross(EARTH_RATE, r)), place)
+    return Motion(to_ned @ turn, state[10:] - turn.T @ EARTH_RATE, to_ned @ (v - cross(EARTH_RATE, r)), position)
 
 
 def let_go(state: Array, shift: Array) -> Array:
@@ -177,32 +177,32 @@ def let_go(state: Array, shift: Array) -> Array:
     return np.concatenate(moved)
 
 
-def air_at(held: Held, share: float) -> tuple[Array, Array]:
+def air_at(inputs: StepInputs, fraction: float) -> tuple[Array, Array]:
     """Wind and rate of the air when this share of the step is over."""
-    if held.air is None:
-        return np.array(held.disturbance.wind), np.zeros(3)
-    begin, end = np.array(held.air)
-    wind, turning = begin + share * (end - begin)
+    if inputs.air is None:
+        return np.array(inputs.disturbance.wind), np.zeros(3)
+    begin, end = np.array(inputs.air)
+    wind, turning = begin + fraction * (end - begin)
     return wind, turning
 
 
-def derivative(state: Array, t: float, body: Body, held: Held, share: float) -> Array:
-    """Of the state, while ``held`` acts, when ``share`` of the step is over."""
-    wind, air_rate = air_at(held, share)
+def derivative(state: Array, t: float, body: Body, inputs: StepInputs, fraction: float) -> Array:
+    """Of the state, while ``inputs`` acts, when ``fraction`` of the step is over."""
+    wind, air_rate = air_at(inputs, fraction)
     r, v, q, w = state[:3], state[3:6], state[6:10], state[10:]
     turn = matrix(q)
     to_earth = earth(t)
     latitude, longitude, height = geodetic(to_earth @ r)
     through = turn.T @ (v - cross(EARTH_RATE, r) - to_earth.T @ local(latitude, longitude) @ wind)
     drag = -0.5 * density(height) * body.drag_area * np.abs(through) * through
-    push = np.array(held.disturbance.force)
+    push = np.array(inputs.disturbance.force)
     force, moment = drag + push, cross(body.drag_arm, drag) - cross(body.centre, push)
-    for arm, jet in zip(body.arms, held.forces, strict=True):
+    for arm, jet in zip(body.arms, inputs.forces, strict=True):
         newtons = np.array(jet)
         force, moment = force + newtons, moment + cross(arm, newtons)
-    moment = moment + np.array(held.disturbance.moment) + np.array(held.moment)
+    moment = moment + np.array(inputs.disturbance.moment) + np.array(inputs.moment)
     moment = moment - body.damping * (w - turn.T @ EARTH_RATE - air_rate)
-    spin = body.inverse @ (moment - cross(w, body.inertia @ w + np.array(held.momentum)))
+    spin = body.inverse @ (moment - cross(w, body.inertia @ w + np.array(inputs.momentum)))
     a, (x, y, z) = q[0], q[1:].tolist()
     p, qq, rr = w.tolist()
     turning = 0.5 * np.array(
@@ -214,7 +214,7 @@ def derivative(state: Array, t: float, body: Body, held: Held, share: float) -> 
 def integrate(
     vehicle: Vehicle,
     state: Array,
-    course: Sequence[Held],
+    course: Sequence[StepInputs],
     step: float,
     parts: int = 2,
     payload: Payload | None = None,
@@ -223,20 +223,20 @@ def integrate(
 
     ``payload``: on board at the start; None: that of the first step.
     """
-    found, h = [], step / parts
+    motions, h = [], step / parts
     masses = (course[0].disturbance.payload if payload is None else payload, course[0].burnt)
     body = Body(vehicle, *masses)
-    for k, held in enumerate(course):
-        if (held.disturbance.payload, held.burnt) != masses:
-            masses, before = (held.disturbance.payload, held.burnt), body.centre
+    for k, inputs in enumerate(course):
+        if (inputs.disturbance.payload, inputs.burnt) != masses:
+            masses, before = (inputs.disturbance.payload, inputs.burnt), body.centre
             body = Body(vehicle, *masses)
             state = let_go(state, body.centre - before)
         for part in range(parts):
             t, begin, middle, end = k * step + part * h, part / parts, (part + 0.5) / parts, (part + 1) / parts
-            one = derivative(state, t, body, held, begin)
-            two = derivative(state + 0.5 * h * one, t + 0.5 * h, body, held, middle)
-            three = derivative(state + 0.5 * h * two, t + 0.5 * h, body, held, middle)
-            four = derivative(state + h * three, t + h, body, held, end)
+            one = derivative(state, t, body, inputs, begin)
+            two = derivative(state + 0.5 * h * one, t + 0.5 * h, body, inputs, middle)
+            three = derivative(state + 0.5 * h * two, t + 0.5 * h, body, inputs, middle)
+            four = derivative(state + h * three, t + h, body, inputs, end)
             state = state + h / 6.0 * (one + 2.0 * two + 2.0 * three + four)
-        found.append(motion_of(state, (k + 1) * step))
-    return found
+        motions.append(motion_of(state, (k + 1) * step))
+    return motions

@@ -12,28 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.exact import NO_PAYLOAD, Air, Array, Held, Motion, integrate, start
+from benchmarks.accuracy.exact import NO_PAYLOAD, Air, Array, Motion, StepInputs, integrate, start
 from cosim import Scenario, fly, load_vehicle
 from cosim.base.frames import from_euler, jet_axis, rotate
-from cosim.base.signals import (
-    Disturbance,
-    Quaternion,
-    Sample,
-    State,
-    Vector3,
-)
+from cosim.base.signals import Disturbance, Quaternion, Sample, State, Vector3
 from cosim.results.log.recorder import Log
 from cosim.simulation.build import build
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Environment, Initial
 from cosim.spec.vehicle import Vehicle
-from cosim.vehicle.airframe import (
-    ADAMS_BASHFORTH_2,
-    ADAMS_BASHFORTH_3,
-    BUSS_2,
-    RECTANGULAR,
-    Airframe,
-)
+from cosim.vehicle.airframe import ADAMS_BASHFORTH_2, ADAMS_BASHFORTH_3, BUSS_2, RECTANGULAR, Airframe
 from cosim.vehicle.jsbsim_units import FOOT
 
 
@@ -68,7 +56,7 @@ class Course:
     folder: Any
     step: float
     initial: Initial
-    held: list[Held]
+    held: list[StepInputs]
     study: bool = True  # of methods and runs; else as flown and with masses left to JSBSim
 
 
@@ -76,14 +64,14 @@ class _Inputs:
     """What the airframe of a flight was given in each of its steps."""
 
     def __init__(self, simulation: Simulation, momentum: Vector3) -> None:
-        self.held: list[Held] = []
+        self.held: list[StepInputs] = []
         self._frame, self._propulsion, self._momentum = simulation.airframe, simulation.propulsion, momentum
 
     def observe(self, sample: Sample) -> None:
         frame = self._frame
         twist = np.subtract(frame._twisted, sample.disturbance.moment).tolist()
         self.held.append(
-            Held(
+            StepInputs(
                 tuple(frame._forces),
                 sample.disturbance,
                 moment=(twist[0], twist[1], twist[2]),
@@ -104,9 +92,9 @@ def course(
     with build(scenario) as simulation:
         inputs = _Inputs(simulation, momentum)
         ending = simulation.run([inputs])
-    held = inputs.held if ending.outcome == "completed" else inputs.held[:-1]
+    step_inputs = inputs.held if ending.outcome == "completed" else inputs.held[:-1]
     vehicle, folder = load_vehicle(scenario.aircraft, scenario.vehicle)
-    return Course(title, vehicle, folder, scenario.step_s, scenario.initial, held, study)
+    return Course(title, vehicle, folder, scenario.step_s, scenario.initial, step_inputs, study)
 
 
 PICKED_UP = {"kind": "payload", "start_s": 2.0, "mass_kg": 0.5, "offset_m": [0.05, -0.02, 0.10]}
@@ -146,15 +134,15 @@ def turn_of(attitude: Quaternion) -> Array:
     return np.array([rotate(attitude, axis) for axis in AXES]).T
 
 
-def seen(state: State, place: tuple[float, float, float]) -> Motion:
+def seen(state: State, position: tuple[float, float, float]) -> Motion:
     """Return the airframe's state in the form of the independent integration."""
-    return Motion(turn_of(state.attitude), np.array(state.rate), np.array(state.velocity), np.array(place))
+    return Motion(turn_of(state.attitude), np.array(state.rate), np.array(state.velocity), np.array(position))
 
 
-def fly_again(flown: Course, scheme: Scheme, runs: int) -> tuple[Motion, list[Motion]]:
+def fly_again(course: Course, scheme: Scheme, runs: int) -> tuple[Motion, list[Motion]]:
     """Return the airframe's motion at the start, and after every step."""
-    spins = any(any(held.momentum) for held in flown.held)
-    frame = Airframe(flown.vehicle, flown.folder, Environment(), flown.step, runs, 1, spins)
+    spins = any(any(held.momentum) for held in course.held)
+    frame = Airframe(course.vehicle, course.folder, Environment(), course.step, runs, 1, spins)
 
     def where() -> tuple[float, float, float]:
         x, y, z = (frame._fdm.get_property_value(f"position/ecef-{axis}-ft") * FOOT for axis in "xyz")
@@ -166,31 +154,31 @@ def fly_again(flown: Course, scheme: Scheme, runs: int) -> tuple[Motion, list[Mo
         frame._set("simulation/integrator/position/rotational", scheme.attitude)
         frame._make_up = scheme.make_up
 
-    def step(held: Held) -> Motion:
-        changed = held.disturbance.payload != frame._disturbance.payload
+    def step(inputs: StepInputs) -> Motion:
+        changed = inputs.disturbance.payload != frame._disturbance.payload
         if scheme.at_once:
-            frame.carry(held.momentum, held.burnt)
+            frame.carry(inputs.momentum, inputs.burnt)
         else:
-            if flown.vehicle.fuel:
-                frame.burn(held.burnt)
+            if course.vehicle.fuel:
+                frame.burn(inputs.burnt)
             if spins:
-                frame.set_momentum(held.momentum)
-            frame._apply(held.disturbance)
-        state = frame.step(list(held.forces), held.disturbance, held.moment)
+                frame.set_momentum(inputs.momentum)
+            frame._apply(inputs.disturbance)
+        state = frame.step(list(inputs.forces), inputs.disturbance, inputs.moment)
         if changed:
             use()
         return seen(state, where())
 
     try:
-        first = flown.held[0]
+        first = course.held[0]
         spin = first.momentum if spins else None
-        state = frame.reset(flown.initial, list(first.forces), first.disturbance.wind, spin, first.burnt)
+        state = frame.reset(course.initial, list(first.forces), first.disturbance.wind, spin, first.burnt)
         begin = seen(state, where())
         use()
-        found = [step(held) for held in flown.held]
+        motions = [step(held) for held in course.held]
     finally:
         frame.close()
-    return begin, found
+    return begin, motions
 
 
 @dataclass(frozen=True)
@@ -203,12 +191,12 @@ class Error:
     place_mm: float
 
 
-def exact(flown: Course, parts: int = 2) -> list[Motion]:
+def exact(course: Course, parts: int = 2) -> list[Motion]:
     """Return the motion after every step by independent integration of a course."""
-    place = Environment()
-    begin, _ = fly_again(replace(flown, held=flown.held[:1]), SCHEMES["flown"], 1)
-    state = start(place.latitude_deg, place.longitude_deg, place.ground_m + flown.initial.altitude_m, begin)
-    return integrate(flown.vehicle, state, flown.held, flown.step, parts, NO_PAYLOAD)
+    earth = Environment()
+    begin, _ = fly_again(replace(course, held=course.held[:1]), SCHEMES["flown"], 1)
+    state = start(earth.latitude_deg, earth.longitude_deg, earth.ground_m + course.initial.altitude_m, begin)
+    return integrate(course.vehicle, state, course.held, course.step, parts, NO_PAYLOAD)
 
 
 CLOSED = (
@@ -223,14 +211,14 @@ CLOSED = (
 
 def closed_loop(name: str, runs: int, fine: int = 64) -> tuple[float, float]:
     """Greatest differences of a flight's Euler angles [deg] and place [mm] from the same with ``fine`` runs."""
-    logs = [fly(Scenario.load(name).replace(substeps=each, expect=[])).log for each in (runs, fine)]
+    logs = [fly(Scenario.load(name).replace(substeps=substeps, expect=[])).log for substeps in (runs, fine)]
     last = min(len(log) for log in logs)
 
     def apart(columns: tuple[str, ...]) -> float:
-        return max(float(np.abs(logs[0][each][:last] - logs[1][each][:last]).max()) for each in columns)
+        return max(float(np.abs(logs[0][column][:last] - logs[1][column][:last]).max()) for column in columns)
 
-    angles, places = ("roll_rad", "pitch_rad", "yaw_rad"), ("north_m", "east_m", "down_m")
-    return float(np.degrees(apart(angles))), 1e3 * apart(places)
+    angles, positions = ("roll_rad", "pitch_rad", "yaw_rad"), ("north_m", "east_m", "down_m")
+    return float(np.degrees(apart(angles))), 1e3 * apart(positions)
 
 
 WINDOW = 0.5  # s: from the log again and again, so that a residual is a residual of the equations
@@ -248,8 +236,8 @@ def from_the_log(log: Log, scenario: Scenario, air_turns: bool = True) -> tuple[
     def rows(*names: str) -> list[tuple[float, ...]]:
         return [tuple(map(float, row)) for row in np.stack([log[name] for name in names], axis=1)]
 
-    def of(pattern: str, parts: Any) -> list[Any]:
-        return rows(*(pattern.format(part) for part in parts))
+    def of(pattern: str, keys: Any) -> list[Any]:
+        return rows(*(pattern.format(part) for part in keys))
 
     ned, xyz = ("north", "east", "down"), "xyz"
     angles, rates, velocities = (
@@ -263,20 +251,22 @@ def from_the_log(log: Log, scenario: Scenario, air_turns: bool = True) -> tuple[
     payloads = rows("payload_kg", *(f"payload_{axis}_m" for axis in xyz))
     calm = (0.0, 0.0, 0.0)
     air: list[Air] = [(wind, turn if air_turns else calm) for wind, turn in zip(winds, turning, strict=True)]
-    left = [jet.servo == "left" for jet in vehicle.jets]
-    held = []
+    is_left = [jet.servo == "left" for jet in vehicle.jets]
+    steps_in = []
     for k in range(len(log) - 1):
-        axes = [jet_axis(tilts[k][0 if on_left else 1]) for on_left in left]
+        axes = [jet_axis(tilts[k][0 if on_left else 1]) for on_left in is_left]
         forces = tuple((n * x, n * y, n * z) for n, (x, y, z) in zip(thrusts[k], axes, strict=True))
         mass, x, y, z = payloads[k]
-        held.append(Held(forces, Disturbance(pushes[k], twists[k], payload=(mass, x, y, z)), (air[k], air[k + 1])))
-    place = scenario.environment
+        steps_in.append(
+            StepInputs(forces, Disturbance(pushes[k], twists[k], payload=(mass, x, y, z)), (air[k], air[k + 1]))
+        )
+    earth = scenario.environment
     steps, worst = round(WINDOW / scenario.step_s), (0.0, 0.0)
-    for first in range(1, len(held) - steps + 1, steps):
+    for first in range(1, len(steps_in) - steps + 1, steps):
         turn = turn_of(from_euler(*angles[first]))
         motion = Motion(turn, np.array(rates[first]), np.array(velocities[first]), np.zeros(3))
-        state = start(place.latitude_deg, place.longitude_deg, place.ground_m + float(heights[first]), motion)
-        end = integrate(vehicle, state, held[first : first + steps], scenario.step_s)[-1]
+        state = start(earth.latitude_deg, earth.longitude_deg, earth.ground_m + float(heights[first]), motion)
+        end = integrate(vehicle, state, steps_in[first : first + steps], scenario.step_s)[-1]
         last = first + steps
         worst = (
             max(worst[0], float(np.linalg.norm(end.rate - rates[last]))),
@@ -287,17 +277,17 @@ def from_the_log(log: Log, scenario: Scenario, air_turns: bool = True) -> tuple[
 
 def error(one: list[Motion], other: list[Motion]) -> Error:
     """Between two integrations of the same course."""
-    angles, rates, speeds, places = [], [], [], []
+    angles, rates, speeds, positions = [], [], [], []
     for a, b in zip(one, other, strict=True):
         turn = a.attitude.T @ b.attitude
         sine = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
         angles.append(np.linalg.norm(sine))
         rates.append(np.linalg.norm(a.rate - b.rate))
         speeds.append(np.linalg.norm(a.velocity - b.velocity))
-        places.append(np.linalg.norm(a.place - b.place))
+        positions.append(np.linalg.norm(a.place - b.place))
     return Error(
         float(np.degrees(max(angles))),
         float(np.degrees(max(rates))),
         1e3 * float(max(speeds)),
-        1e3 * float(max(places)),
+        1e3 * float(max(positions)),
     )

@@ -13,12 +13,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from benchmarks.measures.speed import (
-    RECORDED,
-    Flights,
-    collect,
-    fly_through,
-)
+from benchmarks.measures.speed import RECORDED, Flights, collect, fly_through
 from benchmarks.timing import Action, Cost, Job
 from cosim.base.arrays import Array
 from cosim.base.signals import ZERO3, Sample, Unallocated
@@ -30,7 +25,7 @@ SUBSTEPS = 4  # as the shipped scenarios have it
 
 COMMAND, DISTURBANCE, ATTITUDE, RATE, ALTITUDE = "command", "disturbance", "attitude", "rate, predictor", "altitude"
 ALLOCATION, ENGINES, SERVOS, FORCES = "allocation", "engines", "servos", "jet forces"
-AIRFRAME, SENSORS, JUDGE = "airframe but its runs", "sensors", "end of flight?"
+AIRFRAME, SENSORS, END_CHECK = "airframe but its runs", "sensors", "end of flight?"
 ROWS, DISK = "recorder: rows", "recorder: to disk"
 INSTRUMENTED = "instrumented flight"
 
@@ -98,8 +93,8 @@ def measure_blocks(steps: int, rounds: int, folder: Path, on_round: Callable[[],
     alone = {job.name: Cost.of(pairs[SUBSTEPS, job.name]) for job in jobs}
     # a median over steps leaves out what other processes took, and so does processor time
     in_flight = clocks.blocks([pair.unit.cpu for pair in pairs[SUBSTEPS, INSTRUMENTED]])
-    parts = {name: in_flight[name].units if name in in_flight else cost.units.median for name, cost in alone.items()}
-    return Breakdown(SUBSTEPS, outside, alone, in_flight, outside.units.median - sum(parts.values()))
+    units = {name: in_flight[name].units if name in in_flight else cost.units.median for name, cost in alone.items()}
+    return Breakdown(SUBSTEPS, outside, alone, in_flight, outside.units.median - sum(units.values()))
 
 
 class Replay:
@@ -110,14 +105,14 @@ class Replay:
         self._folder = folder
         self._streams = 0
         self._stream: StreamSink | None = None
-        kept, memory = _Keep(), MemorySink()
+        recorded, memory = _Keep(), MemorySink()
         recorder = Recorder(simulation.dt, memory)
-        fly_through(simulation, [kept, recorder])
+        fly_through(simulation, [recorded, recorder])
         recorder.flush()
-        self._samples = kept.samples
+        self._samples = recorded.samples
         self._tables = memory.tables
-        self._states = [*[sample.state for sample in kept.samples[1:]], simulation.state]  # after each step
-        self._measured = [*[sample.measured for sample in kept.samples[1:]], simulation.measured]
+        self._states = [*[sample.state for sample in recorded.samples[1:]], simulation.state]  # after each step
+        self._measured = [*[sample.measured for sample in recorded.samples[1:]], simulation.measured]
 
     def blocks(self) -> list[Block]:
         """In the order in which a step comes by them."""
@@ -135,7 +130,7 @@ class Replay:
         attitude, rate, altitude = cascade.attitude, cascade.rate, cascade.altitude
         # what was not allocated is known one step later
         lacks = [Unallocated(), *[sample.actuation.unallocated for sample in samples]]
-        told = list(zip(samples, lacks, strict=False))
+        step_inputs = list(zip(samples, lacks, strict=False))
         ks = [(sample.k,) for sample in samples]
         return [
             Block(COMMAND, _nothing, simulation.commander.at, ks, [s.command for s in samples]),
@@ -151,14 +146,14 @@ class Replay:
                 RATE,
                 rate.reset,
                 rate.update,
-                [(s.control.rate_setpoint, s.measured.rate, lack) for s, lack in told],
+                [(s.control.rate_setpoint, s.measured.rate, lack) for s, lack in step_inputs],
                 [s.control.torque for s in samples],
             ),
             Block(
                 ALTITUDE,
                 altitude.reset,
                 altitude.update,
-                [(s.command, s.measured, lack) for s, lack in told],
+                [(s.command, s.measured, lack) for s, lack in step_inputs],
                 [s.control.collective for s in samples],
             ),
             Block(
@@ -215,7 +210,7 @@ class Replay:
                 self._measured,
             ),
             Block(
-                JUDGE,
+                END_CHECK,
                 partial(termination.reset, initial.on_ground),
                 termination.check,
                 [(state, k * simulation.dt) for k, state in enumerate(states, 1)],
@@ -262,7 +257,7 @@ class Clocks:
             (FORCES, propulsion, "forces"),
             (AIRFRAME, simulation.airframe, "step"),
             (SENSORS, simulation.sensors, "sample"),
-            (JUDGE, simulation.termination, "check"),
+            (END_CHECK, simulation.termination, "check"),
             (ROWS, self._recorder, "observe"),
         ]
         self._calls = {name: sum(owner[0] == name for owner in owners) for name, _, _ in owners}
@@ -290,10 +285,10 @@ class Clocks:
             spent.clear()
         fly_through(self._simulation, [self._recorder])
         now = time.perf_counter_ns
-        own = median([-(now() - now()) for _ in range(1000)])  # what the clock itself takes
+        clock_cost = median([-(now() - now()) for _ in range(1000)])  # what the clock itself takes
         for name, spent in self._spent.items():
             if len(spent) == self._calls[name] * self.job.steps:
-                self._medians[name].append(1e-9 * (median(spent) - own) * self._calls[name])
+                self._medians[name].append(1e-9 * (median(spent) - clock_cost) * self._calls[name])
 
     def blocks(self, units: Sequence[float]) -> dict[str, InFlight]:
         """Return the medians of the flights by block; ``units`` are the unit's seconds, flight by flight."""

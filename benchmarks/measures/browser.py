@@ -60,7 +60,7 @@ class Frames:
 
 
 @dataclass(frozen=True)
-class Seen:
+class PageTimes:
     """A page as a browser shows it.
 
     Seconds from asking for it until it is laid out and painted, processor time of its thread until then; frames while
@@ -88,32 +88,32 @@ class Look:
             tab = context.new_page()
             spent = _Spent(self._browser, context, tab)
             tab.goto(page.as_uri(), wait_until="domcontentloaded")
-            found = {"open_cpu": 1e-3 * spent.page_ms()}
+            times = {"open_cpu": 1e-3 * spent.page_ms()}
             tab.wait_for_function("performance.getEntriesByName('first-contentful-paint').length", timeout=WAIT_MS)
-            found["open"] = 1e-3 * tab.evaluate(_OPENED)
+            times["open"] = 1e-3 * tab.evaluate(_OPENED)
             has = tab.evaluate("Boolean(document.getElementById('replay'))")
             if has:
                 tab.wait_for_function(_DRAWN, timeout=WAIT_MS)
-            found |= _frames("scroll", tab, spent, seconds, BY)
+            times |= _frames("scroll", tab, spent, seconds, BY)
             if has and tab.evaluate("document.documentElement.dataset.replay === 'ready'"):
                 self.renderer = tab.evaluate(_RENDERER)
                 tab.evaluate("hexjet.setTime(0); document.querySelector('.stage').scrollIntoView()")
                 tab.keyboard.press("k")
-                found |= _frames("replay", tab, spent, seconds, 0)
-        self._found.setdefault(page, []).append(found)
+                times |= _frames("replay", tab, spent, seconds, 0)
+        self._found.setdefault(page, []).append(times)
 
-    def seen(self, page: Path) -> Seen:
+    def seen(self, page: Path) -> PageTimes:
         """All looks at it."""
         looks = self._found[page]
         all_of = {name: Spread.of([look[name] for look in looks]) for name in looks[0]}
         scrolled, replayed = (
-            Frames(*(all_of[f"{what} {name}"] for name in ("rate", "late", "page", "drawing")))
-            if f"{what} rate" in all_of
+            Frames(*(all_of[f"{action} {name}"] for name in ("rate", "late", "page", "drawing")))
+            if f"{action} rate" in all_of
             else None
-            for what in ("scroll", "replay")
+            for action in ("scroll", "replay")
         )
         assert scrolled is not None
-        return Seen(all_of["open"], all_of["open_cpu"], scrolled, replayed)
+        return PageTimes(all_of["open"], all_of["open_cpu"], scrolled, replayed)
 
 
 class _Spent:
@@ -124,15 +124,15 @@ class _Spent:
         self._tools.send("Performance.enable", {"timeDomain": "threadTicks"})
 
     def page_ms(self) -> float:
-        told = {each["name"]: each["value"] for each in self._tools.send("Performance.getMetrics")["metrics"]}
-        return 1e3 * float(told["TaskDuration"])
+        metrics = {metric["name"]: metric["value"] for metric in self._tools.send("Performance.getMetrics")["metrics"]}
+        return 1e3 * float(metrics["TaskDuration"])
 
     def drawing_ms(self) -> float:
-        told = self._whole.send("SystemInfo.getProcessInfo")["processInfo"]
-        return 1e3 * sum(float(each["cpuTime"]) for each in told if each["type"] == "GPU")
+        processes = self._whole.send("SystemInfo.getProcessInfo")["processInfo"]
+        return 1e3 * sum(float(process["cpuTime"]) for process in processes if process["type"] == "GPU")
 
 
-def _frames(what: str, tab: Any, spent: _Spent, seconds: float, by: int) -> dict[str, float]:
+def _frames(action: str, tab: Any, spent: _Spent, seconds: float, by: int) -> dict[str, float]:
     page, drawing = spent.page_ms(), spent.drawing_ms()
     times = [1e-3 * time for time in tab.evaluate(_FRAMES, [seconds, by])]
     gaps = [b - a for a, b in pairwise(times)]
@@ -140,10 +140,10 @@ def _frames(what: str, tab: Any, spent: _Spent, seconds: float, by: int) -> dict
         raise FlightError("the browser has drawn nothing")
     late = sum(gap > LATE / SCREEN_HZ for gap in gaps)
     return {
-        f"{what} rate": len(gaps) / sum(gaps),
-        f"{what} late": 100.0 * late / len(gaps),
-        f"{what} page": (spent.page_ms() - page) / len(gaps),
-        f"{what} drawing": (spent.drawing_ms() - drawing) / len(gaps),
+        f"{action} rate": len(gaps) / sum(gaps),
+        f"{action} late": 100.0 * late / len(gaps),
+        f"{action} page": (spent.page_ms() - page) / len(gaps),
+        f"{action} drawing": (spent.drawing_ms() - drawing) / len(gaps),
     }
 
 

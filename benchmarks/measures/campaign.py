@@ -128,7 +128,7 @@ class CampaignPlan:
 def measure_campaign(plan: CampaignPlan, folder: Path, on_round: Callable[[], object]) -> CampaignCost:
     """Time both with one process and with two, and then a study from end to end."""
     bare: dict[int, list[float]] = {count: [] for count in PROCESSES}
-    flown: dict[int, list[float]] = {count: [] for count in PROCESSES}
+    rates: dict[int, list[float]] = {count: [] for count in PROCESSES}
     with ExitStack() as stack:
         alone = stack.enter_context(Bare())
         workers = {count: stack.enter_context(_workers(count)) for count in PROCESSES}
@@ -140,7 +140,7 @@ def measure_campaign(plan: CampaignPlan, folder: Path, on_round: Callable[[], ob
                 else:
                     study = make_study(count * plan.flights, plan.flight_s)
                     looks = fly_study(study, workers[count], folder / f"{number}-{count}")
-                    flown[count].append(rate(looks, count))
+                    rates[count].append(rate(looks, count))
             on_round()
     long = None
     if plan.study:
@@ -149,12 +149,12 @@ def measure_campaign(plan: CampaignPlan, folder: Path, on_round: Callable[[], ob
             looks = fly_study(make_study(plan.study, plan.flight_s), fresh, folder / "long")
             long = _long(looks, time.perf_counter() - begin)
         on_round()
-    gains = [[two / one for one, two in zip(*by.values(), strict=True)] for by in (bare, flown)]
+    gains = [[two / one for one, two in zip(*by.values(), strict=True)] for by in (bare, rates)]
     return CampaignCost(
         plan.flight_s,
         plan.flights,
         _scaling(bare, gains[0]),
-        _scaling(flown, gains[1]),
+        _scaling(rates, gains[1]),
         Spread.of([ours / theirs for theirs, ours in zip(*gains, strict=True)]),
         long,
     )
@@ -207,8 +207,8 @@ def _long(looks: Sequence[_Look], wall: float) -> LongStudy:
     rates = [(b - a) / (looks[b].time - looks[a].time) for a, b in pairwise(edges) if b > a]
     workers = []
     for worker in dict.fromkeys(look.worker for look in looks):
-        own = [look.resident for look in looks if look.worker == worker]
-        workers.append(WorkerMemory(len(own), own[min(EARLY, len(own)) - 1], own[-1]))
+        resident = [look.resident for look in looks if look.worker == worker]
+        workers.append(WorkerMemory(len(resident), resident[min(EARLY, len(resident)) - 1], resident[-1]))
     return LongStudy(len(looks), wall, Spread.of(rates), workers)
 
 
@@ -234,14 +234,14 @@ class Bare:
 
     def rate(self, count: int, seconds: float) -> float:
         """JSBSim runs a second of ``count`` processes together."""
-        asked = self._children[:count]
-        for child in asked:
+        children = self._children[:count]
+        for child in children:
             assert child.stdin is not None
             with suppress(OSError):  # it has ended, which is seen when it is to answer
                 child.stdin.write(f"{seconds!r}\n")
                 child.stdin.flush()
-        answers = [_answer(child).split() for child in asked]
-        return sum(int(runs) / float(spent) for runs, spent in answers)
+        replies = [_answer(child).split() for child in children]
+        return sum(int(runs) / float(spent) for runs, spent in replies)
 
 
 def _answer(child: Popen[str]) -> str:

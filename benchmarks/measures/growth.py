@@ -9,14 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks.measures.process import Memory, measure_memory
-from benchmarks.measures.speed import (
-    UNIT_RUNS,
-    Flights,
-    bare,
-    collect,
-    hover,
-    step_bank,
-)
+from benchmarks.measures.speed import UNIT_RUNS, Flights, bare, collect, hover, step_bank
 from benchmarks.timing import Cost, Job, Spread
 from cosim import Scenario
 from cosim.engine import EngineBank, load_engine
@@ -113,8 +106,8 @@ def measure_engine_counts(steps: int, rounds: int, folder: Path, on_round: Calla
 def measure_log_rates(steps: int, rounds: int, folder: Path, on_round: Callable[[], object]) -> LogRates:
     """Fly ``hover`` with every n-th step recorded, and with none."""
     with Flights(steps, folder) as flights:
-        flown = flights.fly(hover(steps, SUBSTEPS))
-        jobs = [flown.plain("0"), *[flown.recorded(str(every), every) for every in EVERY]]
+        flight = flights.fly(hover(steps, SUBSTEPS))
+        jobs = [flight.plain("0"), *[flight.recorded(str(every), every) for every in EVERY]]
         pairs = collect(jobs, flights.units(), rounds, on_round)
     return LogRates({every: Cost.of(pairs[SUBSTEPS, str(every)]) for every in (*EVERY, 0)})
 

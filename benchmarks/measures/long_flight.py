@@ -12,7 +12,7 @@ from cosim.base.signals import Sample
 from cosim.results.run import REPORT
 
 MEGABYTE = 1e6
-PARTS = 4  # of the flight, at whose ends memory is looked at
+INTERVALS = 4  # of the flight, at whose ends memory is looked at
 WRITTEN, REPORTED = "log and summary", "report"
 
 
@@ -23,7 +23,7 @@ def fly_long(folder: Path, minutes: float, tell: Callable[[str, int], None], las
     """
     hover = Scenario.load("hover")
     scenario = hover.replace(duration_s=round(60.0 * minutes / hover.step_s) * hover.step_s, expect=[])
-    marks = {scenario.steps * part // PARTS - 1: f"{part}/{PARTS}" for part in range(1, PARTS + 1)}
+    marks = {scenario.steps * part // INTERVALS - 1: f"{part}/{INTERVALS}" for part in range(1, INTERVALS + 1)}
 
     class Watch:
         def observe(self, sample: Sample) -> None:
@@ -46,9 +46,9 @@ def fly_long(folder: Path, minutes: float, tell: Callable[[str, int], None], las
 def resident_and_peak() -> tuple[float | None, float]:
     """Resident memory of this process, None if the system does not tell, and the most there was of it: MB."""
     # not ru_maxrss, which on Linux begins with that of the process that started this one
-    told = _status("self")
-    if told:
-        return told["VmRSS:"], told["VmHWM:"]
+    status = _status("self")
+    if status:
+        return status["VmRSS:"], status["VmHWM:"]
     import resource
 
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # bytes on macOS, kilobytes elsewhere

@@ -83,7 +83,7 @@ class Rate:
         return (a * (p - x), b * (q - y), c * (r - z))
 
 
-class Whole:
+class WholeController:
     """The proportional parts of the vehicle's loops, for small angles; it holds the height and does not turn."""
 
     level = "controller"
@@ -123,21 +123,21 @@ def flights(seconds: float, substeps: int, folder: Path, fmu: bool = True) -> di
     program = folder / "rate_loop.py"
     program.write_text(_PROGRAM, encoding="utf-8")
     trust(folder)
-    found = {
+    scenarios = {
         BASELINE: hover,
         PREDICTOR: hover.replace(controller=f"{_HERE}:Predictor"),
         RATE: hover.replace(controller=f"{_HERE}:Rate"),
-        CONTROLLER: hover.replace(controller=f"{_HERE}:Whole"),
+        CONTROLLER: hover.replace(controller=f"{_HERE}:WholeController"),
         PROCESS: hover.replace(controller=f"process:{program}"),
         ISOLATED: hover.replace(engine_isolated=True),
     }
     if not fmu:
-        return found
+        return scenarios
     exported = export_controller(hover.replace(duration_s=0.1), folder / "exported", "cascade")
     archives = [name for name in exported.files if name.endswith(".fmu")]
     if archives:
-        found[FMU] = hover.replace(controller=str(folder / "exported" / archives[0]))
-    return found
+        scenarios[FMU] = hover.replace(controller=str(folder / "exported" / archives[0]))
+    return scenarios
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def measure_own_blocks(seconds: float, rounds: int, folder: Path, on_round: Call
     with Flights(250, folder) as timed:
         scenarios = flights(seconds, SUBSTEPS, folder / "made")
         jobs = [timed.fly(scenario).recorded(name) for name, scenario in scenarios.items()]
-        pairs = {name: found for (_, name), found in collect(jobs, timed.units(), rounds, on_round).items()}
-    ours = pairs.pop(BASELINE)
-    more = {name: Cost.of(differences(found, ours)) for name, found in pairs.items()}
-    return OwnBlocks(Cost.of(ours, less=SUBSTEPS), more, None if FMU in more else "it needs a C compiler")
+        pairs = {name: cost for (_, name), cost in collect(jobs, timed.units(), rounds, on_round).items()}
+    built_in = pairs.pop(BASELINE)
+    more = {name: Cost.of(differences(cost, built_in)) for name, cost in pairs.items()}
+    return OwnBlocks(Cost.of(built_in, less=SUBSTEPS), more, None if FMU in more else "it needs a C compiler")

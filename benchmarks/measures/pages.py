@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.machine import load
-from benchmarks.measures.browser import Look, Seen, looking
+from benchmarks.measures.browser import Look, PageTimes, looking
 from benchmarks.measures.campaign import make_study
 from benchmarks.timing import Spread
 from cosim import FlightError, Scenario, fly
@@ -45,7 +45,7 @@ class Page:
     log_mb: float
     write_s: Spread
     by_flight: Spread
-    seen: Seen | None
+    seen: PageTimes | None
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class CampaignPage:
 
     flights: int
     mb: float
-    seen: Seen | None
+    seen: PageTimes | None
 
 
 @dataclass(frozen=True)
@@ -84,10 +84,10 @@ def measure_pages(plan: PagesPlan, rounds: int, folder: Path, on_round: Callable
         on_round()
     if browser is None:
         return Pages(FLIGHT, by_length, campaign, "", str(look))
-    said = f"Chromium {browser.version}, the replay by {browser.renderer or 'nothing'}"
-    if loads := [f"{each:.1f}" for each in (before, load()) if each is not None]:
-        said += f"; load average {' before, '.join(loads)} after"
-    return Pages(FLIGHT, by_length, campaign, said, None)
+    browser_text = f"Chromium {browser.version}, the replay by {browser.renderer or 'nothing'}"
+    if loads := [f"{load_text:.1f}" for load_text in (before, load()) if load_text is not None]:
+        browser_text += f"; load average {' before, '.join(loads)} after"
+    return Pages(FLIGHT, by_length, campaign, browser_text, None)
 
 
 def _page(
@@ -96,24 +96,24 @@ def _page(
     run = fly(Scenario.load(FLIGHT).replace(duration_s=float(seconds), expect=[]), folder, report=False)
     if run.outcome != "completed" or not run.summary.wall_s:
         raise FlightError(f"the flight of {seconds} s ended early: {run.reason}")
-    whole, shared = folder / "whole.html", folder / "shared.html"
+    single, shared = folder / "whole.html", folder / "shared.html"
     write_report(run, shared, shared_assets=True)
-    took = []
+    durations = []
     for _ in range(rounds):
         begin = time.perf_counter()
-        write_report(run, whole)
-        took.append(time.perf_counter() - begin)
+        write_report(run, single)
+        durations.append(time.perf_counter() - begin)
         if browser:
-            browser.at(whole, look_s)
+            browser.at(single, look_s)
         on_round()
-    flown = run.summary.wall_s
+    flight_s = run.summary.wall_s
     return Page(
-        whole_mb=MB * whole.stat().st_size,
+        whole_mb=MB * single.stat().st_size,
         shared_mb=MB * shared.stat().st_size,
         log_mb=MB * (folder / LOG).stat().st_size,
-        write_s=Spread.of(took),
-        by_flight=Spread.of([each / flown for each in took]),
-        seen=browser.seen(whole) if browser else None,
+        write_s=Spread.of(durations),
+        by_flight=Spread.of([duration / flight_s for duration in durations]),
+        seen=browser.seen(single) if browser else None,
     )
 
 

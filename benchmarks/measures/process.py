@@ -12,12 +12,7 @@ from pathlib import Path
 from shutil import rmtree
 from typing import NamedTuple
 
-from benchmarks.measures.long_flight import (
-    MEGABYTE,
-    PARTS,
-    REPORTED,
-    WRITTEN,
-)
+from benchmarks.measures.long_flight import INTERVALS, MEGABYTE, REPORTED, WRITTEN
 from benchmarks.timing import Spread
 from cosim import FlightError
 from cosim.base.runtime.processes import python_command
@@ -98,10 +93,10 @@ def measure_startup(times: int, folder: Path, on_start: Callable[[], object]) ->
         arguments = ["fly", "hover", "--out", str(folder / f"start-{number}")]
         started = time.time()
         child = start_python(_FIRST_STEP, *arguments)
-        said, _ = child.communicate()
+        output, _ = child.communicate()
         if child.returncode:
             raise FlightError(f"the flight to its first step ended with status {child.returncode}")
-        begun, imported, stepped = (float(word) for word in said.split())
+        begun, imported, stepped = (float(word) for word in output.split())
         if number:
             rows.append((stepped - started, begun - started, imported - begun, stepped - imported))
         on_start()
@@ -192,7 +187,7 @@ class _Long(NamedTuple):
     @property
     def growth(self) -> float | None:
         resident = {mark.where: mark.resident for mark in self.marks}
-        begin, end = (resident[f"{part}/{PARTS}"] for part in (1, PARTS))
+        begin, end = (resident[f"{part}/{INTERVALS}"] for part in (1, INTERVALS))
         return None if begin is None or end is None else end - begin
 
 
@@ -205,7 +200,7 @@ def _fly_long(out: Path, minutes: float, report: bool) -> _Long:
         for line in child.stdout:
             mark = _Mark(*json.loads(line))
             # the system counts roughly, and its peak may go down by a few pages
-            marks.append(mark._replace(peak=max([mark.peak, *(each.peak for each in marks)])))
+            marks.append(mark._replace(peak=max([mark.peak, *(mark_before.peak for mark_before in marks)])))
     if child.returncode or not marks or marks[-1].where != (REPORTED if report else WRITTEN):
         raise FlightError(f"the long flight ended early, with status {child.returncode}")
     size = sum(file.stat().st_size for file in out.iterdir()) / MEGABYTE

@@ -12,14 +12,7 @@ from operator import sub
 from pathlib import Path
 from tempfile import mkdtemp
 
-from benchmarks.timing import (
-    Action,
-    Clocked,
-    Cost,
-    Job,
-    Pair,
-    interleave,
-)
+from benchmarks.timing import Action, Clocked, Cost, Job, Pair, interleave
 from cosim import FlightError, Scenario
 from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Engines, Observer
@@ -36,16 +29,16 @@ UNIT_RUNS = 2000  # timed before and after every job
 
 BARE = "one bare JSBSim run()"
 ENGINES = "six engine FMUs"
-FLOWN = "whole step, no observer"
+WHOLE_STEP = "whole step, no observer"
 RECORDED = "whole step, recorded to disk"
 AIRFRAME = "airframe: forces in, runs, state out"
 PLAIN = "the same by JSBSim's own integrators, forces in once"
 PRICE = "price of the better integrators"
-OUTSIDE_FLOWN = "not JSBSim, no observer"
+OUTSIDE_JSBSIM = "not JSBSim, no observer"
 OUTSIDE = "not JSBSim, recorded to disk"
 
 # what JSBSim takes where a model's file names none
-JSBSIMS_OWN = {
+JSBSIM_MODELS = {
     "rate/rotational": RECTANGULAR,
     "rate/translational": ADAMS_BASHFORTH_2,
     "position/rotational": RECTANGULAR,
@@ -133,9 +126,9 @@ class Flights:
     def fly(self, scenario: Scenario) -> RepeatedFlight:
         """Any flight, closed with the others; recorded in a folder of its own."""
         simulation = self._stack.enter_context(build(scenario))
-        flown = RepeatedFlight(simulation, Path(mkdtemp(dir=self._folder)))
-        self._stack.callback(flown.close)
-        return flown
+        flight = RepeatedFlight(simulation, Path(mkdtemp(dir=self._folder)))
+        self._stack.callback(flight.close)
+        return flight
 
     def __enter__(self) -> Flights:
         return self
@@ -151,7 +144,7 @@ class Flights:
         """Return the jobs: the engines alone, the airframe alone, and whole flights without and with recording."""
         return [
             Job(ENGINES, substeps, self.steps, partial(self._step_engines, substeps)),
-            self._whole[substeps].plain(FLOWN),
+            self._whole[substeps].plain(WHOLE_STEP),
             self.recorded(substeps),
             Job(AIRFRAME, substeps, self.steps, partial(self._fly_airframe, substeps, False)),
             Job(PLAIN, substeps, self.steps, partial(self._fly_airframe, substeps, True)),
@@ -200,17 +193,17 @@ def airframe_alone(simulation: Simulation, steps: int, plain: bool) -> Action:
     moving = [_begin(simulation, more) for more in (0.01, -0.01)]
     frame = simulation.airframe
     if plain:
-        for name, method in JSBSIMS_OWN.items():
+        for name, method in JSBSIM_MODELS.items():
             frame._set(f"simulation/integrator/{name}", method)
     run, more = frame.bare_run(), frame.substeps - 1
     twice = more > 0 and not plain
-    share, write, write_ahead, read = MAKE_UP[IN_THE_AIR], frame._act, frame._act_with, frame._read
+    fraction, write, write_ahead, read = MAKE_UP[IN_THE_AIR], frame._act, frame._act_with, frame._read
 
     def action() -> None:
         for k in range(steps):
             forces = moving[k % 2]
             if twice:
-                write_ahead(forces, ZERO3, ZERO3, share)
+                write_ahead(forces, ZERO3, ZERO3, fraction)
                 run()
                 write(forces, ZERO3, ZERO3)
             else:
@@ -266,9 +259,9 @@ def collect(jobs: Sequence[Job], units: Mapping[int, Job], rounds: int, on_round
     return pairs
 
 
-def differences(ours: Sequence[Pair], theirs: Sequence[Pair]) -> list[Pair]:
+def differences(pairs: Sequence[Pair], less: Sequence[Pair]) -> list[Pair]:
     """Return what a step of one costs more than a step of the other, round by round, in the unit around the first."""
-    return [Pair(Clocked(*map(sub, one.step, other.step)), one.unit) for one, other in zip(ours, theirs, strict=True)]
+    return [Pair(Clocked(*map(sub, one.step, other.step)), one.unit) for one, other in zip(pairs, less, strict=True)]
 
 
 def measure_speed(steps: int, rounds: int, folder: Path, on_round: Callable[[], object]) -> dict[int, dict[str, Cost]]:
@@ -284,7 +277,7 @@ def measure_speed(steps: int, rounds: int, folder: Path, on_round: Callable[[], 
             BARE: Cost.of([Pair(unit, unit) for unit in units]),
             **{name: Cost.of(rows) for name, rows in pairs.items()},
             PRICE: Cost.of(differences(pairs[AIRFRAME], pairs[PLAIN])),
-            OUTSIDE_FLOWN: Cost.of(pairs[FLOWN], less=substeps),
+            OUTSIDE_JSBSIM: Cost.of(pairs[WHOLE_STEP], less=substeps),
             OUTSIDE: Cost.of(pairs[RECORDED], less=substeps),
         }
     return costs

@@ -20,20 +20,14 @@ from typing import Any
 
 from benchmarks.measures.growth import SUBSTEPS, quadrotor
 from benchmarks.measures.speed import Flights, collect, hover
-from benchmarks.timing import (
-    Action,
-    Cost,
-    Job,
-    Pair,
-    Spread,
-)
+from benchmarks.timing import Action, Cost, Job, Pair, Spread
 from cosim import FlightError
 
 PACKAGE = "rotorpy"
 RATES = (250, 400)  # Hz: of the Hex-Jet's control, of our quadrotor's
 FARTHEST_M = 0.1  # from where it is to hover
 
-WHOLE, PLANT = "whole flight", "vehicle alone"
+WHOLE_FLIGHT, PLANT = "whole flight", "vehicle alone"
 
 
 @dataclass(frozen=True)
@@ -63,7 +57,7 @@ class Multirotor:
     missing: str | None
 
 
-OURS = {250: "ours, Hex-Jet", 400: "ours, quadrotor"}
+HEXJET_LABELS = {250: "ours, Hex-Jet", 400: "ours, quadrotor"}
 
 
 def measure_multirotor(seconds: float, rounds: int, folder: Path, on_round: Callable[[], object]) -> Multirotor:
@@ -74,26 +68,26 @@ def measure_multirotor(seconds: float, rounds: int, folder: Path, on_round: Call
     evaluations = {}
     with Flights(250, folder) as flights:
         for rate, scenario in ((250, hover), (400, lambda steps, _: quadrotor(steps))):
-            name = OURS[rate]
+            name = HEXJET_LABELS[rate]
             jobs[name] = rate, flights.fly(scenario(round(seconds * rate), SUBSTEPS)).recorded(name)
             if not isinstance(rotorpy, str):
                 evaluations[rate] = rotorpy.evaluations(rate)
-                for what, action in ((WHOLE, rotorpy.whole), (PLANT, rotorpy.plant)):
-                    name = f"RotorPy, {what}, {rate} Hz"
+                for label, action in ((WHOLE_FLIGHT, rotorpy.whole), (PLANT, rotorpy.plant)):
+                    name = f"RotorPy, {label}, {rate} Hz"
                     steps = round(seconds * rate)
                     jobs[name] = rate, Job(name, SUBSTEPS, steps, partial(action, rate, steps))
         pairs = collect([job for _, job in jobs.values()], flights.units(), rounds, on_round)
     rows = {name: pairs[SUBSTEPS, name] for name in jobs}
-    hovers = {name: _hover(rate, rows[name], rows[OURS[rate]]) for name, (rate, _) in jobs.items()}
+    hovers = {name: _hover(rate, rows[name], rows[HEXJET_LABELS[rate]]) for name, (rate, _) in jobs.items()}
     return Multirotor(seconds, hovers, None if missing else metadata.version(PACKAGE), evaluations, missing)
 
 
-def _hover(rate: int, rows: list[Pair], ours: list[Pair]) -> Hover:
+def _hover(rate: int, rows: list[Pair], hexjet: list[Pair]) -> Hover:
     return Hover(
         rate,
         Cost.of(rows),
         Spread.of([1.0 / (rate * step.wall) for step, _ in rows]),
-        Spread.of([(a.step.cpu / a.unit.cpu) / (b.step.cpu / b.unit.cpu) for a, b in zip(rows, ours, strict=True)]),
+        Spread.of([(a.step.cpu / a.unit.cpu) / (b.step.cpu / b.unit.cpu) for a, b in zip(rows, hexjet, strict=True)]),
     )
 
 
@@ -177,9 +171,9 @@ class RotorPy:
         # it adds up its time: half a step less, and rounding cannot add one
         end = (steps - 0.5) / rate
         result = environment.run(t_final=end, use_mocap=True, terminate=False, plot=False, verbose=False)
-        flown = len(result["time"]) - 1
-        if flown != steps:
-            raise FlightError(f"RotorPy flew {flown} steps of {steps}: {result['exit'].value}")
-        place = [float(value) for value in result["state"]["x"][-1]]
-        if not all(abs(value) < FARTHEST_M for value in place):
-            raise FlightError(f"RotorPy does not hover: it ends at {place} m")
+        steps_flown = len(result["time"]) - 1
+        if steps_flown != steps:
+            raise FlightError(f"RotorPy flew {steps_flown} steps of {steps}: {result['exit'].value}")
+        position = [float(value) for value in result["state"]["x"][-1]]
+        if not all(abs(value) < FARTHEST_M for value in position):
+            raise FlightError(f"RotorPy does not hover: it ends at {position} m")

@@ -73,7 +73,7 @@ def inputs(steps: int) -> list[tuple[float, ...]]:
 
 def find_peers() -> tuple[list[Peer], dict[str, str]]:
     """Those that can be used here, us first, and for the others what is in the way."""
-    peers = [Peer("ours", "hexjet-cosim", _ours), Peer("FMPy's wrappers", "FMPy", _fmpy)]
+    peers = [Peer("ours", "hexjet-cosim", _hexjet), Peer("FMPy's wrappers", "FMPy", _fmpy)]
     missing = {}
     for name, package, prepare in (("ecos", "ecospy", _prepare_ecos), ("libcosim", "libcosimpy", _prepare_libcosim)):
         try:
@@ -92,8 +92,8 @@ def measure_peers(steps: int, rounds: int, folder: Path, on_round: Callable[[], 
         pairs = collect([job for bench in benches for job in bench.jobs()], flights.units(), rounds, on_round)
     costs: dict[str, dict[str, Cost]] = {peer.name: {} for peer in peers}
     for (_, label), rows in pairs.items():
-        name, _, what = label.partition(": ")
-        costs[name][what] = Cost.of(rows)
+        name, _, task = label.partition(": ")
+        costs[name][task] = Cost.of(rows)
     versions = {peer.name: metadata.version(peer.package) for peer in peers}
     return Peers(f"{ENGINE}.fmu", steps, costs, versions, missing)
 
@@ -160,7 +160,7 @@ def _fmu() -> tuple[Path, int, int]:
     return path, references["throttle"], references["thrust"]
 
 
-def _ours(stack: ExitStack) -> Stepper:
+def _hexjet(stack: ExitStack) -> Stepper:
     bank = _bank(stack)
 
     def exchange(k: int, throttles: Throttles) -> Sequence[float]:
@@ -225,8 +225,8 @@ def _prepare_ecos() -> Opener:
 
 
 def _prepare_libcosim() -> Opener:
-    parts = ("Execution", "Slave", "Manipulator", "Observer", "Logging")
-    execution, slave, manipulator, observer, logging = (import_module(f"libcosimpy.Cosim{part}") for part in parts)
+    names = ("Execution", "Slave", "Manipulator", "Observer", "Logging")
+    execution, slave, manipulator, observer, logging = (import_module(f"libcosimpy.Cosim{part}") for part in names)
     logging.log_output_level(logging.CosimLogLevel.FATAL)
 
     def opened(stack: ExitStack) -> Stepper:

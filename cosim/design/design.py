@@ -15,17 +15,7 @@ from cosim.base.signals import AXES
 from cosim.base.storage.toml import merge, parse_setting, set_path
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.design.assessment import Assessment, AxisDesign, assess, predictor_model, shipped
-from cosim.design.levels import (
-    DESIGNED,
-    THRUST_AXES,
-    Level,
-    at_share,
-    follow,
-    keeps,
-    lead_there,
-    levels,
-    schedule,
-)
+from cosim.design.levels import DESIGNED, THRUST_AXES, Level, at_share, follow, keeps, lead_there, levels, schedule
 from cosim.design.limits import Say, bandwidths_without_limits, find_allowances, tolerance_checks, why_not
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, engine_lead, hover_share

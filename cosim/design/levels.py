@@ -18,14 +18,7 @@ from cosim.design.tune import acceptable, fine_loop, near
 from cosim.engine import EngineSpec
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import (
-    EngineLead,
-    Leads,
-    Schedule,
-    ScheduledGains,
-    ThrustLevel,
-    Vehicle,
-)
+from cosim.spec.vehicle import EngineLead, Leads, Schedule, ScheduledGains, ThrustLevel, Vehicle
 
 DESIGNED = (1.0, 0.5, 0.0)  # of the fuel, at first
 PROVED = (1.0, 0.75, 0.5, 0.25, 0.0)  # where a requirement is missed between levels, one is designed there too

@@ -11,14 +11,7 @@ from typing import Any
 from cosim.base.signals import AXES
 from cosim.base.storage.files import finite, write_files
 from cosim.base.storage.toml import toml_text
-from cosim.design.as_flown import (
-    WORSE,
-    WORSE_WORDS,
-    comparison_columns,
-    comparison_lines,
-    comparison_rows,
-    worse_lines,
-)
+from cosim.design.as_flown import WORSE, WORSE_WORDS, comparison_columns, comparison_lines, comparison_rows, worse_lines
 from cosim.design.assessment import Assessment, AxisDesign
 from cosim.design.controller_table import controller_table
 from cosim.design.design import WITH_LEAD, Design

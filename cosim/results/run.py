@@ -20,23 +20,10 @@ from cosim.base.outcomes import Outcome
 from cosim.base.protocols import Column
 from cosim.base.storage.files import locked, write_whole
 from cosim.base.storage.toml import toml_text
-from cosim.results.log.arrow import (
-    ParquetLog,
-    StreamSink,
-    read_note,
-    stream_to_parquet,
-)
+from cosim.results.log.arrow import ParquetLog, StreamSink, read_note, stream_to_parquet
 from cosim.results.log.columns import COLUMNS
-from cosim.results.log.recorder import (
-    BackgroundSink,
-    KeepingSink,
-    Log,
-    MemorySink,
-    Recorder,
-)
-from cosim.results.metrics import (
-    AxisMetrics,
-)
+from cosim.results.log.recorder import BackgroundSink, KeepingSink, Log, MemorySink, Recorder
+from cosim.results.metrics import AxisMetrics
 from cosim.results.summary import Setup, Summary, summarize, summary_json
 from cosim.simulation.pacing import PaceReport
 from cosim.simulation.plugins import CustomMetric, refuse_metric

@@ -74,58 +74,57 @@ class Panel(NamedTuple):
     x_range: tuple[float, float] | None = None
     y_range: tuple[float, float] | None = None
     x_log: bool = False
-    y_log: bool = False
 
 
 def paper_figures(reproduction: Reproduction) -> dict[str, Figure]:
     """Draw every figure of the page, by the name that its template has for it."""
     part = reproduction.linear
     both = (part.results, reproduction.flight_results)
-    made = {f"step-{n}": panels([_pair(both, f"step-{n}", COMPARED, "angle", 30.0)]) for n in (5, 10, 25)}
-    made |= {f"disturbance-{n}": panels([_pair(both, f"disturbance-{n}", COMPARED, "rate", 9.0)]) for n in (5, 10)}
-    made["identification"] = identification(reproduction)
-    made["bode"] = bode(part.sweeps, reproduction.flight_sweeps)
-    made |= {f"payload-{n}": _payload(both, n) for n in (5, 10)}
-    made["disturbance-payload"] = panels(
+    figures = {f"step-{n}": panels([_pair(both, f"step-{n}", COMPARED, "angle", 30.0)]) for n in (5, 10, 25)}
+    figures |= {f"disturbance-{n}": panels([_pair(both, f"disturbance-{n}", COMPARED, "rate", 9.0)]) for n in (5, 10)}
+    figures["identification"] = identification(reproduction)
+    figures["bode"] = bode(part.sweeps, reproduction.flight_sweeps)
+    figures |= {f"payload-{n}": _payload(both, n) for n in (5, 10)}
+    figures["disturbance-payload"] = panels(
         [_pair(both, "disturbance-5-payload", ("smith", "state", STATE_AS_PRINTED), "rate", 9.0)]
     )
     for name in ("hexjet-doublet", "hexjet-doublet-calibrated"):
-        made[name] = panels([_pair(both, name, ("baseline", "smith"), "angle", 30.0)])
-    made["manual"] = manual(reproduction)
+        figures[name] = panels([_pair(both, name, ("baseline", "smith"), "angle", 30.0)])
+    figures["manual"] = manual(reproduction)
     for vehicle in ("quadrotor", "hexjet"):
-        made[f"robustness-{vehicle}"] = robustness(
+        figures[f"robustness-{vehicle}"] = robustness(
             [robustness_map for robustness_map in part.maps if robustness_map.vehicle == vehicle]
         )
-    made["delay"] = delays(reproduction)
-    made["offset"] = offsets(reproduction)
-    made["turbojet"] = turbojet(reproduction)
-    return made
+    figures["delay"] = delays(reproduction)
+    figures["offset"] = offsets(reproduction)
+    figures["turbojet"] = turbojet(reproduction)
+    return figures
 
 
 # --- the paper's ----------------------------------------------------------------------------------------------------
 
 
 def _pair(
-    both: Sequence[Mapping[str, Result]], experiment: str, controllers: Sequence[str], what: str, limit: float
+    both: Sequence[Mapping[str, Result]], experiment: str, controllers: Sequence[str], quantity: str, limit: float
 ) -> list[Panel]:
     """Draw one experiment in both fidelities on one scale, which ends where an unstable loop would spoil it."""
     drawn = []
     for results, title in zip(both, FIDELITIES, strict=True):
         present = {c: results[f"{experiment}.{c}"] for c in controllers if f"{experiment}.{c}" in results}
-        curves = [_curve(result, what, NAMES[c], COLOURS[c]) for c, result in present.items()]
-        if present and what == "angle":
+        curves = [_curve(result, quantity, NAMES[c], COLOURS[c]) for c, result in present.items()]
+        if present and quantity == "angle":
             longest = max(present.values(), key=lambda result: len(result.time))  # a lost flight ends early
             curves.insert(0, Curve("set-point", longest.time, np.degrees(longest.setpoint), GREY, "dash", 1.3))
         drawn.append((title, curves))
-    return [Panel(title, "time [s]", _unit(what), curves, y_range=(-limit, limit)) for title, curves in drawn]
+    return [Panel(title, "time [s]", _unit(quantity), curves, y_range=(-limit, limit)) for title, curves in drawn]
 
 
-def _unit(what: str) -> str:
-    return "roll [deg]" if what == "angle" else "roll rate [rad/s]"
+def _unit(quantity: str) -> str:
+    return "roll [deg]" if quantity == "angle" else "roll rate [rad/s]"
 
 
-def _curve(result: Result, what: str, name: str, colour: str, dash: str = "solid") -> Curve:
-    values = np.degrees(result.angle) if what == "angle" else np.array(result.rate)
+def _curve(result: Result, quantity: str, name: str, colour: str, dash: str = "solid") -> Curve:
+    values = np.degrees(result.angle) if quantity == "angle" else np.array(result.rate)
     return Curve(name, result.time, values, colour, dash)
 
 
@@ -163,15 +162,15 @@ def identification(reproduction: Reproduction) -> Figure:
     titles = {"turbojet": "turbojet, kgf", "edf": "EDF, kgf", "roll": "Hex-Jet roll, rad/s"}
     ends = (log10(0.1), log10(10.0))
     rows: list[list[Panel]] = []
-    for what, label in (("gain", "gain [dB]"), ("phase", "phase [deg]")):
+    for part, label in (("gain", "gain [dB]"), ("phase", "phase [deg]")):
         row = []
         for name, response in printed.items():
-            curve = 20.0 * np.log10(np.abs(response)) if what == "gain" else np.degrees(np.unwrap(np.angle(response)))
+            curve = 20.0 * np.log10(np.abs(response)) if part == "gain" else np.degrees(np.unwrap(np.angle(response)))
             curves = [Curve("printed", hertz.tolist(), curve, GREY)]
             measured = reproduction.identified.responses.get(name)
             if measured:
-                points = np.array(getattr(measured, what))
-                if what == "phase":  # on the printed model's turn of the circle
+                points = np.array(getattr(measured, part))
+                if part == "phase":  # on the printed model's turn of the circle
                     points += 360.0 * np.round((np.interp(measured.hertz[0], hertz, curve) - points[0]) / 360.0)
                 curves.append(Curve("ours, swept", measured.hertz, points, BLUE, mode="markers"))
             row.append(Panel(titles[name], "frequency [Hz]", label, curves, x_range=ends, x_log=True))
@@ -182,11 +181,11 @@ def identification(reproduction: Reproduction) -> Figure:
 def bode(linear: Mapping[str, Sweep], measured: Mapping[str, Sweep]) -> Figure:
     """Draw gain and phase of the measured open loops."""
     rows = []
-    for what, title, limits in (("gain", "gain of C G* [dB]", (-18.0, 24.0)), ("phase", "phase [deg]", (-400.0, 0.0))):
+    for part, title, limits in (("gain", "gain of C G* [dB]", (-18.0, 24.0)), ("phase", "phase [deg]", (-400.0, 0.0))):
         row = []
         for sweeps, name in zip((linear, measured), FIDELITIES, strict=True):
-            curves = [Curve(NAMES[c], s.frequency, getattr(s, what), COLOURS[c]) for c, s in sweeps.items()]
-            level = 0.0 if what == "gain" else -180.0
+            curves = [Curve(NAMES[c], s.frequency, getattr(s, part), COLOURS[c]) for c, s in sweeps.items()]
+            level = 0.0 if part == "gain" else -180.0
             curves.append(Curve("0 dB, -180 deg", [0.5, 20.0], [level, level], GREY, "dot", 1.2))
             ends = (log10(0.5), log10(20.0))
             row.append(Panel(name, "frequency [Hz]", title, curves, x_range=ends, y_range=limits, x_log=True))
@@ -301,14 +300,14 @@ def _map_traces(robustness_map: RobustnessMap, x: str, y: str, with_scale: bool)
 def delays(reproduction: Reproduction) -> Figure:
     """Draw tracking error and peak sensitivity over the delay; a line ends where its loop is unstable."""
     rows = []
-    for what, title, limits in (("rmse", "RMSE [deg]", None), ("sensitivity", "peak sensitivity", (0.0, 8.0))):
+    for quantity, title, limits in (("rmse", "RMSE [deg]", None), ("sensitivity", "peak sensitivity", (0.0, 8.0))):
         row = []
         for vehicle in ("quadrotor", "hexjet"):
             curves = []
             for (of, controller), points in reproduction.linear.delays.items():
                 if of == vehicle:
-                    values = [getattr(point, what) for point in points]
-                    if what == "rmse":
+                    values = [getattr(point, quantity) for point in points]
+                    if quantity == "rmse":
                         values = [None if value is None else float(np.degrees(value)) for value in values]
                     x = [point.delay for point in points]
                     curves.append(Curve(NAMES[controller], x, values, COLOURS[controller], mode="lines+markers"))
@@ -321,7 +320,7 @@ def delays(reproduction: Reproduction) -> Figure:
 
 def offsets(reproduction: Reproduction) -> Figure:
     """Draw roll after the onset of a constant disturbance, on the linear plant and in flight."""
-    known, in_flight = (
+    linear, in_flight = (
         [
             Curve(NAMES[offset.controller], offset.time, np.degrees(angle), COLOURS[offset.controller])
             for offset, angle in pairs
@@ -333,7 +332,7 @@ def offsets(reproduction: Reproduction) -> Figure:
     )
     titles = ("linear plant: constant roll command", "six degrees of freedom: half a kilogram 1 cm to the right")
     return panels(
-        [[Panel(title, "time [s]", "roll [deg]", c) for title, c in zip(titles, (known, in_flight), strict=True)]],
+        [[Panel(title, "time [s]", "roll [deg]", c) for title, c in zip(titles, (linear, in_flight), strict=True)]],
         panel_height=300,
     )
 
@@ -347,13 +346,13 @@ def turbojet(reproduction: Reproduction) -> Figure:
     layout["margin"]["b"] = 64  # two lines
     data = []
     for engine, colour in (("edf-as-flown", ORANGE), ("turbojet", BLUE)):
-        mine = [reach for reach in reaches if reach.engine == engine]
+        of_engine = [reach for reach in reaches if reach.engine == engine]
         data.append(
             {
                 "type": "bar",
                 "name": engine,
-                "x": [SHORT[reach.controller].replace(", ", ",<br>") for reach in mine],
-                "y": [reach.bandwidth for reach in mine],
+                "x": [SHORT[reach.controller].replace(", ", ",<br>") for reach in of_engine],
+                "y": [reach.bandwidth for reach in of_engine],
                 "marker": {"color": colour},
                 "hovertemplate": "%{x}: %{y:.3f} Hz<extra></extra>",
             }
@@ -368,7 +367,7 @@ def panels(rows: Sequence[Sequence[Panel]], panel_height: int = 250) -> Figure:
     """Draw panels in rows and columns with one legend; a panel without curves says that it was not flown."""
     layout = _layout(len(rows) * panel_height + 90) | {"annotations": []}
     data: list[Figure] = []
-    shown: set[str] = set()
+    labels: set[str] = set()
     columns = len(rows[0])
     for row, across in enumerate(rows):
         for column, panel in enumerate(across):
@@ -396,8 +395,8 @@ def panels(rows: Sequence[Sequence[Panel]], panel_height: int = 250) -> Figure:
                 layout["annotations"].append(_heading("not flown", x, y) | {"y": 0.5, "x": 0.5, "xanchor": "center"})
                 data.append({"type": "scatter", "x": [None], "y": [None], "xaxis": x, "yaxis": y, "showlegend": False})
             for curve in panel.curves:
-                data.append(_trace(curve, x, y) | {"showlegend": curve.name not in shown})
-                shown.add(curve.name)
+                data.append(_trace(curve, x, y) | {"showlegend": curve.name not in labels})
+                labels.add(curve.name)
     return {"data": data, "layout": layout}
 
 

@@ -104,8 +104,8 @@ def counts_in_words(claims: Iterable[ClaimRow]) -> str:
     )
     if without := linear["not flown"]:
         text = f"{text}; {without} are of a flight that the linear plant does not have"
-    left = flight["not flown"]
-    return f"{text}; {left} were not flown." if left else f"{text}."
+    not_flown = flight["not flown"]
+    return f"{text}; {not_flown} were not flown." if not_flown else f"{text}."
 
 
 def verified_in_words(reproduction: Reproduction) -> str:
@@ -135,11 +135,11 @@ def margin_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
 
 def offset_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
     """Return roll under a constant disturbance, degrees, by controller."""
-    known = {offset.controller: offset for offset in reproduction.linear.offsets}
+    linear_offsets = {offset.controller: offset for offset in reproduction.linear.offsets}
     late = {offset.controller: offset.late for offset in reproduction.offsets}
     rows = []
-    for controller in [name for name in NAMES if name in known or name in late]:
-        linear = known.get(controller)
+    for controller in [name for name in NAMES if name in linear_offsets or name in late]:
+        linear = linear_offsets.get(controller)
         values: list[float | None] = [linear.peak, linear.early, linear.late] if linear else [None] * 3
         values.append(late.get(controller))
         rows.append(

@@ -19,14 +19,14 @@ from hexjet_paper.report.readings import model_error_table, model_errors_in_word
 if TYPE_CHECKING:
     from hexjet_paper.report.result import Reproduction
 
-COUNTS, DOUBLET, HELD, DIFFERS, CONSTRUCTED, TURBOJET = (
+COUNTS, DOUBLET, HELD_CLAIMS, DIFFERS, CONSTRUCTED, TURBOJET = (
     "paper: " + part for part in ("counts", "doublet", "held", "differs", "by construction", "turbojet")
 )
 READINGS, CONSISTENT, VERIFIED, OFF, OFF_IN_A_LINE = (
     "paper: " + part for part in ("readings", "consistency", "verification", "model errors", "model errors in a line")
 )
 NAMED = (
-    COUNTS, DOUBLET, HELD, DIFFERS, CONSTRUCTED, TURBOJET, READINGS, CONSISTENT, VERIFIED, OFF, OFF_IN_A_LINE,
+    COUNTS, DOUBLET, HELD_CLAIMS, DIFFERS, CONSTRUCTED, TURBOJET, READINGS, CONSISTENT, VERIFIED, OFF, OFF_IN_A_LINE,
 )  # fmt: skip
 
 
@@ -41,9 +41,9 @@ def check_page(path: Path) -> None:
 
 def write_page(path: Path, reproduction: Reproduction) -> None:
     """Write into the page those of the parts for which it has marks.  Raises InputError as :func:`write_marks`."""
-    made = page_parts(reproduction)
+    parts = page_parts(reproduction)
     present = parts_of(path.read_text(encoding="utf-8"), path)
-    write_marks(path, {name: text for name, text in made.items() if name in present})
+    write_marks(path, {name: text for name, text in parts.items() if name in present})
 
 
 def page_parts(reproduction: Reproduction) -> dict[str, str]:
@@ -51,7 +51,7 @@ def page_parts(reproduction: Reproduction) -> dict[str, str]:
     return {
         COUNTS: counts_in_words(reproduction.claims) + "\n",
         DOUBLET: _doublet(reproduction),
-        HELD: _claims_that_hold(reproduction),
+        HELD_CLAIMS: _claims_that_hold(reproduction),
         DIFFERS: _claims_that_differ(reproduction),
         CONSTRUCTED: constructed_table(reproduction.claims),
         TURBOJET: _turbojet(reproduction),
@@ -124,7 +124,7 @@ def _settling(metrics: Metrics) -> str:
 def _claims_that_hold(reproduction: Reproduction) -> str:
     """Return the list of the paper's main claims, with the numbers of both fidelities."""
     claims = {row.key: row for row in reproduction.claims}
-    ours = {row.key: row for row in reproduction.rows}
+    rows = {row.key: row for row in reproduction.rows}
 
     def both(*keys: str) -> bool:
         return all(_agrees(judged) for key in keys for judged in (claims[key].linear, claims[key].flight))
@@ -134,7 +134,7 @@ def _claims_that_hold(reproduction: Reproduction) -> str:
 
     computed = reproduction.linear.evidence.margins["smith"].phase_margin or 0.0
     measured = reproduction.flight_evidence.margins["smith"].phase_margin or 0.0
-    less, faster = ours["hexjet.less_overshoot"], ours["hexjet.faster_settling"]
+    less, faster = rows["hexjet.less_overshoot"], rows["hexjet.faster_settling"]
     delay = next(condition.values for condition in reproduction.linear.conditions if condition.key == "baseline-delay")
     lines = [
         sentence(
@@ -168,9 +168,9 @@ def _claims_that_differ(reproduction: Reproduction) -> str:
     linear, flight = reproduction.linear.evidence, reproduction.flight_evidence
     margins = linear.margins
 
-    def growth(new: str, old: str, what: str, evidence: Evidence = flight) -> str:
+    def growth(new: str, old: str, quantity: str, evidence: Evidence = flight) -> str:
         metrics = evidence.metrics
-        return f"{100.0 * (getattr(metrics[new], what) / getattr(metrics[old], what) - 1.0):+.0f} %"
+        return f"{100.0 * (getattr(metrics[new], quantity) / getattr(metrics[old], quantity) - 1.0):+.0f} %"
 
     pair, unseen = (
         ("disturbance-10.smith", "disturbance-5.smith"),

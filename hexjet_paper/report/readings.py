@@ -64,7 +64,7 @@ def readings_table(results: list[ReadingResult]) -> Table:
         if name == "fitted":
             rows.append(line("doublet, each half", [f"{r.trial(name, 'smith').each_s:.0f} s" for r in results]))
         for controller in ("baseline", "smith"):
-            cells = [_flown(r.trial(name, controller)) for r in results]
+            cells = [_outcome(r.trial(name, controller)) for r in results]
             rows.append(line(f"{'Smith' if controller == 'smith' else controller}, {title}", cells))
         if name == "fitted":
             cells = [", ".join(f"x {r.largest_gains[c]:.2f}" for c in ("baseline", "smith")) for r in results]
@@ -86,7 +86,7 @@ def _lag(pole: float) -> float:
     return -numbers.value("hexjet.step") / log(pole)
 
 
-def _flown(trial: Trial) -> str:
+def _outcome(trial: Trial) -> str:
     if trial.lost_s is not None:
         return f"lost at {trial.lost_s:.1f} s"
     m = trial.flight

@@ -45,14 +45,7 @@ from cosim.simulation.axis_chain import (
 )
 from cosim.simulation.controllers.allocators import effectiveness_of
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import (
-    EngineLead,
-    Hinge,
-    RateModel,
-    Sensors,
-    Servo,
-    Vehicle,
-)
+from cosim.spec.vehicle import EngineLead, Hinge, RateModel, Sensors, Servo, Vehicle
 
 OTHERS_POINTS = 160  # frequencies at which what others add to an axis is computed: 4 % apart, more counts below than is
 MET = 0.5  # of all delay at low frequency or of the pace: as far may the two be apart; one lag alone has 0.64

@@ -25,12 +25,7 @@ from cosim.base.arrays import Array, Complex
 from cosim.control.lead import lead_polynomials
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.loop.channel import Channel, angles
-from cosim.design.loop.frequency import (
-    LoopMargins,
-    loop_margins,
-    pid_response,
-    zeros_outside,
-)
+from cosim.design.loop.frequency import LoopMargins, loop_margins, pid_response, zeros_outside
 from cosim.design.loop.state_space import Space, Steps
 from cosim.design.loop.tuning import Tuning
 

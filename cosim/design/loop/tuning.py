@@ -9,12 +9,7 @@ from cosim.base.errors import InputError, nearest
 from cosim.control.predictors.linear import PairResponse, PredictorSpace
 from cosim.control.predictors.registry import PREDICTORS, PredictorSpec
 from cosim.design.loop.firmware import Firmware
-from cosim.spec.vehicle import (
-    EngineLead,
-    PredictorTuning,
-    RateGains,
-    RateModel,
-)
+from cosim.spec.vehicle import EngineLead, PredictorTuning, RateGains, RateModel
 
 
 def candidates() -> tuple[str, ...]:

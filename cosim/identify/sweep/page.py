@@ -15,12 +15,7 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.storage.files import write_files
 from cosim.base.storage.toml import toml_text
-from cosim.identify.sweep.result import (
-    Identification,
-    equations,
-    fit_rows,
-    rate_response,
-)
+from cosim.identify.sweep.result import Identification, equations, fit_rows, rate_response
 from cosim.results.report.page import render
 from cosim.results.report.plot import BLUE, GREEN, GREY, HOVER, MAGENTA, ORANGE, Figure, axis_name, panels, trace
 

@@ -13,13 +13,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.identify.sweep.fit import LEAST_COHERENCE, Fit
 from cosim.identify.sweep.response import FrequencyResponse, shortest_record
-from cosim.identify.sweep.verdict import (
-    all_delay_is_determined,
-    half_width,
-    is_determined,
-    is_none,
-    why_refused,
-)
+from cosim.identify.sweep.verdict import all_delay_is_determined, half_width, is_determined, is_none, why_refused
 from cosim.spec.vehicle import RateModel
 
 CHIRP_MARGIN = (0.7, 1.2)  # the chirp runs from this times the lowest to this times the highest frequency of the band

@@ -14,12 +14,7 @@ from typing import Any, NamedTuple
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import own_file
 from cosim.control.autopilot.autopilot import Autopilot
-from cosim.control.autopilot.requests import (
-    Answer,
-    Request,
-    from_dict,
-    to_dict,
-)
+from cosim.control.autopilot.requests import Answer, Request, from_dict, to_dict
 
 _ENTRY_KEYS = ("step", "sender", "result", "text", "asked")  # keys of a line that are not the request's
 

@@ -21,13 +21,7 @@ from cosim.results.report.signals_data import FlightData, run_data, vehicle_of
 from cosim.results.run import LOG, SCENARIO, Run
 from cosim.results.summary import DelayRow, Summary
 from cosim.results.verdict import BADGES
-from cosim.results.wording import (
-    AXIS_ROWS,
-    NONE,
-    WHOLE_ROWS,
-    metric,
-    show_value,
-)
+from cosim.results.wording import AXIS_ROWS, NONE, WHOLE_ROWS, metric, show_value
 
 KINDS = {
     "fault": "fault",

@@ -51,7 +51,7 @@ from benchmarks.suite import (
     measure,
 )
 from benchmarks.tables import spread
-from benchmarks.targets import TargetResult, judge, to_dict, vehicle_targets
+from benchmarks.targets import TargetResult, judge_targets, to_dict, vehicle_targets
 from benchmarks.timing import (
     Clocked,
     Cost,
@@ -166,10 +166,10 @@ def test_every_package_that_is_needed_is_stated() -> None:
 def test_a_step_costs_something_in_every_way(result: dict[str, Any], substeps: int) -> None:
     costs = result["step"][str(substeps)]
     assert set(costs) == {
-        speed.BARE, speed.ENGINES, speed.FLOWN, speed.RECORDED, speed.AIRFRAME, speed.PLAIN, speed.PRICE,
-        speed.OUTSIDE_FLOWN, speed.OUTSIDE,
+        speed.BARE, speed.ENGINES, speed.WHOLE_STEP, speed.RECORDED, speed.AIRFRAME, speed.PLAIN, speed.PRICE,
+        speed.OUTSIDE_JSBSIM, speed.OUTSIDE,
     }  # fmt: skip
-    for name in (speed.BARE, speed.ENGINES, speed.FLOWN, speed.RECORDED, speed.AIRFRAME, speed.PLAIN):
+    for name in (speed.BARE, speed.ENGINES, speed.WHOLE_STEP, speed.RECORDED, speed.AIRFRAME, speed.PLAIN):
         for clock in ("wall_us", "cpu_us", "units", "units_wall", "units_process"):
             spread = costs[name][clock]
             assert 0.0 < spread["least"] <= spread["low"] <= spread["median"] <= spread["high"], (name, clock)
@@ -180,7 +180,7 @@ def test_a_step_costs_something_in_every_way(result: dict[str, Any], substeps: i
 def test_what_is_not_jsbsim_is_the_whole_less_its_runs(result: dict[str, Any], substeps: int) -> None:
     """Exactly, round by round, and so in the median and the quartiles too."""
     costs = result["step"][str(substeps)]
-    for outside, whole in ((speed.OUTSIDE, speed.RECORDED), (speed.OUTSIDE_FLOWN, speed.FLOWN)):
+    for outside, whole in ((speed.OUTSIDE, speed.RECORDED), (speed.OUTSIDE_JSBSIM, speed.WHOLE_STEP)):
         for quantile in ("median", "low", "high", "least"):
             assert costs[outside]["units"][quantile] == pytest.approx(costs[whole]["units"][quantile] - substeps)
 
@@ -213,7 +213,7 @@ def test_every_engine_that_is_there_is_timed(result: dict[str, Any]) -> None:
 @pytest.mark.long
 def test_what_is_asked_for(measured: Result) -> None:
     """The figures that decide, by the medians that were measured."""
-    rows = {row.name: row for row in judge(measured)}
+    rows = {row.name: row for row in judge_targets(measured)}
     assert measured.step is not None
     assert measured.campaign is not None
     for runs, most in ((1, 4.5), (4, 2.0)):
@@ -229,7 +229,7 @@ def test_what_is_asked_for(measured: Result) -> None:
     share = rows["gain by a second worker, by bare JSBSim's"]
     assert (share.measured, share.bound, share.least) == (measured.campaign.share, 0.95, True)
     assert rows["from command to first step"].bound == 1.5
-    assert not judge(replace(measured, **dict.fromkeys(PARTS)))  # what was not measured is not judged
+    assert not judge_targets(replace(measured, **dict.fromkeys(PARTS)))  # what was not measured is not judged
 
 
 @pytest.mark.parametrize(("median", "least", "met"), [(1.9, False, True), (2.1, False, False), (1.9, True, False)])
@@ -701,7 +701,7 @@ def test_the_help_names_every_part() -> None:
     "name",
     [
         blocks.COMMAND, blocks.DISTURBANCE, blocks.ATTITUDE, blocks.RATE, blocks.ALTITUDE, blocks.ALLOCATION,
-        blocks.ENGINES, blocks.SERVOS, blocks.SENSORS, blocks.JUDGE,
+        blocks.ENGINES, blocks.SERVOS, blocks.SENSORS, blocks.END_CHECK,
     ],
 )  # fmt: skip
 def test_a_block_alone_does_what_it_did_in_flight(replayed: list[Block], name: str) -> None:

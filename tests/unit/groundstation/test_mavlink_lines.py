@@ -550,6 +550,6 @@ def test_docs_ground_station_md_states_what_a_line_carries() -> None:
     assert told[1] == 5760
     assert told[2] == pytest.approx(carried, abs=0.5)
     # two digits are written
-    assert told[3:8] == pytest.approx([rates[name] for name in ground_station.SHOWN], rel=0.05)
+    assert told[3:8] == pytest.approx([rates[name] for name in ground_station.COUNTED], rel=0.05)
     assert told[8] == pytest.approx(max(late), abs=0.006)
     assert max(late) < 0.2
