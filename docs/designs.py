@@ -32,7 +32,7 @@ from cosim.design import design as make
 from cosim.design.as_flown import WORSE
 from cosim.design.controller_table import controller_table, proof_record
 from cosim.design.design import Design
-from cosim.design.levels import DESIGNED, THRUST_AXES, at_share
+from cosim.design.levels import DESIGNED, THRUST_AXES, tunings_at
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
@@ -248,7 +248,7 @@ def heavier(name: str) -> str:
         if level.fuel not in DESIGNED:
             continue
         row = [f"{100.0 * level.fuel:.0f} %"]
-        for tuning in (full["roll"], at_share(plan, full, level.share, scenario.step_s)["roll"]):
+        for tuning in (full["roll"], tunings_at(plan, full, level.share, scenario.step_s)["roll"]):
             for inertia in (1.0, 1.25):
                 roll = level.channels["roll"]
                 closed = ClosedLoop(FrequencyGrid(replace(roll, gain=roll.gain / inertia), close=FINE), tuning)

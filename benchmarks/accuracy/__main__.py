@@ -64,7 +64,7 @@ def flight_table() -> str:
                 wrong = error(fly_again(course, scheme, runs)[1], truth)
                 rows.append(
                     [
-                        f"{course.title}, {len(course.held) * course.step:.1f} s",
+                        f"{course.title}, {len(course.inputs) * course.step:.1f} s",
                         scheme.title,
                         str(runs),
                         f"{wrong.attitude_deg:.1e}",

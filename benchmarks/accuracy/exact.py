@@ -47,7 +47,7 @@ class Motion:
     attitude: Array  # body to NED, 3 x 3
     rate: Array  # rad/s, body, against the Earth
     velocity: Array  # m/s, NED
-    place: Array  # m, Earth-centred, Earth-fixed
+    position: Array  # m, Earth-centred, Earth-fixed
 
 
 def cross(a: Array, b: Array) -> Array:

@@ -56,7 +56,7 @@ class Course:
     folder: Any
     step: float
     initial: Initial
-    held: list[StepInputs]
+    inputs: list[StepInputs]
     study: bool = True  # of methods and runs; else as flown and with masses left to JSBSim
 
 
@@ -64,13 +64,13 @@ class _Inputs:
     """What the airframe of a flight was given in each of its steps."""
 
     def __init__(self, simulation: Simulation, momentum: Vector3) -> None:
-        self.held: list[StepInputs] = []
+        self.inputs: list[StepInputs] = []
         self._frame, self._propulsion, self._momentum = simulation.airframe, simulation.propulsion, momentum
 
     def observe(self, sample: Sample) -> None:
         frame = self._frame
         twist = np.subtract(frame._twisted, sample.disturbance.moment).tolist()
-        self.held.append(
+        self.inputs.append(
             StepInputs(
                 tuple(frame._forces),
                 sample.disturbance,
@@ -92,7 +92,7 @@ def course(
     with build(scenario) as simulation:
         inputs = _Inputs(simulation, momentum)
         ending = simulation.run([inputs])
-    step_inputs = inputs.held if ending.outcome == "completed" else inputs.held[:-1]
+    step_inputs = inputs.inputs if ending.outcome == "completed" else inputs.inputs[:-1]
     vehicle, folder = load_vehicle(scenario.aircraft, scenario.vehicle)
     return Course(title, vehicle, folder, scenario.step_s, scenario.initial, step_inputs, study)
 
@@ -141,7 +141,7 @@ def seen(state: State, position: tuple[float, float, float]) -> Motion:
 
 def fly_again(course: Course, scheme: Scheme, runs: int) -> tuple[Motion, list[Motion]]:
     """Return the airframe's motion at the start, and after every step."""
-    spins = any(any(held.momentum) for held in course.held)
+    spins = any(any(each.momentum) for each in course.inputs)
     frame = Airframe(course.vehicle, course.folder, Environment(), course.step, runs, 1, spins)
 
     def where() -> tuple[float, float, float]:
@@ -170,12 +170,12 @@ def fly_again(course: Course, scheme: Scheme, runs: int) -> tuple[Motion, list[M
         return seen(state, where())
 
     try:
-        first = course.held[0]
+        first = course.inputs[0]
         spin = first.momentum if spins else None
         state = frame.reset(course.initial, list(first.forces), first.disturbance.wind, spin, first.burnt)
         begin = seen(state, where())
         use()
-        motions = [step(held) for held in course.held]
+        motions = [step(each) for each in course.inputs]
     finally:
         frame.close()
     return begin, motions
@@ -194,9 +194,9 @@ class Error:
 def exact(course: Course, parts: int = 2) -> list[Motion]:
     """Return the motion after every step by independent integration of a course."""
     earth = Environment()
-    begin, _ = fly_again(replace(course, held=course.held[:1]), SCHEMES["flown"], 1)
+    begin, _ = fly_again(replace(course, inputs=course.inputs[:1]), SCHEMES["flown"], 1)
     state = start(earth.latitude_deg, earth.longitude_deg, earth.ground_m + course.initial.altitude_m, begin)
-    return integrate(course.vehicle, state, course.held, course.step, parts, NO_PAYLOAD)
+    return integrate(course.vehicle, state, course.inputs, course.step, parts, NO_PAYLOAD)
 
 
 CLOSED = (
@@ -284,7 +284,7 @@ def error(one: list[Motion], other: list[Motion]) -> Error:
         angles.append(np.linalg.norm(sine))
         rates.append(np.linalg.norm(a.rate - b.rate))
         speeds.append(np.linalg.norm(a.velocity - b.velocity))
-        positions.append(np.linalg.norm(a.place - b.place))
+        positions.append(np.linalg.norm(a.position - b.position))
     return Error(
         float(np.degrees(max(angles))),
         float(np.degrees(max(rates))),

@@ -19,7 +19,7 @@ from pathlib import Path
 from types import TracebackType
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import lock, map_os_errors, one_line, own_file
+from cosim.base.storage.files import lock, map_os_errors, one_line, own_file, write_all
 from cosim.base.trust import looking
 from cosim.campaign.columns import stored_kinds, write_columns
 from cosim.campaign.folder import (
@@ -427,10 +427,8 @@ def _sync_folder(folder: Path) -> None:
 def _append(file: int, path: Path, line: str) -> None:
     """Write a line as a whole or not at all.  Raises FlightError."""
     size = os.fstat(file).st_size
-    rest = line.encode()
     try:
-        while rest:
-            rest = rest[os.write(file, rest) :]
+        write_all(file, line.encode())
     except OSError as error:
         os.ftruncate(file, size)
         raise FlightError(f"{path}: {one_line(error)}") from error

@@ -51,19 +51,19 @@ WORSE_WORDS = (
 class FlownMeasures:
     """The measured numbers of one flight.
 
-    ``lost``: how a flight ended that was not completed, empty for one that was; ``steps``: whether it was asked for
+    ``failure``: how a flight ended that was not completed, empty for one that was; ``steps``: whether it was asked for
     steps; ``values``: by the keys of :data:`MEASURES`, empty for a flight that was lost, None for what such a flight
     does not tell (of a step that did not settle the settling time).
     """
 
-    lost: str
+    failure: str
     steps: bool
     values: Mapping[str, float | None]
 
     def cell(self, key: str) -> str:
         """Return a measure as text, or why there is none."""
-        if self.lost:
-            return self.lost
+        if self.failure:
+            return self.failure
         value = self.values.get(key)
         if value is not None:
             return f"{value:.{MEASURES[key].digits}f}"
@@ -80,7 +80,7 @@ class FlownPair:
 
     def worse(self) -> dict[str, float]:
         """Return the measures that are worse as designed, by key, with the factor; infinite where there was none."""
-        if self.shipped.lost or self.designed.lost:
+        if self.shipped.failure or self.designed.failure:
             return {}
         factors = {}
         for key, measure in MEASURES.items():
@@ -116,8 +116,8 @@ def _degrees(value: float | None) -> float | None:
 
 def worse_lines(pairs: Sequence[FlownPair]) -> list[str]:
     """Return a sentence for each flight that is lost as designed alone, and each measure that is worse in the worst."""
-    newly_lost = [pair for pair in pairs if pair.designed.lost and not pair.shipped.lost]
-    lines = [f"{WORSE}: {pair.flight} {pair.designed.lost}, which the gains that ship fly" for pair in newly_lost]
+    newly_lost = [pair for pair in pairs if pair.designed.failure and not pair.shipped.failure]
+    lines = [f"{WORSE}: {pair.flight} {pair.designed.failure}, which the gains that ship fly" for pair in newly_lost]
     factors_of_pairs = [(pair, pair.worse()) for pair in pairs]
     for key, measure in MEASURES.items():
         hit = [(factors[key], pair) for pair, factors in factors_of_pairs if key in factors]
@@ -138,7 +138,7 @@ def comparison_lines(pairs: Sequence[FlownPair]) -> list[str]:
     """Return what a reader has to know first of the comparison: what is worse, or that nothing is."""
     if not pairs:
         return []
-    lost_flights = [f"{pair.flight} {pair.shipped.lost}" for pair in pairs if pair.shipped.lost]
+    lost_flights = [f"{pair.flight} {pair.shipped.failure}" for pair in pairs if pair.shipped.failure]
     shipped_losses = [f"the gains that ship do not fly this engine: {', '.join(lost_flights)}"] if lost_flights else []
     worse = worse_lines(pairs)
     if worse or len(lost_flights) == len(pairs):

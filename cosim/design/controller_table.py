@@ -81,9 +81,11 @@ def controller_table(design: Design) -> dict[str, Any]:
             LevelRecord(
                 fuel=level.level.fuel,
                 mass_kg=round_gain(level.level.mass_kg),
-                share=round_gain(level.level.share),
+                share=round_gain(level.level.thrust_fraction),
                 designed=level.designed,
-                held={axis: state.peak_sensitivity for axis, state in level.held.items() if state.peak_sensitivity},
+                held={
+                    axis: state.peak_sensitivity for axis, state in level.unscheduled.items() if state.peak_sensitivity
+                },
                 axes={axis: _record(state) for axis, state in level.after.items() if state.stable},
             )
             for level in design.levels
@@ -107,7 +109,7 @@ def proof_record(proof: Proof) -> ProofRecord:
         flown=[
             FlownRecord(
                 flight=pair.flight,
-                shipped_lost=pair.shipped.lost,
+                shipped_lost=pair.shipped.failure,
                 shipped=_rounded_measures(pair.shipped),
                 designed=_rounded_measures(pair.designed),
             )

@@ -15,7 +15,7 @@ from cosim.base.signals import AXES
 from cosim.base.storage.toml import merge, parse_setting, set_path
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.design.assessment import Assessment, AxisDesign, assess, predictor_model, shipped
-from cosim.design.levels import DESIGNED, THRUST_AXES, Level, at_share, follow, keeps, lead_there, levels, schedule
+from cosim.design.levels import DESIGNED, THRUST_AXES, Level, follow, keeps, lead_there, levels, schedule, tunings_at
 from cosim.design.limits import Say, bandwidths_without_limits, find_allowances, tolerance_checks, why_not
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, engine_lead, hover_share
@@ -53,9 +53,9 @@ class LevelDesign:
 
     level: Level
     designed: bool  # or between two levels that are
-    held: Mapping[str, Assessment]
+    unscheduled: Mapping[str, Assessment]
     after: Mapping[str, Assessment]  # the same where nothing is scheduled
-    kept: Mapping[str, bool]  # whether ``after`` keeps the requirements
+    is_kept: Mapping[str, bool]  # whether ``after`` keeps the requirements
 
 
 @dataclass(frozen=True)
@@ -234,11 +234,11 @@ def _design_levels(
         for level, before in zip(levels, unscheduled, strict=True):
             acting, after = full, before
             if plan:
-                acting = at_share(plan, full, level.share, step)
+                acting = tunings_at(plan, full, level.thrust_fraction, step)
                 after = {axis: assess(level.channels[axis], acting[axis], needed(axis, need)) for axis in THRUST_AXES}
             is_kept = {axis: keeps(level.channels[axis], acting[axis], needed(axis, need)) for axis in THRUST_AXES}
             burning.append(LevelDesign(level, level.fuel in designed, before, after, is_kept))
-        missed = {level.level.fuel for level in burning if plan and not all(level.kept.values())}
+        missed = {level.level.fuel for level in burning if plan and not all(level.is_kept.values())}
         if missed <= designed:
             where = ", ".join(f"{fuel:.0%} of the fuel" for fuel in sorted(missed))
             return plan, burning, f"a requirement is missed by the schedule with {where}" if missed else ""
@@ -262,7 +262,7 @@ def _read_start(
         full = {axis: tunings[axis][1.0] for axis in THRUST_AXES}
         fuels = [level.fuel for level in file.design.levels if level.designed]
         for level, fuel in zip(reversed(plan.level), fuels, strict=False):
-            there = at_share(plan, full, level.share, step)
+            there = tunings_at(plan, full, level.share, step)
             for axis in THRUST_AXES:
                 tunings[axis][fuel] = there[axis]
     return tunings

@@ -32,7 +32,7 @@ class Level:
 
     fuel: float
     mass_kg: float
-    share: float
+    thrust_fraction: float
     channels: Mapping[str, Channel]
 
 
@@ -106,7 +106,7 @@ def schedule(levels: Sequence[Level], tunings: Mapping[str, Mapping[float, Tunin
         filter_s=FILTER_S,
         level=[
             ThrustLevel(
-                share=round_gain(level.share),
+                share=round_gain(level.thrust_fraction),
                 **{axis: _factors(of[level.fuel], of[1.0]) for axis, of in tunings.items()},
             )
             for level in rows
@@ -127,7 +127,7 @@ def _factors(here: Tuning, full: Tuning) -> ScheduledGains:
     return ScheduledGains.model_validate(factors)
 
 
-def at_share(plan: Schedule, full: Mapping[str, Tuning], thrust_fraction: float, step: float) -> dict[str, Tuning]:
+def tunings_at(plan: Schedule, full: Mapping[str, Tuning], thrust_fraction: float, step: float) -> dict[str, Tuning]:
     """Return the tunings that act in flight at a collective, a fraction of the engines' range."""
     there = GainSchedule(plan, Leads(**{axis: tuning.lead for axis, tuning in full.items()}), step).at(thrust_fraction)
     return {"roll": scaled(full["roll"], there.roll), "altitude": scaled(full["altitude"], there.altitude)}

@@ -133,8 +133,8 @@ def _measured(design: Design, dynamics: Dynamics) -> Proof:
     # from rest to rest: the transforms leak nothing, and every bin is a point, so that no narrow mode is averaged away
     value = (np.fft.rfft(record.output)[use]) / (np.fft.rfft(record.injected)[use])
     good = np.abs(swept.value) > 0.0
-    gain = float(np.exp(np.mean(np.log(np.abs(swept.value[good] / dynamics.held(swept.hertz[good]))))))
-    ratio = value / (gain * dynamics.held(hertz))
+    gain = float(np.exp(np.mean(np.log(np.abs(swept.value[good] / dynamics.hold_response(swept.hertz[good]))))))
+    ratio = value / (gain * dynamics.hold_response(hertz))
     largest, peak, above, worst = 0.0, 0.0, 0.0, ("", 0.0)
     for axis, (channel, tuning) in loops.items():
         own = ClosedLoop(FrequencyGrid(channel, z=np.exp(2j * pi * hertz * step)), tuning)

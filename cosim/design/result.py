@@ -81,11 +81,11 @@ def to_dict(design: Design, paths: Mapping[str, Path] | None = None) -> dict[str
             {
                 "fuel": level.level.fuel,
                 "mass_kg": level.level.mass_kg,
-                "share": level.level.share,
+                "share": level.level.thrust_fraction,
                 "designed": level.designed,
-                "held": {axis: _assessment_dict(state) for axis, state in level.held.items()},
+                "held": {axis: _assessment_dict(state) for axis, state in level.unscheduled.items()},
                 "after": {axis: _assessment_dict(state) for axis, state in level.after.items()},
-                "kept": dict(level.kept),
+                "kept": dict(level.is_kept),
             }
             for level in design.levels
         ],
@@ -300,7 +300,7 @@ def _level_lines(design: Design) -> list[str]:
     least = design.levels[-1]
     peaks = ", ".join(
         f"{axis} {state.peak_sensitivity:.2f}" if state.peak_sensitivity else f"{axis} unstable"
-        for axis, state in least.held.items()
+        for axis, state in least.unscheduled.items()
     )
     text = (
         f"with an empty tank ({least.level.mass_kg:.4g} kg) the gains of a full one have a peak sensitivity of {peaks}"
@@ -407,7 +407,7 @@ def row_lines(design: Design) -> list[str]:
     fuels = [level.level.fuel for level in design.levels]
     lines += [
         f"{axis}, designed: the same at {100.0 * fuels[0]:.0f} to {100.0 * fuels[-1]:.0f} % of the fuel"
-        for axis in (design.levels[0].held if design.levels else ())
+        for axis in (design.levels[0].unscheduled if design.levels else ())
         if axis not in changed
     ]
     return lines
@@ -416,7 +416,7 @@ def row_lines(design: Design) -> list[str]:
 def _level_cells(design: Design) -> Iterator[tuple[str, str, float, list[str]]]:
     """Yield every fuel level by axis: with the gains of a full tank, and as scheduled where there is a schedule."""
     for level in design.levels:
-        for axis, state in level.held.items():
+        for axis, state in level.unscheduled.items():
             channel = level.level.channels[axis]
             yield axis, "held", level.level.fuel, _cells(state, channel)
             if design.schedule is not None:

@@ -88,8 +88,6 @@ def base_of(first: Log, second: Log) -> Base:
 
     The other's values are held.  A row is in force from its time on, for as long as a step.  With equal steps both are
     taken as they are.
-
-    A row is in force from its time on, for as long as a step.  With equal steps both are taken as they are.
     """
     times = (first[TIME], second[TIME])
     steps = tuple(step_of(series) for series in times)

@@ -68,11 +68,24 @@ def events_of(run: Run) -> list[Event]:
 
 def spans(mask: NDArray[np.bool_], step: float) -> list[tuple[float, float | None]]:
     """Return the times [s] between which a mask is true; None for an end that lies beyond the log."""
+    starts, ends = row_spans(mask)
+    return time_spans(starts, ends, mask.size, step)[:MOST]
+
+
+def row_spans(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first row of each stretch in which a mask is true, and the row after its last."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
+    return edges[::2], edges[1::2]
+
+
+def time_spans(
+    starts: NDArray[np.intp], ends: NDArray[np.intp], rows: int, step: float
+) -> list[tuple[float, float | None]]:
+    """Return stretches of rows as times [s]; None for an end that lies beyond the log's ``rows``."""
     return [
-        (float(start * step), None if end == mask.size else float(end * step))
-        for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-    ][:MOST]
+        (float(start * step), None if end == rows else float(end * step))
+        for start, end in zip(starts.tolist(), ends.tolist(), strict=True)
+    ]
 
 
 def faults(log: Log, step: float, scheduled: Sequence[Fault] = ()) -> Iterator[Event]:

@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from cosim.base.errors import FlightError, InputError
 from cosim.base.outcomes import Outcome
 from cosim.base.protocols import Column
-from cosim.base.storage.files import locked, write_whole
+from cosim.base.storage.files import locked, read_text, write_whole
 from cosim.base.storage.toml import toml_text
 from cosim.results.log.arrow import ParquetLog, StreamSink, read_note, stream_to_parquet
 from cosim.results.log.columns import COLUMNS
@@ -262,13 +262,11 @@ def open_run(folder: Path | str) -> Run:
             raise InputError(f"{folder}: no run here ({name} is missing)")
     path = folder / SUMMARY
     try:
-        summary = Summary.model_validate_json(path.read_text(encoding="utf-8"))
+        summary = Summary.model_validate_json(read_text(path))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         raise InputError(f"{path}: not a run's summary: {key + ': ' if key else ''}{first['msg']}") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     return Run(summary, ParquetLog(folder / LOG), folder)
 
 

@@ -20,6 +20,7 @@ from cosim.base.errors import FlightError, InputError, describe_error, nearest
 from cosim.base.plugins.entry_points import GROUPS, find_entries
 from cosim.base.protocols import Column, Columns, Sensors
 from cosim.base.signals import Measured, Sample, State, Vector3
+from cosim.base.storage.files import read_text
 from cosim.simulation.controllers.guard import Named, columns_from
 from cosim.simulation.controllers.source import NAME, Source, check_method, find_python
 from cosim.simulation.script.wind import FieldWind
@@ -305,10 +306,7 @@ class WindTable:
     @classmethod
     def read(cls, path: Path) -> WindTable:
         """Read a file with a line of :data:`TABLE` above its rows.  Raises InputError: file, line, what is allowed."""
-        try:
-            lines = list(csv.reader(StringIO(path.read_text(encoding="utf-8-sig"))))
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+        lines = list(csv.reader(StringIO(read_text(path, "utf-8-sig"))))
         if not lines or tuple(cell.strip() for cell in lines[0]) != TABLE:
             raise InputError(f"{path}: line 1: must be {','.join(TABLE)}")
         times: list[float] = []

@@ -35,6 +35,21 @@ def own_file(path: str | Path, flags: int) -> int:
     return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0), 0o666)
 
 
+def read_text(path: Path, encoding: str = "utf-8") -> str:
+    """Return the text of a file.  Raises InputError with file and reason in a line."""
+    try:
+        return path.read_text(encoding=encoding)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+
+
+def write_all(file: int, data: bytes) -> None:
+    """Write all of ``data`` to a file descriptor, which may take it in parts.  Raises OSError."""
+    rest = memoryview(data)
+    while rest:
+        rest = rest[os.write(file, rest) :]
+
+
 def write_whole(path: Path, content: str | bytes, failure: type[Exception] | None = None) -> None:
     """Write a whole file, or leave it as it was.  Raises OSError, or ``failure`` with file and reason in a line."""
     with map_os_errors(failure, path) if failure else nullcontext(), replacing(path) as temporary:

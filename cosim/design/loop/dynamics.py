@@ -56,7 +56,7 @@ class Dynamics:
             return lags([0.0], self.delay_samples, self.step)
         return replace(self, poles=tuple(p / factor for p in self.poles), zeros=tuple(z / factor for z in self.zeros))
 
-    def held(self, hertz: Array) -> Complex:
+    def hold_response(self, hertz: Array) -> Complex:
         """Return the frequency response behind the hold, with gain 1 at rest."""
         s = 2j * np.pi * hertz
         value = (1.0 - np.exp(-s * self.step)) / (s * self.step) * np.exp(-s * self.delay_samples * self.step)
@@ -170,7 +170,7 @@ def with_misfit(dynamics: Dynamics, response: FrequencyResponse) -> Dynamics:
     if dynamics.misfit < CARRIED:
         return dynamics
     use = counts(response) > 0.0
-    hertz, ratio = response.hertz[use], response.value[use] / dynamics.held(response.hertz[use])
+    hertz, ratio = response.hertz[use], response.value[use] / dynamics.hold_response(response.hertz[use])
     off = np.abs(ratio / np.exp(np.mean(np.log(np.abs(ratio)))) - 1.0)
     wide = np.maximum(off, np.maximum(np.append(off[1:], off[-1]), np.append(off[0], off[:-1])))
     return replace(dynamics, unsure=tuple((float(f), float(misfit)) for f, misfit in zip(hertz, wide, strict=True)))

@@ -12,7 +12,7 @@ from cosim.base.errors import InputError
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.design.assessment import shipped
 from cosim.design.design import dynamics_of, identify_there
-from cosim.design.levels import THRUST_AXES, at_share
+from cosim.design.levels import THRUST_AXES, tunings_at
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, hover_share
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
@@ -39,7 +39,7 @@ class Plants:
 
     channels: Mapping[str, Channel]
     spec: EngineSpec
-    share: float  # of the engines' range, at which it hovers
+    thrust_fraction: float  # of the engines' range, at which it hovers
 
 
 def plants_of(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Plants | str:
@@ -63,7 +63,7 @@ def tunings_of(plants: Plants, scenario: Scenario, vehicle: Vehicle, axes: Seque
     plan = vehicle.control.schedule
     if plan:
         levelled = {axis: tunings[axis] for axis in THRUST_AXES}
-        tunings |= at_share(plan, levelled, plants.share, scenario.step_s)
+        tunings |= tunings_at(plan, levelled, plants.thrust_fraction, scenario.step_s)
     return tunings
 
 

@@ -51,7 +51,7 @@ class AxisMargins:
     notes: tuple[str, ...]
 
     @property
-    def whole(self) -> bool:
+    def is_whole(self) -> bool:
         """Whether it was measured up to half the control rate, above which a sampled loop has nothing."""
         return self.band_hz[1] * self.sine.step >= NYQUIST_HZ * (1.0 - 1e-9)
 
@@ -74,7 +74,7 @@ class MeasuredMargins:
     """The measured margins of one controller on one vehicle."""
 
     scenario: Scenario
-    own: Source | None
+    source: Source | None
     axes: Mapping[str, AxisMargins]
     uncomputed: str  # why nothing was computed; empty where it was
 
@@ -90,7 +90,7 @@ class MeasuredMargins:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything that is not a curve, for JSON."""
-        scenario, own = self.scenario, self.own
+        scenario, own = self.scenario, self.source
         return {
             "aircraft": scenario.aircraft,
             "engine": scenario.engine,
@@ -122,7 +122,7 @@ def _axis_dict(measured: AxisMargins) -> dict[str, Any]:
         "period_s": measured.sine.period * measured.sine.step,
         "periods": measured.periods,
         "least_coherence": float(measured.response.coherence.min()),
-        "whole_band": measured.whole,
+        "whole_band": measured.is_whole,
         "measured": {
             name: {"value": bounded.value, "low": number(bounded.low), "high": number(bounded.high)}
             if bounded
@@ -233,7 +233,7 @@ class _MarginRequest:
     """A measurement on one axis, as it was asked for."""
 
     scenario: Scenario
-    own: Source | None
+    source: Source | None
     axis: str
     tap: Tap
     amplitude: float | None
@@ -253,7 +253,7 @@ class _MarginRequest:
         if self.to_hz is None and _stays_up(response):
             sine, size, response = self._measured(period, NYQUIST_HZ / self.scenario.step_s, size)
         self.say(f"{self.axis}: half the amplitude")
-        half = fly_with(self.scenario, self.axis, sine, 0.5 * size, LEAST_PERIODS, self.own)
+        half = fly_with(self.scenario, self.axis, sine, 0.5 * size, LEAST_PERIODS, self.source)
         other = self._of(half, sine)
         notes = _notes(response, other)
         return AxisMargins(self.axis, self.tap.unit, sine, size, self.periods, response, other, computed, notes)
@@ -275,7 +275,7 @@ class _MarginRequest:
         for _ in range(TRIES):
             self.say(f"{self.axis}: amplitude {size:.2g}")
             try:
-                record = fly_with(self.scenario, self.axis, sine, size, self.periods, self.own)
+                record = fly_with(self.scenario, self.axis, sine, size, self.periods, self.source)
                 if not record.clipped:
                     return size, record
                 why = "an actuator comes to an end of its range"

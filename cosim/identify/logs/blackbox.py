@@ -87,11 +87,11 @@ class Layout:
 @dataclass(frozen=True)
 class Head:
     layouts: dict[str, Layout]
-    stated: dict[str, str]
+    headers: dict[str, str]
 
     def number(self, name: str, default: float) -> float:
         """Return the first number of a line of the head, which may be a float's bits in hexadecimal, or the default."""
-        text = self.stated.get(name, "").split(",")[0].strip()
+        text = self.headers.get(name, "").split(",")[0].strip()
         try:
             bits = text.lower().startswith("0x")
             value = struct.unpack("<f", struct.pack("<I", int(text, 16)))[0] if bits else float(text)
@@ -107,7 +107,7 @@ class Head:
     @property
     def frame_ratio(self) -> tuple[int, int]:
         """How many of how many main frames are logged: ``P interval``, as 1/2, or as 2 alone."""
-        numerator, _, of = self.stated.get("P interval", "1").partition("/")
+        numerator, _, of = self.headers.get("P interval", "1").partition("/")
         ratio = (numerator, of) if of else ("1", numerator)
         numbers = [int(text) if text.strip().isdecimal() and len(text) < 9 else 1 for text in ratio]
         return max(numbers[0], 1), max(numbers[1], 1)
@@ -188,7 +188,7 @@ class _Frames:
     last: list[int] | None = None  # the main frame before, and the one before that
     before: list[int] | None = None
     time: int = 0  # of the last main frame, us
-    place: tuple[int, int] | None = None  # iteration and time of the last main frame that was believed
+    accepted: tuple[int, int] | None = None  # iteration and time of the last main frame that was believed
     doubted: tuple[int, int] | None = None  # of an I frame that does not follow it
     home: list[int] | None = None
 
@@ -331,11 +331,11 @@ class _Frames:
         count = values[self.counted] if self.counted is not None else 0
         time = values[self.timed] if self.timed is not None else 0
         here = count, time
-        if self.place is None or _goes_on(self.place, here):
-            self.place, self.doubted = here, None
+        if self.accepted is None or _goes_on(self.accepted, here):
+            self.accepted, self.doubted = here, None
             return True
         if kind == "I" and self.doubted is not None and _goes_on(self.doubted, here):
-            self.place, self.doubted = here, None
+            self.accepted, self.doubted = here, None
             return True
         self.doubted = here if kind == "I" else self.doubted
         return False
@@ -375,7 +375,7 @@ class _Frames:
             return at, None
 
         def done() -> None:
-            self.place = resumed or self.place
+            self.accepted = resumed or self.accepted
             self.ended = ended
             self.events += [(1e-6 * (resumed[1] if resumed else self.time), text)] if text else []
 

@@ -85,8 +85,8 @@ def summary(result: LogIdentification) -> str:
     clock = f"{1.0 / output.step:.4g} Hz"
     if np.isfinite(output.jitter) and output.jitter > 0.005:
         clock += f", jitter {100.0 * output.jitter:.0f} % of a sample"
-    if output.lost > 0.0:
-        clock += f", {100.0 * output.lost:.2g} % lost"
+    if output.lost_fraction > 0.0:
+        clock += f", {100.0 * output.lost_fraction:.2g} % lost"
     return (
         f"{result.path.name} ({result.kind}): {result.signals.command} to {result.signals.output}; "
         f"{prepared.seconds:.1f} s used, output at {clock}; working step {1e3 * prepared.working_step:.3g} ms, "

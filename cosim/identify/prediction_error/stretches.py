@@ -34,7 +34,7 @@ class Clock(NamedTuple):
 
     step: float  # s
     jitter: float  # standard deviation around an even clock, in samples; NaN where there is no such clock
-    lost: float  # share of the samples
+    lost_fraction: float  # of the samples
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def prepare(
                 "looked for (--longest-delay): no log of so fast a thing, or of another unit of time"
             )
     factor = max(1, round((WORKING_STEP_S if step is None else step) / sample))
-    if step is None and clocks[1].lost > LOSSY_FRACTION:
+    if step is None and clocks[1].lost_fraction > LOSSY_FRACTION:
         factor = max(factor, 2)
     working = factor * sample
     lead = longest_delay + SETTLE_S

@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.base.errors import FlightError, InputError
 from cosim.base.frames import to_euler
 from cosim.base.signals import Sample
-from cosim.base.storage.files import own_file
+from cosim.base.storage.files import own_file, read_text, write_all
 from cosim.results.run import AUTOPILOT
 
 if TYPE_CHECKING:  # a page reads the records of flights without an autopilot too: there are none
@@ -133,11 +133,10 @@ class PilotRecord:
             self._flush()
 
     def _flush(self) -> None:
-        unwritten = memoryview(b"".join(self._waiting))
+        lines = b"".join(self._waiting)
         self._waiting, self._size = [], 0
         try:
-            while unwritten:
-                unwritten = unwritten[os.write(self._file, unwritten) :]
+            write_all(self._file, lines)
         except OSError as error:
             raise FlightError(f"{self._path}: {error.strerror or error}") from error
 
@@ -148,13 +147,7 @@ def read_pilot_record(folder: Path) -> list[Line]:
     A last line that is torn is left out.  Raises InputError for a file that :class:`PilotRecord` does not write.
     """
     path = folder / AUTOPILOT
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        return []
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
-    return list(_lines(path, text))
+    return list(_lines(path, read_text(path))) if path.exists() else []
 
 
 def _lines(path: Path, text: str) -> Iterator[Line]:

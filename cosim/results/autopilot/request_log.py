@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import own_file
+from cosim.base.storage.files import own_file, read_text, write_all
 from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.autopilot.requests import Answer, Request, from_dict, to_dict
 
@@ -52,10 +52,8 @@ class RequestLog:
             line["text"] = answer.text
         if not asked:
             line["asked"] = False
-        unwritten = memoryview((json.dumps(line | to_dict(request), allow_nan=False) + "\n").encode())
         try:
-            while unwritten:
-                unwritten = unwritten[os.write(self._file, unwritten) :]
+            write_all(self._file, (json.dumps(line | to_dict(request), allow_nan=False) + "\n").encode())
         except OSError as error:
             raise FlightError(f"{self.path}: {error.strerror or error}") from error
 
@@ -71,12 +69,8 @@ def read_requests(path: Path) -> list[Entry]:
 
     Raises InputError, naming the line, for anything that :class:`RequestLog` does not write.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     entries: list[Entry] = []
-    for number, line in enumerate(text.split("\n")[:-1], 1):
+    for number, line in enumerate(read_text(path).split("\n")[:-1], 1):
         entry = _entry(line, f"{path}, line {number}")
         if entries and entry.step < entries[-1].step:
             raise InputError(f"{path}, line {number}: step {entry.step} comes after step {entries[-1].step}")

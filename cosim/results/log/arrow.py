@@ -22,7 +22,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Column
-from cosim.base.storage.files import lock, one_line, own_file, replacing
+from cosim.base.storage.files import lock, one_line, own_file, replacing, write_all
 from cosim.results.log.columns import COLUMNS, require
 from cosim.results.log.tables import Columnar
 
@@ -72,9 +72,7 @@ class StreamSink:
         try:
             written = os.writev(self._file, chunks) if hasattr(os, "writev") else 0
             if written < size:
-                unwritten = memoryview(b"".join(chunks))[written:]
-                while unwritten:
-                    unwritten = unwritten[os.write(self._file, unwritten) :]
+                write_all(self._file, b"".join(chunks)[written:])
         except OSError as error:
             os.ftruncate(self._file, self._size)  # half a message would hide what is written after it
             raise FlightError(f"{self.path}: {one_line(error)}") from error

@@ -68,12 +68,14 @@ def run_figures(log: Log, summary: Summary) -> dict[str, Figure]:
         "height": strips(reader, HEIGHT),
         "track": strips(reader, [Panel("Track", "m", east_north)]) | {"equal": True},
     }
-    if any(reader.known(trace.column) for panel in POSITION for trace in panel.traces if trace.label == "set-point"):
+    if any(
+        reader.has_values(trace.column) for panel in POSITION for trace in panel.traces if trace.label == "set-point"
+    ):
         figures["place"] = strips(reader, POSITION)
     outside = [panel for panel in OUTSIDE if any(reader.moves(trace.column) for trace in panel.traces)]
     if outside:
         figures["outside"] = strips(reader, outside)
-    custom = [column for column in custom_columns(log.described) if reader.known(column.name)]
+    custom = [column for column in custom_columns(log.described) if reader.has_values(column.name)]
     if custom:
         figures["own"] = strips(
             reader, [Panel(column.name, column.unit, [Trace(column.name, column.name)]) for column in custom]
@@ -198,7 +200,7 @@ def overlay_panels(
         if not traces:
             continue
         for setpoint in (trace for trace in panel.traces if trace.label == "set-point" and which == "true"):
-            having = [run for run, reader in enumerate(readers) if reader.known(setpoint.column)]
+            having = [run for run, reader in enumerate(readers) if reader.has_values(setpoint.column)]
             if having and all(_asks_as(readers[run], readers[longest], setpoint.column) for run in having):
                 traces.append((longest, setpoint))
             else:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.signals import AXES
 from cosim.results.comparison import ComparedFlight, step_of
+from cosim.results.events import row_spans
 from cosim.results.log.recorder import Log
 from cosim.results.log.tables import TIME
 from cosim.results.report.plot import Figure
@@ -54,7 +55,7 @@ class Reader:
         """Return whether a column is ever anything but 0."""
         return bool(np.any(np.abs(self.log[column]) > 0.0))
 
-    def known(self, column: str) -> bool:
+    def has_values(self, column: str) -> bool:
         """Return whether a column is there and ever a number."""
         return column in self.log.columns and bool(np.any(np.isfinite(self.log[column])))
 
@@ -67,8 +68,7 @@ class Reader:
 
     def stretches(self, mask: NDArray[np.bool_]) -> list[tuple[float, float]]:
         """Return the intervals [s] of a mask, gaps of less than 0.1 s closed; none if there are too many to see."""
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
-        starts, ends = edges[::2] * self.step_s, edges[1::2] * self.step_s
+        starts, ends = (self.step_s * rows for rows in row_spans(mask))
         apart = starts[1:] - ends[:-1] >= 0.1
         first = np.concatenate(([True], apart))[: starts.size]
         last = np.concatenate((apart, [True]))[: ends.size]

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from cosim.base.errors import InputError
-from cosim.base.storage.files import write_whole
+from cosim.base.storage.files import read_text, write_whole
 
 _PART = re.compile(r"^<!-- measured: (.*?) -->\n(.*?)^<!-- end -->$", re.MULTILINE | re.DOTALL)
 _MARK = re.compile(r"^<!-- (?:measured: .*|end) -->$", re.MULTILINE)
@@ -46,7 +46,7 @@ def filled(page: str, parts: Mapping[str, str], where: Path | str) -> str:
 
 def check_marks(path: Path, names: Iterable[str]) -> None:
     """Raise InputError if the page cannot be read or written, or lacks one of the marks: before hours of measuring."""
-    marked = parts_of(_read(path), path)
+    marked = parts_of(read_text(path), path)
     for name in names:
         if name not in marked:
             raise InputError(f"{path}: no mark <!-- measured: {name} -->; there are {', '.join(marked) or 'none'}")
@@ -56,7 +56,7 @@ def check_marks(path: Path, names: Iterable[str]) -> None:
 
 def write_marks(path: Path, parts: Mapping[str, str]) -> None:
     """Write ``parts`` between their marks.  Raises InputError as :func:`filled`, and if the file cannot be written."""
-    page = filled(_read(path), parts, path)
+    page = filled(read_text(path), parts, path)
     write_whole(path, page, InputError)
 
 
@@ -74,10 +74,3 @@ def row(cells: Iterable[str]) -> str:
 def cell(text: str) -> str:
     """Return a text as Markdown shows it unchanged."""
     return re.sub(r"([\\`*_|<>])", r"\\\1", text)
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error

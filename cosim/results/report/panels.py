@@ -163,14 +163,16 @@ def engine_panels(reader: Reader) -> list[Panel]:
     jets = range(1, jets_in(reader.log.columns) + 1)
     for title, unit, pattern, scale in ENGINES:
         traces = [Trace(pattern.format(jet), f"jet {jet}", run_colour(jet - 1), width=1.4) for jet in jets]
-        present = [trace for trace in traces if reader.known(trace.column)]
+        present = [trace for trace in traces if reader.has_values(trace.column)]
         if present:
             panels.append(Panel(title, unit, present, scale))
     healths = [Trace(f"health_{jet}", f"jet {jet}", run_colour(jet - 1), width=1.4) for jet in jets]
-    failed = [trace for trace in healths if reader.known(trace.column) and np.nanmin(reader.log[trace.column]) < 1.0]
+    failed = [
+        trace for trace in healths if reader.has_values(trace.column) and np.nanmin(reader.log[trace.column]) < 1.0
+    ]
     if failed:
         panels.append(Panel("Health, as monitored", "1", failed, least_span=1.2))
-    return panels + [panel for panel in (SPOOLS, TANK) if reader.known(panel.traces[0].column)]
+    return panels + [panel for panel in (SPOOLS, TANK) if reader.has_values(panel.traces[0].column)]
 
 
 def thrust_panels(summary: Summary) -> list[Panel]:

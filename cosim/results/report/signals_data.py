@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.layout import UP
-from cosim.results.events import Event
+from cosim.results.events import Event, row_spans, time_spans
 from cosim.results.log.recorder import Log
 from cosim.results.log.tables import TIME
 from cosim.results.metrics import REFUSED, Reach, saturated_in_flight
@@ -266,12 +266,8 @@ def _saturated(log: Log, reach: Reach | None, step_s: float) -> list[tuple[float
     if not {"on_ground", "hull_contact", *REFUSED}.issubset(log.columns):  # of another tool
         return []
     rows = saturated_in_flight(log, reach)
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], rows.astype(np.int8), [0]))))
-    starts, ends = edges[::2], edges[1::2]
+    starts, ends = row_spans(rows)
     if starts.size > MOST_BANDS:
         apart = np.sort(np.argsort(starts[1:] - ends[:-1], kind="stable")[1 - MOST_BANDS :])
         starts, ends = np.append(starts[:1], starts[apart + 1]), np.append(ends[apart], ends[-1:])
-    return [
-        (float(start * step_s), None if end == rows.size else float(end * step_s))
-        for start, end in zip(starts.tolist(), ends.tolist(), strict=True)
-    ]
+    return time_spans(starts, ends, rows.size, step_s)

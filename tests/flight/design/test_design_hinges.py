@@ -198,7 +198,7 @@ def test_what_is_given_beside_is_carried() -> None:
     hold = np.exp(-s * T / 2)  # of both the same to the share that counts here
     turned = (1.0 - np.exp(-s * T)) / T
     servo = (1.0 + kick / (1.0 - by_thrust) * turned**2) / (1.0 + s * channel.actuator.dynamics.lag_s)
-    whole = (1.0 - by_thrust) * servo + by_thrust * engine.held(hertz) / hold
+    whole = (1.0 - by_thrust) * servo + by_thrust * engine.hold_response(hertz) / hold
     carried = channel.actuator.dynamics.uncertainty(hertz)
     assert carried == pytest.approx(np.abs(whole / servo - 1.0), rel=0.05, abs=0.005)
 

@@ -31,7 +31,7 @@ from cosim.design.design import (
     lead_there,
     needed,
 )
-from cosim.design.levels import THRUST_AXES, at_share, keeps
+from cosim.design.levels import THRUST_AXES, keeps, tunings_at
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, engine_lead
 from cosim.design.loop.tuning import Tuning
@@ -145,7 +145,7 @@ def test_a_stored_schedule_is_what_todays_command_makes(name: str) -> None:
     assert plan
     full = {axis: begin[axis][1.0] for axis in THRUST_AXES}
     for level, record in zip(found, made.levels, strict=True):
-        assert level.share == pytest.approx(record.share, rel=1e-4)
+        assert level.thrust_fraction == pytest.approx(record.share, rel=1e-4)
         for axis in THRUST_AXES:
             asked = needed(axis, made.requirements)
             held = assess(level.channels[axis], begin[axis][1.0], asked)
@@ -160,7 +160,9 @@ def test_a_stored_schedule_is_what_todays_command_makes(name: str) -> None:
                 assert record.axes[axis].peak_sensitivity == pytest.approx(told.peak_sensitivity, rel=1e-3)
             assert record.axes[axis].peak_sensitivity <= made.requirements.max_sensitivity
             # what acts in flight, between the levels too, keeps every requirement: noise, saturation and tolerance as well
-            assert keeps(level.channels[axis], at_share(plan, full, level.share, scenario.step_s)[axis], asked)
+            assert keeps(
+                level.channels[axis], tunings_at(plan, full, level.thrust_fraction, scenario.step_s)[axis], asked
+            )
 
 
 @pytest.mark.long
@@ -171,10 +173,12 @@ def test_a_level_is_designed_where_a_straight_line_misses_a_requirement() -> Non
     assert [(each.level.fuel, each.designed) for each in found.levels] == [
         (1.0, True), (0.75, True), (0.5, True), (0.25, True), (0.0, True),
     ]  # fmt: skip
-    assert all(kept for each in found.levels for kept in each.kept.values())
+    assert all(kept for each in found.levels for kept in each.is_kept.values())
     assert found.schedule is not None
     shares = [level.share for level in found.schedule.level]
-    assert shares == pytest.approx([each.level.share for each in reversed(found.levels) if each.designed], rel=1e-5)
+    assert shares == pytest.approx(
+        [each.level.thrust_fraction for each in reversed(found.levels) if each.designed], rel=1e-5
+    )
     # and the full tank's gains are those of the file
     first, _ = load_vehicle("hexjet-p220", stored("p220")["vehicle"])
     tuned = found.axes["roll"].after

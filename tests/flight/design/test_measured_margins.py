@@ -146,7 +146,7 @@ def test_the_gain_that_the_tilts_of_the_full_scale_allow_is_measured_at_half_the
     scenario = Scenario.load("full-scale-hover").replace(sensor_noise=False, expect=[])
     found = measure_margins(scenario, ["pitch"], **SHORT)
     pitch = found.axes["pitch"]
-    assert pitch.whole
+    assert pitch.is_whole
     assert pitch.response.margins["gain_db"].value == pytest.approx(7.83, abs=0.1)
     off = pitch.off("gain_db")
     assert off is not None
@@ -204,7 +204,7 @@ def test_where_noise_hides_the_top_of_the_band_none_is_said_of_what_is_below_alo
     for sensitivity in (true, noisy):
         response = measured(sensitivity, sine.hertz)
         found = margins.AxisMargins("pitch", "rad of tilt", sine, 0.06, 4, response, response, None, ())
-        said.append((found.whole, {row[0]: row[1] for row in rows(found)}["gain up"], heading(found)))
+        said.append((found.is_whole, {row[0]: row[1] for row in rows(found)}["gain up"], heading(found)))
     (whole, up, _), (hidden_whole, hidden_up, head) = said
     assert (whole, up) == (True, "none")
     top = f"{sine.hertz[-4]:.4g} Hz"

@@ -106,7 +106,7 @@ def test_the_other_integration_knows_the_earth() -> None:
         assert np.linalg.norm(gravitation(r)) - outward == pytest.approx(gravity, abs=1.5e-4)
     assert density(0.0) == pytest.approx(1.225, rel=1e-5)
     assert density(5000.0) == pytest.approx(0.7364, rel=1e-4)
-    motion, _ = fly_again(replace(FALL, held=FALL.held[:1]), SCHEMES["flown"], 4)
+    motion, _ = fly_again(replace(FALL, inputs=FALL.inputs[:1]), SCHEMES["flown"], 4)
     latitude, longitude, height = geodetic(start(22.35, 113.59, 31.5, motion)[:3])
     assert np.degrees([latitude, longitude]) == pytest.approx([22.35, 113.59], abs=1e-12)
     assert height == pytest.approx(31.5, abs=1e-8)
@@ -151,7 +151,7 @@ def test_without_the_make_up_a_force_is_half_a_run_late(doublet: tuple[Course, l
 
 def test_a_payload_off_to_the_side_is_carried_alike() -> None:
     """Mass, centre and products of inertia from the step on in which it comes; half a run late was 1e-3 of the rate."""
-    flown = replace(FALL, held=[replace(FALL.held[0], disturbance=PAYLOAD)] * 100)
+    flown = replace(FALL, inputs=[replace(FALL.inputs[0], disturbance=PAYLOAD)] * 100)
     truth = exact(flown)
     spin = np.linalg.norm(truth[-1].rate)
     assert spin > 1.0
@@ -162,7 +162,7 @@ def test_a_payload_off_to_the_side_is_carried_alike() -> None:
     assert np.linalg.norm(late[-1].rate - truth[-1].rate) > 1e-3 * spin
 
 
-PAYLOAD = FALL.held[0].disturbance._replace(payload=(0.5, 0.1, -0.05, 0.04))
+PAYLOAD = FALL.inputs[0].disturbance._replace(payload=(0.5, 0.1, -0.05, 0.04))
 
 
 @pytest.mark.parametrize(
