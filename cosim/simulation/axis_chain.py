@@ -208,7 +208,7 @@ def rotor_lead(
     stated.
     """
     rotors = RotorDynamics(vehicle.jets, engines, step, vehicle.hinges)
-    if not rotors.any or not any(moves):
+    if not rotors.is_active or not any(moves):
         return ZERO3
     around = [
         around_trim(engine, float(np.interp(thrust, engine.rising.thrust, engine.rising.throttle)), step)

@@ -25,16 +25,16 @@ def standard_density(height: float) -> float:
 
 def standard_air(height: float) -> tuple[float, float]:
     """Pressure [Pa] and temperature [K] at a geometric height above the sea [m], up to 32 km."""
-    rest = _EARTH_RADIUS * height / (_EARTH_RADIUS + height)
+    geopotential = _EARTH_RADIUS * height / (_EARTH_RADIUS + height)
     pressure, temperature = _SEA_LEVEL_PRESSURE, _LAYERS[0][1]
     for (base, start, lapse), top in zip(_LAYERS, [layer[0] for layer in _LAYERS[1:]] + [32000.0], strict=True):
-        climbed = min(rest, top) - base
-        temperature = start + lapse * climbed
+        height_in_layer = min(geopotential, top) - base
+        temperature = start + lapse * height_in_layer
         # dp / p = -g M / R dh / T
         if lapse:
             pressure *= (start / temperature) ** (_HYDROSTATIC / lapse)
         else:
-            pressure *= exp(-_HYDROSTATIC * climbed / start)
-        if rest <= top:
+            pressure *= exp(-_HYDROSTATIC * height_in_layer / start)
+        if geopotential <= top:
             break
     return pressure, temperature

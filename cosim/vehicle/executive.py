@@ -1,6 +1,6 @@
 """JSBSim with a model loaded: the only module that imports ``jsbsim``.
 
-Whatever JSBSim throws or prints becomes one line of ours.  It evaluates a model's functions once more when it is
+Whatever JSBSim throws or prints becomes one line.  It evaluates a model's functions once more when it is
 destroyed, and what it throws there ends the process: so a model that was refused is never destroyed.
 """
 
@@ -27,19 +27,19 @@ VERSION: Final[str] = jsbsim.__version__
 _DEBUG: Final = "JSBSIM_DEBUG"
 # JSBSim's exceptions, and those of C++ that its binding turns into ones of Python
 Complaint: Final = RuntimeError
-MOST_SAID: Final = 20  # lines of JSBSim's that are kept of one model
+MOST_LINES: Final = 20  # lines of JSBSim's that are kept of one model
 # A name that JSBSim can look for: any other ends the process
 _STEP: Final = r"(?:\.{1,2}|[A-Za-z_][A-Za-z0-9_.-]*(?:\[[0-9]{1,6}\])?)"
 _NAME: Final = re.compile(rf"/?{_STEP}(?:/{_STEP})*")
 _MISSING: Final = re.compile(r"property,? (\S+) (?:does not exist|specified for channel)")
-_read_by: Memory[tuple[str, ...]] = Memory(64)
+_property_cache: Memory[tuple[str, ...]] = Memory(64)
 
 
-class _Ear(jsbsim.FGLogger):
-    """Keeps what JSBSim says that is more than information, in place of printing it."""
+class _LogCapture(jsbsim.FGLogger):
+    """Collects JSBSim's warnings and errors, in place of printing them."""
 
     def __init__(self) -> None:
-        self.said: list[str] = []
+        self.lines: list[str] = []
         self._text = ""
 
     def message(self, message: str) -> None:
@@ -48,36 +48,36 @@ class _Ear(jsbsim.FGLogger):
 
     def flush(self) -> None:
         line, self._text = " ".join(self._text.split()), ""
-        if line and line not in self.said and len(self.said) < MOST_SAID:
-            self.said.append(line)
+        if line and line not in self.lines and len(self.lines) < MOST_LINES:
+            self.lines.append(line)
 
 
-_ear = _Ear()
+_log = _LogCapture()
 if threading.current_thread() is threading.main_thread():
-    jsbsim.set_logger(_ear)  # of this thread; JSBSim's logger of another one prints
+    jsbsim.set_logger(_log)  # of this thread; JSBSim's logger of another one prints
 
 
 def _quiet_executive(folder: str) -> jsbsim.FGFDMExec:
     """Make a JSBSim, which reads JSBSIM_DEBUG then, and prints a banner to standard output where it is not 0."""
-    given = _DEBUG in os.environ
+    was_set = _DEBUG in os.environ
     os.environ.setdefault(_DEBUG, "0")
     try:
         return jsbsim.FGFDMExec(folder, None)
     finally:
-        if not given:
+        if not was_set:
             os.environ.pop(_DEBUG, None)
 
 
 class Executive:
     """One JSBSim with one model, of which every property that it reads is there.
 
-    ``file``: what JSBSim loads.  ``model``: the user's file that it was made of, None where there is none, and
-    ``name``: what to call it then.  Raises InputError if the model does not load.
+    ``file``: what JSBSim loads.  ``model``: the user's file that it was made of; where that is None, ``name`` stands in
+    errors.  Raises InputError if the model does not load.
     """
 
     def __init__(self, file: Path, model: Path | None, name: str, step: float) -> None:
-        self._model, self._called = model, str(model or name)
-        _ear.said.clear()
+        self._model, self._label = model, str(model or name)
+        _log.lines.clear()
         fdm = _quiet_executive(str(file.parent))
         self.fdm = fdm
         self._manager = fdm.get_property_manager()
@@ -89,70 +89,70 @@ class Executive:
             if not fdm.load_model(file.stem, add_model_to_path=False):  # answers False instead of raising
                 raise Complaint("")
         except Complaint as error:
-            raise self._refusal(str(error)) from None
-        self._need(file.read_bytes())
+            raise self._refusal_for(str(error)) from None
+        self._check_properties(file.read_bytes())
         fdm.set_dt(step)
         self.run: Callable[[], bool] = fdm.run
-        for line in _ear.said:
-            warnings.warn(f"{self._called}: JSBSim: {line}", Notice, stacklevel=2)
+        for line in _log.lines:
+            warnings.warn(f"{self._label}: JSBSim: {line}", Notice, stacklevel=2)
 
     def start(self) -> None:
-        """Let the initial state act.  Raises InputError for what the model cannot do, FlightError where it has none."""
+        """Start from the initial state.  Raises InputError for the model, FlightError without a state."""
         try:
             if self.fdm.run_ic():
                 return
         except Complaint as error:
-            raise self._refusal(str(error)) from None
+            raise self._refusal_for(str(error)) from None
         raise FlightError("JSBSim could not start from the initial state")
 
     def stopped(self, error: Exception) -> FlightError:
         """Return what to raise where JSBSim threw while it flew."""
-        return FlightError(str(self._refusal(str(error))))
+        return FlightError(str(self._refusal_for(str(error))))
 
     def node(self, name: str) -> Property:
         """Return a property.  Raises InputError where there is none: JSBSim would make one of it when it is written."""
         if acting(name):
             raise InputError(
-                f"{self._called}: {name}: JSBSim does something when it is written; nothing here may write it"
+                f"{self._label}: {name}: JSBSim does something when it is written; nothing here may write it"
             )
         node = self._manager.get_node(name) if _NAME.fullmatch(name) else None
         if node is None:
-            raise InputError(f"{self._called}: this JSBSim model has no property {name}")
+            raise InputError(f"{self._label}: this JSBSim model has no property {name}")
         return node
 
-    def _need(self, xml: bytes) -> None:
+    def _check_properties(self, xml: bytes) -> None:
         """Refuse a model whose functions, tables and components read a property that is not there."""
-        names = _read_by.get(xml, lambda: tuple(dict.fromkeys(_names(ET.fromstring(xml)))))
+        names = _property_cache.get(xml, lambda: tuple(dict.fromkeys(_property_names(ET.fromstring(xml)))))
         missing = [name for name in names if not (_NAME.fullmatch(name) and self._manager.get_node(name))]
         if missing:
-            raise self._refusal("", missing)
+            raise self._refusal_for("", missing)
 
-    def _refusal(self, said: str, missing: list[str] | None = None) -> InputError:
-        """Return the one line for what JSBSim said, and never destroy it: see above."""
+    def _refusal_for(self, text: str, missing: list[str] | None = None) -> InputError:
+        """Return the error for what JSBSim reported, and never destroy JSBSim: see the module's text."""
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(self.fdm))
-        said = _in_words(said) or "; ".join(map(_in_words, _ear.said))
-        name, *more = missing or _MISSING.findall(said)[:1] or [""]
+        text = _clean(text) or "; ".join(map(_clean, _log.lines))
+        name, *others = missing or _MISSING.findall(text)[:1] or [""]
         if not name:
-            words = [*re.findall(r"'([^']+)'", said), *(word for word in said.split() if "/" in word)]
-            return InputError(f"{self._where(words)}: JSBSim could not load the model{f': {said}' if said else ''}")
-        also = f" (nor {', '.join(more)})" if more else ""
+            words = [*re.findall(r"'([^']+)'", text), *(word for word in text.split() if "/" in word)]
+            return InputError(f"{self._locate(words)}: JSBSim could not load the model{f': {text}' if text else ''}")
+        rest = f" (nor {', '.join(others)})" if others else ""
         return InputError(
-            f"{self._where([name])}: the model has no property {name}{also}: take out what reads it, or give it a "
+            f"{self._locate([name])}: the model has no property {name}{rest}: take out what reads it, or give it a "
             f'value, with <property value="0">{name}</property> in flight_control'
         )
 
-    def _where(self, words: list[str]) -> str:
+    def _locate(self, words: list[str]) -> str:
         """Return the user's file, and its line where one of these words stands in it."""
-        places = [] if self._model is None else [find_line(self._model, word) for word in words]
-        return next((place for place in places if place != self._called), self._called)
+        locations = [] if self._model is None else [find_line(self._model, word) for word in words]
+        return next((location for location in locations if location != self._label), self._label)
 
 
-def _in_words(said: str) -> str:
-    """Return what JSBSim said in one line, without the name of the file that is ours."""
-    return re.sub(r'( in)? (file:? )?(Path )?"?[^ "]*hexjet-scratch[^ "]*"?', "", " ".join(said.split())).strip()
+def _clean(text: str) -> str:
+    """Return JSBSim's text in one line, without the name of the temporary file."""
+    return re.sub(r'( in)? (file:? )?(Path )?"?[^ "]*hexjet-scratch[^ "]*"?', "", " ".join(text.split())).strip()
 
 
-def _names(root: ET.Element) -> Iterator[str]:
+def _property_names(root: ET.Element) -> Iterator[str]:
     """Yield the properties that a model reads: of functions, of tables, and what comes into a component."""
     inside = (
         element for function in root.iter("function") for tag in ("property", "p") for element in function.iter(tag)

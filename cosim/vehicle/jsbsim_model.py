@@ -1,6 +1,6 @@
-"""The JSBSim model of a vehicle: the user's file, completed by what we need in it, with the vehicle's numbers in it.
+"""The JSBSim model of a vehicle: the user's file, completed for a flight, with the vehicle's numbers in it.
 
-A file may state as little as ``<fdm_config/>``, or have an aerodynamics of its own, systems, tables and files that it
+A file may have as little as ``<fdm_config/>``, or have an aerodynamics of its own, systems, tables and files that it
 takes them from.  What a flight needs beside that is added: mass and inertia, contacts, one external force per jet, a
 force and a moment for what disturbs it, a point mass for a payload, and drag and damping as ``vehicle.toml`` states
 them where the file has no aerodynamics.
@@ -20,22 +20,15 @@ from cosim.vehicle.model_file import find_line, parse, read_model
 
 MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # of the rotors, body; a property of our own in the model
 
-_RENDERED = {
-    "mass_kg",
-    "inertia_kg_m2",
-    "products_kg_m2",
-    "aero",
-    "jets",
-    "contacts",
-    "fuel",
-}  # what render reads of a vehicle
-_rendered: Memory[bytes] = Memory(64)
+# the fields of a vehicle that its model depends on
+_MODEL_FIELDS = {"mass_kg", "inertia_kg_m2", "products_kg_m2", "aero", "jets", "contacts", "fuel"}
+_cache: Memory[bytes] = Memory(64)
 PAYLOAD = "payload"
 PRODUCTS = ("ixy", "ixz", "iyz")
 # What JSBSim takes for the integrals of x y, x z and y z over the mass in body axes: it reads them as minus those in
 # its structural axes, x aft and z up (negated_crossproduct_inertia="true", the default).
 PRODUCT_SIGN = {"ixy": 1.0, "ixz": -1.0, "iyz": 1.0}
-_INCHES = {"IN": 1.0, "FT": 12.0, "M": 1.0 / INCH}  # in a unit of JSBSim's for places
+_INCHES = {"IN": 1.0, "FT": 12.0, "M": 1.0 / INCH}  # per unit of JSBSim's for positions
 # parts in the order in which JSBSim's schema has them; it reads them in any
 _PARTS = (
     "metrics", "mass_balance", "ground_reactions", "external_reactions", "propulsion", "flight_control", "aerodynamics",
@@ -56,8 +49,8 @@ def render(vehicle: Vehicle, model: Path | None, rotors: bool = False) -> bytes:
     Raises InputError if the file cannot be read or has what a vehicle here cannot have.
     """
     text = read_model(model)
-    return _rendered.get(
-        (model, text, vehicle.model_dump_json(include=_RENDERED), rotors),
+    return _cache.get(
+        (model, text, vehicle.model_dump_json(include=_MODEL_FIELDS), rotors),
         lambda: _render(vehicle, model or Path(vehicle.name), text, rotors),
     )
 
@@ -66,7 +59,7 @@ def _render(vehicle: Vehicle, model: Path, text: bytes, rotors: bool) -> bytes:
     root = parse(model, text)
     if root.tag != "fdm_config":
         raise InputError(f"{model}: is no JSBSim model: its root is {root.tag}, not fdm_config")
-    own_aerodynamics = complete(root, vehicle, model)
+    has_aerodynamics = complete(root, vehicle, model)
 
     _write_mass(root, vehicle)
     for number, jet in enumerate(vehicle.jets, 1):
@@ -78,7 +71,7 @@ def _render(vehicle: Vehicle, model: Path, text: bytes, rotors: bool) -> bytes:
         _write(root, f"{path}/damping_coeff", contact.damping_n_s_m, "N/M/SEC")
         _child(root, f"{path}/static_friction").text = repr(contact.friction_static)
         _child(root, f"{path}/dynamic_friction").text = repr(contact.friction_dynamic)
-    if not own_aerodynamics:
+    if not has_aerodynamics:
         _write_aerodynamics(root, vehicle, model)
     if rotors:
         for axis in "xyz":
@@ -139,7 +132,7 @@ def _write_aerodynamics(root: ET.Element, vehicle: Vehicle, model: Path) -> None
 
 
 def complete(root: ET.Element, vehicle: Vehicle, model: Path) -> bool:
-    """Add to a model what a flight needs in it, and say whether its aerodynamics is its own.
+    """Add to a model what a flight needs in it, and return whether it has its own aerodynamics.
 
     The origin of the structural frame becomes the centre of gravity, where it is not.  Raises InputError for engines,
     contacts and point masses of its own: engines are FMUs, and the others are stated in ``vehicle.toml``.
@@ -153,21 +146,23 @@ def complete(root: ET.Element, vehicle: Vehicle, model: Path) -> bool:
             root.insert(max(before, default=len(root.findall("fileheader")) - 1) + 1, part)
     _metrics(_child(root, "metrics"))
     _mass_balance(_child(root, "mass_balance"), model)
-    _shift(root, model)
+    _shift_origin(root, model)
     _contacts(_child(root, "ground_reactions"), vehicle, model)
     _forces(_child(root, "external_reactions"), len(vehicle.jets))
     if root.find("propulsion/engine") is not None:
         raise InputError(f"{model}: propulsion/engine: engines are FMUs here, named by the scenario; leave it out")
-    stated = {element.text or "" for element in root.findall("flight_control/property")}
-    own = root.find("aerodynamics/axis") is not None and not any(name.startswith("aero/drag-area-") for name in stated)
+    constants = {element.text or "" for element in root.findall("flight_control/property")}
+    has_aerodynamics = root.find("aerodynamics/axis") is not None and not any(
+        name.startswith("aero/drag-area-") for name in constants
+    )
     aerodynamics = _child(root, "aerodynamics")
-    if not own and root.find("aerodynamics/axis") is None:
+    if not has_aerodynamics and root.find("aerodynamics/axis") is None:
         _drag(_child(root, "flight_control"), aerodynamics)
     for name in ("ROLL", "PITCH", "YAW"):
         _ensure(aerodynamics, "axis", name)
     if {axis.get("name") for axis in aerodynamics.findall("axis")} <= {"ROLL", "PITCH", "YAW"}:
         _ensure(aerodynamics, "axis", "X")  # else JSBSim says on standard output which axes it takes forces to have
-    return own
+    return has_aerodynamics
 
 
 def _child(root: ET.Element, tag: str) -> ET.Element:
@@ -220,14 +215,16 @@ def _mass_balance(masses: ET.Element, model: Path) -> None:
     _ensure_location(payload)
 
 
-def _shift(root: ET.Element, model: Path) -> None:
-    """Put the origin of every place in the model at its centre of gravity, and what is felt and what disturbs there."""
+def _shift_origin(root: ET.Element, model: Path) -> None:
+    """Shift the origin of all positions to the centre of gravity; sensed and disturbing forces act there."""
     cg = _child(root, "mass_balance/location[@name='CG']")
     unit = _inches(cg, model)
     origin = [_element_number(cg.find(axis), model) * unit for axis in "xyz"]
-    here = [_child(root, f"metrics/location[@name='{name}']") for name in ("EYEPOINT", "VRP")]
-    here += root.findall("external_reactions/force[@name='push']/location")
-    if not any(origin) and not any(_element_number(element, model) for location in here for element in location):
+    reset_locations = [_child(root, f"metrics/location[@name='{name}']") for name in ("EYEPOINT", "VRP")]
+    reset_locations += root.findall("external_reactions/force[@name='push']/location")
+    if not any(origin) and not any(
+        _element_number(element, model) for location in reset_locations for element in location
+    ):
         return
     for location in root.iter("location"):
         scale = _inches(location, model)
@@ -236,12 +233,12 @@ def _shift(root: ET.Element, model: Path) -> None:
             element = location.find(axis)
             if element is not None:
                 element.text = repr(_element_number(element, model) * scale - shift)
-    for element in (element for location in here for element in location):
+    for element in (element for location in reset_locations for element in location):
         element.text = "0"
 
 
 def _element_number(element: ET.Element | None, model: Path) -> float:
-    """Return what an element states, 0 where it is not there or empty.  Raises InputError where it is no number."""
+    """Return the number in an element, 0 where it is absent or empty.  Raises InputError where it is no number."""
     text = "" if element is None else (element.text or "").strip()
     try:
         return float(text or 0.0)
@@ -251,28 +248,28 @@ def _element_number(element: ET.Element | None, model: Path) -> float:
 
 
 def _inches(location: ET.Element, model: Path) -> float:
-    """Return how long the unit of a place is, in inches."""
+    """Return the unit of a position, in inches."""
     unit = location.get("unit", "IN").upper()
     if unit not in _INCHES:
-        place = f"location {location.get('name', '')}".strip()
-        raise InputError(f"{model}: {place}: unit {unit!r}: must be one of {', '.join(_INCHES)}")
+        label = f"location {location.get('name', '')}".strip()
+        raise InputError(f"{model}: {label}: unit {unit!r}: must be one of {', '.join(_INCHES)}")
     return _INCHES[unit]
 
 
 def _contacts(ground: ET.Element, vehicle: Vehicle, model: Path) -> None:
-    """One for each that ``vehicle.toml`` states, in its order, by which JSBSim numbers them."""
-    stated = [contact.name for contact in vehicle.contacts]
-    there = {contact.get("name", ""): contact for contact in ground.findall("contact")}
-    for name in there:
-        if name not in stated:
-            known = ", ".join(stated)
-            raise InputError(f"{model}: contact {name}: vehicle.toml states none of this name; there are: {known}")
-    if list(there) != stated:
-        for contact in there.values():
+    """Make a contact for each of ``vehicle.toml``, in its order, by which JSBSim numbers them."""
+    names = [contact.name for contact in vehicle.contacts]
+    present = {contact.get("name", ""): contact for contact in ground.findall("contact")}
+    for name in present:
+        if name not in names:
+            allowed = ", ".join(names)
+            raise InputError(f"{model}: contact {name}: vehicle.toml states none of this name; there are: {allowed}")
+    if list(present) != names:
+        for contact in present.values():
             ground.remove(contact)
-        there = {name: there.get(name, ET.Element("contact", type="STRUCTURE", name=name)) for name in stated}
-        ground.extend(there.values())
-    for contact in there.values():
+        present = {name: present.get(name, ET.Element("contact", type="STRUCTURE", name=name)) for name in names}
+        ground.extend(present.values())
+    for contact in present.values():
         _ensure_location(contact)
         for tag in ("static_friction", "dynamic_friction", "spring_coeff", "damping_coeff"):
             if contact.find(tag) is None:
@@ -298,12 +295,12 @@ def _ensure_direction(element: ET.Element, along: str, value: str) -> None:
 
 
 def _drag(constants: ET.Element, aerodynamics: ET.Element) -> None:
-    """Force ``-0.5 rho CdA |v| v`` along each body axis at the aerodynamic reference point, moment ``-damping w``."""
+    """Add forces ``-0.5 rho CdA |v| v`` at the aerodynamic reference point and moments ``-damping w``, by body axis."""
     for axis, speed in zip("xyz", "uvw", strict=True):
         name = f"aero/drag-area-{axis}-ft2"
         ET.SubElement(constants, "property", value="0").text = name
-        seen = f"<property>velocities/{speed}-aero-fps</property>"
-        product = f"<property>atmosphere/rho-slugs_ft3</property><property>{name}</property><abs>{seen}</abs>{seen}"
+        tag = f"<property>velocities/{speed}-aero-fps</property>"
+        product = f"<property>atmosphere/rho-slugs_ft3</property><property>{name}</property><abs>{tag}</abs>{tag}"
         _function(aerodynamics, axis.upper(), f"aero/force/drag-{axis}", f"<value>-0.5</value>{product}")
     for axis, rate in zip(AXES, "pqr", strict=True):
         name = f"aero/damping-{axis}-lbf_ft_s"
@@ -318,7 +315,7 @@ def _function(aerodynamics: ET.Element, axis: str, name: str, product: str) -> N
 
 
 def _gyroscopic(axis: str, second: str, third: str) -> ET.Element:
-    """JSBSim's function for one component of ``H x omega``: ``H_second omega_third - H_third omega_second``."""
+    """Return JSBSim's function for one component of ``H x omega``: ``H_second omega_third - H_third omega_second``."""
 
     def product(momentum: str, rate: str) -> str:
         letter = "pqr"["xyz".index(rate)]

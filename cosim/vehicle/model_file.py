@@ -1,4 +1,4 @@
-"""The file of a JSBSim model as a user brings it: read with the files that it names, and nothing of it acts.
+"""A user's JSBSim model file: read with the files that it names, without the parts that act beside the flight.
 
 JSBSim's language has parts that write files, send to hosts and open ports.  None of them is a part of what flies: of
 a model only :data:`FLOWN` is handed on, and what else stands in it is left out with a note.
@@ -35,7 +35,7 @@ ACTING: Final = tuple(
 )  # fmt: skip
 MOST_BYTES: Final = 2**26  # of one file; the largest of JSBSim's own aircraft has 400 kB
 _NONE: Final = b"<fdm_config/>"
-_whole: Memory[bytes] = Memory(64)  # files that name no others, as they are handed on
+_cache: Memory[bytes] = Memory(64)  # files that name no others, as they are handed on
 
 
 def read_model(model: Path | None) -> bytes:
@@ -49,7 +49,7 @@ def read_model(model: Path | None) -> bytes:
     text = _read(model)
     if re.search(rb"\sfile\s*=|\0|<!DOCTYPE", text):  # may name others, or has an encoding or definitions that hide it
         return _strip_model(model, text)
-    return _whole.get((model, text), lambda: _strip_model(model, text))
+    return _cache.get((model, text), lambda: _strip_model(model, text))
 
 
 def parse(path: Path, text: bytes) -> ET.Element:
@@ -70,7 +70,7 @@ def find_line(model: Path, name: str) -> str:
 
 
 def _read(path: Path) -> bytes:
-    """Return what a file holds.  Raises InputError where it is not a file, or larger than a model can be."""
+    """Return the contents of a file.  Raises InputError where it is not a file, or larger than a model can be."""
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
@@ -83,61 +83,59 @@ def _read(path: Path) -> bytes:
 
 
 def _strip_model(model: Path, text: bytes) -> bytes:
-    """Return what of a model flies; the text as it stands where nothing is to be changed."""
+    """Return a model without the parts that do not fly; the text itself where there are none."""
     root = parse(model, text)
     if root.tag != "fdm_config":
         return text  # refused where it is to fly
-    strange = [part for part in root if part.tag not in FLOWN]
-    named = [part for part in root if "file" in part.attrib and part not in strange]
-    if any(part.tag == "child" for part in strange):
+    foreign = [part for part in root if part.tag not in FLOWN]
+    references = [part for part in root if "file" in part.attrib and part not in foreign]
+    if any(part.tag == "child" for part in foreign):
         raise InputError(f"{model}, {_at(text, 'child')}: child: one vehicle flies here; leave it out")
-    for part in strange:
+    for part in foreign:
         root.remove(part)
-    for part in named:
-        root[list(root).index(part)] = _merge_file(_place(model, part), part, model)
+    for part in references:
+        root[list(root).index(part)] = _merge_file(_find_file(model, part), part, model)
     _refuse_acting(root, model)
-    if strange:
-        parts = "; ".join(f"<{tag}> ({_at(text, tag)})" for tag in dict.fromkeys(part.tag for part in strange))
+    if foreign:
+        parts = "; ".join(f"<{tag}> ({_at(text, tag)})" for tag in dict.fromkeys(part.tag for part in foreign))
         warnings.warn(f"{model}: left out, as no part of what flies: {parts}", Notice, stacklevel=2)
-    if not strange and not named:
+    if not foreign and not references:
         return text
     return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
 
 
-def _place(model: Path, part: ET.Element) -> Path:
+def _find_file(model: Path, part: ET.Element) -> Path:
     """Return the file that a part is taken from: beside the model or in ``Systems``, as JSBSim looks for it."""
     name = part.attrib["file"]
     folders = ("", "Systems", "systems")
-    places = [model.parent / folder / f"{name}{ending}" for folder in folders for ending in ("", ".xml")]
-    for place in places:
-        if "\0" not in name and place.exists() and not place.is_dir():
-            return place
-    raise InputError(f"{model}: {part.tag} file={name!r}: {places[0]}: no such file")
+    candidates = [model.parent / folder / f"{name}{ending}" for folder in folders for ending in ("", ".xml")]
+    for file in candidates:
+        if "\0" not in name and file.exists() and not file.is_dir():
+            return file
+    raise InputError(f"{model}: {part.tag} file={name!r}: {candidates[0]}: no such file")
 
 
-def _merge_file(place: Path, part: ET.Element, model: Path) -> ET.Element:
-    """Return a part with what its file has, behind what it states itself; a property that both state is its own."""
-    other = parse(place, _read(place))
+def _merge_file(file: Path, part: ET.Element, model: Path) -> ET.Element:
+    """Return a part with the contents of its file after its own; of a property that both have, its own counts."""
+    other = parse(file, _read(file))
     if other.tag != part.tag:
-        raise InputError(f"{place}: is a {other.tag}, where {model.name} takes a {part.tag} from it")
+        raise InputError(f"{file}: is a {other.tag}, where {model.name} takes a {part.tag} from it")
     if "file" in other.attrib:
-        raise InputError(
-            f"{place}: {other.tag} file={other.get('file')!r}: a part's file names no other; state it here"
-        )
-    whole = ET.Element(part.tag, {**other.attrib, **part.attrib})
-    del whole.attrib["file"]
-    stated = {(element.text or "").strip() for element in part.findall("property")}
-    whole.text = other.text
-    whole.extend(copy.deepcopy(list(part)))
-    whole.extend(
-        element for element in other if element.tag != "property" or (element.text or "").strip() not in stated
+        raise InputError(f"{file}: {other.tag} file={other.get('file')!r}: a part's file names no other; state it here")
+    merged = ET.Element(part.tag, {**other.attrib, **part.attrib})
+    del merged.attrib["file"]
+    own_names = {(element.text or "").strip() for element in part.findall("property")}
+    merged.text = other.text
+    merged.extend(copy.deepcopy(list(part)))
+    merged.extend(
+        element for element in other if element.tag != "property" or (element.text or "").strip() not in own_names
     )
-    return whole
+    return merged
 
 
 def _named_files(model: Path) -> list[Path]:
     root = parse(model, _read(model))
-    return [_place(model, part) for part in root if "file" in part.attrib and part.tag in FLOWN]
+    return [_find_file(model, part) for part in root if "file" in part.attrib and part.tag in FLOWN]
 
 
 def _refuse_acting(root: ET.Element, model: Path) -> None:
@@ -168,28 +166,28 @@ def _at(text: bytes, tag: str) -> str:
     return "line " + ", ".join(map(str, _lines(text, lambda text: False, tag)))
 
 
-def _lines(text: bytes, wanted: Callable[[str], bool], tag: str = "") -> list[int]:
+def _lines(text: bytes, matches: Callable[[str], bool], tag: str = "") -> list[int]:
     """Return the lines of a file with wanted words in text or attributes, or with parts of a ``tag`` under the root."""
-    found: list[int] = []
+    numbers: list[int] = []
     depth = 0
     reader = expat.ParserCreate()
 
-    def look(words: str) -> None:
-        if wanted(words):
-            found.append(reader.CurrentLineNumber)
+    def check(words: str) -> None:
+        if matches(words):
+            numbers.append(reader.CurrentLineNumber)
 
     def begin(name: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
         if depth == 2 and name == tag:
-            found.append(reader.CurrentLineNumber)
+            numbers.append(reader.CurrentLineNumber)
         for value in attributes.values():
-            look(value)
+            check(value)
 
     def end(name: str) -> None:
         nonlocal depth
         depth -= 1
 
-    reader.StartElementHandler, reader.EndElementHandler, reader.CharacterDataHandler = begin, end, look
+    reader.StartElementHandler, reader.EndElementHandler, reader.CharacterDataHandler = begin, end, check
     reader.Parse(text, True)
-    return found
+    return numbers

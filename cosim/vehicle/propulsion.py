@@ -1,7 +1,7 @@
 """Propulsion: from throttles and tilts to forces and moments on the airframe.
 
-Engines with all that stands around them (:mod:`cosim.engine.wrappers`), the servos that tilt them, the tank, and what
-acts beside thrust (:mod:`cosim.vehicle.effects`).
+Engines with their wrappers (:mod:`cosim.engine.wrappers`), the servos that tilt them, the tank, and the effects beside
+thrust (:mod:`cosim.vehicle.effects`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Propulsion:
     ``jets`` as they stand on the vehicle that flies; ``effects``: what acts beside thrust, in order, of a vehicle that
     has any; ``air()``: static pressure [Pa] and temperature [K] where it is; ``hot_gas`` that engines swallow.
     After a step ``output``, ``tilt``, ``fuel`` and ``spool_moment`` say what the parts did over it; ``momentum`` of the
-    rotors (kg m^2/s, body) and ``burnt`` (kg, of a full tank) are the airframe's to carry.
+    rotors (kg m^2/s, body) and ``burnt`` (kg, of a full tank) act on the airframe.
     """
 
     def __init__(
@@ -51,14 +51,14 @@ class Propulsion:
         self._rest = tuple([servo.angle for servo in servos]) or (0.0, 0.0)
         self._wind = ZERO3
         self.gusts: list[Vector3] = []  # m/s NED, of the wind at each jet beyond that at the vehicle; none: it is one
-        self._forget()
+        self._clear()
 
-    def _forget(self) -> None:
+    def _clear(self) -> None:
         self.tilt = self._rest  # where the servos stand
         self.output = NO_OUTPUT
         self.fuel = nan  # kg on board at the step's beginning
-        self._load.forget()
-        self._off = NO_JETS  # as last asked for
+        self._load.clear()
+        self._off = NO_JETS  # as last commanded
 
     @property
     def wants_ambient(self) -> bool:
@@ -72,7 +72,7 @@ class Propulsion:
 
     @property
     def spool_moment(self) -> Any:
-        """What the rotors act on the airframe with, N m, body; NaN without rotors."""
+        """The moment of the rotors on the airframe, N m, body; NaN without rotors."""
         return self._load.spool_moment
 
     @property
@@ -82,20 +82,20 @@ class Propulsion:
 
     @property
     def remaining(self) -> float | None:
-        """Share of a full tank that is on board; None without one."""
-        return self.tank.left / self.tank.mass if self.tank is not None else None
+        """The fraction of a full tank that is on board; None without a tank."""
+        return self.tank.remaining / self.tank.mass if self.tank is not None else None
 
     def refuel(self) -> None:
-        """As at the start of a flight."""
+        """Fill the tank as at the start of a flight."""
         if self.tank is not None:
             self.tank.reset()
 
     def reset(self, throttle: PerJet, state: State | None, wind: Vector3, off: bool = False) -> list[Vector3]:
-        """Engines at rest at ``throttle``, jets upright, nothing faulty: the forces, N, body, at each jet's station.
+        """Start with engines at rest at ``throttle``, jets upright, no fault; return the force at each jet [N, body].
 
         ``state`` for engines that want to know the air; ``wind`` at the start, m/s NED; ``off``: no engine runs.
         """
-        self._forget()
+        self._clear()
         self._wind = wind  # JSBSim knows of none before its first run
         for servo in self.servos:
             servo.reset()
@@ -111,7 +111,7 @@ class Propulsion:
         return load.forces
 
     def step(self, k: int, actuation: Actuation, state: State) -> tuple[list[Vector3], Vector3]:
-        """Over step ``k`` from ``state``: a force at each jet's station [N, body] and a moment beside them [N m, body].
+        """Advance step ``k`` from ``state``; return a force at each jet [N, body] and a moment beside them [N m, body].
 
         Thrust and tilt are those of the step's end.  Raises EngineError.
         """
@@ -141,7 +141,7 @@ class Propulsion:
         return load.forces, load.moment
 
     def _switch(self, off: frozenset[int]) -> None:
-        """Shut off what is to be off, and let what no longer is run again, where there is fuel."""
+        """Shut engines off, and restart those that are no longer to be off, where there is fuel."""
         for jet in sorted(off - self._off):
             self.engines.switch(jet, False)
         if self.tank is None or not self.tank.empty:
@@ -151,21 +151,21 @@ class Propulsion:
 
     def _burn(self, tank: Tank, flows: PerJet) -> None:
         """Burn a step's fuel, and shut all engines off when there is none left."""
-        self.fuel = tank.left
+        self.fuel = tank.remaining
         if tank.burn(flows) and tank.empty:
             for jet in range(self._jets):
                 self.engines.switch(jet, False)
 
     def forces(self, thrust: PerJet, tilt: PerServo) -> list[Vector3]:
-        """Each jet's thrust along its own turned axis: N, body."""
+        """Return each jet's thrust along its own turned axis: N, body."""
         layout = self._layout
-        answer = [ZERO3] * self._jets
+        forces = [ZERO3] * self._jets
         for group, jets in enumerate(layout.members):
             x, y, z = layout.axis(group, tilt)
             for jet in jets:
                 newton = thrust[jet]
-                answer[jet] = (newton * x, newton * y, newton * z)
-        return answer
+                forces[jet] = (newton * x, newton * y, newton * z)
+        return forces
 
     def ambient(self, state: State, wind: Vector3) -> Ambient:
         """Return the air at the engines: the vehicle's, and what blows into each intake along its jet as it stands.

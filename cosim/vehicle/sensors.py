@@ -1,4 +1,4 @@
-"""What the controller is told: gyro, attitude, GNSS, barometer and accelerometer, with noise, bias, lag and latency.
+"""The sensors of the controller: gyro, attitude, GNSS, barometer and accelerometer, with noise, bias, lag and latency.
 
 The noise comes from a generator of its own, seeded by the scenario, so that a change elsewhere does not change it; the
 accelerometer's from another one, so that what the other sensors give is the same with it as it was without, and the
@@ -36,7 +36,7 @@ class Latency(Generic[T]):
         self._at = 0
 
     def reset(self, value: T) -> None:
-        """As if ``value`` had been there forever."""
+        """Start as if ``value`` had been there forever."""
         self._line = [value] * self.samples
         self._at = 0
 
@@ -61,16 +61,16 @@ class LeanError:
     exp(-t/tau)``, and a gyro's bias ``b`` one of ``b tau``. The heading has no error: a magnetometer turns it back
     about the vertical, at once. No acceleration is refused for its size.
 
-    Held is the rotation from the true attitude to the estimated one, in NED: a gyro without error leaves it as it is.
+    The state is the rotation from the true attitude to the estimated one, in NED: a gyro without error keeps it.
     """
 
     def __init__(self, tau: float, step: float) -> None:
         self._dt = step
-        self._share = 1.0 - exp(-step / tau)
+        self._filter_gain = 1.0 - exp(-step / tau)
         self.reset()
 
     def reset(self) -> None:
-        """Aligned with the truth."""
+        """Align with the true attitude."""
         self._error: Quaternion = IDENTITY
 
     def update(self, attitude: Quaternion, gyro: Vector3, force: Vector3) -> Quaternion:
@@ -84,7 +84,7 @@ class LeanError:
             n, e, d = rotate(multiply(error, attitude), (-x / size, -y / size, -z / size))
             across = hypot(n, e)
             if across > 0.0:
-                half = 0.5 * self._share * atan2(across, d)
+                half = 0.5 * self._filter_gain * atan2(across, d)
                 sine = sin(half) / across
                 error = multiply((cos(half), e * sine, -n * sine, 0.0), error)
         w, x, y, z = error
@@ -104,7 +104,7 @@ class SensorSuite:
         self._noisy = noisy
         self._seed = seed
         gyro, attitude, gnss, barometer = sensors.gyro, sensors.attitude, sensors.gnss, sensors.barometer
-        self._share = 1.0 - exp(-step / gyro.filter_s) if gyro.filter_s > 0.0 else 1.0
+        self._filter_gain = 1.0 - exp(-step / gyro.filter_s) if gyro.filter_s > 0.0 else 1.0
         on = 1.0 if noisy else 0.0
         self._gyro_noise = gyro.noise_rad_s * on
         drawn = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_BIAS_KEY,))).standard_normal(6).tolist()
@@ -123,7 +123,7 @@ class SensorSuite:
         self._attitude_line: Latency[Quaternion] = Latency(attitude.latency_samples)
         self._gnss_line: Latency[Fix] = Latency(gnss.latency_samples)
         self._height_line: Latency[float] = Latency(barometer.latency_samples)
-        self._late = gyro.latency_samples + attitude.latency_samples + barometer.latency_samples > 0
+        self._has_latency = gyro.latency_samples + attitude.latency_samples + barometer.latency_samples > 0
         accelerometer = sensors.accelerometer
         self._force_noise = accelerometer.noise_m_s2 * on
         self._force_bias = _draw_bias(accelerometer.bias_m_s2, accelerometer.bias_sigma_m_s2, drawn[3:], on)
@@ -159,7 +159,7 @@ class SensorSuite:
         new_fix = self._count % self._period == 0
         force = state.specific_force
         position, velocity = state.position, state.velocity
-        off = ZERO3
+        gyro_error = ZERO3
         n: list[float] = []
         if self._noisy:
             m = self._next_force_draws()
@@ -170,17 +170,17 @@ class SensorSuite:
             n = self._next_draws()
             s = self._gyro_noise
             bp, bq, br = self._gyro_bias
-            off = (s * n[0] + bp, s * n[1] + bq, s * n[2] + br)
-            p += off[0]
-            q += off[1]
-            r += off[2]
+            gyro_error = (s * n[0] + bp, s * n[1] + bq, s * n[2] + br)
+            p += gyro_error[0]
+            q += gyro_error[1]
+            r += gyro_error[2]
         if self._force_resolution > 0.0:
             force = _quantise(force, self._force_resolution)
         if self._gyro_resolution > 0.0:
             p, q, r = _quantise((p, q, r), self._gyro_resolution)
-            off = (p - state.rate[0], q - state.rate[1], r - state.rate[2])
+            gyro_error = (p - state.rate[0], q - state.rate[1], r - state.rate[2])
         if self._lean:
-            attitude = self._lean.update(attitude, off, force)
+            attitude = self._lean.update(attitude, gyro_error, force)
         if self._noisy:
             s = 0.5 * self._attitude_noise
             ax, ay, az = self._attitude_bias
@@ -195,16 +195,16 @@ class SensorSuite:
                 position = (x + s * n[6], y + s * n[7], z + s * n[8])
                 velocity = (u + t * n[9], v + t * n[10], w + t * n[11])
         fp, fq, fr = self._rate
-        share = self._share
-        self._rate = rate = (fp + share * (p - fp), fq + share * (q - fq), fr + share * (r - fr))
+        gain = self._filter_gain
+        self._rate = rate = (fp + gain * (p - fp), fq + gain * (q - fq), fr + gain * (r - fr))
         if new_fix:
             self._fix = (position, velocity)
-        if self._late:
+        if self._has_latency:
             rate = self._gyro_line.update(rate)
             attitude = self._attitude_line.update(attitude)
             altitude = self._height_line.update(altitude)
-        held_position, held_velocity = self._gnss_line.update(self._fix)
-        return Measured(rate, attitude, held_position, held_velocity, altitude, self._force_line.update(force))
+        fix_position, fix_velocity = self._gnss_line.update(self._fix)
+        return Measured(rate, attitude, fix_position, fix_velocity, altitude, self._force_line.update(force))
 
     def _next_draws(self) -> list[float]:
         if not self._draws:

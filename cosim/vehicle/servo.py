@@ -19,39 +19,39 @@ class TiltServo:
         self._rest = 0.0
         if isinstance(servo, Surface):
             self._low, self._high = servo.range
-            self._most = servo.rate_limit_1_s * step
+            self._most_change = servo.rate_limit_1_s * step
         else:
-            self._most = servo.rate_limit_rad_s * step
+            self._most_change = servo.rate_limit_rad_s * step
             if isinstance(servo, Hinge):
                 self._low, self._high = servo.least_most
                 self._rest = servo.rest_rad
             else:
                 self._low, self._high = -servo.range_rad, servo.range_rad
-        self._share = 1.0 - exp(-step / servo.lag_s) if servo.lag_s > 0.0 else 1.0
-        self._at: float | None = None  # rad, where a jam runs to; None: nowhere
+        self._filter_gain = 1.0 - exp(-step / servo.lag_s) if servo.lag_s > 0.0 else 1.0
+        self._jam_angle: float | None = None  # rad, where a jam runs to; None: nowhere
         self.reset()
 
     def reset(self, angle: float | None = None) -> None:
-        """Stand at ``angle``, or where nothing is asked for, free."""
+        """Start at ``angle``, by default at rest, and free."""
         self.angle = self._rest if angle is None else angle
         self.free()
 
     def jam(self, angle: float | None) -> None:
-        """From the next step on stay where it stands, or run to ``angle`` (rad) in its own way and stay there."""
-        self._jammed, self._at = True, angle
+        """Jam from the next step on: stay, or run to ``angle`` (rad) as fast as it may and stay there."""
+        self._is_jammed, self._jam_angle = True, angle
 
     def free(self) -> None:
-        """Go on from where it stands, as commanded."""
-        self._jammed = False
+        """End a jam: follow commands from the present angle."""
+        self._is_jammed = False
 
     def update(self, command: float) -> float:
-        """Angle (rad) at the end of the step in which ``command`` (rad) is held."""
-        if self._jammed:
-            if self._at is None:
+        """Return the angle (rad) at the end of the step in which ``command`` (rad) is held."""
+        if self._is_jammed:
+            if self._jam_angle is None:
                 return self.angle
-            command = self._at
+            command = self._jam_angle
         target = clip(command, self._low, self._high)
-        self.angle += clamp(self._share * (target - self.angle), self._most)
+        self.angle += clamp(self._filter_gain * (target - self.angle), self._most_change)
         return self.angle
 
 

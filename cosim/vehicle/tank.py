@@ -6,9 +6,9 @@ from cosim.base.signals import PerJet
 
 
 class Tank:
-    """Fuel on board: what the engines say they burn is taken out until nothing is left.
+    """Fuel on board: the flows that the engines report are taken out until it is empty.
 
-    The flow at a step's end holds for all of the step, like the thrust.  An engine that says nothing burns nothing, and
+    The flow at a step's end holds for all of the step, like the thrust.  An engine without a report burns nothing, and
     none fills the tank.
     """
 
@@ -19,12 +19,12 @@ class Tank:
         self.reset()
 
     def reset(self) -> None:
-        """As full as it was at the start."""
+        """Fill the tank as at the start."""
         self.burnt = (1.0 - self._full) * self.mass  # kg, of a full tank
 
     @property
-    def left(self) -> float:
-        """Fuel still on board, kg."""
+    def remaining(self) -> float:
+        """The fuel on board, kg."""
         return self.mass - self.burnt
 
     @property
@@ -32,7 +32,7 @@ class Tank:
         return self.burnt >= self.mass
 
     def burn(self, flows: PerJet) -> bool:
-        """Burn ``flows`` [kg/s], one per engine, for one step; whether anything was burnt."""
+        """Burn ``flows`` [kg/s], one per engine, for one step; return whether anything was burnt."""
         flow = 0.0
         for rate in flows:
             if rate > 0.0:  # NaN is not

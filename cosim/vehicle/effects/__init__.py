@@ -1,1 +1,1 @@
-"""What acts on the airframe beside thrust: each effect is a class of its own, and :mod:`.make` lists a vehicle's."""
+"""Effects on the airframe beside thrust, each a class of its own; :mod:`.make` lists those of a vehicle."""

@@ -39,13 +39,13 @@ class Banks(Effect):
         self._inertia = servo.bank_inertia_kg_m2
         self._imbalance = servo.bank_imbalance_kg_m
         self._on_left = tuple(jet.servo == "left" for jet in jets)
-        self._left = sum(self._on_left)
-        self._right = len(jets) - self._left
-        self.any = self._inertia > 0.0 or self._imbalance != 0.0
+        self._left_jets = sum(self._on_left)
+        self._right_jets = len(jets) - self._left_jets
+        self.is_active = self._inertia > 0.0 or self._imbalance != 0.0
         self.reset()
 
     def reset(self) -> None:
-        """Both at rest, thrust straight up."""
+        """Start with both at rest, thrust straight up."""
         self._angles = (0.0, 0.0)
         self._rates = (0.0, 0.0)
 
@@ -53,30 +53,33 @@ class Banks(Effect):
         self.reset()
 
     def act(self, load: Load) -> None:
-        """Add what the banks push with at the jets' stations, and their moment."""
+        """Add the banks' forces at the jets' stations, and their moment."""
         step, inertia = self._step, self._inertia
-        old_left, old_right = self._angles
-        was_left, was_right = self._rates
+        last_left, last_right = self._angles
+        last_left_rate, last_right_rate = self._rates
         left, right = load.tilt
-        left_rate, right_rate = (left - old_left) / step, (right - old_right) / step
-        left_growth, right_growth = (left_rate - was_left) / step, (right_rate - was_right) / step
+        left_rate, right_rate = (left - last_left) / step, (right - last_right) / step
+        left_acceleration, right_acceleration = (
+            (left_rate - last_left_rate) / step,
+            (right_rate - last_right_rate) / step,
+        )
         self._angles, self._rates = (left, right), (left_rate, right_rate)
         p, _, r = load.state.rate
         h = -inertia * (left_rate + right_rate)
-        load.turn((r * h, inertia * (left_growth + right_growth), -p * h))
+        load.turn((r * h, inertia * (left_acceleration + right_acceleration), -p * h))
         if not self._imbalance:
             return
-        left_x, left_z = self._push(left, left_rate, left_growth, self._left)
-        right_x, right_z = self._push(right, right_rate, right_growth, self._right)
-        pushed: list[Vector3] = []
+        left_x, left_z = self._push(left, left_rate, left_acceleration, self._left_jets)
+        right_x, right_z = self._push(right, right_rate, right_acceleration, self._right_jets)
+        forces: list[Vector3] = []
         for number, on_left in enumerate(self._on_left):
             x, y, z = load.forces[number]
-            pushed.append((x + left_x, y, z + left_z) if on_left else (x + right_x, y, z + right_z))
-        load.forces = pushed
+            forces.append((x + left_x, y, z + left_z) if on_left else (x + right_x, y, z + right_z))
+        load.forces = forces
 
-    def _push(self, angle: float, rate: float, growth: float, jets: int) -> tuple[float, float]:
-        """Along x and z, N, for each of the bank's stations: together they are the force at its middle."""
+    def _push(self, angle: float, rate: float, acceleration: float, jets: int) -> tuple[float, float]:
+        """Return the force along x and z, N, at each of the bank's stations: their sum acts at its middle."""
         x, _, z = jet_axis(angle)
-        share = -self._imbalance / jets
+        mass_moment = -self._imbalance / jets
         # e_a = (cos a, 0, sin a) with e = (sin a, 0, -cos a)
-        return share * (-z * growth - x * rate * rate), share * (x * growth - z * rate * rate)
+        return mass_moment * (-z * acceleration - x * rate * rate), mass_moment * (x * acceleration - z * rate * rate)

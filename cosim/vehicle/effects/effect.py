@@ -1,4 +1,4 @@
-"""What every effect is given, adds to and answers."""
+"""The base class of effects beside thrust, and the load that they add to."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class Load:
         self.tilt: PerServo = ()  # where the servos stand at the step's end, rad
         self.state = _STILL  # of the airframe, at the step's beginning
         self.gusts: list[Vector3] = []  # m/s NED, of the wind at each jet beyond that at the vehicle; none: it is one
-        self.forget()
+        self.clear()
 
-    def forget(self) -> None:
-        """No rotor turns yet."""
+    def clear(self) -> None:
+        """Start with rotors at rest."""
         self.momentum = ZERO3
         self.spool_moment: Any = UNKNOWN3
 
@@ -49,20 +49,20 @@ class Load:
 
 
 class Effect:
-    """One thing that acts on the airframe beside thrust; see :class:`Load`.
+    """Something that acts on the airframe beside thrust; see :class:`Load`.
 
-    A list in ``forces`` is another effect's too: what changes one puts a new one there.
+    Effects share the list in ``forces``: one that changes it puts a new list there.
     """
 
-    steady = False  # it acts alike however long servos and engines have stood where they are
+    steady = False  # it acts at rest too
 
     def start(self, load: Load) -> None:
         """Begin a flight: at rest, the engines as ``load.output`` says."""
 
     def act(self, load: Load) -> None:
-        """Add what it does over a step."""
+        """Add its forces and moment over a step."""
 
 
-def added(forces: Sequence[Vector3], more: Sequence[Vector3]) -> list[Vector3]:
+def add_forces(forces: Sequence[Vector3], others: Sequence[Vector3]) -> list[Vector3]:
     """Return the sums of forces, station by station."""
-    return [plus(force, other) for force, other in zip(forces, more, strict=True)]
+    return [plus(force, other) for force, other in zip(forces, others, strict=True)]

@@ -1,4 +1,4 @@
-"""What the ground does to a vehicle that hovers on jets: lift that is lost, and hot gas that the engines swallow."""
+"""Ground effect of a vehicle that hovers on jets: loss of lift, and hot gas that the engines swallow."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ class LiftLoss(Effect):
 
     def __init__(self, effect: GroundEffect, jets: Sequence[Jet]) -> None:
         self._planform, self._jet, self._below = effect.planform_m, effect.jet_m, effect.planform_z_m
-        # the force is spread over the stations: this is where that acts, and what it has in moment is taken back
+        # The loss is spread over the stations, whose mean position is this; its moment is compensated.
         self._mean_x = sum([jet.position_m[0] for jet in jets]) / len(jets)
         self._mean_y = sum([jet.position_m[1] for jet in jets]) / len(jets)
 
     def act(self, load: Load) -> None:
-        """Take the loss from what pushes up so far, with a moment that keeps it at the centre."""
+        """Subtract the loss from the forces so far, with a moment that makes it act at the centre."""
         forces, state = load.forces, load.state
         lift = -sum([z for _, _, z in forces])
         if lift <= 0.0:

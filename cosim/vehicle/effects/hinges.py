@@ -1,4 +1,4 @@
-"""Reaction on the body of what hangs on turning hinges, about any axis in any place.
+"""Reaction of turning hinges on the body, about any axis at any position.
 
 It is that of the banks (:mod:`cosim.vehicle.effects.banks`) in general.
 
@@ -30,12 +30,12 @@ from cosim.vehicle.effects.effect import Effect, Load, plus
 class HingeReactions(Effect):
     """The hinges of a vehicle whose parts have mass or inertia.
 
-    ``step``: control step, s; ``handed``: where the force is handed over [m, body].
+    ``step``: control step, s.
     """
 
     def __init__(self, hinges: Sequence[Hinge], jets: Sequence[Jet], step: float) -> None:
         self._step = step
-        self._handed: Vector3 = jets[0].position_m
+        self._force_point: Vector3 = jets[0].position_m
         layout = layout_of(jets, hinges)
         self._rest = [hinge.rest_rad for hinge in hinges]
         self._inertia = [hinge.inertia_kg_m2 for hinge in hinges]
@@ -54,14 +54,14 @@ class HingeReactions(Effect):
         # the hinges that a hinge stands on: those that carry one of its jets and are stated before it
         self._outer: list[list[int]] = []
         for number, turn in enumerate(layout.turns):
-            own = {*turn.carries, *turn.deflects}
-            self._outer.append([k for k in range(number) if own & set(layout.turns[k].carries)])
+            jets_moved = {*turn.carries, *turn.deflects}
+            self._outer.append([k for k in range(number) if jets_moved & set(layout.turns[k].carries)])
         self._points: list[Vector3] = [hinge.position_m for hinge in hinges]
-        self.any = any(self._inertia) or any(self._mass)
+        self.is_active = any(self._inertia) or any(self._mass)
         self.reset()
 
     def reset(self) -> None:
-        """All at rest, where nothing is asked of them."""
+        """Start with all hinges at rest."""
         self._angles = list(self._rest)
         self._rates = [0.0] * len(self._rest)
 
@@ -82,12 +82,12 @@ class HingeReactions(Effect):
         step = self._step
         force = moment = ZERO3
         for number, inertia in enumerate(self._inertia):
-            old, was = self._angles[number], self._rates[number]
+            last_angle, last_speed = self._angles[number], self._rates[number]
             now = tilt[number]
-            speed = (now - old) / step
-            growth = (speed - was) / step
+            speed = (now - last_angle) / step
+            acceleration = (speed - last_speed) / step
             self._angles[number], self._rates[number] = now, speed
-            if speed == 0.0 and growth == 0.0:
+            if speed == 0.0 and acceleration == 0.0:
                 continue
             mass = self._mass[number]
             axis, foot = self._axes[number], self._feet[number]
@@ -98,19 +98,19 @@ class HingeReactions(Effect):
                 x, y, z = turned(about, angle, (foot[0] - point[0], foot[1] - point[1], foot[2] - point[2]))
                 foot = (point[0] + x, point[1] + y, point[2] + z)
             x, y, z = axis
-            held = inertia * speed
-            wx, wy, wz = cross(rate, (held * x, held * y, held * z))
-            kick = -inertia * growth
-            mx, my, mz = kick * x - wx, kick * y - wy, kick * z - wz
+            momentum = inertia * speed
+            wx, wy, wz = cross(rate, (momentum * x, momentum * y, momentum * z))
+            reaction_torque = -inertia * acceleration
+            mx, my, mz = reaction_torque * x - wx, reaction_torque * y - wy, reaction_torque * z - wz
             if mass:
                 ax, ay, az = cross(axis, arm)
                 square = speed * speed
                 push = (
-                    -mass * (growth * ax - square * arm[0]),
-                    -mass * (growth * ay - square * arm[1]),
-                    -mass * (growth * az - square * arm[2]),
+                    -mass * (acceleration * ax - square * arm[0]),
+                    -mass * (acceleration * ay - square * arm[1]),
+                    -mass * (acceleration * az - square * arm[2]),
                 )
-                hx, hy, hz = self._handed
+                hx, hy, hz = self._force_point
                 lx, ly, lz = cross((foot[0] - hx, foot[1] - hy, foot[2] - hz), push)
                 mx, my, mz = mx + lx, my + ly, mz + lz
                 force = (force[0] + push[0], force[1] + push[1], force[2] + push[2])

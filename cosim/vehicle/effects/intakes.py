@@ -1,4 +1,4 @@
-"""The air that the jets swallow: it has to be brought to the vehicle's speed."""
+"""Drag and damping by the air that the jets swallow, which is accelerated to the vehicle's speed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cosim.vehicle.effects.effect import Effect, Load
 
 
 class IntakeDrag(Effect):
-    """What the streams do to the airframe beside their thrust, by the momentum theorem.
+    """Forces of the air streams on the airframe beside their thrust, by the momentum theorem.
 
     ``m`` is one engine's mass flow, ``v`` the velocity of the centre of gravity through the air, ``e`` the jet's tilted
     axis, ``r`` its station: air enters at ``r_i = r + a e`` and leaves at ``r_o = r + b e``,
@@ -26,7 +26,7 @@ class IntakeDrag(Effect):
 
     def __init__(self, flow: Airflow | None, jets: Sequence[Jet], hinges: Sequence[Hinge] = ()) -> None:
         self._flows: list[Airflow | None] = [jet.airflow or flow for jet in jets]
-        self.any = any(flow is not None for flow in self._flows)
+        self.is_active = any(flow is not None for flow in self._flows)
         self._stations: list[Vector3] = [jet.position_m for jet in jets]
         self._layout = layout_of(jets, hinges)
 
@@ -38,27 +38,27 @@ class IntakeDrag(Effect):
         through_air = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
         axes, groups = self._layout.axes(tilt), self._layout.groups
         moves, standing = self._layout.moves, self._layout.standing(tilt)
-        added: list[Vector3] = []
+        total: list[Vector3] = []
         moment_x = moment_y = moment_z = 0.0
         for i, newton in enumerate(load.output.thrust):
-            own = self._flows[i]
-            if own is None:
-                added.append(forces[i])
+            airflow = self._flows[i]
+            if airflow is None:
+                total.append(forces[i])
                 continue
             fx, fy, fz = forces[i]
             x, y, z = standing[i]
             e = axes[groups[i]]
-            a, b = own.intake_m, own.exhaust_m
-            flow = own.kg_s * pow(newton / own.at_thrust_n, own.exponent) if newton > 0.0 else 0.0
+            a, b = airflow.intake_m, airflow.exhaust_m
+            flow = airflow.kg_s * pow(newton / airflow.at_thrust_n, airflow.exponent) if newton > 0.0 else 0.0
             outlet = (x + b * e[0], y + b * e[1], z + b * e[2])
-            here = through_air
+            air_velocity = through_air
             if gusts:
                 gx, gy, gz = rotate(conjugate(state.attitude), gusts[i])
-                here = (through_air[0] - gx, through_air[1] - gy, through_air[2] - gz)
-            drag = _across(here, e, -flow)
+                air_velocity = (through_air[0] - gx, through_air[1] - gy, through_air[2] - gz)
+            drag = _across(air_velocity, e, -flow)
             damping = _across(cross(state.rate, outlet), e, -flow)
-            added.append((fx + drag[0] + damping[0], fy + drag[1] + damping[1], fz + drag[2] + damping[2]))
-            # both pushes are handed over at the station
+            total.append((fx + drag[0] + damping[0], fy + drag[1] + damping[1], fz + drag[2] + damping[2]))
+            # both forces act at the station
             push = (a * drag[0] + b * damping[0], a * drag[1] + b * damping[1], a * drag[2] + b * damping[2])
             couple_x, couple_y, couple_z = cross(e, push)
             moment_x, moment_y, moment_z = moment_x + couple_x, moment_y + couple_y, moment_z + couple_z
@@ -67,12 +67,12 @@ class IntakeDrag(Effect):
                 both = (drag[0] + damping[0], drag[1] + damping[1], drag[2] + damping[2])
                 couple_x, couple_y, couple_z = cross((x - at_x, y - at_y, z - at_z), both)
                 moment_x, moment_y, moment_z = moment_x + couple_x, moment_y + couple_y, moment_z + couple_z
-        load.forces = added
+        load.forces = total
         load.turn((moment_x, moment_y, moment_z))
 
 
 def _across(vector: Vector3, axis: Vector3, factor: float) -> Vector3:
-    """``factor`` times the part of ``vector`` across the unit vector ``axis``."""
+    """Return ``factor`` times the part of ``vector`` across the unit vector ``axis``."""
     x, y, z = vector
     along = x * axis[0] + y * axis[1] + z * axis[2]
     return (factor * (x - along * axis[0]), factor * (y - along * axis[1]), factor * (z - along * axis[2]))

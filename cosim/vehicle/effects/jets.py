@@ -12,11 +12,11 @@ from operator import mul
 from cosim.base.frames import cross
 from cosim.base.layout import UP, Layout
 from cosim.base.signals import ZERO3, Vector3
-from cosim.vehicle.effects.effect import Effect, Load, added, plus
+from cosim.vehicle.effects.effect import Effect, Load, add_forces, plus
 
 
 class JetReactions(Effect):
-    """What the rotors' drag turns the frame with, about the jets' own axes: ``reactions`` [m] times thrust."""
+    """The rotors' drag torques on the frame, about the jets' own axes: ``reactions`` [m] times thrust."""
 
     steady = True
 
@@ -39,14 +39,14 @@ class JetReactions(Effect):
 
 
 class EngineTorques(Effect):
-    """The torques that engines say they give, about the jets' own axes, right-handed along thrust.
+    """The torques that engines report, about the jets' own axes, right-handed along thrust.
 
     ``outputs``: of each engine, of ``ASIDE`` in :mod:`cosim.engine.fmu.port_kinds`.
     """
 
     def __init__(self, layout: Layout, outputs: Sequence[AbstractSet[str]]) -> None:
         self._layout = layout
-        self._give = [jet for jet, own in enumerate(outputs) if "torque" in own]
+        self._give = [jet for jet, ports in enumerate(outputs) if "torque" in ports]
 
     def act(self, load: Load) -> None:
         axes, groups, torques = self._layout.axes(load.tilt), self._layout.groups, load.output.torque
@@ -59,7 +59,7 @@ class EngineTorques(Effect):
 
 
 class EngineSideForces(Effect):
-    """The forces that engines say they give across their thrust.
+    """The forces that engines report across their thrust.
 
     The jet's frame is the body's, turned with the thrust by the least turn from straight up to the jet's axis and then
     by its hinges: on a bank at a tilt t thrust is along ``(sin t, 0, -cos t)``, forward ``(cos t, 0, sin t)``, right
@@ -68,7 +68,7 @@ class EngineSideForces(Effect):
 
     def __init__(self, layout: Layout, outputs: Sequence[AbstractSet[str]]) -> None:
         self._layout = layout
-        self._give: list[tuple[bool, bool]] = [("force_forward" in own, "force_right" in own) for own in outputs]
+        self._give: list[tuple[bool, bool]] = [("force_forward" in ports, "force_right" in ports) for ports in outputs]
 
     def start(self, load: Load) -> None:
         self.act(load)
@@ -82,11 +82,11 @@ class EngineSideForces(Effect):
             forward = output.force_forward[jet] if has_forward else 0.0
             right = output.force_right[jet] if has_right else 0.0
             across.append((forward * a + right * d, forward * b + right * e, forward * c + right * f))
-        load.forces, load.pushes = added(load.forces, across), added(load.pushes, across)
+        load.forces, load.pushes = add_forces(load.forces, across), add_forces(load.pushes, across)
 
 
 class CarriedJets(Effect):
-    """The moment of what jets push because hinges carry them away from where their forces are handed over."""
+    """The moment of the jets' forces because hinges carry them away from their stations."""
 
     steady = True
 

@@ -26,21 +26,21 @@ def make_effects(vehicle: Vehicle, flown: Vehicle, engines: Sequence[EngineSpec]
     """
     jets, hinges = flown.jets, flown.hinges
     layout = layout_of(jets, hinges)
-    aside = [{port for port in ASIDE if engine.has(port)} for engine in engines]
-    reactions = [0.0 if "torque" in own else jet.reaction_m for jet, own in zip(jets, aside, strict=True)]
+    ports_aside = [{port for port in ASIDE if engine.has(port)} for engine in engines]
+    reactions = [0.0 if "torque" in ports else jet.reaction_m for jet, ports in zip(jets, ports_aside, strict=True)]
     rotors, intakes = RotorDynamics(jets, engines, step, hinges), IntakeDrag(vehicle.airflow, jets, hinges)
     hinged, effect = HingeReactions(hinges, jets, step), vehicle.ground_effect
     ground = LiftLoss(effect, jets) if effect and effect.suckdown else None
     banks = Banks(vehicle.servo, jets, step) if vehicle.servo else None
     effects: list[tuple[bool, Effect | None]] = [
         (any(reactions), JetReactions(layout, reactions)),
-        (rotors.any, rotors),
-        (any("torque" in own for own in aside), EngineTorques(layout, aside)),
+        (rotors.is_active, rotors),
+        (any("torque" in ports for ports in ports_aside), EngineTorques(layout, ports_aside)),
         (ground is not None, ground),
-        (any(aside), EngineSideForces(layout, aside)),
-        (intakes.any, intakes),
-        (banks is not None and banks.any, banks),
+        (any(ports_aside), EngineSideForces(layout, ports_aside)),
+        (intakes.is_active, intakes),
+        (banks is not None and banks.is_active, banks),
         (layout.moves, CarriedJets(layout)),
-        (hinged.any, hinged),
+        (hinged.is_active, hinged),
     ]
-    return [effect for there, effect in effects if there and effect is not None]
+    return [effect for is_present, effect in effects if is_present and effect is not None]

@@ -1,4 +1,4 @@
-"""What the spinning rotors of the engines do to the airframe."""
+"""Gyroscopic moments of the engines' rotors on the airframe."""
 
 from __future__ import annotations
 
@@ -39,10 +39,12 @@ class RotorDynamics(Effect):
         # of each group of jets that turn together, its number and its rotors
         self._groups: list[tuple[int, list[tuple[int, float]]]] = []
         for group in range(max(self._layout.groups) + 1):
-            turning = [(i, inertia[i]) for i, own in enumerate(self._layout.groups) if own == group and inertia[i]]
+            turning = [
+                (i, inertia[i]) for i, number in enumerate(self._layout.groups) if number == group and inertia[i]
+            ]
             if turning:
                 self._groups.append((group, turning))
-        self.any = bool(self._groups)
+        self.is_active = bool(self._groups)
         self._step = step
         self.momentum: Vector3 = (0.0, 0.0, 0.0)  # kg m^2/s, body
 

@@ -225,7 +225,7 @@ def test_the_model_is_made_of_what_it_is_remembered_by() -> None:
                 assert isinstance(node.func, ast.Name)
                 waiting += [node.func.id] * (node.func.id in functions and node.func.id not in read)
     names.remove("name")  # the title of a model that has none: no number hangs on it
-    assert names == jsbsim_model._RENDERED
+    assert names == jsbsim_model._MODEL_FIELDS
     assert names <= set(Vehicle.model_fields)
 
 

@@ -252,4 +252,4 @@ def test_banks_heavier_than_the_vehicle_are_refused() -> None:
 def test_a_vehicle_that_states_no_bank_flies_as_without() -> None:
     vehicle, _ = load_vehicle("hexjet")
     assert vehicle.servo is not None
-    assert not Banks(vehicle.servo, vehicle.jets, STEP).any
+    assert not Banks(vehicle.servo, vehicle.jets, STEP).is_active

@@ -30,7 +30,7 @@ WRITES = '<system name="s"><channel name="c"><fcs_function name="{}"><function><
 def tried(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
     """What a process of its own would have been started for, without starting it: that takes most of a second."""
     models: list[bytes] = []
-    monkeypatch.setattr("cosim.vehicle.proof._end_with", lambda xml: models.append(xml) or "")
+    monkeypatch.setattr("cosim.vehicle.proof._find_failure", lambda xml: models.append(xml) or "")
     return models
 
 

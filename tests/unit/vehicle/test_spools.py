@@ -148,7 +148,7 @@ def test_a_rotor_whose_speed_is_not_told_is_refused() -> None:
     engine = SimpleNamespace(name="silent", rotor_inertia=1e-5, has=lambda port: False)
     with pytest.raises(InputError, match=r"engine silent at station 2: .* no output spool_speed"):
         RotorDynamics([Jet(position_m=ZERO3), Jet(position_m=ZERO3, spin=1)], [engine] * 2, STEP)  # type: ignore[list-item]
-    assert not RotorDynamics([Jet(position_m=ZERO3)], [engine], STEP).any  # type: ignore[list-item]
+    assert not RotorDynamics([Jet(position_m=ZERO3)], [engine], STEP).is_active  # type: ignore[list-item]
 
 
 # --- the airframe --------------------------------------------------------------------------------------------------
@@ -327,10 +327,10 @@ def test_a_tank_counts_what_is_burnt() -> None:
     assert not tank.empty
     assert tank.burn((9.0,))
     assert tank.empty
-    assert (tank.burnt, tank.left) == (1.0, 0.0)
+    assert (tank.burnt, tank.remaining) == (1.0, 0.0)
     assert not tank.burn((9.0,))
     tank.reset()
-    assert tank.left == 1.0
+    assert tank.remaining == 1.0
 
 
 @pytest.mark.parametrize("payload", [(0.0, 0.0, 0.0, 0.0), (0.4, 0.05, -0.1, 0.02)])
