@@ -25,7 +25,7 @@ from benchmarks.timing import Clocked, Job, clock
 from cosim import Scenario
 from cosim.autopilots import px4
 from cosim.autopilots.ardupilot import ArduPilot, Launch
-from cosim.autopilots.lockstep import Autopilot, Frame, Sticks
+from cosim.autopilots.lockstep import Autopilot, SensorFrame, StickPositions
 from cosim.autopilots.px4 import Px4
 from cosim.base.frames import from_euler
 from cosim.base.geodesy import Geodesy
@@ -38,9 +38,9 @@ VEHICLE = HOVER.resolved_vehicle()[0]
 ORIGIN = Geodesy(22.35, 113.59)
 ROUNDS, FRAMES = 7, 4000
 INSTANCE = {"ardupilot": 2711, "px4": 31_711}  # ports that nobody has
-STILL = Frame(
+STILL = SensorFrame(
     0.0, (0.1, -0.2, 0.3), (0.5, -0.4, -9.8), from_euler(0.1, 0.2, 0.3), (1.0, 2.0, -30.0), (0.1, 0.2, -0.3), 30.0,
-    Sticks(0.5, -0.25, 0.1, 0.4, True),
+    StickPositions(0.5, -0.25, 0.1, 0.4, True),
 )  # fmt: skip
 
 

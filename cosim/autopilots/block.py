@@ -7,8 +7,8 @@ from math import radians
 
 import numpy as np
 
-from cosim.autopilots.lockstep import Answer, Autopilot, Frame, Handling, Sticks
-from cosim.autopilots.pilot import Pilot
+from cosim.autopilots.lockstep import ActuatorOutputs, Autopilot, Handling, SensorFrame, StickPositions
+from cosim.autopilots.pilot import StickPilot
 from cosim.autopilots.stand import Stand
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Applied, EngineState
@@ -19,38 +19,40 @@ from cosim.control.cascade import Cascade
 from cosim.simulation.controllers.recorded import COLUMNS, Row
 
 
-class OutsideRates:
+class ExternalRateLoop:
     """A rate loop around an autopilot whose own loop is P alone, so that its answer states its rate set-point.
 
     ``cascade``: whose rate loop and allocation fly.  ``gain``: of the autopilot's P about each axis, throttle or rad of
     tilt per rad/s.  Its answer is that gain times its set-point less its gyro, at the collective that the mean of its
-    throttles is.  ``hears``: its gyro is the vehicle's, by which its estimator lives; else it is told that nothing
-    turns.  Raises InputError for an allocation without torques.
+    throttles is.  ``has_gyro``: its gyro is the vehicle's, which its estimator needs; else its gyro
+    reads zero.  Raises InputError for an allocation without torques.
     """
 
-    def __init__(self, cascade: Cascade, gain: Vector3, hears: bool = False) -> None:
-        self._cascade, self._gain, self._hears = cascade, gain, hears
+    def __init__(self, cascade: Cascade, gain: Vector3, has_gyro: bool = False) -> None:
+        self._cascade, self._gain, self._has_gyro = cascade, gain, has_gyro
         self.rate_setpoint = ZERO3  # rad/s, the autopilot's last
         self._jets = len(cascade.reset(False, 0.0))
         self._torques = np.array(torques(self._jets, cascade.allocator))
-        self._shares = np.linspace(0.0, 1.0, 2001)
-        self._throttles = [cascade.thrust_map.throttle((float(share),) * self._jets)[0] for share in self._shares]
+        self._fractions = np.linspace(0.0, 1.0, 2001)
+        self._throttles = [
+            cascade.thrust_map.throttle((float(fraction),) * self._jets)[0] for fraction in self._fractions
+        ]
 
     def gyro(self, rate: Vector3) -> Vector3:
         """Return what the autopilot's gyro is given for a measured rate [rad/s]."""
-        return rate if self._hears else ZERO3
+        return rate if self._has_gyro else ZERO3
 
-    def answer(self, request: Answer, measured: Measured) -> Answer:
+    def answer(self, request: ActuatorOutputs, measured: Measured) -> ActuatorOutputs:
         """Return the actuator commands of the outside rate loop for an autopilot's answer."""
         torque = self._torques @ np.array([*request.throttle, *request.tilt])
         roll, pitch, yaw = torque / self._gain + self.gyro(measured.rate)
-        collective = float(np.interp(sum(request.throttle) / self._jets, self._throttles, self._shares))
+        collective = float(np.interp(sum(request.throttle) / self._jets, self._throttles, self._fractions))
         self.rate_setpoint = (float(roll), float(pitch), float(yaw))
         command = Command(ZERO3, 0.0, self.rate_setpoint, collective)
         engines = EngineState.FLY if request.armed else EngineState.IDLE
-        given = self._cascade.update(command, measured, Disturbance(), engines)
-        left, right = given.tilt
-        return Answer(given.throttle, (left, right), True) if request.armed else request
+        actuation = self._cascade.update(command, measured, Disturbance(), engines)
+        left, right = actuation.tilt
+        return ActuatorOutputs(actuation.throttle, (left, right), True) if request.armed else request
 
 
 class AutopilotBlock:
@@ -66,7 +68,9 @@ class AutopilotBlock:
     level = "controller"
     columns = COLUMNS
 
-    def __init__(self, autopilot: Autopilot, label: str, handling: Handling, rates: OutsideRates | None = None) -> None:
+    def __init__(
+        self, autopilot: Autopilot, label: str, handling: Handling, rates: ExternalRateLoop | None = None
+    ) -> None:
         self.autopilot, self.label, self._handling, self.rates = autopilot, label, handling, rates
         self.rows: list[Row] = []
         self.shown: tuple[float, ...] = (0.0, 0.0)
@@ -83,7 +87,7 @@ class AutopilotBlock:
                 "tilting banks; not of hinges, surfaces and other axes"
             )
         self._belief = belief
-        self._pilot = Pilot(belief, radians(self._handling.lean_deg), radians(self._handling.turn_deg_s))
+        self._pilot = StickPilot(belief, radians(self._handling.lean_deg), radians(self._handling.turn_deg_s))
 
     def reset(self) -> None:
         """Reset the stick pilot before the flight."""
@@ -102,7 +106,7 @@ class AutopilotBlock:
         arming, throttle = steps - round(handling.arming_s / dt), steps - round(handling.throttle_s / dt)
         answer = None
         for k in range(steps):
-            sticks = Sticks(throttle=self._pilot.hover if k >= throttle else 0.0, armed=k >= arming)
+            sticks = StickPositions(throttle=self._pilot.hover if k >= throttle else 0.0, armed=k >= arming)
             answer = self._exchange(self.stand.sample(), sticks, ())
         if answer is None or not answer.armed:
             raise FlightError(f"{self.label} was not armed within {handling.before_s:g} s{handling.unarmed}")
@@ -116,8 +120,8 @@ class AutopilotBlock:
         self.rows.append((throttle, tilt, self.shown))
         return Actuation(throttle, tilt, Unallocated())
 
-    def _exchange(self, measured: Measured, sticks: Sticks, spool: tuple[float, ...]) -> Answer:
-        frame = Frame(
+    def _exchange(self, measured: Measured, sticks: StickPositions, spool: tuple[float, ...]) -> ActuatorOutputs:
+        frame = SensorFrame(
             self._frames * self._belief.step_s,
             measured.rate if self.rates is None else self.rates.gyro(measured.rate),
             measured.specific_force,

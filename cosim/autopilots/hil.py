@@ -20,7 +20,7 @@ MAGIC_1, HEADER_1 = 0xFE, 6
 _HEAD = Struct("<BBBBBBBHB")
 
 
-class Kind(NamedTuple):
+class MessageFormat(NamedTuple):
     """One kind of message: its number, its payload, and the byte of its definition that goes into the checksum."""
 
     number: int
@@ -28,26 +28,26 @@ class Kind(NamedTuple):
     extra: int
 
 
-HEARTBEAT = Kind(0, Struct("<IBBBBB"), 50)
-RC_CHANNELS = Kind(65, Struct("<I18HBB"), 118)
-HIL_ACTUATOR_CONTROLS = Kind(93, Struct("<QQ16fB"), 47)  # time_usec, flags, controls, mode
-HIL_SENSOR = Kind(107, Struct("<Q13fIB"), 108)
-HIL_GPS = Kind(113, Struct("<QiiiHHHhhhHBBBH"), 124)
-HIL_STATE_QUATERNION = Kind(115, Struct("<Q4f3fiiihhhHHhhh"), 4)
-RAW_RPM = Kind(339, Struct("<fB"), 199)
-KINDS = {
+HEARTBEAT = MessageFormat(0, Struct("<IBBBBB"), 50)
+RC_CHANNELS = MessageFormat(65, Struct("<I18HBB"), 118)
+HIL_ACTUATOR_CONTROLS = MessageFormat(93, Struct("<QQ16fB"), 47)  # time_usec, flags, controls, mode
+HIL_SENSOR = MessageFormat(107, Struct("<Q13fIB"), 108)
+HIL_GPS = MessageFormat(113, Struct("<QiiiHHHhhhHBBBH"), 124)
+HIL_STATE_QUATERNION = MessageFormat(115, Struct("<Q4f3fiiihhhHHhhh"), 4)
+RAW_RPM = MessageFormat(339, Struct("<fB"), 199)
+FORMATS = {
     kind.number: kind
     for kind in (HEARTBEAT, RC_CHANNELS, HIL_ACTUATOR_CONTROLS, HIL_SENSOR, HIL_GPS, HIL_STATE_QUATERNION, RAW_RPM)
 }
 
 
-class Writer:
+class FrameWriter:
     """Writer of one sender's frames."""
 
     def __init__(self, system: int = 1, component: int = 200) -> None:
         self._system, self._component, self._sequence = system, component, 0
 
-    def frame(self, kind: Kind, *values: float | int) -> bytes:
+    def frame(self, kind: MessageFormat, *values: float | int) -> bytes:
         """Return the next frame; ``values`` in the order of the payload."""
         payload = kind.payload.pack(*values).rstrip(b"\0") or b"\0"
         number = kind.number
@@ -59,43 +59,43 @@ class Writer:
         return body + crc16.mcrf4xx(body[1:] + bytes((kind.extra,))).to_bytes(2, "little")
 
 
-class Reader:
+class FrameReader:
     """Reader of a stream of bytes for messages of :data:`KINDS`; ``noise`` counts bytes that were part of no frame."""
 
     def __init__(self) -> None:
         self.noise = 0
         self.frames = 0
-        self._rest = b""
+        self._buffer = b""
 
-    def feed(self, data: bytes) -> list[tuple[Kind, tuple[float, ...]]]:
+    def feed(self, data: bytes) -> list[tuple[MessageFormat, tuple[float, ...]]]:
         """Return every message that ``data`` completes, without those of other kinds and with a wrong checksum."""
-        rest = self._rest + data
-        messages: list[tuple[Kind, tuple[float, ...]]] = []
-        at, end = 0, len(rest)
+        buffer = self._buffer + data
+        messages: list[tuple[MessageFormat, tuple[float, ...]]] = []
+        at, end = 0, len(buffer)
         while at < end:
-            magic = rest[at]
+            magic = buffer[at]
             if magic != MAGIC and magic != MAGIC_1:
                 self.noise += 1
                 at += 1
                 continue
             if end - at < 3:
                 break
-            size, signed = rest[at + 1], magic == MAGIC and rest[at + 2] & 1
+            size, signed = buffer[at + 1], magic == MAGIC and buffer[at + 2] & 1
             head = HEADER if magic == MAGIC else HEADER_1
-            stop = at + head + size
-            if stop + CHECKSUM + (13 if signed else 0) > end:
+            payload_end = at + head + size
+            if payload_end + CHECKSUM + (13 if signed else 0) > end:
                 break
-            number = int.from_bytes(rest[at + 7 : at + 10], "little") if magic == MAGIC else rest[at + 5]
-            kind = KINDS.get(number)
+            number = int.from_bytes(buffer[at + 7 : at + 10], "little") if magic == MAGIC else buffer[at + 5]
+            kind = FORMATS.get(number)
             if kind is not None:
-                checksum = rest[stop] | rest[stop + 1] << 8
-                if crc16.mcrf4xx(rest[at + 1 : stop] + bytes((kind.extra,))) != checksum:
+                checksum = buffer[payload_end] | buffer[payload_end + 1] << 8
+                if crc16.mcrf4xx(buffer[at + 1 : payload_end] + bytes((kind.extra,))) != checksum:
                     self.noise += 1
                     at += 1
                     continue
-                whole = kind.payload.size
-                messages.append((kind, kind.payload.unpack(rest[at + head : stop][:whole].ljust(whole, b"\0"))))
+                payload = buffer[at + head : payload_end][: kind.payload.size]
+                messages.append((kind, kind.payload.unpack(payload.ljust(kind.payload.size, b"\0"))))
             self.frames += 1
-            at = stop + CHECKSUM + (13 if signed else 0)
-        self._rest = rest[at:]
+            at = payload_end + CHECKSUM + (13 if signed else 0)
+        self._buffer = buffer[at:]
         return messages

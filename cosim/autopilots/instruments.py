@@ -59,8 +59,8 @@ def earth_field(latitude_deg: float, longitude_deg: float, degree: int = len(_IG
             if n > m:
                 root, before = sqrt(n * n - m * m), sqrt((n - 1) ** 2 - m * m)
                 new = ((2 * n - 1) * ct * value - before * older) / root
-                grows = ((2 * n - 1) * (ct * slope - st * value) - before * older_slope) / root
-                value, slope, older, older_slope = new, grows, value, slope
+                new_slope = ((2 * n - 1) * (ct * slope - st * value) - before * older_slope) / root
+                value, slope, older, older_slope = new, new_slope, value, slope
             if n == 0:
                 continue
             g, h = _IGRF[n - 1][0][m], _IGRF[n - 1][1][m - 1] if m else 0.0
@@ -69,8 +69,8 @@ def earth_field(latitude_deg: float, longitude_deg: float, degree: int = len(_IG
             radial += (n + 1) * size * wave * value
             south -= size * wave * slope
             east += size * turned * value / st
-    off = latitude - centric
-    north, down = -south * cos(off) - radial * sin(off), south * sin(off) - radial * cos(off)
+    tilt = latitude - centric
+    north, down = -south * cos(tilt) - radial * sin(tilt), south * sin(tilt) - radial * cos(tilt)
     return (1e-5 * north, 1e-5 * east, 1e-5 * down)
 
 

@@ -23,10 +23,10 @@ from cosim.base.signals import PerJet, Quaternion, State, Vector3
 
 LOCAL = "127.0.0.1"
 _TIMEVAL = Struct("@ll")  # seconds and microseconds
-SLICE_S = 0.25  # chosen by us: the longest that is waited without a look at the program
+CHECK_S = 0.25  # chosen by us: the longest wait between two checks of the program
 
 
-class Sticks(NamedTuple):
+class StickPositions(NamedTuple):
     """A pilot's transmitter: lean and turn as fractions of full stick, throttle from 0 to 1, and the arming switch."""
 
     roll: float = 0.0  # 1: right
@@ -36,15 +36,15 @@ class Sticks(NamedTuple):
     armed: bool = False
 
 
-STICKS_S = 0.02  # how often they are told at least: as often as a receiver tells them
+STICKS_S = 0.02  # longest time between two messages of the sticks: as often as a receiver sends them
 
 
-def pulse(share: float) -> int:
+def pulse(fraction: float) -> int:
     """Return a stick's pulse [us] for a fraction of full stick."""
-    return round(1500.0 + 500.0 * clamp(share, 1.0))
+    return round(1500.0 + 500.0 * clamp(fraction, 1.0))
 
 
-class Frame(NamedTuple):
+class SensorFrame(NamedTuple):
     """The sensors and sticks of one instant, as an autopilot gets them; see :mod:`cosim.autopilots.instruments`."""
 
     time: float  # s; that of the autopilot, which began before the flight
@@ -54,12 +54,12 @@ class Frame(NamedTuple):
     position: Vector3  # m, NED
     velocity: Vector3  # m/s, NED
     altitude: float  # m above the ground, by the barometer
-    sticks: Sticks
+    sticks: StickPositions
     spool: PerJet = ()  # rad/s, where the engines report it
     truth: State | None = None  # for the autopilot's own log; no estimator sees it
 
 
-class Answer(NamedTuple):
+class ActuatorOutputs(NamedTuple):
     """An autopilot's actuator commands for the step that begins at its last frame."""
 
     throttle: PerJet  # 0 to 1, jet 1 first
@@ -68,13 +68,13 @@ class Answer(NamedTuple):
 
 
 @dataclass
-class Counts:
+class LockstepCounts:
     """The counts of a lockstep: with none missing, every step had one answer, and that one was to its own frame."""
 
-    frames: int = 0  # told
-    answers: int = 0  # taken
-    repeated: int = 0  # packets that asked again for what they had been told: told again, not stepped
-    foreign: int = 0  # packets from somewhere else than the autopilot, or of no known kind: left alone
+    frames: int = 0  # sent
+    answers: int = 0  # received
+    repeated: int = 0  # packets that requested a frame again: sent again, not stepped
+    foreign: int = 0  # packets from another sender than the autopilot, or of no known kind: ignored
     boot: int = 0  # frames before the first answer
     longest_s: float = 0.0  # of the clock, that the autopilot took for an answer
 
@@ -93,36 +93,36 @@ class Handling:
     throttle_s: float
     lean_deg: float  # of full stick
     turn_deg_s: float  # of full stick
-    unarmed: str = ""  # what else is said of one that was not armed
+    unarmed: str = ""  # end of the message for one that was not armed
 
 
 class Autopilot(Protocol):
     """One autopilot and the connection to it."""
 
-    counts: Counts
+    counts: LockstepCounts
 
     def start(self) -> None:
-        """Let it begin, and wait until it can be told of the first frame.  Raises InputError or FlightError."""
+        """Let it begin, and wait until it can take the first frame.  Raises InputError or FlightError."""
 
-    def exchange(self, frame: Frame) -> Answer:
-        """Tell it of one instant and wait for its answer to that.  Raises FlightError where none comes."""
+    def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
+        """Send it one frame and wait for its answer to that.  Raises FlightError where none comes."""
 
     def check_parameters(self) -> str:
         """Check, when it has flown and is closed, for names of parameters that it was given and does not have.
 
-        Return why that cannot be done, in words; "" where it was done, now or before the flight, or nothing was told.
-        Raises FlightError that says the names.
+        Return why that cannot be done, in words; "" where it was done, now or before the flight, or no name was given.
+        Raises FlightError with the names.
         """
 
     def close(self) -> None:
         """End it; may be called twice."""
 
 
-def say_unknown(names: Sequence[str], known: Collection[str], program: str) -> str:
-    """Return the words that refuse names of parameters that a program does not have; meant is the nearest it knows."""
-    close = get_close_matches(names[0], sorted(known), n=1)
-    meant = f"; did you mean {close[0]}?" if close else ""
-    return f"parameter {', '.join(names)}: this {program} has none of that name{meant}"
+def describe_unknown(names: Sequence[str], existing: Collection[str], program: str) -> str:
+    """Return the words that refuse names of parameters that a program does not have, with the nearest that exists."""
+    closest = get_close_matches(names[0], sorted(existing), n=1)
+    suggestion = f"; did you mean {closest[0]}?" if closest else ""
+    return f"parameter {', '.join(names)}: this {program} has none of that name{suggestion}"
 
 
 # Linux ends the program with the thread that started it, however that goes; 1 is PR_SET_PDEATHSIG of <sys/prctl.h>.
@@ -130,7 +130,7 @@ _TIED = "import ctypes, os, sys; ctypes.CDLL(None).prctl(1, 9); os.execv(sys.arg
 
 
 class Program:
-    """A process that was started for a flight, with its output in a file; ended with all that it started."""
+    """A process that is started for a flight, with its output in a file; ended with all that it started."""
 
     def __init__(self, command: Sequence[str], folder: Path, log: Path, environment: dict[str, str]) -> None:
         self.name = Path(command[0]).name
@@ -159,15 +159,15 @@ class Program:
         self.process.end()
 
 
-def find_configured_program(stated: Path | None, variable: str) -> Path | None:
+def find_configured_program(binary: Path | None, variable: str) -> Path | None:
     """Return the program of ``--binary``, or that this environment variable names; None if neither does.
 
     Raises InputError for what is no program.
     """
-    if stated is not None:
-        return check_program(stated, "--binary")
-    named = os.environ.get(variable)
-    return check_program(Path(named), variable) if named else None
+    if binary is not None:
+        return check_program(binary, "--binary")
+    variable_path = os.environ.get(variable)
+    return check_program(Path(variable_path), variable) if variable_path else None
 
 
 def check_program(path: Path, where: str) -> Path:
@@ -181,67 +181,67 @@ def check_program(path: Path, where: str) -> Path:
 
 def listen(kind: socket.SocketKind, port: int, what: str) -> socket.socket:
     """Return a loopback socket at a port, with a time-out for datagrams.  Raises InputError where it is taken."""
-    opened = socket.socket(socket.AF_INET, kind)
+    sock = socket.socket(socket.AF_INET, kind)
     try:
         if kind == socket.SOCK_STREAM:
-            opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        opened.bind((LOCAL, port))
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind((LOCAL, port))
         if kind == socket.SOCK_STREAM:
-            opened.listen(4)
+            sock.listen(4)
     except OSError as error:
-        opened.close()
+        sock.close()
         if error.errno == errno.EADDRINUSE:
             raise InputError(f"{what}: port {port} is in use; another flight or autopilot has it (--port)") from None
         raise InputError(f"{what}: port {port}: {error.strerror or error}") from error
-    return set_receive_timeout(opened) if kind == socket.SOCK_DGRAM else opened
+    return set_receive_timeout(sock) if kind == socket.SOCK_DGRAM else sock
 
 
-class Waiting:
+class AnswerTimer:
     """A time-out for one answer that watches the program meanwhile, and says in one line what did not come."""
 
-    def __init__(self, name: str, limit: float, program: Program | None, lacks: str = "did not answer") -> None:
-        self._name, self._limit, self._program, self._lacks = name, limit, program, lacks
-        self.begun = monotonic()
-        self._looked = False
+    def __init__(self, name: str, limit: float, program: Program | None, failure: str = "did not answer") -> None:
+        self._name, self._limit, self._program, self._failure = name, limit, program, failure
+        self._started = monotonic()
+        self._has_checked = False
 
-    def left(self) -> float:
+    def remaining(self) -> float:
         """Return the seconds until the next check.  Raises FlightError where the autopilot is gone, or hangs."""
         if self._program is not None and (ended := self._program.ended):
             raise FlightError(f"{self._name} {ended}")
-        left = self.begun + self._limit - monotonic()
-        if left <= 0.0:
-            raise FlightError(f"{self._name} {self._lacks} within {self._limit:g} s")
-        return min(left, SLICE_S)
+        remaining = self._started + self._limit - monotonic()
+        if remaining <= 0.0:
+            raise FlightError(f"{self._name} {self._failure} within {self._limit:g} s")
+        return min(remaining, CHECK_S)
 
-    def packet(self, opened: socket.socket) -> tuple[bytes, tuple[str, int]]:
+    def receive_packet(self, sock: socket.socket) -> tuple[bytes, tuple[str, int]]:
         """Return the next packet and its sender's address.  Raises FlightError as :meth:`left`."""
         while True:
-            if self._looked:  # not before the first, which is all that most frames take
-                self.left()
-            self._looked = True
+            if self._has_checked:  # not before the first, which is all that most frames take
+                self.remaining()
+            self._has_checked = True
             with suppress(BlockingIOError):
-                return opened.recvfrom(1024)
+                return sock.recvfrom(1024)
 
     @property
-    def took(self) -> float:
+    def elapsed(self) -> float:
         """Seconds since the wait began."""
-        return monotonic() - self.begun
+        return monotonic() - self._started
 
 
-def set_receive_timeout(opened: socket.socket) -> socket.socket:
+def set_receive_timeout(sock: socket.socket) -> socket.socket:
     """Make a socket wait for :data:`SLICE_S` and then raise BlockingIOError, and return it.
 
     It is one system call, where a time-out of Python's takes three.
     """
-    opened.setblocking(True)
-    opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(int(SLICE_S), round(1e6 * (SLICE_S % 1.0))))
-    return opened
+    sock.setblocking(True)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(int(CHECK_S), round(1e6 * (CHECK_S % 1.0))))
+    return sock
 
 
-def drain(opened: socket.socket) -> None:
+def drain(sock: socket.socket) -> None:
     """Throw away the packets that wait."""
-    opened.setblocking(False)
+    sock.setblocking(False)
     with suppress(BlockingIOError):
         while True:
-            opened.recv(65536)
-    opened.setblocking(True)
+            sock.recv(65536)
+    sock.setblocking(True)

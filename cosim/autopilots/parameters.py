@@ -20,12 +20,12 @@ from cosim.base.signals import AXES, Vector3
 from cosim.spec.vehicle import RateGains, Vehicle
 
 _THRUST = 6.5  # CA_ROTOR_CT as it ships
-_SIDE = 0.01  # m, to the left or right, below which PX4 gives a tilt no yaw
+_LEAST_OFFSET = 0.01  # m, to the left or right, below which PX4 gives a tilt no yaw
 _MOST_ROTORS = 12  # of its control allocation
 _LEAST_IMU_HZ, _MOST_IMU_HZ = 100, 1000  # of IMU_INTEG_RATE
 
 
-def px4_torque(vehicle: Vehicle) -> Vector3:
+def px4_torque_scale(vehicle: Vehicle) -> Vector3:
     """Return what a torque of 1 is for PX4: throttle about roll, rad of tilt about the others (throttle without tilts).
 
     Tilts count with a torque of 1 each and rotors with their levers, roll and pitch have one scale, and with tilts the
@@ -36,20 +36,20 @@ def px4_torque(vehicle: Vehicle) -> Vector3:
     for jet in vehicle.jets:
         x, y, _ = jet.position_m
         columns.append(_THRUST * np.array([-y, 0.0 if vehicle.servo else x, 0.0 if vehicle.servo else jet.reaction_m]))
-    upward = [-_THRUST] * len(columns)
+    vertical = [-_THRUST] * len(columns)
     if vehicle.servo:
         pitch = tilt_pitch(vehicle)
         columns += [np.array([0.0, pitch, 1.0]), np.array([0.0, pitch, -1.0])]  # left and right bank, tilted forward
-        upward += [0.0, 0.0]
-    mix = np.linalg.pinv(np.vstack([np.array(columns).T, upward]))
-    both = [np.sqrt(np.sum(mix[:, i] ** 2) / (0.5 * np.count_nonzero(np.abs(mix[:, i]) > 1e-3))) for i in (0, 1)]
-    scales = (max(both), max(both), float(mix[:, 2].max()))
-    size = vehicle.servo.range_rad if vehicle.servo else 1.0
+        vertical += [0.0, 0.0]
+    mix = np.linalg.pinv(np.vstack([np.array(columns).T, vertical]))
+    tilt_scales = [np.sqrt(np.sum(mix[:, i] ** 2) / (0.5 * np.count_nonzero(np.abs(mix[:, i]) > 1e-3))) for i in (0, 1)]
+    scales = (max(tilt_scales), max(tilt_scales), float(mix[:, 2].max()))
+    tilt_size = vehicle.servo.range_rad if vehicle.servo else 1.0
     roll, pitch, yaw = (float(np.abs(mix[:, i]).max() / scales[i]) for i in range(3))
-    return roll, size * pitch, size * yaw
+    return roll, tilt_size * pitch, tilt_size * yaw
 
 
-def rates(vehicle: Vehicle, torque: Vector3) -> tuple[tuple[str, RateGains, float], ...]:
+def pair_rate_gains(vehicle: Vehicle, torque: Vector3) -> tuple[tuple[str, RateGains, float], ...]:
     """Return for each axis its name, its gains, and the torque that they are divided by."""
     control = vehicle.control.rate
     return tuple(zip(AXES, (control.roll, control.pitch, control.yaw), torque, strict=True))
@@ -63,19 +63,19 @@ def tilt_pitch(vehicle: Vehicle) -> float:
     the other, and turns the nose to the other side.
     """
     levers = {side: [jet.position_m for jet in vehicle.jets if jet.servo == side] for side in ("left", "right")}
-    heights = {side: sum(z for _, _, z in places) for side, places in levers.items()}
+    heights = {side: sum(z for _, _, z in positions) for side, positions in levers.items()}
     if heights["left"] * heights["right"] <= 0.0:
         raise InputError(
             f"px4: {vehicle.name}: its banks' jets stand {_height(heights['left'])} (left) and "
             f"{_height(heights['right'])} (right) the centre of gravity; PX4 gives both tilts the same pitch: allowed "
             "are both banks above it, or both below"
         )
-    for side, places in levers.items():
-        for x, y, _ in places:
-            if abs(y) <= _SIDE or (y > 0.0) != (side == "right"):
+    for side, positions in levers.items():
+        for x, y, _ in positions:
+            if abs(y) <= _LEAST_OFFSET or (y > 0.0) != (side == "right"):
                 raise InputError(
                     f"px4: {vehicle.name}: the {side} bank's jet at x = {x:g} m stands at y = {y:g} m; PX4 takes a "
-                    f"tilt's yaw from its side: allowed is more than {_SIDE:g} m to the {side}"
+                    f"tilt's yaw from its side: allowed is more than {_LEAST_OFFSET:g} m to the {side}"
                 )
     return 1.0 if heights["left"] > 0.0 else -1.0
 
@@ -99,7 +99,7 @@ def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
     if len(jets) > _MOST_ROTORS:
         raise InputError(f"px4: {vehicle.name}: has {len(jets)} engines; allowed are {_MOST_ROTORS} at most")
     parameters: dict[str, float] = {"CA_AIRFRAME": 8 if vehicle.servo else 0, "CA_ROTOR_COUNT": len(jets)}
-    back = vehicle.servo is not None and tilt_pitch(vehicle) > 0.0
+    tilts_back = vehicle.servo is not None and tilt_pitch(vehicle) > 0.0
     for index, jet in enumerate(jets):
         x, y, z = jet.position_m
         parameters |= {
@@ -110,20 +110,20 @@ def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
         # positive for a rotor that turns counter-clockwise, whose reaction turns the nose to the right
         parameters[f"CA_ROTOR{index}_KM"] = jet.reaction_m
         if vehicle.servo:
-            parameters[f"CA_ROTOR{index}_TILT"] = 1 if (jet.servo == "left") != back else 2
+            parameters[f"CA_ROTOR{index}_TILT"] = 1 if (jet.servo == "left") != tilts_back else 2
     if vehicle.servo:
         limit = degrees(vehicle.servo.range_rad)
         parameters["CA_SV_TL_COUNT"] = 2
         for index in range(2):
             parameters |= {f"CA_SV_TL{index}_MINA": -limit, f"CA_SV_TL{index}_MAXA": limit}
-            parameters[f"CA_SV_TL{index}_TD"] = 180 if back else 0  # towards the back, or the front
+            parameters[f"CA_SV_TL{index}_TD"] = 180 if tilts_back else 0  # towards the back, or the front
             parameters[f"CA_SV_TL{index}_CT"] = 3  # for pitch and yaw
-    for axis, gains, worth in rates(vehicle, px4_torque(vehicle)):
+    for axis, gains, scale in pair_rate_gains(vehicle, px4_torque_scale(vehicle)):
         name = f"MC_{axis.upper()}RATE"
         parameters |= {
-            f"{name}_P": gains.p / worth,
-            f"{name}_I": gains.i / worth,
-            f"{name}_D": gains.d / worth,
+            f"{name}_P": gains.p / scale,
+            f"{name}_I": gains.i / scale,
+            f"{name}_D": gains.d / scale,
             f"{name}_K": 1.0,
         }
     roll, pitch, yaw = control.attitude.gain_1_s
@@ -196,7 +196,7 @@ ARDUPILOT_STICKS: dict[str, float] = {
 }
 
 
-def ardupilot_torque(vehicle: Vehicle) -> Vector3:
+def ardupilot_torque_scale(vehicle: Vehicle) -> Vector3:
     """Return what a torque of 1 is for ArduPilot: half of the motors' range, as throttle, or the tilts' whole range."""
     half = 0.5 * (1.0 - vehicle.control.allocation.throttle_min)
     tilt = vehicle.servo.range_rad if vehicle.servo else half
@@ -211,17 +211,17 @@ def ardupilot_frame(vehicle: Vehicle) -> tuple[int, list[int]]:
     jets = vehicle.jets
     if vehicle.servo or len(jets) != 4:
         engines = f"{len(jets)} engines"
-        whose = (
+        reason = (
             f"has {engines} on two tilting banks" if vehicle.servo else f"with {engines} is known here, only with four"
         )
         raise InputError(
-            f"ardupilot: {vehicle.name}: no frame of ArduCopter {whose}; state parameters of "
+            f"ardupilot: {vehicle.name}: no frame of ArduCopter {reason}; state parameters of "
             "yours (--defaults): the first outputs are the engines, the next two the tilts, left and right"
         )
-    places = [tuple(int(np.sign(v)) for v in (*jet.position_m[:2], jet.reaction_m)) for jet in jets]
+    positions = [tuple(int(np.sign(v)) for v in (*jet.position_m[:2], jet.reaction_m)) for jet in jets]
     for number, (_, motors) in _QUAD_FRAMES.items():
-        if set(places) == set(motors):
-            return number, [motors[place] for place in places]  # type: ignore[index]
+        if set(positions) == set(motors):
+            return number, [motors[position] for position in positions]  # type: ignore[index]
     names = "; ".join(name for name, _ in _QUAD_FRAMES.values())
     turns = ", ".join(f"{jet.reaction_m:g}" for jet in jets)
     raise InputError(
@@ -239,22 +239,22 @@ def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
     if vehicle.allocation == "effectiveness":
         raise InputError(f"ardupilot: {vehicle.name}: is flown by effectiveness, whose gains are not in throttle")
     frame, motors = ardupilot_frame(vehicle)
-    least = control.allocation.throttle_min
+    throttle_min = control.allocation.throttle_min
     parameters: dict[str, float] = {"SIM_RATE_HZ": round(1.0 / step), "SCHED_LOOP_RATE": min(round(1.0 / step), 400)}
     parameters |= {"FRAME_CLASS": 1, "FRAME_TYPE": frame}
     for number, motor in enumerate(motors, 1):
         parameters[f"SERVO{number}_FUNCTION"] = 32 + motor
         parameters |= {f"SERVO{number}_MIN": 1000, f"SERVO{number}_MAX": 2000}
-    for axis, gains, worth in rates(vehicle, ardupilot_torque(vehicle)):
+    for axis, gains, scale in pair_rate_gains(vehicle, ardupilot_torque_scale(vehicle)):
         name = f"ATC_RAT_{'RLL' if axis == 'roll' else 'PIT' if axis == 'pitch' else 'YAW'}"
-        parameters |= {f"{name}_P": gains.p / worth, f"{name}_I": gains.i / worth, f"{name}_D": gains.d / worth}
+        parameters |= {f"{name}_P": gains.p / scale, f"{name}_I": gains.i / scale, f"{name}_D": gains.d / scale}
         parameters |= {f"{name}_FLTT": 0.0, f"{name}_FLTE": 0.0}
         parameters[f"{name}_FLTD"] = 1.0 / (2.0 * pi * gains.d_filter_s) if gains.d else 0.0
-        parameters[f"{name}_IMAX"] = min(gains.integral_limit / worth, 1.0)
+        parameters[f"{name}_IMAX"] = min(gains.integral_limit / scale, 1.0)
     names = [f"ATC_ANG_{axis}_P" for axis in ("RLL", "PIT", "YAW")]
     parameters |= dict(zip(names, control.attitude.gain_1_s, strict=True))
     parameters |= {"MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000, "MOT_THST_EXPO": 0.0, "MOT_SPIN_MAX": 1.0}
-    parameters |= {"MOT_SPIN_MIN": least, "MOT_SPIN_ARM": least, "INS_GYRO_FILTER": 0}
+    parameters |= {"MOT_SPIN_MIN": throttle_min, "MOT_SPIN_ARM": throttle_min, "INS_GYRO_FILTER": 0}
     return parameters | ARDUPILOT_STICKS
 
 
@@ -286,14 +286,14 @@ def read_parameters(path: Path) -> dict[str, float]:
 
 # With --rates its rate loop is P of the error: so small that no output is at its limit for what a scenario asks for, a
 # tenth of a torque at 2 rad/s.  Chosen by us.
-_OUTSIDE_P = 0.05
+_EXTERNAL_RATE_P = 0.05
 
 
-def px4_outside(vehicle: Vehicle) -> tuple[dict[str, float], Vector3]:
+def px4_external_rates(vehicle: Vehicle) -> tuple[dict[str, float], Vector3]:
     """Return parameters that make PX4's rate loop P alone, and that P: throttle or rad of tilt per rad/s."""
-    kept = {"P": _OUTSIDE_P, "I": 0.0, "D": 0.0, "FF": 0.0, "K": 1.0}
-    roll, pitch, yaw = (_OUTSIDE_P * worth for worth in px4_torque(vehicle))
-    return {f"MC_{axis.upper()}RATE_{key}": value for axis in AXES for key, value in kept.items()}, (roll, pitch, yaw)
+    gains = {"P": _EXTERNAL_RATE_P, "I": 0.0, "D": 0.0, "FF": 0.0, "K": 1.0}
+    roll, pitch, yaw = (_EXTERNAL_RATE_P * scale for scale in px4_torque_scale(vehicle))
+    return {f"MC_{axis.upper()}RATE_{key}": value for axis in AXES for key, value in gains.items()}, (roll, pitch, yaw)
 
 
 NOTES = {
@@ -318,26 +318,17 @@ def parameter_file(autopilot: str, parameters: Mapping[str, float]) -> str:
     lines = [f"# {line}" for line in NOTES[autopilot]]
     for name, value in sorted(parameters.items()):
         if autopilot == "px4":
-            whole = float(value).is_integer() and not _real(name)
+            whole = float(value).is_integer() and not _is_real(name)
             lines.append(f"1\t1\t{name}\t{value:.9g}\t{6 if whole else 9}")
         else:
             lines.append(f"{name},{value:.9g}")
     return "\n".join(lines) + "\n"
 
 
-def _real(name: str) -> bool:
+def _is_real(name: str) -> bool:
     """Return whether PX4 stores a parameter as a float, whatever its value."""
-    counted = (
-        "CA_AIRFRAME",
-        "CA_ROTOR_COUNT",
-        "CA_SV_TL_COUNT",
-        "COM_",
-        "RC_MAP",
-        "RC_CHAN",
-        "MC_AIRMODE",
-        "HIL_ACT",
-        "PWM_MAIN",
-        "IMU_INTEG_RATE",
-        "MPC_THR_CURVE",
-    )
-    return not (name.startswith(counted) or name.endswith(("_TILT", "_CT", "_TD")))
+    integer_prefixes = (
+        "CA_AIRFRAME", "CA_ROTOR_COUNT", "CA_SV_TL_COUNT", "COM_", "RC_MAP", "RC_CHAN", "MC_AIRMODE", "HIL_ACT",
+        "PWM_MAIN", "IMU_INTEG_RATE", "MPC_THR_CURVE",
+    )  # fmt: skip
+    return not (name.startswith(integer_prefixes) or name.endswith(("_TILT", "_CT", "_TD")))

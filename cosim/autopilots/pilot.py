@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import pi
 
-from cosim.autopilots.lockstep import Sticks
+from cosim.autopilots.lockstep import StickPositions
 from cosim.base.errors import FlightError
 from cosim.base.frames import to_euler
 from cosim.base.limits import clip
@@ -12,11 +12,11 @@ from cosim.base.signals import Command, Measured, PerJet, Unallocated
 from cosim.control.altitude import AltitudeController
 from cosim.control.belief import Belief
 
-# Chosen by us: who has asked for a height below the ground and has stood still for so long has landed.
-STILL_M_S, STANDS_S = 0.1, 1.0
+# Chosen by us: a vehicle commanded below the ground that has been this still for this long has landed.
+STILL_SPEED, STILL_TIME = 0.1, 1.0
 
 
-class Pilot:
+class StickPilot:
     """A pilot who passes lean on to the sticks, and holds height and heading.
 
     The autopilot flies the attitude that the sticks ask for, of full stick ``lean`` [rad] and ``turn`` [rad/s].  Height
@@ -31,7 +31,7 @@ class Pilot:
         self._altitude = AltitudeController(gains.altitude, vehicle.mass_kg, self._map.collective, belief.step_s)
         self._heading = gains.attitude.gain_1_s[2]
         self._lean, self._turn = lean, turn
-        self._wait, self._still = round(STANDS_S / belief.step_s), 0
+        self._still_needed, self._still = round(STILL_TIME / belief.step_s), 0
         self.hover = self._throttle(belief.hover)
 
     def reset(self) -> None:
@@ -39,26 +39,30 @@ class Pilot:
         self._altitude.reset()
         self._still = 0
 
-    def sticks(self, command: Command, measured: Measured, burnt: float) -> Sticks:
+    def sticks(self, command: Command, measured: Measured, burnt: float) -> StickPositions:
         """Return the sticks for a command.  Raises FlightError for one of body rates, which they cannot state."""
         if command.rate is not None:
             raise FlightError("the scenario asks for body rates; its sticks ask for angles: roll, pitch, yaw, altitude")
         if self._landed(command.altitude, measured.velocity[2]):
-            return Sticks()
+            return StickPositions()
         roll, pitch, yaw = command.attitude
         _, _, heading = to_euler(measured.attitude)
-        off = (yaw - heading + pi) % (2.0 * pi) - pi
+        heading_error = (yaw - heading + pi) % (2.0 * pi) - pi
         collective = self._altitude.update(command, measured, Unallocated(), burnt)
-        return Sticks(
-            roll / self._lean, -pitch / self._lean, self._heading * off / self._turn, self._throttle(collective), True
+        return StickPositions(
+            roll / self._lean,
+            -pitch / self._lean,
+            self._heading * heading_error / self._turn,
+            self._throttle(collective),
+            True,
         )
 
     def _landed(self, height: float, down: float) -> bool:
         """Return whether it has stood still for long: ``height`` commanded [m], ``down`` speed measured [m/s]."""
-        if self._still < self._wait:
-            self._still = self._still + 1 if height < 0.0 and abs(down) < STILL_M_S else 0
-        return self._still >= self._wait
+        if self._still < self._still_needed:
+            self._still = self._still + 1 if height < 0.0 and abs(down) < STILL_SPEED else 0
+        return self._still >= self._still_needed
 
-    def _throttle(self, share: float) -> float:
-        throttle: PerJet = self._map.throttle((clip(share, 0.0, 1.0),) * self._jets)
+    def _throttle(self, fraction: float) -> float:
+        throttle: PerJet = self._map.throttle((clip(fraction, 0.0, 1.0),) * self._jets)
         return sum(throttle) / len(throttle)

@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from cosim.autopilots import ardupilot, betaflight, px4
-from cosim.autopilots.block import AutopilotBlock, OutsideRates
+from cosim.autopilots.block import AutopilotBlock, ExternalRateLoop
 from cosim.autopilots.lockstep import LOCAL, Autopilot, find_configured_program
 from cosim.autopilots.parameters import (
     ARDUPILOT_STICKS,
     ardupilot_parameters,
     parameter_file,
-    px4_outside,
+    px4_external_rates,
     px4_target,
     read_parameters,
 )
-from cosim.autopilots.run import AutopilotRun, fly_autopilot, outside_rates
+from cosim.autopilots.run import AutopilotRun, external_rate_loop, fly_autopilot
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import Vector3
@@ -32,7 +32,7 @@ from cosim.spec.vehicle import Vehicle
 INSTANCE_PORTS = 32_760  # the first of the ports that stand for a number; chosen by us, nobody's
 MOST_INSTANCES = 250  # numbers: as many instances as hexjet sitl takes
 VARIABLES = {"px4": "PX4_SITL", "ardupilot": "ARDUPILOT_SITL"}  # of the environment: a program that nobody states
-PORTS_APART = 20  # ports of Betaflight from one instance to the next: fourteen are one's
+PORT_SPACING = 20  # ports of Betaflight from one instance to the next: fourteen are one's
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class PreparedAutopilot:
     program: Path | None  # None: started by hand
     endpoint: str  # where one that is started by hand connects
     details: Mapping[str, Any]
-    rates: OutsideRates | None = None
+    rates: ExternalRateLoop | None = None
 
     def fly(
         self, scenario: Scenario, folder: Path, page: bool = True, realtime_factor: float | None = None, **details: Any
@@ -82,16 +82,16 @@ class PreparedAutopilot:
 
 
 @contextmanager
-def own_instance() -> Iterator[int]:
+def reserve_instance() -> Iterator[int]:
     """Reserve an instance number from 1 to :data:`MOST_INSTANCES` for this process; 0 is left to ``hexjet sitl``.
 
     It is held by a bound port, so that it is free again whatever becomes of the process.  Raises FlightError where all
     are taken.
     """
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reserved:
         for number in range(1, MOST_INSTANCES + 1):
             try:
-                held.bind((LOCAL, INSTANCE_PORTS + number))
+                reserved.bind((LOCAL, INSTANCE_PORTS + number))
             except OSError:
                 continue
             yield number
@@ -105,10 +105,10 @@ def find_program(name: str, binary: Path | None) -> Path | None:
     None: there is none, and the autopilot is started by hand; Betaflight never is.  Raises InputError for what is no
     program.
     """
-    return betaflight.program(binary) if name == "betaflight" else find_configured_program(binary, VARIABLES[name])
+    return betaflight.find_program(binary) if name == "betaflight" else find_configured_program(binary, VARIABLES[name])
 
 
-def program_of(name: str, binary: Path | None) -> Path:
+def require_program(name: str, binary: Path | None) -> Path:
     """Return the program as :func:`find_program`, where nobody can start one by hand and a study states it.
 
     Raises InputError for none, and for one that the user does not trust.
@@ -144,32 +144,32 @@ def _betaflight(
     assert program is not None
     vehicle, _ = scenario.resolved_vehicle()
     lines = [
-        *([] if setup.gains == "stock" else betaflight.gains_of(vehicle)),
-        *([] if rates is None else betaflight.OUTSIDE),
+        *([] if setup.gains == "stock" else betaflight.gain_settings(vehicle)),
+        *([] if rates is None else betaflight.EXTERNAL_RATES),
         *setup.lines,
     ]
-    outside = None if rates is None else outside_rates(rates, betaflight.outside_gain(vehicle))
-    port = betaflight.PORT + PORTS_APART * setup.instance if setup.port is None else setup.port
+    external = None if rates is None else external_rate_loop(rates, betaflight.external_rate_gain(vehicle))
+    port = betaflight.PORT + PORT_SPACING * setup.instance if setup.port is None else setup.port
     ground = scenario.environment.ground_m
     autopilot = betaflight.Betaflight(program, folder, vehicle, scenario.step_s, lines, port, setup.limit_s, ground)
     details = {"gains": setup.gains, "console": autopilot.settings}
-    return PreparedAutopilot("betaflight", autopilot, program, f"UDP port {port}", details, outside)
+    return PreparedAutopilot("betaflight", autopilot, program, f"UDP port {port}", details, external)
 
 
 def _px4(
     scenario: Scenario, folder: Path, program: Path | None, setup: Setup, rates: Scenario | None
 ) -> PreparedAutopilot:
     vehicle, _ = scenario.resolved_vehicle()
-    parameters, outside = px4_target(vehicle, scenario.step_s, "sitl"), None
+    parameters, external = px4_target(vehicle, scenario.step_s, "sitl"), None
     if rates is not None:
-        loop, gain = px4_outside(vehicle)
-        parameters, outside = parameters | loop, outside_rates(rates, gain, hears=True)
+        rate_parameters, gain = px4_external_rates(vehicle)
+        parameters, external = parameters | rate_parameters, external_rate_loop(rates, gain, has_gyro=True)
     parameters |= setup.parameters
     launch = px4.Launch(setup.instance, setup.limit_s, parameters, setup.magnetic_field)
-    autopilot = px4.Px4(program, folder, vehicle, scenario.step_s, _place(scenario), launch)
+    autopilot = px4.Px4(program, folder, vehicle, scenario.step_s, _geodesy(scenario), launch)
     endpoint = f"TCP port {px4.PORT + setup.instance}"
     details = {"gains": setup.gains, "parameters": parameters}
-    return PreparedAutopilot("px4", autopilot, program, endpoint, details, outside)
+    return PreparedAutopilot("px4", autopilot, program, endpoint, details, external)
 
 
 def _ardupilot(
@@ -179,24 +179,24 @@ def _ardupilot(
         raise InputError("ardupilot: flies its own rate loop; allowed with another in its place: betaflight, px4")
     vehicle, _ = scenario.resolved_vehicle()
     parameters = _ardupilot_parameters(vehicle, scenario.step_s, program, setup)
-    file = None
+    defaults = None
     if program is not None:
-        file = folder / "hexjet.parm"
+        defaults = folder / "hexjet.parm"
         folder.mkdir(parents=True, exist_ok=True)
-        file.write_text(parameter_file("ardupilot", parameters))
+        defaults.write_text(parameter_file("ardupilot", parameters))
     launch = ardupilot.Launch(
         setup.instance,
         setup.limit_s,
         parameters,
-        file,
+        defaults,
         [ardupilot.parse_channel(text, "--channel") for text in setup.channels],
         setup.station,
     )
-    autopilot = ardupilot.ArduPilot(program, folder, vehicle, scenario.step_s, _place(scenario), launch)
-    endpoint = f"UDP port {ardupilot.PORT + ardupilot.APART * setup.instance}"
+    autopilot = ardupilot.ArduPilot(program, folder, vehicle, scenario.step_s, _geodesy(scenario), launch)
+    endpoint = f"UDP port {ardupilot.PORT + ardupilot.PORT_SPACING * setup.instance}"
     details = {
         "gains": setup.gains,
-        "defaults": str(setup.defaults or file),
+        "defaults": str(setup.defaults or defaults),
         "parameters": parameters,
         "channels": list(setup.channels),
     }
@@ -218,6 +218,6 @@ def _ardupilot_parameters(vehicle: Vehicle, step: float, program: Path | None, s
         return ARDUPILOT_STICKS | dict(setup.parameters)
 
 
-def _place(scenario: Scenario) -> Geodesy:
+def _geodesy(scenario: Scenario) -> Geodesy:
     environment = scenario.environment
     return Geodesy(environment.latitude_deg, environment.longitude_deg, environment.ground_m)

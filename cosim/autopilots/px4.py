@@ -20,16 +20,16 @@ from cosim.autopilots import hil
 from cosim.autopilots.instruments import compass, earth_field
 from cosim.autopilots.lockstep import (
     STICKS_S,
-    Answer,
-    Counts,
-    Frame,
+    ActuatorOutputs,
+    AnswerTimer,
     Handling,
+    LockstepCounts,
     Program,
-    Sticks,
-    Waiting,
+    SensorFrame,
+    StickPositions,
+    describe_unknown,
     listen,
     pulse,
-    say_unknown,
     set_receive_timeout,
 )
 from cosim.base.constants import GRAVITY
@@ -57,26 +57,26 @@ _MAG_EVERY, _BARO_EVERY = 0.008, 0.02  # s
 _ARMED = 128  # of mode
 _START_S = 60.0  # until it connects; a start on a busy machine
 _MOST_NOISE = 64  # bytes that are no MAVLink, after which what is connected is no PX4
-_LOOK_EVERY = 16  # frames between looks at who else connects
+_ACCEPT_EVERY = 16  # frames between two checks for a second connection
 _UNKNOWN = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")
-_BOOT_WAIT = 0.02  # s of the clock for an answer before there was one
+_BOOT_TIMEOUT = 0.02  # s of the clock for an answer before there was one
 
 
-def unbent(turn: float) -> float:
-    """Return the stick at which PX4 turns by this share of its full rate: it bends yaw by ``0.4 x + 0.6 x^3``."""
+def yaw_stick(turn: float) -> float:
+    """Return the stick at which PX4 turns by this fraction of its full rate: it bends yaw by ``0.4 x + 0.6 x^3``."""
     # the one real root of x^3 + p x = q with p > 0
     p, q = 0.4 / 0.6, clamp(turn, 1.0) / 0.6
     return 2.0 * sqrt(p / 3.0) * sinh(asinh(1.5 * q / p * sqrt(3.0 / p)) / 3.0)
 
 
-def refuse_unknown(log: Path, told: Collection[str]) -> None:
+def refuse_unknown(log: Path, parameters: Collection[str]) -> None:
     """Refuse parameters of ours that PX4 does not have, by what it printed.  Raises InputError that names them.
 
     Its own scripts ask for parameters of modules that it was built without, and print the same of these.
     """
-    found = [name for name in dict.fromkeys(_UNKNOWN.findall(log.read_text(errors="replace"))) if name in told]
-    if found:
-        raise InputError(f"px4: {say_unknown(found, set(told) - set(found), 'PX4')} (--param; {log})")
+    unknown = [name for name in dict.fromkeys(_UNKNOWN.findall(log.read_text(errors="replace"))) if name in parameters]
+    if unknown:
+        raise InputError(f"px4: {describe_unknown(unknown, set(parameters) - set(unknown), 'PX4')} (--param; {log})")
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Px4:
     def __init__(
         self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, launch: Launch
     ) -> None:
-        self.counts = Counts()
+        self.counts = LockstepCounts()
         self.limit = launch.limit_s
         self.field = launch.magnetic_field or earth_field(place.latitude_deg, place.longitude_deg)
         self._binary, self._folder, self._step, self._place = binary, folder, step, place
@@ -105,8 +105,8 @@ class Px4:
         self._accuracy = max(1, round(100.0 * max(vehicle.sensors.gnss.position_noise_m, 0.3)))  # cm
         self._mag_every = max(1, round(_MAG_EVERY / step))
         self._baro_every = max(1, round(_BARO_EVERY / step))
-        self._last_sticks, self._sticks_every = Sticks(), max(1, round(STICKS_S / step))
-        self._writer, self._reader = hil.Writer(), hil.Reader()
+        self._last_sticks, self._sticks_every = StickPositions(), max(1, round(STICKS_S / step))
+        self._writer, self._reader = hil.FrameWriter(), hil.FrameReader()
         self._server: socket.socket | None = None
         self._link: socket.socket | None = None
         self._program: Program | None = None
@@ -121,13 +121,14 @@ class Px4:
             environment = {"PX4_SYS_AUTOSTART": "10016", "PX4_SIM_MODEL": "none_iris", "HEADLESS": "1"}
             # nine digits, as many as its single precision tells apart
             environment |= {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in self._parameters.items()}
-            etc = self._binary.parent.parent / "etc"
-            # its folder from the root on: it is started there, and would look for a relative one below it
-            command = [str(self._binary), "-d", "-i", str(self._instance), "-w", str(self._folder.absolute()), str(etc)]
+            startup = str(self._binary.parent.parent / "etc")
+            # an absolute folder: it is started there, and would look for a relative one below it
+            folder = str(self._folder.absolute())
+            command = [str(self._binary), "-d", "-i", str(self._instance), "-w", folder, startup]
             self._program = Program(command, self._folder, log, environment)
-        waiting = Waiting("px4", _START_S, self._program, f"did not connect to port {port}")
+        timer = AnswerTimer("px4", _START_S, self._program, f"did not connect to port {port}")
         while self._link is None:
-            self._server.settimeout(waiting.left())
+            self._server.settimeout(timer.remaining())
             with suppress(TimeoutError):
                 self._link, _ = self._server.accept()
         if self._program is not None:
@@ -135,7 +136,7 @@ class Px4:
         self._server.setblocking(False)
         set_receive_timeout(self._link).setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
-    def exchange(self, frame: Frame) -> Answer:
+    def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
         """See :class:`cosim.autopilots.lockstep.Autopilot`."""
         assert self._link is not None
         counts = self.counts
@@ -143,19 +144,19 @@ class Px4:
         self._send(self._messages(frame, now))
         counts.frames += 1
         booting = counts.answers == 0
-        waiting = Waiting("px4", _BOOT_WAIT if booting else self.limit, self._program)
-        if booting or counts.frames % _LOOK_EVERY == 0:
+        timer = AnswerTimer("px4", _BOOT_TIMEOUT if booting else self.limit, self._program)
+        if booting or counts.frames % _ACCEPT_EVERY == 0:
             self._refuse_second()
-        looked = booting  # not before the first answer, which is all that most frames take
+        has_waited = booting  # not before the first answer, which is all that most frames take
         while True:
             try:
-                left = waiting.left() if looked else 0.0
+                left = timer.remaining() if has_waited else 0.0
             except FlightError:
                 if not booting or self._ended:
                     raise
                 counts.boot += 1
-                return Answer((0.0,) * self._jets, (0.0, 0.0), False)
-            looked, answer = True, None
+                return ActuatorOutputs((0.0,) * self._jets, (0.0, 0.0), False)
+            has_waited, answer = True, None
             for values in self._controls(left if booting else None):
                 if values[0] > now:
                     raise FlightError(f"px4 answered for {values[0] / 1e6:.3f} s and was told of {now / 1e6:.3f} s")
@@ -165,7 +166,7 @@ class Px4:
                     answer = self._answer(values)
             if answer is not None:
                 counts.answers += 1
-                counts.longest_s = max(counts.longest_s, waiting.took)
+                counts.longest_s = max(counts.longest_s, timer.elapsed)
                 return answer
 
     @property
@@ -176,13 +177,13 @@ class Px4:
         ended = self._ended
         return FlightError(f"px4 closed its connection and {ended}" if ended else "px4 closed its connection")
 
-    def _answer(self, values: tuple[float, ...]) -> Answer:
+    def _answer(self, values: tuple[float, ...]) -> ActuatorOutputs:
         controls, armed = values[2:18], bool(int(values[18]) & _ARMED)
         throttle = tuple([clip(value, 0.0, 1.0) for value in controls[: self._jets]])
         if not self._range:
-            return Answer(throttle, (0.0, 0.0), armed)
+            return ActuatorOutputs(throttle, (0.0, 0.0), armed)
         left, right = (self._range * clamp(value, 1.0) for value in controls[self._jets : self._jets + 2])
-        return Answer(throttle, (left, right), armed)
+        return ActuatorOutputs(throttle, (left, right), armed)
 
     def _refuse_second(self) -> None:
         """Close and count a connection beside that of the PX4 that flies."""
@@ -222,20 +223,20 @@ class Px4:
         except OSError:
             raise self._closed() from None
 
-    def _messages(self, frame: Frame, now: int) -> bytes:
+    def _messages(self, frame: SensorFrame, now: int) -> bytes:
         """Return the messages of one step, HIL_SENSOR last, because it moves PX4's clock."""
         k = self.counts.frames
         parts = []
         if frame.sticks != self._last_sticks or k % self._sticks_every == 0:
             self._last_sticks = frame.sticks
-            parts.append(self._sticks(frame))
+            parts.append(self._stick_message(frame))
         if k % self._fix_every == 0:
-            parts.append(self._fix(frame, now))
+            parts.append(self._gnss_message(frame, now))
         for index, spool in enumerate(frame.spool if k % self._baro_every == 0 else ()):
             if spool == spool:
                 parts.append(self._writer.frame(hil.RAW_RPM, 60.0 * spool / (2.0 * pi), index))
         if frame.truth is not None and k % self._mag_every == 0:
-            parts.append(self._truth(frame, now))
+            parts.append(self._truth_message(frame, now))
         fields = _IMU
         magnetic: Vector3 = (0.0, 0.0, 0.0)
         pressure = temperature = 0.0
@@ -263,19 +264,19 @@ class Px4:
         )
         return b"".join(parts)
 
-    def _sticks(self, frame: Frame) -> bytes:
+    def _stick_message(self, frame: SensorFrame) -> bytes:
         roll, pitch, yaw, throttle, armed = frame.sticks
         pulses = [
             pulse(roll),
             pulse(pitch),  # PX4: a higher pulse is forward
             round(1000.0 + 1000.0 * clip(throttle, 0.0, 1.0)),
-            pulse(unbent(yaw)),
+            pulse(yaw_stick(yaw)),
             2000 if armed else 1000,
         ]
-        filled = [*pulses, *[1500] * 3, *[0xFFFF] * 10]
-        return self._writer.frame(hil.RC_CHANNELS, round(1e3 * frame.time), *filled, 8, 255)
+        channels = [*pulses, *[1500] * 3, *[0xFFFF] * 10]
+        return self._writer.frame(hil.RC_CHANNELS, round(1e3 * frame.time), *channels, 8, 255)
 
-    def _fix(self, frame: Frame, now: int) -> bytes:
+    def _gnss_message(self, frame: SensorFrame, now: int) -> bytes:
         north, east, down = frame.position
         latitude, longitude, height = self._place.to_geodetic(north, east, -down)
         vn, ve, vd = frame.velocity
@@ -286,16 +287,16 @@ class Px4:
             round(1e2 * course) % 36000, 3, 14, 0, 0,
         )  # fmt: skip
 
-    def _truth(self, frame: Frame, now: int) -> bytes:
+    def _truth_message(self, frame: SensorFrame, now: int) -> bytes:
         assert frame.truth is not None
-        true = frame.truth
-        latitude, longitude, height = self._place.to_geodetic(true.position[0], true.position[1], true.altitude)
-        cm = [round(clamp(1e2 * value, 32767.0)) for value in true.velocity]
-        air = round(min(1e2 * hypot(*(v - w for v, w in zip(true.velocity, true.wind, strict=True))), 65535.0))
-        mg = [round(clamp(1e3 * value / GRAVITY, 32767.0)) for value in true.specific_force]
+        state = frame.truth
+        latitude, longitude, height = self._place.to_geodetic(state.position[0], state.position[1], state.altitude)
+        cm = [round(clamp(1e2 * value, 32767.0)) for value in state.velocity]
+        air_speed = round(min(1e2 * hypot(*(v - w for v, w in zip(state.velocity, state.wind, strict=True))), 65535.0))
+        mg = [round(clamp(1e3 * value / GRAVITY, 32767.0)) for value in state.specific_force]
         return self._writer.frame(
-            hil.HIL_STATE_QUATERNION, now, *true.attitude, *true.rate, round(1e7 * latitude), round(1e7 * longitude),
-            round(1e3 * height), *cm, air, air, *mg,
+            hil.HIL_STATE_QUATERNION, now, *state.attitude, *state.rate, round(1e7 * latitude), round(1e7 * longitude),
+            round(1e3 * height), *cm, air_speed, air_speed, *mg,
         )  # fmt: skip
 
     def check_parameters(self) -> str:

@@ -10,8 +10,8 @@ from hashlib import sha256
 from pathlib import Path
 from typing import IO, Any
 
-from cosim.autopilots.block import AutopilotBlock, OutsideRates
-from cosim.autopilots.lockstep import Autopilot, Counts
+from cosim.autopilots.block import AutopilotBlock, ExternalRateLoop
+from cosim.autopilots.lockstep import Autopilot, LockstepCounts
 from cosim.autopilots.stand import Stand
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import gravity
@@ -37,11 +37,11 @@ class AutopilotRun:
     """A run, and the counts of its lockstep."""
 
     run: Run
-    counts: Counts
+    counts: LockstepCounts
     autopilot: str
 
 
-class _Writer:
+class _AnswerWriter:
     """Writer of the autopilot's answers beside the log, so that what was flown is there after a kill too."""
 
     def __init__(self, path: Path, block: AutopilotBlock, jets: int, servo: bool) -> None:
@@ -74,25 +74,25 @@ class _Writer:
         self._file.close()
 
 
-def outside_rates(scenario: Scenario, gain: Vector3, hears: bool = False) -> OutsideRates:
+def external_rate_loop(scenario: Scenario, gain: Vector3, has_gyro: bool = False) -> ExternalRateLoop:
     """Return the rate loop of a scenario's controller.  Raises InputError for a user-supplied controller."""
     with build(scenario) as simulation:
         if simulation.controller_source is not None:
             raise InputError(
                 f"--rates {scenario.controller}: its rate loop is its own; allowed are built-in controllers"
             )
-        return OutsideRates(simulation.cascade, gain, hears)
+        return ExternalRateLoop(simulation.cascade, gain, has_gyro)
 
 
 def _close_and_check_names(ending: Ending, autopilot: Autopilot) -> Ending:
     """Close the autopilot, and return how the flight ended: failed if a parameter's name is none that it has."""
     autopilot.close()
     try:
-        unchecked = autopilot.check_parameters()
+        unchecked_reason = autopilot.check_parameters()
     except FlightError as error:
-        before = f"{ending.reason}; " if ending.outcome != "completed" and ending.reason else ""
-        return Ending("failed", f"{before}{error}")
-    return Ending(ending.outcome, "; ".join(filter(None, (ending.reason, unchecked))))
+        prefix = f"{ending.reason}; " if ending.outcome != "completed" and ending.reason else ""
+        return Ending("failed", f"{prefix}{error}")
+    return Ending(ending.outcome, "; ".join(filter(None, (ending.reason, unchecked_reason))))
 
 
 def fly_autopilot(
@@ -125,7 +125,7 @@ def fly_autopilot(
                 f"{vehicle.name}: is flown by effectiveness; the outputs and parameters of an autopilot are known here "
                 "for two banks, and for jets that all point straight up"
             )
-        own = Source(
+        source = Source(
             f"autopilot:{label}",
             "controller",
             lambda: block,
@@ -133,25 +133,27 @@ def fly_autopilot(
             columns=COLUMNS,
             copied=False,
         )
-        scenario = scenario.replace(controller=own.name, controller_limit_s=LONGEST_S, expect=[])
-        with build(scenario, own) as simulation:
+        scenario = scenario.replace(controller=source.name, controller_limit_s=LONGEST_S, expect=[])
+        with build(scenario, source) as simulation:
             autopilot.start()
             recording = record(simulation, folder)
             vehicle = simulation.vehicle
             block.truth = lambda: simulation.state
-            place, state = scenario.environment, simulation.state
-            pull = gravity(place.latitude_deg, place.ground_m + state.altitude)
-            block.stand = Stand(vehicle.sensors, simulation.dt, scenario.seed, scenario.sensor_noise, state, pull)
-            writer = _Writer(folder / ACTUATORS, block, len(vehicle.jets), vehicle.servo is not None)
-            again: dict[str, Any] = {"controller": ACTUATORS, "controller_sha256": None, "controller_parameters": {}}
-            recording.restate(resolve(simulation)[0].model_copy(update=again))
+            environment, state = scenario.environment, simulation.state
+            local_gravity = gravity(environment.latitude_deg, environment.ground_m + state.altitude)
+            block.stand = Stand(
+                vehicle.sensors, simulation.dt, scenario.seed, scenario.sensor_noise, state, local_gravity
+            )
+            writer = _AnswerWriter(folder / ACTUATORS, block, len(vehicle.jets), vehicle.servo is not None)
+            recorded: dict[str, Any] = {"controller": ACTUATORS, "controller_sha256": None, "controller_parameters": {}}
+            recording.restate(resolve(simulation)[0].model_copy(update=recorded))
             pace = Pace(simulation.dt, realtime_factor)
             begin = time.perf_counter()
             try:
                 block.begin(simulation.measured)
                 begin = time.perf_counter()
-                watching: list[Observer] = [recording, writer, *simulation.plugins.observers, *observers]
-                ending = simulation.run(watching, pace if realtime_factor else None)
+                all_observers: list[Observer] = [recording, writer, *simulation.plugins.observers, *observers]
+                ending = simulation.run(all_observers, pace if realtime_factor else None)
                 simulation.plugins.close()
             except FlightError as error:
                 ending = Ending("failed", f"{error}, before the flight" if simulation.k == 0 else str(error))
@@ -160,10 +162,10 @@ def fly_autopilot(
             wall = time.perf_counter() - begin
             writer.close()
             ending = _close_and_check_names(ending, autopilot)
-            hashed = sha256((folder / ACTUATORS).read_bytes()).hexdigest()
-            recording.restate(resolve(simulation)[0].model_copy(update=again | {"controller_sha256": hashed}))
-            counted = {"autopilot": label, "steps": simulation.k, **asdict(autopilot.counts), **(details or {})}
-            (folder / LOCKSTEP).write_text(json.dumps(counted, indent=2) + "\n")
+            digest = sha256((folder / ACTUATORS).read_bytes()).hexdigest()
+            recording.restate(resolve(simulation)[0].model_copy(update=recorded | {"controller_sha256": digest}))
+            report = {"autopilot": label, "steps": simulation.k, **asdict(autopilot.counts), **(details or {})}
+            (folder / LOCKSTEP).write_text(json.dumps(report, indent=2) + "\n")
             run = recording.finish(ending.outcome, ending.reason, wall, pace.report if realtime_factor else None)
             return AutopilotRun(with_page(run) if page else run, autopilot.counts, label)
     finally:

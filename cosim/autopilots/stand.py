@@ -26,8 +26,8 @@ class Stand:
     def __init__(self, sensors: Sensors, step: float, seed: int, noisy: bool, state: State, gravity: float) -> None:
         force = rotate(conjugate(state.attitude), (0.0, 0.0, -gravity))
         self._still = state._replace(rate=ZERO3, velocity=ZERO3, specific_force=force)
-        own = int(np.random.SeedSequence(seed, spawn_key=(5,)).generate_state(1)[0])
-        self._suite = SensorSuite(sensors, step, own, noisy)
+        noise_seed = int(np.random.SeedSequence(seed, spawn_key=(5,)).generate_state(1)[0])
+        self._suite = SensorSuite(sensors, step, noise_seed, noisy)
         self._suite.reset(self._still)
 
     def sample(self) -> Measured:

@@ -11,38 +11,38 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
-from cosim.codegen.files import NO_LICENCE, Labels, common, controller_texts, render_files, stamp
+from cosim.codegen.files import NO_LICENCE, Labels, common_values, controller_texts, render_files, stamp
 from cosim.codegen.form import Form
 
-# What stands in the sources of each, or includes them, is a part of that program: its licence is not ours to choose.
+# A file among the sources of a program, or that includes them, is a part of it: its licence is the program's.
 # PX4's is BSD-3-Clause, which leaves it to the user.
 PROGRAM_LICENCES = {"ardupilot": "GPL-3.0-or-later", "betaflight": "GPL-3.0-or-later"}
 AUTOPILOTS = ("px4", "ardupilot", "betaflight")
 _TITLES = {"px4": "PX4", "ardupilot": "ArduPilot", "betaflight": "Betaflight"}
-_WORTH = {
+_SCALE_ORIGINS = {
     "px4": "by its control allocation with the vehicle's geometry",
     "ardupilot": "half of the motors' range, and the whole range of tilts",
     "betaflight": "of pidData[].Sum, by its mixer's 1000 and the range of motors and tilts",
 }
 
 
-def adapter_texts(form: Form, labels: Labels, autopilot: str, worth: Vector3) -> dict[str, str]:
+def adapter_texts(form: Form, labels: Labels, autopilot: str, torque_scale: Vector3) -> dict[str, str]:
     """Return the text of every file of an adapter, by its path in the autopilot's folder.
 
-    ``worth``: what a torque of 1 is to the autopilot: throttle about roll, rad of tilt about pitch and yaw (throttle
-    without tilts).  What touches or includes code of the autopilot's has its licence in :data:`PROGRAM_LICENCES`, the
-    rest that of ``labels``.  Raises InputError for an autopilot that is not known.
+    ``torque_scale``: what a torque of 1 is to the autopilot: throttle about roll, rad of tilt about pitch and yaw
+    (throttle without tilts).  What touches or includes code of the autopilot's has its licence in
+    :data:`PROGRAM_LICENCES`, the rest that of ``labels``.  Raises InputError for an autopilot that is not known.
     """
-    if autopilot not in _MADE:
+    if autopilot not in _ADAPTERS:
         raise InputError(f"autopilot {autopilot!r}: allowed: {', '.join(AUTOPILOTS)}")
     thrust = form["thrust"]
     curve = None if thrust["identity"] else _curve(thrust)
-    values = common(form, labels) | {
+    values = common_values(form, labels) | {
         "autopilot": _TITLES[autopilot],
         "tilts": form["allocation"]["kind"] == "tilt",
         "inverse": form["allocation"]["inverse"],
-        "worth": list(worth),
-        "origin_of_worth": _WORTH[autopilot],
+        "torque_scale": list(torque_scale),
+        "origin_of_scale": _SCALE_ORIGINS[autopilot],
         "curve": curve,
         "points": 0 if curve is None else len(thrust["curves"][curve]["thrust"]),
         "Class": "".join(part.capitalize() for part in labels.name.split("_")),
@@ -56,8 +56,8 @@ def adapter_texts(form: Form, labels: Labels, autopilot: str, worth: Vector3) ->
     }
     n = labels.name
     rates = {f"{n}_rates.h": "adapters/rates.h", f"{n}_rates.c": "adapters/rates.c"}
-    shared = controller_texts(form, labels, single=True) | render_files(rates, values)
-    return _MADE[autopilot](n, shared, values)
+    controller_files = controller_texts(form, labels, single=True) | render_files(rates, values)
+    return _ADAPTERS[autopilot](n, controller_files, values)
 
 
 def _as_program(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -70,10 +70,10 @@ def _curve(thrust: Mapping[str, Any]) -> int:
     return int(thrust["mapped"][0]["curve"] if thrust["reference"] is None else thrust["reference"])
 
 
-def _betaflight(n: str, shared: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
+def _betaflight(n: str, controller_files: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
     """Return Betaflight's adapter: one patch with every file in it, and a README on how to apply it."""
-    own = {f"{n}_betaflight.h": "adapters/betaflight.h", f"{n}_betaflight.c": "adapters/betaflight.c"}
-    files = dict(shared) | render_files(own, _as_program(values))
+    program_files = {f"{n}_betaflight.h": "adapters/betaflight.h", f"{n}_betaflight.c": "adapters/betaflight.c"}
+    files = dict(controller_files) | render_files(program_files, _as_program(values))
     sources = sorted(name for name in files if name.endswith(".c"))
     patch = render_files({"": "adapters/betaflight.patch"}, dict(values) | {"sources": sources})[""]
     for name, text in sorted(files.items()):
@@ -84,30 +84,30 @@ def _betaflight(n: str, shared: Mapping[str, str], values: Mapping[str, Any]) ->
     return {f"{n}-betaflight.patch": patch} | readme
 
 
-def _ardupilot(n: str, shared: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
+def _ardupilot(n: str, controller_files: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
     """Return ArduPilot's adapter: a backend of ``AC_CustomControl``, as files for its folder."""
     name = f"AC_CustomControl_{values['Class']}"
-    own = {f"{name}.h": "adapters/ardupilot.h", f"{name}.cpp": "adapters/ardupilot.cpp"}
-    files = dict(shared) | render_files(own, _as_program(values))
+    program_files = {f"{name}.h": "adapters/ardupilot.h", f"{name}.cpp": "adapters/ardupilot.cpp"}
+    files = dict(controller_files) | render_files(program_files, _as_program(values))
     return {f"AC_CustomControl/{file}": text for file, text in files.items()} | render_files(
         {"README.md": "adapters/ardupilot.md"}, values
     )
 
 
-def _px4(n: str, shared: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
+def _px4(n: str, controller_files: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
     """Return PX4's adapter: one module, in a folder for ``EXTERNAL_MODULES_LOCATION``."""
-    sources = [f"{n}_px4.cpp", *sorted(name for name in shared if name.endswith(".c"))]
-    own = {
+    sources = [f"{n}_px4.cpp", *sorted(name for name in controller_files if name.endswith(".c"))]
+    program_files = {
         f"{n}_px4.cpp": "adapters/px4.cpp",
         "CMakeLists.txt": "adapters/px4_module.txt",
         "Kconfig": "adapters/px4_kconfig.txt",
     }
-    module = dict(shared) | render_files(own, dict(values) | {"sources": sources})
-    around = {"src/CMakeLists.txt": "adapters/px4_list.txt", "README.md": "adapters/px4.md"}
-    return {f"src/modules/{n}/{file}": text for file, text in module.items()} | render_files(around, values)
+    module = dict(controller_files) | render_files(program_files, dict(values) | {"sources": sources})
+    outer_files = {"src/CMakeLists.txt": "adapters/px4_list.txt", "README.md": "adapters/px4.md"}
+    return {f"src/modules/{n}/{file}": text for file, text in module.items()} | render_files(outer_files, values)
 
 
-_MADE: dict[str, Callable[[str, Mapping[str, str], Mapping[str, Any]], dict[str, str]]] = {
+_ADAPTERS: dict[str, Callable[[str, Mapping[str, str], Mapping[str, Any]], dict[str, str]]] = {
     "px4": _px4,
     "ardupilot": _ardupilot,
     "betaflight": _betaflight,

@@ -11,23 +11,23 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import Vector3
 from cosim.base.trust import code_of, remember
 from cosim.codegen.adapters import PROGRAM_LICENCES, adapter_texts
-from cosim.codegen.files import NO_LICENCE, TITLES, Labels, render, texts
+from cosim.codegen.files import NO_LICENCE, TITLES, Labels, render, render_sources
 from cosim.codegen.fmu import build_fmus
 from cosim.codegen.form import Form, form_of
-from cosim.codegen.measure import Measured, measure
+from cosim.codegen.measure import Measurements, measure
 from cosim.codegen.vectors import Vectors, record
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 
 
 @dataclass(frozen=True)
-class Exported:
+class ExportedController:
     """The files of an exported controller, and the measurements of its C."""
 
     folder: Path
     files: list[str]
     steps: int  # of the flight in the test vectors
-    measured: Measured | None  # None: no C compiler here
+    measured: Measurements | None  # None: no C compiler here
     without_fmus: str | None  # why there are none
 
 
@@ -39,7 +39,7 @@ def export_controller(
     fmus: bool = True,
     source: str = "",
     inside: Mapping[str, Vector3] | None = None,
-) -> Exported:
+) -> ExportedController:
     """Fly a scenario and write its controller, as C and as FMUs, with the flight as test vectors.
 
     ``name``: of files, functions and types; ``licence``: stated in every file but those of adapters that are a
@@ -57,24 +57,26 @@ def export_controller(
         origin = _origin(scenario, source, simulation.engine.name, simulation.engine.sha256)
         vectors = record(simulation)
     labels = replace(labels, origin=origin)
-    made = texts(form, vectors, labels)
+    sources = render_sources(form, vectors, labels)
     adapters = {
         f"{autopilot}/{file}": text
-        for autopilot, worth in (inside or {}).items()
-        for file, text in adapter_texts(form, labels, autopilot, worth).items()
+        for autopilot, torque_scale in (inside or {}).items()
+        for file, text in adapter_texts(form, labels, autopilot, torque_scale).items()
     }
     try:
-        for file, text in (made | adapters).items():
+        for file, text in (sources | adapters).items():
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_text(text, encoding="utf-8")
-        measured = measure(folder, name)
-        archives, without = build_fmus(form, vectors, labels, made, folder) if fmus else ([], "left out, as asked")
-        readme = _readme(form, vectors, labels, measured, archives, [*(inside or {})])
+        measurements = measure(folder, name)
+        archives, reason = build_fmus(form, vectors, labels, sources, folder) if fmus else ([], "left out, as asked")
+        readme = _readme(form, vectors, labels, measurements, archives, [*(inside or {})])
         (folder / "README.md").write_text(readme, encoding="utf-8")
         remember([code_of(folder / archive) for archive in archives])
     except OSError as error:
         raise FlightError(f"{folder}: {error.strerror or error}") from error
-    return Exported(folder, [*made, *archives, "README.md", *adapters], len(vectors.rows), measured, without)
+    return ExportedController(
+        folder, [*sources, *archives, "README.md", *adapters], len(vectors.rows), measurements, reason
+    )
 
 
 def _origin(scenario: Scenario, source: str, engine: str, sha256: str) -> tuple[str, ...]:
@@ -89,7 +91,7 @@ def _origin(scenario: Scenario, source: str, engine: str, sha256: str) -> tuple[
 
 
 def _readme(
-    form: Form, vectors: Vectors, labels: Labels, measured: Measured | None, fmus: list[str], inside: list[str]
+    form: Form, vectors: Vectors, labels: Labels, measurements: Measurements | None, fmus: list[str], inside: list[str]
 ) -> str:
     kinds = [f"{axis['name']}: {TITLES[axis['predictor']['kind']]}" for axis in form["axes"]]
     leads = [axis["lead"] for axis in form["axes"]] + [form["altitude"]["lead"]]
@@ -109,36 +111,36 @@ def _readme(
         leads=any(leads),
         schedule=bool(form["schedule"]),
         straight=form["thrust"]["identity"],
-        figures=figures(measured),
+        figures=figures(measurements),
     )
 
 
-def figures(measured: Measured | None) -> list[tuple[str, str]]:
+def figures(measurements: Measurements | None) -> list[tuple[str, str]]:
     """Return the measurements as pairs of a quantity's name and its value in words."""
-    if measured is None:
+    if measurements is None:
         return [("measured", "nothing: no C compiler was found where this was made")]
     lines = [
-        ("compiler", f"{measured.compiler}, -O2 -ffp-contract=off"),
-        ("double", "every number of the flight to the last bit" if measured.same else "not the bits of the flight"),
+        ("compiler", f"{measurements.compiler}, -O2 -ffp-contract=off"),
+        ("double", "every number of the flight to the last bit" if measurements.same else "not the bits of the flight"),
         (
             "float",
-            f"throttle within {measured.float_throttle:.2g}, tilt within {measured.float_tilt:.2g} rad over the "
-            "flight, " + ("" if measured.float_passes else "not ") + "within half a step of a 12-bit command",
+            f"throttle within {measurements.float_throttle:.2g}, tilt within {measurements.float_tilt:.2g} rad over "
+            "the flight, " + ("" if measurements.float_passes else "not ") + "within half a step of a 12-bit command",
         ),
     ]
-    if measured.state is not None:
-        lines.append(("state", f"{measured.state} bytes"))
-    if measured.code is not None:
-        lines.append(("code and constants, without parameters", f"{measured.code} bytes"))
-    if measured.stack is not None:
+    if measurements.state is not None:
+        lines.append(("state", f"{measurements.state} bytes"))
+    if measurements.code is not None:
+        lines.append(("code and constants, without parameters", f"{measurements.code} bytes"))
+    if measurements.stack is not None:
         lines.append(
             (
                 "worst-case stack",
-                f"{measured.stack} bytes by gcc's call graph, beside that of the library of mathematics",
+                f"{measurements.stack} bytes by gcc's call graph, beside that of the library of mathematics",
             )
         )
-    if measured.cycles is not None:
-        worst, mean = measured.cycles
+    if measurements.cycles is not None:
+        worst, mean = measurements.cycles
         lines.append(
             (
                 "cycles of a step",

@@ -27,7 +27,7 @@ TITLES = {
     "modes": "state predictor with an observer of the identified model, mode by mode",
 }
 # whose headers are included, by the C or by the adapter of the FMUs
-_TAKEN = ("math", "stdbool", "stdint", "stdio", "string", "time", "engine", "slave", "variables", "fmi2", "fmi3")
+_RESERVED = ("math", "stdbool", "stdint", "stdio", "string", "time", "engine", "slave", "variables", "fmi2", "fmi3")
 
 Fields = tuple[dict[str, Any], list[tuple[str, int | None]]]  # constants by name; states with their sizes
 NO_LICENCE = "not stated (choose one with --licence)"
@@ -43,10 +43,10 @@ class Labels:
     origin: tuple[str, ...]  # lines
 
     def __post_init__(self) -> None:
-        if not re.fullmatch(r"[a-z][a-z0-9_]{0,39}", self.name) or self.name in _TAKEN:
+        if not re.fullmatch(r"[a-z][a-z0-9_]{0,39}", self.name) or self.name in _RESERVED:
             raise InputError(
                 f"--name {self.name}: must be a C identifier of small letters, digits and _, at most 40, and not "
-                + ", ".join(_TAKEN)
+                + ", ".join(_RESERVED)
             )
         if self.licence is not None and not re.fullmatch(r"[A-Za-z0-9.+() -]{1,120}", self.licence):
             raise InputError(
@@ -54,7 +54,7 @@ class Labels:
             )
 
 
-def texts(form: Form, vectors: Vectors, labels: Labels) -> dict[str, str]:
+def render_sources(form: Form, vectors: Vectors, labels: Labels) -> dict[str, str]:
     """Return the text of every C file by its name, the test and its vectors included."""
     n = labels.name
     values = {
@@ -66,14 +66,14 @@ def texts(form: Form, vectors: Vectors, labels: Labels) -> dict[str, str]:
         "on_ground": vectors.on_ground,
     }
     test = {f"{n}_vectors.h": "vectors.h", f"{n}_vectors.c": "vectors.c", f"test_{n}.c": "test.c"}
-    return controller_texts(form, labels) | render_files(test, common(form, labels) | values)
+    return controller_texts(form, labels) | render_files(test, common_values(form, labels) | values)
 
 
 def controller_texts(form: Form, labels: Labels, single: bool = False) -> dict[str, str]:
     """Return the C files of the controller alone; ``single``: single precision is the default."""
     n = labels.name
     files = {f"{n}.h": "controller.h", f"{n}.c": "controller.c", f"{n}_parameters.c": "parameters.c"}
-    return render_files(files, common(form, labels) | {"single": single})
+    return render_files(files, common_values(form, labels) | {"single": single})
 
 
 def stamp(licence: str | None) -> str:
@@ -81,7 +81,7 @@ def stamp(licence: str | None) -> str:
     return f"/* SPDX-License-Identifier: {licence or 'NOASSERTION'} */"
 
 
-def common(form: Form, labels: Labels) -> dict[str, Any]:
+def common_values(form: Form, labels: Labels) -> dict[str, Any]:
     """Return the variables that every C template gets."""
     f = _prepare_form(form)
     return {
@@ -131,8 +131,8 @@ def _environment() -> Any:
 def _c(value: Any, indent: str = "        ") -> str:
     """Return a number, a list or a mapping as a C initializer."""
     if isinstance(value, Mapping):
-        between = f",\n{indent}" if any(isinstance(x, Sequence) for x in value.values()) else ", "
-        return "{" + between.join(f".{key} = {_c(x)}" for key, x in value.items()) + "}"
+        separator = f",\n{indent}" if any(isinstance(x, Sequence) for x in value.values()) else ", "
+        return "{" + separator.join(f".{key} = {_c(x)}" for key, x in value.items()) + "}"
     if isinstance(value, Sequence):
         text = "{" + ", ".join(_c(x) for x in value) + "}"
         wrapped = textwrap.wrap(text, 90, break_long_words=False, break_on_hyphens=False)
@@ -156,58 +156,58 @@ def _prepare_form(form: Form) -> Form:
     }
 
 
-def _fields(q: Form) -> Form:
+def _fields(predictor: Form) -> Form:
     """Return a predictor with its constants (name, size, value) and its states (name, size)."""
-    kind = q["kind"]
+    kind = predictor["kind"]
     if kind == "none":
-        return q
-    values, states = _FIELDS[kind](q)
-    if "weights" in q:
-        values["weights"] = q["weights"]
-        states.append(("sent", len(q["weights"])))
+        return predictor
+    values, states = _FIELDS[kind](predictor)
+    if "weights" in predictor:
+        values["weights"] = predictor["weights"]
+        states.append(("sent", len(predictor["weights"])))
     constants = [(name, _size(value)) for name, value in values.items()]
-    return {"line": 0} | q | {"title": TITLES[kind], "constants": constants, "states": states, "values": values}
+    return {"line": 0} | predictor | {"title": TITLES[kind], "constants": constants, "states": states, "values": values}
 
 
-def _smith_fields(q: Form) -> Fields:
+def _smith_fields(predictor: Form) -> Fields:
     values: dict[str, Any] = {}
     states: list[tuple[str, int | None]] = []
     for name in ("now", "then", "rest"):
-        model = q.get(name)
+        model = predictor.get(name)
         if model:
             values |= {f"{name}_b": model["b"], f"{name}_a": model["a"]}
             states.append((name, len(model["a"])))
-    if q["kind"] == "early-late-filtered":
-        values["through"] = q["through"]
-        if q["rest"]:
+    if predictor["kind"] == "early-late-filtered":
+        values["through"] = predictor["through"]
+        if predictor["rest"]:
             states.append(("before", None))
-    if q["line"]:
-        states.append(("line", q["line"]))
+    if predictor["line"]:
+        states.append(("line", predictor["line"]))
     return values, states
 
 
-def _modal_fields(q: Form) -> Fields:
+def _modal_fields(predictor: Form) -> Fields:
     values: dict[str, Any] = {}
-    for name, vector in q["real"].items():
+    for name, vector in predictor["real"].items():
         values[name] = vector
-        if q["paired"]:
-            values[f"{name}_im"] = q["imaginary"][name]
-    states = [("x", q["order"]), *([("x_im", q["order"])] if q["paired"] else [])]
-    if q["disturbance"]:
-        values["gathered"] = q["gathered"]
+        if predictor["paired"]:
+            values[f"{name}_im"] = predictor["imaginary"][name]
+    states = [("x", predictor["order"]), *([("x_im", predictor["order"])] if predictor["paired"] else [])]
+    if predictor["disturbance"]:
+        values["gathered"] = predictor["gathered"]
         states.append(("disturbance", None))
     return values, states
 
 
-def _integrator_fields(q: Form) -> Fields:
-    return {name: q[name] for name in ("f", "transition", "of_rate", "of_command", "of_state")}, [("x", 2)]
+def _integrator_fields(predictor: Form) -> Fields:
+    return {name: predictor[name] for name in ("f", "transition", "of_rate", "of_command", "of_state")}, [("x", 2)]
 
 
-def _observer_fields(q: Form) -> Fields:
-    values = {"transition": q["F"], "gain": q["gain"], "push": q["push"], "of_state": q["of_state"]}
-    if q["disturbance"]:
-        values["of_disturbance"] = q["of_disturbance"]
-    return values, [("x", len(q["gain"]))]
+def _observer_fields(predictor: Form) -> Fields:
+    values = {"transition": predictor["F"]} | {name: predictor[name] for name in ("gain", "push", "of_state")}
+    if predictor["disturbance"]:
+        values["of_disturbance"] = predictor["of_disturbance"]
+    return values, [("x", len(predictor["gain"]))]
 
 
 _FIELDS: dict[str, Callable[[Form], Fields]] = {

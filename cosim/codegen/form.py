@@ -47,8 +47,8 @@ def form_of(simulation: Simulation) -> Form:
             f"controller {simulation.controller_source.label} has no C form; allowed: {allowed}, or a design's file"
         )
     cascade, vehicle, step = simulation.cascade, simulation.vehicle, simulation.dt
-    for loop, ours in ((cascade.attitude, AttitudeController), (cascade.rate, RateController)):
-        if type(loop) is not ours:
+    for loop, built_in in ((cascade.attitude, AttitudeController), (cascade.rate, RateController)):
+        if type(loop) is not built_in:
             raise InputError(f"the loop {type(loop).__name__} has no C form; allowed: the built-in ones")
     schedule = _schedule(vehicle, step)
     leads = [_lead(getattr(vehicle.control.lead, axis, None), step) for axis in AXES]
@@ -100,26 +100,26 @@ def _gains(gains: RateGains, step: float) -> Form:
     }
 
 
-def _lead(stated: EngineLead | bool | None, step: float) -> Form | None:
-    if not isinstance(stated, EngineLead):
+def _lead(spec: EngineLead | bool | None, step: float) -> Form | None:
+    if not isinstance(spec, EngineLead):
         return None
     names = ("most", "p", "q", "c1", "c2")
-    constants = dict(zip(names, Lead(stated, step).constants, strict=True))
-    return {"order": 1 if stated.damping is None else 2, "constants": constants}
+    constants = dict(zip(names, Lead(spec, step).constants, strict=True))
+    return {"order": 1 if spec.damping is None else 2, "constants": constants}
 
 
 def _schedule(vehicle: Vehicle, step: float) -> Form | None:
-    stated = vehicle.control.schedule
-    if not stated:
+    spec = vehicle.control.schedule
+    if not spec:
         return None
-    shares = [level.share for level in stated.level]
+    shares = [level.share for level in spec.level]
     keys = ("angle", "p", "i", "d", "natural_rad_s", "damping", "pole_rad_s")
     return {
         "share": shares,
-        "follow": 1.0 - exp(-step / stated.filter_s),
+        "follow": 1.0 - exp(-step / spec.filter_s),
         "fine": FINE * (shares[-1] - shares[0]),
         "levels": {
-            name: [[getattr(getattr(level, name), key) or 0.0 for key in keys] for level in stated.level]
+            name: [[getattr(getattr(level, name), key) or 0.0 for key in keys] for level in spec.level]
             for name in ("roll", "altitude")
         },
     }
@@ -127,9 +127,9 @@ def _schedule(vehicle: Vehicle, step: float) -> Form | None:
 
 def _allocation(cascade: Cascade, vehicle: Vehicle) -> Form:
     allocator, limits = cascade.allocator, vehicle.control.allocation
-    both = {"low": limits.throttle_min, "high": limits.throttle_max, "hover": allocator.hover}
+    limits_form = {"low": limits.throttle_min, "high": limits.throttle_max, "hover": allocator.hover}
     if isinstance(allocator, TiltAllocator) and vehicle.servo is not None:
-        return both | {
+        return limits_form | {
             "kind": "tilt",
             "idle": cascade.thrust_map.idle,
             "range": vehicle.servo.range_rad,
@@ -140,7 +140,7 @@ def _allocation(cascade: Cascade, vehicle: Vehicle) -> Form:
         }
     if isinstance(allocator, RotorAllocator):
         signs = [list(signs) for signs in allocator.signs]
-        return both | {"kind": "rotor", "signs": signs, "inverse": torques(len(vehicle.jets), allocator)}
+        return limits_form | {"kind": "rotor", "signs": signs, "inverse": torques(len(vehicle.jets), allocator)}
     raise InputError(
         f"{type(allocator).__name__}: has no C form; those of banks and rotors have (control.allocation.method); "
         "hexjet export vehicle writes the whole vehicle as an FMU"
@@ -178,8 +178,8 @@ def predictor_form(predictor: object, axis: str = "roll") -> Form:
     for kind, write in _PREDICTORS.items():
         if type(predictor) is kind:
             return write(predictor)
-    known = ", ".join(kind.__name__ for kind in _PREDICTORS)
-    raise InputError(f"{axis}: the predictor {type(predictor).__name__} has no C form; those that have: {known}")
+    supported = ", ".join(kind.__name__ for kind in _PREDICTORS)
+    raise InputError(f"{axis}: the predictor {type(predictor).__name__} has no C form; those that have: {supported}")
 
 
 def _discrete(model: DiscreteModel) -> Form:

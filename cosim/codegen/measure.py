@@ -21,7 +21,7 @@ _CYCLES = re.compile(r"worst step (\d+), mean (\d+)")
 
 
 @dataclass(frozen=True)
-class Measured:
+class Measurements:
     """Measurements of the compiled C; None where this machine's compiler does not report one."""
 
     compiler: str  # its own first line
@@ -35,31 +35,31 @@ class Measured:
     state: int | None  # bytes of the struct
 
 
-def compiler() -> str | None:
+def find_compiler() -> str | None:
     """Return the path of this machine's C compiler, ``CC`` or else ``cc``; None if there is none."""
     return shutil.which((os.environ.get("CC") or "cc").split()[0])
 
 
-def measure(folder: Path, name: str) -> Measured | None:
+def measure(folder: Path, name: str) -> Measurements | None:
     """Compile and run an exported controller; None without a compiler.
 
     Raises InputError, with what the compiler complained of first, if it refuses.
     """
-    cc = compiler()
+    cc = find_compiler()
     if cc is None:
         return None
-    first = _run([cc, "--version"]).stdout.splitlines()
-    with temporary("export-") as made:
-        double = _run_test(cc, folder, name, Path(made, "double"))
-        single = _run_test(cc, folder, name, Path(made, "single"), f"-D{name.upper()}_FLOAT")
-        stack, code = _measure_static(cc, folder, name, Path(made))
-    other, _, _ = _figures(double.stdout)
+    version_lines = _run([cc, "--version"]).stdout.splitlines()
+    with temporary("export-") as output:
+        double = _run_test(cc, folder, name, Path(output, "double"))
+        single = _run_test(cc, folder, name, Path(output, "single"), f"-D{name.upper()}_FLOAT")
+        stack, code = _measure_static(cc, folder, name, Path(output))
+    difference_count, _, _ = _figures(double.stdout)
     _, throttle, tilt = _figures(single.stdout)
     cycles = _CYCLES.search(double.stdout)
     state = re.search(r"state (\d+) bytes", double.stdout)
-    return Measured(
-        first[0] if first else cc,
-        double.returncode == 0 and other == 0,
+    return Measurements(
+        version_lines[0] if version_lines else cc,
+        double.returncode == 0 and difference_count == 0,
         throttle,
         tilt,
         single.returncode == 0,
@@ -75,18 +75,14 @@ def sources(name: str) -> list[str]:
     return [f"test_{name}.c", f"{name}.c", f"{name}_parameters.c", f"{name}_vectors.c"]
 
 
-def _run_test(cc: str, folder: Path, name: str, program: Path, *more: str) -> subprocess.CompletedProcess[str]:
+def _run_test(cc: str, folder: Path, name: str, program: Path, *flags: str) -> subprocess.CompletedProcess[str]:
     files = [str(folder / source) for source in sources(name)]
-    _compile([cc, *FLAGS, "-O2", *more, "-o", str(program), *files, "-lm"], folder)
+    result = _run([cc, *FLAGS, "-O2", *flags, "-o", str(program), *files, "-lm"])
+    if result.returncode != 0:
+        complaints = [*result.stderr.splitlines(), "no word"]
+        first = next((line for line in complaints if "error" in line), complaints[0])
+        raise InputError(f"{folder}: the C compiler {cc} refuses: {first}")
     return _run([str(program), "time"])
-
-
-def _compile(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    done = _run(command)
-    if done.returncode != 0:
-        lines = [line for line in done.stderr.splitlines() if "error" in line] or [*done.stderr.splitlines(), "no word"]
-        raise InputError(f"{folder}: the C compiler {command[0]} refuses: {lines[0]}")
-    return done
 
 
 def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
@@ -100,27 +96,27 @@ def _figures(text: str) -> tuple[int, float, float]:
     return int(match[1]), float(match[2]), float(match[3])
 
 
-def _measure_static(cc: str, folder: Path, name: str, made: Path) -> tuple[int | None, int | None]:
+def _measure_static(cc: str, folder: Path, name: str, output: Path) -> tuple[int | None, int | None]:
     """Return bytes of stack by gcc's call graph, and of code and constants by ``size``; None where one is missing."""
-    target = made / f"{name}.o"
-    done = _run([cc, *FLAGS, "-O2", "-fcallgraph-info=su", "-c", "-o", str(target), str(folder / f"{name}.c")])
-    if done.returncode != 0:
+    target = output / f"{name}.o"
+    result = _run([cc, *FLAGS, "-O2", "-fcallgraph-info=su", "-c", "-o", str(target), str(folder / f"{name}.c")])
+    if result.returncode != 0:
         return None, None
     graph = target.with_suffix(".ci")
     stack = _greatest_stack(graph.read_text(encoding="utf-8")) if graph.is_file() else None
     size = shutil.which("size")
-    sized = _run([size, str(target)]).stdout.splitlines() if size else []
-    return stack, int(sized[1].split()[0]) if len(sized) > 1 else None
+    size_lines = _run([size, str(target)]).stdout.splitlines() if size else []
+    return stack, int(size_lines[1].split()[0]) if len(size_lines) > 1 else None
 
 
 def _greatest_stack(graph: str) -> int | None:
     """Return the greatest stack [bytes] of any path through gcc's call graph, which lacks the mathematics library."""
-    own = {node: int(size) for node, size in _NODE.findall(graph)}
+    stacks = {node: int(size) for node, size in _NODE.findall(graph)}
     calls: dict[str, set[str]] = {}
     for source, target in _EDGE.findall(graph):
         calls.setdefault(source, set()).add(target)
 
     def depth(node: str) -> int:
-        return own.get(node, 0) + max((depth(other) for other in calls.get(node, ())), default=0)
+        return stacks.get(node, 0) + max((depth(called) for called in calls.get(node, ())), default=0)
 
-    return max((depth(node) for node in own), default=None)
+    return max((depth(node) for node in stacks), default=None)

@@ -12,7 +12,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from cosim.base.errors import InputError
-from cosim.codegen.vehicle_ports import REPORTS, Flight
+from cosim.codegen.vehicle_ports import REPORTS, ExportedFlight
 from cosim.engine import EngineSpec
 from cosim.engine.fmu.port_kinds import AMBIENT
 from cosim.engine.fmu.variables import REALS, Port
@@ -23,7 +23,7 @@ NAMESPACES = {"ssd": f"{_SSP}Description", "ssc": f"{_SSP}Common", "ssv": f"{_SS
 FMU = "application/x-fmu-sharedlibrary"
 
 
-def write_ssp(flight: Flight, vehicle: Path, target: Path, fmi: int, seconds: float) -> None:
+def write_ssp(flight: ExportedFlight, vehicle: Path, target: Path, fmi: int, seconds: float) -> None:
     """Write an SSP archive of the vehicle's FMU, which has its engines outside, and of the engines' FMUs.
 
     ``seconds``: of the default experiment.  Raises InputError for an engine that cannot be connected so.
@@ -32,49 +32,47 @@ def write_ssp(flight: Flight, vehicle: Path, target: Path, fmi: int, seconds: fl
         ElementTree.register_namespace(prefix, uri)
     stations = flight.simulation.stations
     for jet, spec in enumerate(stations, 1):
-        _need_plain(jet, spec)
+        _check_engine(jet, spec)
     root = _element("ssd:SystemStructureDescription", name=target.stem, version="1.0", generationTool="hexjet-cosim")
     system = _sub(root, "ssd:System", name=target.stem)
-    elements = _sub(system, "ssd:Elements")
+    elements, connections = _sub(system, "ssd:Elements"), _sub(system, "ssd:Connections")
     contents = {f"resources/{vehicle.name}": vehicle.read_bytes()}
-    connections: list[tuple[str, str, str, str, float, float]] = []
     for jet, spec in enumerate(stations, 1):
         archive = _archive(spec, fmi)
         contents[f"resources/{archive.name}"] = archive.read_bytes()
-        joined = _list_connected(spec)
-        kinds = {port.variable.name: port.variable.causality for port in joined.values()}
+        ports = _list_connected(spec)
+        causalities = {port.variable.name: port.variable.causality for port in ports.values()}
         values = {v.name: value for v, value in (*spec.settings, *spec.archive.starting.constants)}
         if spec.start is not None:
             start = spec.archive.ports["start"]
             values[start.variable.name] = start.value(flight.start_throttle[jet - 1])
-        _component(elements, f"engine_{jet}", archive.name, kinds, values)
-        for name, port in joined.items():
-            inner = port.variable.name
+        _component(elements, f"engine_{jet}", archive.name, causalities, values)
+        for name, port in ports.items():
+            vehicle_end, engine_end = ("vehicle", f"{name}_{jet}"), (f"engine_{jet}", port.variable.name)
             if port.variable.causality == "input":
-                connections.append(("vehicle", f"{name}_{jet}", f"engine_{jet}", inner, port.gain, port.bias))
+                _connect(connections, vehicle_end, engine_end, port.gain, port.bias)
             else:
-                connections.append((f"engine_{jet}", inner, "vehicle", f"{name}_{jet}", port.scale, port.offset))
-    ours = {number.name: "input" for number in flight.inputs} | {number.name: "output" for number in flight.outputs}
-    _component(elements, "vehicle", vehicle.name, ours, {})
-    listed = _sub(system, "ssd:Connections")
-    for first, output, second, into, factor, offset in connections:
-        connection = _sub(
-            listed,
-            "ssd:Connection",
-            startElement=first,
-            startConnector=output,
-            endElement=second,
-            endConnector=into,
-        )
-        if (factor, offset) != (1.0, 0.0):
-            _sub(connection, "ssc:LinearTransformation", factor=repr(factor), offset=repr(offset))
+                _connect(connections, engine_end, vehicle_end, port.scale, port.offset)
+    causalities = {quantity.name: "input" for quantity in flight.inputs}
+    causalities |= {quantity.name: "output" for quantity in flight.outputs}
+    _component(elements, "vehicle", vehicle.name, causalities, {})
     _sub(root, "ssd:DefaultExperiment", startTime="0.0", stopTime=repr(seconds))
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
     pack({"SystemStructure.ssd": text} | contents, target)
 
 
-def _need_plain(jet: int, spec: EngineSpec) -> None:
+def _connect(
+    connections: ElementTree.Element, start: tuple[str, str], end: tuple[str, str], factor: float, offset: float
+) -> None:
+    """Add a connection between two connectors, each named by its element and its own name."""
+    ends = {"startElement": start[0], "startConnector": start[1], "endElement": end[0], "endConnector": end[1]}
+    connection = _sub(connections, "ssd:Connection", **ends)
+    if (factor, offset) != (1.0, 0.0):
+        _sub(connection, "ssc:LinearTransformation", factor=repr(factor), offset=repr(offset))
+
+
+def _check_engine(jet: int, spec: EngineSpec) -> None:
     where = f"export vehicle --as ssp: engine of jet {jet} ({spec.path.name})"
     if spec.archive.system is not None:
         raise InputError(f"{where}: is a system itself, which cannot be a component here")
@@ -107,17 +105,18 @@ def _list_connected(spec: EngineSpec) -> Mapping[str, Port]:
 
 
 def _component(
-    parent: ElementTree.Element, name: str, source: str, kinds: Mapping[str, str], values: Mapping[str, float]
+    parent: ElementTree.Element, name: str, source: str, causalities: Mapping[str, str], values: Mapping[str, float]
 ) -> None:
     component = _sub(parent, "ssd:Component", name=name, source=f"resources/{source}", type=FMU)
     connectors = _sub(component, "ssd:Connectors")
-    for variable, kind in kinds.items():
+    for variable, kind in causalities.items():
         _sub(_sub(connectors, "ssd:Connector", name=variable, kind=kind), "ssc:Real")
     if values:
-        bound = _sub(_sub(_sub(component, "ssd:ParameterBindings"), "ssd:ParameterBinding"), "ssd:ParameterValues")
-        listed = _sub(_sub(bound, "ssv:ParameterSet", version="1.0", name="start"), "ssv:Parameters")
+        binding = _sub(_sub(component, "ssd:ParameterBindings"), "ssd:ParameterBinding")
+        parameter_set = _sub(_sub(binding, "ssd:ParameterValues"), "ssv:ParameterSet", version="1.0", name="start")
+        parameters = _sub(parameter_set, "ssv:Parameters")
         for variable, value in values.items():
-            _sub(_sub(listed, "ssv:Parameter", name=variable), "ssv:Real", value=repr(value))
+            _sub(_sub(parameters, "ssv:Parameter", name=variable), "ssv:Real", value=repr(value))
 
 
 def _name(tag: str) -> str:

@@ -17,23 +17,29 @@ from cosim.base.signals import (
     Measured,
     PerJet,
 )
+from cosim.codegen.quantity import Quantity
 from cosim.simulation.step import Simulation
 
 ENGINES = {EngineState.FLY: 0.0, EngineState.IDLE: 1.0, EngineState.OFF: 2.0}
-INPUTS = (
-    *(f"{axis}_setpoint" for axis in AXES),
-    "altitude_setpoint",
-    *(f"{axis}_rate_setpoint" for axis in AXES),
-    "collective_setpoint",
-    "rates_commanded",
-    "collective_commanded",
-    "engines",
-    *(f"{axis}_rate" for axis in AXES),
-    *(f"attitude_{part}" for part in "wxyz"),
-    "velocity_down",
-    "altitude",
-    "fuel_burnt",
+INPUT_QUANTITIES = (
+    *(Quantity(f"{axis}_setpoint", "rad", f"Attitude asked for: {axis}") for axis in AXES),
+    Quantity("altitude_setpoint", "m", "Height above the ground asked for"),
+    *(
+        Quantity(f"{axis}_rate_setpoint", "rad/s", f"Body rate asked for where rates_commanded: {axis}")
+        for axis in AXES
+    ),
+    Quantity("collective_setpoint", "1", "Mean throttle asked for where collective_commanded"),
+    Quantity("rates_commanded", "1", "1: body rates are asked for in place of an attitude"),
+    Quantity("collective_commanded", "1", "1: a mean throttle is asked for in place of a height"),
+    Quantity("engines", "1", "0: as the loops ask; 1: idle; 2: off"),
+    *(Quantity(f"{axis}_rate", "rad/s", f"Measured body rate: {axis}") for axis in AXES),
+    Quantity("attitude_w", "1", "Measured attitude, quaternion body to NED: w", 1.0),  # upright
+    *(Quantity(f"attitude_{part}", "1", f"Measured attitude, quaternion body to NED: {part}") for part in "xyz"),
+    Quantity("velocity_down", "m/s", "Measured velocity downwards"),
+    Quantity("altitude", "m", "Measured height above the ground"),
+    Quantity("fuel_burnt", "kg", "Fuel burnt since the full tank"),
 )
+INPUTS = tuple(quantity.name for quantity in INPUT_QUANTITIES)
 
 
 def output_names(jets: int) -> tuple[str, ...]:
@@ -91,8 +97,8 @@ class RecordingController:
     def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
         if (injected.torque_command, injected.torque_output) != (ZERO3, ZERO3):
             raise InputError("the flight adds a signal to the controller's own; choose a scenario without one")
-        answer = self._inner.update(command, measured, injected, engines)
-        if self._inner.lost or (answer.off and engines is not EngineState.OFF):
+        actuation = self._inner.update(command, measured, injected, engines)
+        if self._inner.lost or (actuation.off and engines is not EngineState.OFF):
             raise InputError("the flight loses an engine, and plans around lost engines are not exported")
         row = (
             *command.attitude,
@@ -108,20 +114,20 @@ class RecordingController:
             measured.altitude,
             self._burnt,
         )
-        shown = self._inner.signals
-        given = (
-            *answer.throttle,
-            *answer.tilt,
-            *answer.unallocated,
-            *shown.rate_setpoint,
-            *shown.rate_predicted,
-            *shown.torque,
-            shown.collective,
-            shown.allocated,
-            *(1.0 if jet in answer.off else 0.0 for jet in range(len(answer.throttle))),
+        signals = self._inner.signals
+        outputs = (
+            *actuation.throttle,
+            *actuation.tilt,
+            *actuation.unallocated,
+            *signals.rate_setpoint,
+            *signals.rate_predicted,
+            *signals.torque,
+            signals.collective,
+            signals.allocated,
+            *(1.0 if jet in actuation.off else 0.0 for jet in range(len(actuation.throttle))),
         )
-        self._vectors.rows.append((*row, *given))
-        return answer
+        self._vectors.rows.append((*row, *outputs))
+        return actuation
 
     def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
         self._burnt = burnt

@@ -16,8 +16,9 @@ from cosim.base.storage.paths import data_folder
 from cosim.base.storage.scratch import scratch, temporary
 from cosim.base.trust import code_of, remember
 from cosim.codegen.files import TEMPLATES, Labels
+from cosim.codegen.quantity import define_variables
 from cosim.codegen.ssp import write_ssp
-from cosim.codegen.vehicle_ports import Flight, Parts
+from cosim.codegen.vehicle_ports import ExportedFlight, VehicleContents
 from cosim.codegen.vehicle_process import FLIGHT, MANIFEST
 from cosim.engine.library import (
     FMI2_SUFFIX,
@@ -57,7 +58,7 @@ def export_vehicle(
     scenario: Scenario,
     folder: Path,
     name: str,
-    parts: Parts,
+    contents: VehicleContents,
     fmis: Sequence[int] = FMI_VERSIONS,
     system: bool = False,
     file: str = "",
@@ -80,12 +81,12 @@ def export_vehicle(
         fmis = (2 if Path(file).stem.endswith(FMI2_SUFFIX) else 3,)
     elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: is there already and not an empty folder; name another with --out")
-    if system and not parts.controller:
+    if system and not contents.controller:
         raise InputError("export vehicle --as ssp: has the controller in the vehicle; leave out --outside controller")
-    parts = Parts(False) if system else parts
-    flight = Flight(scenario, parts, _nobody)
+    contents = VehicleContents(False) if system else contents
+    flight = ExportedFlight(scenario, contents, _no_exchange)
     try:
-        resources = _resources(flight, parts)
+        resources = _resources(flight, contents)
         engine = _as_engine(flight, labels)
     finally:
         flight.close()
@@ -93,8 +94,8 @@ def export_vehicle(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for fmi in fmis:
-            with temporary("export-") as place:
-                fmu = archive_path(place, name, fmi)
+            with temporary("export-") as build_folder:
+                fmu = archive_path(build_folder, name, fmi)
                 build_one(engine, data_folder("engines") / "fmi", fmi, fmu, resources, scratch())
                 target = folder / (file or fmu.name)
                 if system:
@@ -113,58 +114,35 @@ def export_vehicle(
     )
 
 
-def _nobody() -> None:
+def _no_exchange() -> None:
     raise AssertionError("a flight that is only looked at does not step")
 
 
-def _resources(flight: Flight, parts: Parts) -> Mapping[str, bytes]:
+def _resources(flight: ExportedFlight, contents: VehicleContents) -> Mapping[str, bytes]:
     """Return the FMU's resources: the flight with its files, the manifest for its process, and the interpreter."""
     resolved, files = resolve(flight.simulation)
-    held = {
+    flight_files = {
         f"{FLIGHT}/{name}": source if isinstance(source, bytes) else source.read_bytes()
         for name, source in files.items()
     }
-    made = {
+    manifest = {
         "versions": versions(),
-        "engines_inside": parts.engines,
-        "controller_inside": parts.controller,
-        "inputs": [number.name for number in flight.inputs],
-        "outputs": [number.name for number in flight.outputs],
+        "engines_inside": contents.engines,
+        "controller_inside": contents.controller,
+        "inputs": [variable.name for variable in flight.inputs],
+        "outputs": [variable.name for variable in flight.outputs],
     }
-    return held | {
+    return flight_files | {
         f"{FLIGHT}/scenario.toml": scenario_toml(resolved),
-        MANIFEST: json.dumps(made, indent=1).encode() + b"\n",
+        MANIFEST: json.dumps(manifest, indent=1).encode() + b"\n",
         "python.txt": f"{sys.executable}\n".encode(),
     }
 
 
-def _as_engine(flight: Flight, labels: Labels) -> EngineDefinition:
+def _as_engine(flight: ExportedFlight, labels: Labels) -> EngineDefinition:
     """Return the vehicle as the FMU build takes an engine: variables, and the C that starts the process."""
-    variables = [
-        VariableDefinition(
-            "seed",
-            1,
-            "parameter",
-            True,
-            None,
-            0.0,
-            float(MOST_SEED),
-            float(flight.simulation.scenario.seed),
-            "Of the sensors' noise and the turbulence",
-        )
-    ]
-    for number in flight.inputs:
-        variables.append(
-            VariableDefinition(
-                number.name, len(variables) + 1, "input", False, number.unit, None, None, number.start, number.text
-            )
-        )
-    for number in flight.outputs:
-        variables.append(
-            VariableDefinition(
-                number.name, len(variables) + 1, "output", False, number.unit, None, None, None, number.text
-            )
-        )
+    text, seed = "Of the sensors' noise and the turbulence", float(flight.simulation.scenario.seed)
+    parameter = VariableDefinition("seed", 1, "parameter", True, None, 0.0, float(MOST_SEED), seed, text)
     return EngineDefinition(
         name=labels.name,
         folder=Path(tempfile.gettempdir()),
@@ -176,6 +154,6 @@ def _as_engine(flight: Flight, labels: Labels) -> EngineDefinition:
         ledger={},
         rotor_inertia=0.0,
         flame_out={},
-        variables=tuple(variables),
+        variables=define_variables(parameter, flight.inputs, flight.outputs),
         tool=TEMPLATES / "process.c",
     )

@@ -29,6 +29,7 @@ from cosim.base.signals import (
     PerJet,
     Unallocated,
 )
+from cosim.codegen.quantity import Quantity
 from cosim.engine.fmu.air import Air
 from cosim.engine.fmu.port_kinds import AMBIENT, OUTPUTS
 from cosim.simulation.build import build
@@ -39,7 +40,7 @@ from cosim.vehicle.propulsion import Propulsion
 
 XYZ, WXYZ, NED = "xyz", "wxyz", ("north", "east", "down")
 REPORTS = OUTPUTS
-UNIT_OF = {
+UNITS = {
     "throttle": "1", "thrust": "N", "spool_speed": "rad/s", "exhaust_temperature": "K", "fuel_flow": "kg/s",
     "force_forward": "N", "force_right": "N", "torque": "N.m",
     "run": "1", "ambient_pressure": "Pa", "ambient_temperature": "K", "air_speed": "m/s", "altitude": "m", "mach": "1",
@@ -48,53 +49,44 @@ UNIT_OF = {
 _ENGINES = (EngineState.FLY, EngineState.IDLE, EngineState.OFF)
 
 
-class Number(NamedTuple):
-    """One input, output or parameter; an output's ``start`` is not used."""
-
-    name: str
-    unit: str
-    text: str
-    start: float = 0.0
-
-
 class Group(NamedTuple):
     """Outputs that one function reads together."""
 
-    numbers: Sequence[Number]
+    quantities: Sequence[Quantity]
     read: Callable[[], Sequence[float]]
 
 
 @dataclass(frozen=True)
-class Parts:
+class VehicleContents:
     """Which parts the exported vehicle contains."""
 
     engines: bool = True
     controller: bool = True
 
 
-class Flight:
+class ExportedFlight:
     """One simulation whose engines, or controller, or commands are outside, in the importing tool.
 
-    ``meet`` is called in every step where the flight needs to be told: before it the :attr:`outputs` are those of
-    ``t_k``, behind it :attr:`given` holds the inputs by name.  Raises InputError as :func:`build` does, and for a
+    ``exchange`` is called in every step where the flight needs inputs: before it the :attr:`outputs` are those of
+    ``t_k``, after it :attr:`input_values` holds the inputs by name.  Raises InputError as :func:`build` does, and for a
     flight that cannot be had so.
     """
 
-    def __init__(self, scenario: Scenario, parts: Parts, meet: Callable[[], None]) -> None:
+    def __init__(self, scenario: Scenario, contents: VehicleContents, exchange: Callable[[], None]) -> None:
         if scenario.requests is not None:
             raise InputError(f"scenario {scenario.name}: is flown by an autopilot's requests; choose one with commands")
         if scenario.engine_start == "in flight":
             raise InputError(
                 f'scenario {scenario.name}: engine_start = "in flight": an exported vehicle cannot; leave it out'
             )
-        if not parts.engines and not parts.controller:
+        if not contents.engines and not contents.controller:
             for fault in scenario.fault:
                 if isinstance(fault, EngineFault):
                     raise InputError(
                         f"scenario {scenario.name}: fault {fault.kind}: acts between controller and engines, and both "
                         "are outside; leave it out, or one of them inside"
                     )
-        self.parts, self.meet = parts, meet
+        self.contents, self.exchange = contents, exchange
         self.simulation = simulation = build(scenario)
         self._wind = simulation.disturber.at(0).wind
         self.jets = len(simulation.vehicle.jets)
@@ -107,15 +99,15 @@ class Flight:
         self.start_engines = bank.reset(self.start_throttle, self.ambient if bank.wants_ambient else None)
         self.inputs = tuple(self._list_inputs())
         self._groups = tuple(self._list_outputs())
-        self.outputs = tuple(number for group in self._groups for number in group.numbers)
-        self.given: dict[str, float] = {number.name: number.start for number in self.inputs}
-        # everything that the blocks outside are in place of is built, and measured: what they are told is the same
-        if parts.engines:
+        self.outputs = tuple(quantity for group in self._groups for quantity in group.quantities)
+        self.input_values: dict[str, float] = {quantity.name: quantity.start for quantity in self.inputs}
+        # The blocks that those outside replace are built and measured all the same, so that the inputs are the same.
+        if contents.engines:
             simulation.propulsion.engines.bank = _ObservedEngines(bank, self)
         else:
             bank.close()
             simulation.propulsion.engines.bank = _EnginesOutside(self, bank.wants_ambient)
-        if parts.controller:
+        if contents.controller:
             simulation.pilot = _PilotOutside(self, simulation.pilot, simulation.commander)
         else:
             simulation.controller = _ControllerOutside(self, simulation.controller)
@@ -133,8 +125,10 @@ class Flight:
 
     def reports(self) -> EngineOutput:
         """Return the outside engines' outputs from the inputs; NaN for a quantity that they do not have."""
-        given = self.given
-        return EngineOutput(*[tuple([given.get(f"{name}_{jet}", nan) for jet in self.numbers]) for name in REPORTS])
+        input_values = self.input_values
+        return EngineOutput(
+            *[tuple([input_values.get(f"{name}_{jet}", nan) for jet in self.numbers]) for name in REPORTS]
+        )
 
     @property
     def numbers(self) -> range:
@@ -143,101 +137,103 @@ class Flight:
 
     def per_jet(self, name: str) -> PerJet:
         """Return the input of this name of every jet."""
-        return tuple([self.given[f"{name}_{jet}"] for jet in self.numbers])
+        return tuple([self.input_values[f"{name}_{jet}"] for jet in self.numbers])
 
-    def _list_inputs(self) -> Iterator[Number]:
-        yield from self._list_setpoints() if self.parts.controller else self._list_actuators()
-        if not self.parts.engines:
+    def _list_inputs(self) -> Iterator[Quantity]:
+        yield from self._list_setpoints() if self.contents.controller else self._list_actuators()
+        if not self.contents.engines:
             for name, starts in zip(REPORTS, self.start_engines, strict=True):
                 for jet, (start, spec) in enumerate(zip(starts, self.simulation.stations, strict=True), 1):
                     if spec.has(name):
-                        yield Number(f"{name}_{jet}", UNIT_OF[name], f"Of the engine of jet {jet}: {name}", start)
+                        yield Quantity(f"{name}_{jet}", UNITS[name], f"Of the engine of jet {jet}: {name}", start)
 
-    def _list_setpoints(self) -> Iterator[Number]:
+    def _list_setpoints(self) -> Iterator[Quantity]:
         """List set-points for the controller inside, which fly in place of the scenario's commands."""
         command = self.simulation.commander.at(0)
-        yield Number("commanded", "1", "0: the scenario's commands are flown; 1: the set-points here")
+        yield Quantity("commanded", "1", "0: the scenario's commands are flown; 1: the set-points here")
         for axis, angle in zip(AXES, command.attitude, strict=True):
-            yield Number(f"{axis}_setpoint", "rad", f"Attitude asked for: {axis}", angle)
-        yield Number("altitude_setpoint", "m", "Height above the ground asked for", command.altitude)
-        yield Number("rates_commanded", "1", "1: body rates are asked for in place of an attitude")
+            yield Quantity(f"{axis}_setpoint", "rad", f"Attitude asked for: {axis}", angle)
+        yield Quantity("altitude_setpoint", "m", "Height above the ground asked for", command.altitude)
+        yield Quantity("rates_commanded", "1", "1: body rates are asked for in place of an attitude")
         for axis in AXES:
-            yield Number(f"{axis}_rate_setpoint", "rad/s", f"Body rate asked for: {axis}")
-        yield Number("collective_commanded", "1", "1: a mean throttle is asked for in place of a height")
-        yield Number("collective_setpoint", "1", "Mean throttle asked for")
-        yield Number("engines", "1", "0: as the loops ask; 1: idle; 2: off")
+            yield Quantity(f"{axis}_rate_setpoint", "rad/s", f"Body rate asked for: {axis}")
+        yield Quantity("collective_commanded", "1", "1: a mean throttle is asked for in place of a height")
+        yield Quantity("collective_setpoint", "1", "Mean throttle asked for")
+        yield Quantity("engines", "1", "0: as the loops ask; 1: idle; 2: off")
 
-    def _list_actuators(self) -> Iterator[Number]:
+    def _list_actuators(self) -> Iterator[Quantity]:
         """List what a controller outside commands: throttles of engines inside, and servos."""
         vehicle = self.simulation.vehicle
-        if self.parts.engines:
+        if self.contents.engines:
             for jet, start in zip(self.numbers, self.start_throttle, strict=True):
-                yield Number(f"throttle_{jet}", "1", f"Throttle of jet {jet}", start)
+                yield Quantity(f"throttle_{jet}", "1", f"Throttle of jet {jet}", start)
             for jet in self.numbers:
-                yield Number(f"off_{jet}", "1", f"1: jet {jet} is shut off on purpose")
+                yield Quantity(f"off_{jet}", "1", f"1: jet {jet} is shut off on purpose")
         if vehicle.servo is not None:
-            yield Number("tilt_left", "rad", "Tilt asked of the left servo, positive forward")
-            yield Number("tilt_right", "rad", "Tilt asked of the right servo, positive forward")
+            yield Quantity("tilt_left", "rad", "Tilt asked of the left servo, positive forward")
+            yield Quantity("tilt_right", "rad", "Tilt asked of the right servo, positive forward")
         else:
             for n, name in enumerate(_name_movables(vehicle)):
-                yield Number(f"tilt_{name}", _unit_of(vehicle, n), f"Asked of the servo {name}", vehicle.rest[n])
+                yield Quantity(f"tilt_{name}", _unit_of(vehicle, n), f"Asked of the servo {name}", vehicle.rest[n])
 
     def _list_outputs(self) -> Iterator[Group]:
         simulation, propulsion = self.simulation, self.simulation.propulsion
-        if self.parts.controller:
-            throttles = [Number(f"throttle_{jet}", "1", f"Told to the engine of jet {jet}") for jet in self.numbers]
+        if self.contents.controller:
+            throttles = [Quantity(f"throttle_{jet}", "1", f"Told to the engine of jet {jet}") for jet in self.numbers]
             yield Group(throttles, lambda: self.throttle)
         else:
             yield from self._list_command()
         if simulation.vehicle.servo is not None:
-            sides = [Number(f"servo_{side}", "rad", f"Where the {side} servo stands") for side in ("left", "right")]
+            sides = [Quantity(f"servo_{side}", "rad", f"Where the {side} servo stands") for side in ("left", "right")]
             yield Group(sides, lambda: propulsion.tilt)
         elif movables := _name_movables(simulation.vehicle):
             positions = [
-                Number(f"servo_{name}", _unit_of(simulation.vehicle, n), f"Where the servo {name} stands")
+                Quantity(f"servo_{name}", _unit_of(simulation.vehicle, n), f"Where the servo {name} stands")
                 for n, name in enumerate(movables)
             ]
             yield Group(positions, lambda: propulsion.tilt)
-        yield from self._list_reports() if self.parts.engines else self._list_engine_inputs()
+        yield from self._list_reports() if self.contents.engines else self._list_engine_inputs()
         if propulsion.tank is not None:
-            yield Group([Number("fuel_burnt", "kg", "Fuel burnt since the full tank")], lambda: (propulsion.burnt,))
+            yield Group([Quantity("fuel_burnt", "kg", "Fuel burnt since the full tank")], lambda: (propulsion.burnt,))
         yield from self._list_state()
         yield from self._list_measured()
 
     def _list_command(self) -> Iterator[Group]:
         """List the scenario's command, for a controller outside."""
         yield Group(_list_angles("_setpoint", "rad", "Attitude asked for"), lambda: self.command.attitude)
-        height = Number("altitude_setpoint", "m", "Height above the ground asked for")
+        height = Quantity("altitude_setpoint", "m", "Height above the ground asked for")
         yield Group([height], lambda: (self.command.altitude,))
-        flag = Number("rates_commanded", "1", "1: body rates are asked for in place of an attitude")
+        flag = Quantity("rates_commanded", "1", "1: body rates are asked for in place of an attitude")
         yield Group([flag], lambda: (self.command.rate is not None,))
         yield Group(_list_angles("_rate_setpoint", "rad/s", "Body rate asked for"), lambda: self.command.rate or ZERO3)
-        flag = Number("collective_commanded", "1", "1: a mean throttle is asked for in place of a height")
-        mean = Number("collective_setpoint", "1", "Mean throttle asked for")
+        flag = Quantity("collective_commanded", "1", "1: a mean throttle is asked for in place of a height")
+        mean = Quantity("collective_setpoint", "1", "Mean throttle asked for")
         yield Group([flag, mean], lambda: (self.command.collective is not None, self.command.collective or 0.0))
 
     def _list_reports(self) -> Iterator[Group]:
         """List what engines inside deliver and report."""
         output = self.simulation.propulsion
         for n, name in enumerate(REPORTS):
-            have = [i for i, spec in enumerate(self.simulation.stations) if spec.has(name)]
-            numbers = [Number(f"{name}_{i + 1}", UNIT_OF[name], f"Of the engine of jet {i + 1}: {name}") for i in have]
-            yield Group(numbers, partial(_read_jets, output, n, have))
+            indices = [i for i, spec in enumerate(self.simulation.stations) if spec.has(name)]
+            quantities = [
+                Quantity(f"{name}_{i + 1}", UNITS[name], f"Of the engine of jet {i + 1}: {name}") for i in indices
+            ]
+            yield Group(quantities, partial(_read_jets, output, n, indices))
 
     def _list_engine_inputs(self) -> Iterator[Group]:
         """List what engines outside get beside their throttles."""
         stations = self.simulation.stations
         text = "Throttle at which the engine stands in equilibrium before the first step: jet"
-        starts = [Number(f"start_throttle_{jet}", "1", f"{text} {jet}") for jet in self.numbers]
+        starts = [Quantity(f"start_throttle_{jet}", "1", f"{text} {jet}") for jet in self.numbers]
         yield Group(starts, lambda: self.start_throttle)
-        have = [i for i, spec in enumerate(stations) if spec.has("run")]
-        runs = [Number(f"run_{i + 1}", "1", f"1: fuel on at jet {i + 1}") for i in have]
-        yield Group(runs, lambda: [self.run[i] for i in have])
+        indices = [i for i, spec in enumerate(stations) if spec.has("run")]
+        runs = [Quantity(f"run_{i + 1}", "1", f"1: fuel on at jet {i + 1}") for i in indices]
+        yield Group(runs, lambda: [self.run[i] for i in indices])
         for i, spec in enumerate(stations):
             ports = [port for port in AMBIENT if spec.has(port)]
             text = f"Around the engine of jet {i + 1}"
             yield Group(
-                [Number(f"{port}_{i + 1}", UNIT_OF[port], f"{text}: {port}") for port in ports],
+                [Quantity(f"{port}_{i + 1}", UNITS[port], f"{text}: {port}") for port in ports],
                 self._reader_of_air(i, ports),
             )
 
@@ -247,8 +243,8 @@ class Flight:
                 return ()
             pressure, temperature, speeds = self.ambient
             air = Air(pressure, temperature, speeds[jet])
-            known = dict(zip(AMBIENT[:3], air, strict=True)) | air.derived()
-            return [known[port] for port in ports]
+            quantities = dict(zip(AMBIENT[:3], air, strict=True)) | air.derived()
+            return [quantities[port] for port in ports]
 
         return read
 
@@ -262,9 +258,9 @@ class Flight:
         force = _list_parts("specific_force", XYZ, "m/s2", "Specific force at the centre of gravity, body")
         yield Group(force, lambda: simulation.state.specific_force)
         yield Group(_list_parts("wind", NED, "m/s", "Wind with turbulence"), lambda: simulation.state.wind)
-        yield Group([Number("altitude", "m", "Height above the ground")], lambda: (simulation.state.altitude,))
-        yield Group([Number("mass", "kg", "Mass of the vehicle")], lambda: (simulation.state.mass,))
-        yield Group([Number("on_ground", "1", "1: a leg touches")], lambda: (simulation.state.on_ground,))
+        yield Group([Quantity("altitude", "m", "Height above the ground")], lambda: (simulation.state.altitude,))
+        yield Group([Quantity("mass", "kg", "Mass of the vehicle")], lambda: (simulation.state.mass,))
+        yield Group([Quantity("on_ground", "1", "1: a leg touches")], lambda: (simulation.state.on_ground,))
 
     def _list_measured(self) -> Iterator[Group]:
         simulation = self.simulation
@@ -277,7 +273,7 @@ class Flight:
         yield Group(
             _list_parts("measured_velocity", NED, "m/s", "Measured velocity"), lambda: simulation.measured.velocity
         )
-        height = Number("measured_altitude", "m", "Measured height above the ground")
+        height = Quantity("measured_altitude", "m", "Measured height above the ground")
         yield Group([height], lambda: (simulation.measured.altitude,))
         if all(isfinite(value) for value in simulation.measured.specific_force):  # there is an accelerometer
             force = _list_parts("measured_specific_force", XYZ, "m/s2", "Measured specific force, body")
@@ -291,7 +287,7 @@ class Flight:
 class _ObservedEngines:
     """Engines inside the vehicle, whose throttles are recorded as outputs."""
 
-    def __init__(self, inner: Engines, flight: Flight) -> None:
+    def __init__(self, inner: Engines, flight: ExportedFlight) -> None:
         self._inner, self._flight = inner, flight
         self.wants_ambient = inner.wants_ambient
 
@@ -316,7 +312,7 @@ class _ObservedEngines:
 class _EnginesOutside:
     """Stand-in for engines outside: step ``k``'s throttles are outputs, and the thrusts at its end are inputs."""
 
-    def __init__(self, flight: Flight, wants_ambient: bool) -> None:
+    def __init__(self, flight: ExportedFlight, wants_ambient: bool) -> None:
         self._flight, self.wants_ambient = flight, wants_ambient
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
@@ -327,8 +323,8 @@ class _EnginesOutside:
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
         flight = self._flight
         flight.throttle = throttle
-        if flight.parts.controller:
-            flight.meet()
+        if flight.contents.controller:
+            flight.exchange()
         return flight.reports()
 
     def run_down(self, seconds: float) -> EngineOutput:
@@ -346,7 +342,7 @@ class _EnginesOutside:
 class _PilotOutside:
     """A pilot that flies the set-points of the inputs where they are commanded, or else the scenario's."""
 
-    def __init__(self, flight: Flight, inner: Pilot | None, commander: Commander) -> None:
+    def __init__(self, flight: ExportedFlight, inner: Pilot | None, commander: Commander) -> None:
         self._flight, self._inner, self._commander = flight, inner, commander
         self.engines = EngineState.FLY
         self.seen: Measured = flight.simulation.measured
@@ -356,19 +352,19 @@ class _PilotOutside:
             self._inner.reset(measured)
 
     def update(self, k: int, measured: Measured, report: Report) -> Command:
-        if self._flight.parts.engines:
-            self._flight.meet()
-        given, inner = self._flight.given, self._inner
+        if self._flight.contents.engines:
+            self._flight.exchange()
+        input_values, inner = self._flight.input_values, self._inner
         self.seen, self.engines = measured, EngineState.FLY
-        if given["commanded"] > 0.5:
-            roll, pitch, yaw = (given[f"{axis}_setpoint"] for axis in AXES)
-            p, q, r = (given[f"{axis}_rate_setpoint"] for axis in AXES)
-            self.engines = _ENGINES[(given["engines"] > 0.5) + (given["engines"] > 1.5)]
+        if input_values["commanded"] > 0.5:
+            roll, pitch, yaw = (input_values[f"{axis}_setpoint"] for axis in AXES)
+            p, q, r = (input_values[f"{axis}_rate_setpoint"] for axis in AXES)
+            self.engines = _ENGINES[(input_values["engines"] > 0.5) + (input_values["engines"] > 1.5)]
             return Command(
                 (roll, pitch, yaw),
-                given["altitude_setpoint"],
-                (p, q, r) if given["rates_commanded"] > 0.5 else None,
-                given["collective_setpoint"] if given["collective_commanded"] > 0.5 else None,
+                input_values["altitude_setpoint"],
+                (p, q, r) if input_values["rates_commanded"] > 0.5 else None,
+                input_values["collective_setpoint"] if input_values["collective_commanded"] > 0.5 else None,
             )
         if inner is None:
             return self._commander.at(k)
@@ -383,7 +379,7 @@ class _ControllerOutside:
     signals = ControlSignals(UNKNOWN3, UNKNOWN3, UNKNOWN3, nan, nan)
     lost: tuple[int, ...] = ()
 
-    def __init__(self, flight: Flight, inner: Controller) -> None:
+    def __init__(self, flight: ExportedFlight, inner: Controller) -> None:
         self._flight, self._inner = flight, inner
 
     @property
@@ -396,13 +392,13 @@ class _ControllerOutside:
     def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
         flight = self._flight
         flight.command = command
-        flight.meet()
-        given = flight.given
+        flight.exchange()
+        input_values = flight.input_values
         vehicle = flight.simulation.vehicle
         tilt = tuple(
-            [given.get(f"tilt_{name}", rest) for name, rest in zip(vehicle.actuators, vehicle.rest, strict=True)]
+            [input_values.get(f"tilt_{name}", rest) for name, rest in zip(vehicle.actuators, vehicle.rest, strict=True)]
         )
-        if not flight.parts.engines:
+        if not flight.contents.engines:
             return Actuation(flight.throttle, tilt, Unallocated())
         off = frozenset([i for i, value in enumerate(flight.per_jet("off")) if value > 0.5])
         return Actuation(flight.per_jet("throttle"), tilt, Unallocated(), off)
@@ -419,20 +415,20 @@ def _name_movables(vehicle: Vehicle) -> tuple[str, ...]:
     return vehicle.actuators if vehicle.servo is None and vehicle.ranges else ()
 
 
-def _unit_of(vehicle: Vehicle, number: int) -> str:
-    return "rad" if number < len(vehicle.hinges) else "1"
+def _unit_of(vehicle: Vehicle, index: int) -> str:
+    return "rad" if index < len(vehicle.hinges) else "1"
 
 
 def _per_jet(throttle: float | Sequence[float], jets: int) -> PerJet:
     return tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * jets
 
 
-def _list_angles(suffix: str, unit: str, text: str, prefix: str = "") -> list[Number]:
-    return [Number(f"{prefix}{axis}{suffix}", unit, f"{text}: {axis}") for axis in AXES]
+def _list_angles(suffix: str, unit: str, text: str, prefix: str = "") -> list[Quantity]:
+    return [Quantity(f"{prefix}{axis}{suffix}", unit, f"{text}: {axis}") for axis in AXES]
 
 
-def _list_parts(name: str, parts: Sequence[str], unit: str, text: str) -> list[Number]:
-    return [Number(f"{name}_{part}", unit, f"{text}: {part}") for part in parts]
+def _list_parts(name: str, parts: Sequence[str], unit: str, text: str) -> list[Quantity]:
+    return [Quantity(f"{name}_{part}", unit, f"{text}: {part}") for part in parts]
 
 
 def _read_jets(propulsion: Propulsion, report: int, jets: Sequence[int]) -> list[float]:

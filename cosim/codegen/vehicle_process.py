@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 from typing import Any, NoReturn
 
-START, STEP = 0.0, 1.0
+START = 0.0  # the request to start; 1.0 is one to step
 MANIFEST = "vehicle.json"  # what the archive says of itself, beside the flight
 FLIGHT = "flight"  # the folder with the scenario and its files
 ANY_VERSION = "HEXJET_ANY_VERSION"
@@ -58,14 +58,14 @@ class _Socket:
         self.send(struct.pack("=d", -1.0) + line.encode("utf-8", "replace")[:1000] + b"\n")
 
 
-def other_versions(made: dict[str, str], here: dict[str, str]) -> str:
+def other_versions(manifest: dict[str, str], here: dict[str, str]) -> str:
     """Return in words which versions differ from those that made the archive; empty where none does."""
-    others = [
+    differences = [
         f"{name} {here.get(name, 'missing')} in place of {text}"
-        for name, text in made.items()
+        for name, text in manifest.items()
         if here.get(name) != text
     ]
-    return ", ".join(others)
+    return ", ".join(differences)
 
 
 class _Server:
@@ -74,41 +74,41 @@ class _Server:
     def __init__(self, socket: _Socket, folder: Path) -> None:
         from cosim.base.errors import InputError
         from cosim.base.trust import trust
-        from cosim.codegen.vehicle_ports import Parts
+        from cosim.codegen.vehicle_ports import VehicleContents
         from cosim.results.summary import versions
         from cosim.spec.scenario import Scenario
 
         self._socket = socket
-        made: dict[str, Any] = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-        others = other_versions(made["versions"], versions())
-        if others and not os.environ.get(ANY_VERSION):
+        manifest: dict[str, Any] = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        differences = other_versions(manifest["versions"], versions())
+        if differences and not os.environ.get(ANY_VERSION):
             raise InputError(
-                f"this vehicle was made with other versions: {others}; export it anew, or set {ANY_VERSION}=1 to fly "
-                "it all the same"
+                f"this vehicle was made with other versions: {differences}; export it anew, or set {ANY_VERSION}=1 to "
+                "fly it all the same"
             )
-        self._parts = Parts(made["engines_inside"], made["controller_inside"])
+        self._contents = VehicleContents(manifest["engines_inside"], manifest["controller_inside"])
         trust(folder)  # its code is the FMU's, which the importer runs
         self._scenario = Scenario.read(folder / FLIGHT / "scenario.toml")
         self._flight = self._build_flight(self._scenario.seed)
-        inputs = [number.name for number in self._flight.inputs]
-        outputs = [number.name for number in self._flight.outputs]
-        if (inputs, outputs) != (made["inputs"], made["outputs"]):
+        inputs = [variable.name for variable in self._flight.inputs]
+        outputs = [variable.name for variable in self._flight.outputs]
+        if (inputs, outputs) != (manifest["inputs"], manifest["outputs"]):
             raise InputError("this vehicle was made with other inputs and outputs; export it anew")
         self._inputs = inputs
         self._in = struct.Struct(f"={3 + len(inputs)}d")
         self._out = struct.Struct(f"={1 + len(outputs)}d")
-        self._left = 0  # control steps to go until the next meeting
+        self._steps_left = 0  # control steps to go until the next meeting
         self._answer_due = False
 
     def _build_flight(self, seed: int) -> Any:
-        from cosim.codegen.vehicle_ports import Flight
+        from cosim.codegen.vehicle_ports import ExportedFlight
 
         self._seed = seed
-        return Flight(self._scenario.replace(seed=seed), self._parts, self._meet)
+        return ExportedFlight(self._scenario.replace(seed=seed), self._contents, self._exchange)
 
-    def _meet(self) -> None:
-        if self._left > 1:
-            self._left -= 1
+    def _exchange(self) -> None:
+        if self._steps_left > 1:
+            self._steps_left -= 1
             return
         if self._answer_due:
             self._socket.send(self._out.pack(0.0, *self._flight.values()))
@@ -116,21 +116,21 @@ class _Server:
 
     def _listen(self) -> None:
         """Wait for the importer's next request.  Raises _RestartError for a start, _DisconnectedError."""
-        request, count, seed, *given = self._socket.receive(self._in)
+        request, count, seed, *input_values = self._socket.receive(self._in)
         self._answer_due = True
-        self._flight.given.update(zip(self._inputs, given, strict=True))
-        self._left = round(count)
+        self._flight.input_values.update(zip(self._inputs, input_values, strict=True))
+        self._steps_left = round(count)
         if request == START:
-            self._requested_seed, self._left = round(seed), 0
+            self._requested_seed, self._steps_left = round(seed), 0
             raise _RestartError
 
     def _start(self) -> None:
         """Reset the flight to ``t = 0`` with the present inputs and parameters."""
         if self._requested_seed != self._seed:
-            given = self._flight.given
+            input_values = self._flight.input_values
             self._flight.close()
             self._flight = self._build_flight(self._requested_seed)
-            self._flight.given.update(given)
+            self._flight.input_values.update(input_values)
         self._flight.simulation.reset()
 
     def _fly(self) -> NoReturn:

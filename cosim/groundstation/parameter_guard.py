@@ -23,7 +23,7 @@ from cosim.groundstation.exchange import GroundRequest, PendingRequest
 from cosim.groundstation.parameter_store import FORCE, ParameterStore
 
 MOST_DEFERRED = 200  # changes that wait; chosen by us: twice a whole set, and the first verdict may take seconds
-BATCH_SIZE = 8  # changes that are judged together and act at one step: as many as a step takes requests
+BATCH_SIZE = 8  # changes that are checked together and act at one step: as many as a step takes requests
 MOST_NAMED = 8  # parameters that are named where they differ from their defaults; more are counted
 
 
@@ -76,7 +76,7 @@ class ParameterGuard:
         """
         if late := [waiting for waiting in self._deferred if now > waiting.until]:
             self._deferred = deque(waiting for waiting in self._deferred if now <= waiting.until)
-            if any(now > waiting.until for waiting in self._batch):  # the others were judged as if this were taken
+            if any(now > waiting.until for waiting in self._batch):  # the other verdicts assume that this one is taken
                 self._batch, self._verdict = [], None
             return [(waiting, None) for waiting in late]
         if self._verdict is None and self._deferred:

@@ -13,7 +13,7 @@ from cosim.spec.controller_name import SHORT, folder_name
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import is_file
 
-FORCE = "HJ_FORCE"  # never kept: what it permits is decided anew for each flight
+FORCE = "HJ_FORCE"  # never saved: it holds for one flight
 _FORMAT = 1
 _HEAD = "# What differs from the defaults; written by hexjet gcs.\n"
 

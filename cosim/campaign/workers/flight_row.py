@@ -16,7 +16,7 @@ from pathlib import Path
 from socket import gethostname
 from typing import TYPE_CHECKING
 
-from cosim.autopilots.prepare import Setup, own_instance, prepare, program_of
+from cosim.autopilots.prepare import Setup, prepare, require_program, reserve_instance
 from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError
 from cosim.base.storage.scratch import temporary
 from cosim.campaign.study.keys import CUSTOM_PARAMETERS
@@ -98,7 +98,7 @@ def with_autopilot(study: Study, scenario: Scenario, folder: Path, page: bool = 
     """
     settings = study.autopilot
     assert settings is not None
-    with own_instance() as instance:
+    with reserve_instance() as instance:
         setup = Setup(
             instance,
             settings.timeout_s,
@@ -108,7 +108,7 @@ def with_autopilot(study: Study, scenario: Scenario, folder: Path, page: bool = 
             channels=settings.channels,
         )
         binary = Path(settings.seen_from(study.folder).binary) if settings.binary else None
-        autopilot = prepare(settings.name, scenario, folder, program_of(settings.name, binary), setup)
+        autopilot = prepare(settings.name, scenario, folder, require_program(settings.name, binary), setup)
         flight = autopilot.fly(scenario, folder, page)
     run, counts = flight.run, flight.counts
     digest = hashlib.sha256("\n".join([inputs(run), scenario.model_dump_json()]).encode()).hexdigest()

@@ -250,7 +250,7 @@ def params(options: Parameters) -> int:
     What cannot be said in its parameters stands in the lines that begin with #. For Betaflight they are lines for its
     console.
     """
-    from cosim.autopilots.dump import parameters_of
+    from cosim.autopilots.firmware_parameters import parameters_of
 
     autopilot, target = options.autopilot, options.target
     if target != "sitl" and autopilot != "px4":
@@ -269,12 +269,12 @@ def _fly(options: Sitl, scenario: Scenario, name: str, setup: Setup, rates: str 
     program, folder = find_program(name, options.binary), options.run_folder(f"{scenario.name}-{name}")
     autopilot = prepare(name, scenario, folder, program, setup, options.read(rates) if rates else None)
     if name == "ardupilot":
-        from cosim.autopilots.ardupilot import APART, RC_PORT
+        from cosim.autopilots.ardupilot import PORT_SPACING, RC_PORT
 
         click.echo(
-            f"hexjet: ArduPilot listens for sticks at UDP port {RC_PORT + APART * setup.instance} on every network "
-            "interface of this machine, for states at one that the system draws, and cannot be told otherwise: close "
-            "them to others",
+            f"hexjet: ArduPilot listens for sticks at UDP port {RC_PORT + PORT_SPACING * setup.instance} on every "
+            "network interface of this machine, for states at one that the system draws, and cannot be told otherwise: "
+            "close them to others",
             err=True,
         )
     if program is None:

@@ -15,7 +15,7 @@ from cosim.cli.outputs import Out
 from cosim.cli.trust import looks
 
 if TYPE_CHECKING:
-    from cosim.codegen.export import Exported
+    from cosim.codegen.export import ExportedController
 
 
 class Export(click.Group):
@@ -163,7 +163,7 @@ def controller(options: ExportController) -> int:
     """
     from dataclasses import asdict
 
-    from cosim.autopilots.dump import torque_of
+    from cosim.autopilots.firmware_parameters import torque_scale_of
     from cosim.codegen.export import export_controller
     from cosim.spec.controller_name import is_design
 
@@ -172,7 +172,7 @@ def controller(options: ExportController) -> int:
     name_or_file = options.controller
     source = Path(name_or_file).name if name_or_file is not None and is_design(name_or_file) else ""
     vehicle, _ = loaded.resolved_vehicle()
-    torques = {autopilot: torque_of(autopilot, vehicle) for autopilot in options.inside}
+    torques = {autopilot: torque_scale_of(autopilot, vehicle) for autopilot in options.inside}
     out = options.out or Path(name)
     exported = export_controller(loaded, out, name, licence, not options.no_fmu, source, torques)
     _warn_of_licences(licence, options.inside)
@@ -218,11 +218,11 @@ def vehicle(options: ExportVehicle) -> int:
     HEXJET_PYTHON names.
     """
     from cosim.codegen.vehicle import export_vehicle
-    from cosim.codegen.vehicle_ports import Parts
+    from cosim.codegen.vehicle_ports import VehicleContents
 
     offer_to_compile(*options.engines)
     loaded, name, kind = options.load(), options.name, options.kind
-    parts = Parts("engines" not in options.outside, "controller" not in options.outside)
+    parts = VehicleContents("engines" not in options.outside, "controller" not in options.outside)
     out = options.out or Path(name)
     single = _VEHICLE_OUT.is_file(out)
     if single and out.suffix.lower() != f".{kind}":
@@ -240,7 +240,7 @@ def vehicle(options: ExportVehicle) -> int:
     return DONE
 
 
-def _print(exported: Exported) -> None:
+def _print(exported: ExportedController) -> None:
     from cosim.codegen.export import figures
 
     click.echo(f"{exported.folder}: {', '.join(exported.files)}")

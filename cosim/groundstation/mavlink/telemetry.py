@@ -1,6 +1,6 @@
 """The vehicle's messages out, each a function of one snapshot; units and invalid values as the definitions have them.
 
-What is not known is left out or told as unknown; nothing is made up for a gauge.
+An unknown quantity is left out or sent as unknown; no value is invented for a gauge.
 """
 
 from __future__ import annotations
@@ -37,17 +37,9 @@ _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5  # MISSIO
 def heartbeat(v: TelemetryState) -> list[Message]:
     status, personality = v.status, v.vehicle.personality
     state = 5 if status.failsafe else 4 if status.armed else 3
-    mode = custom_mode(status.mode, personality)
-    return [
-        mav.MAVLink_heartbeat_message(
-            vehicle_type(v.vehicle.jets),
-            AUTOPILOT[personality],
-            base_mode(status.mode, status.armed),
-            mode,
-            state,
-            3,
-        )
-    ]
+    base, custom = base_mode(status.mode, status.armed), custom_mode(status.mode, personality)
+    kind = vehicle_type(v.vehicle.jets)
+    return [mav.MAVLink_heartbeat_message(kind, AUTOPILOT[personality], base, custom, state, 3)]
 
 
 def sys_status(v: TelemetryState) -> list[Message]:
@@ -97,9 +89,9 @@ def system_time(v: TelemetryState) -> list[Message]:
 
 
 def gps_raw_int(v: TelemetryState) -> list[Message]:
-    about, (vn, ve, _) = v.vehicle, v.measured.velocity
+    vehicle, (vn, ve, _) = v.vehicle, v.measured.velocity
     north, east, down = v.measured.position
-    lat, lon, metres = about.geodesy.to_geodetic(north, east, -down)
+    lat, lon, metres = vehicle.geodesy.to_geodetic(north, east, -down)
     fixed = v.status.positioned
     speed = to_field(hypot(vn, ve) * 100.0, 0, U16 - 1) if fixed else U16
     course = to_field(degrees(_heading(vn, ve)) * 100.0, 0, 35999) if fixed else U16
@@ -107,8 +99,8 @@ def gps_raw_int(v: TelemetryState) -> list[Message]:
     return [
         mav.MAVLink_gps_raw_int_message(
             v.us, 3 if fixed else 1, e7(lat), e7(lon), height, U16, U16, speed, course, U8, height,
-            to_field(about.position_noise * 1e3, 0, I32), to_field(about.position_noise * 1e3, 0, I32),
-            to_field(about.velocity_noise * 1e3, 0, I32), 0, 0,
+            to_field(vehicle.position_noise * 1e3, 0, I32), to_field(vehicle.position_noise * 1e3, 0, I32),
+            to_field(vehicle.velocity_noise * 1e3, 0, I32), 0, 0,
         )
     ]  # fmt: skip
 
@@ -163,7 +155,7 @@ def attitude_target(v: TelemetryState) -> list[Message]:
     ]
 
 
-_POSITION_ONLY = 0b1101_1111_1000  # of a target: velocity, acceleration and turn rate are not given
+_POSITION_ONLY = 0b1101_1111_1000  # of a target: velocity, acceleration and turn rate are missing
 
 
 def position_target_local_ned(v: TelemetryState) -> list[Message]:
@@ -205,13 +197,13 @@ def battery_status(v: TelemetryState) -> list[Message]:
 
 
 def autopilot_version(v: TelemetryState) -> list[Message]:
-    about = v.vehicle
-    version = _version(about.version)
-    capabilities = _CAPABILITIES | PARAMETER_ENCODING[about.personality]
-    identity = list(about.name.encode()[:18].ljust(18, b"\0"))
+    vehicle = v.vehicle
+    version = _version(vehicle.version)
+    capabilities = _CAPABILITIES | PARAMETER_ENCODING[vehicle.personality]
+    identity = list(vehicle.name.encode()[:18].ljust(18, b"\0"))
     return [
         mav.MAVLink_autopilot_version_message(
-            capabilities, version, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, about.system, identity
+            capabilities, version, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, vehicle.system, identity
         )
     ]
 
@@ -250,19 +242,10 @@ def home_position(v: TelemetryState) -> list[Message]:
     lat, lon, height = v.vehicle.geodesy.to_geodetic(*home)
     return [
         mav.MAVLink_home_position_message(
-            e7(lat),
-            e7(lon),
-            mm(height),
-            home.north,
-            home.east,
-            -home.altitude,
-            [1.0, 0.0, 0.0, 0.0],
-            nan,
-            nan,
-            nan,
-            v.us,
+            e7(lat), e7(lon), mm(height), home.north, home.east, -home.altitude, [1.0, 0.0, 0.0, 0.0],
+            nan, nan, nan, v.us,
         )
-    ]
+    ]  # fmt: skip
 
 
 def orbit_execution_status(v: TelemetryState) -> list[Message]:
@@ -292,9 +275,9 @@ def estimator_status(v: TelemetryState) -> list[Message]:
     A position that is dead-reckoned without fixes counts as relative, as far as its speed is valid.  Where no
     autopilot estimates anything the accuracies are the sensors'.
     """
-    trust, home, about = v.status.trust, v.status.home is not None, v.vehicle
-    place = about.position_noise if isnan(trust.place_m) else trust.place_m
-    height = about.height_noise if isnan(trust.height_m) else trust.height_m
+    trust, home, vehicle = v.status.trust, v.status.home is not None, v.vehicle
+    position_accuracy = vehicle.position_noise if isnan(trust.place_m) else trust.place_m
+    height_accuracy = vehicle.height_noise if isnan(trust.height_m) else trust.height_m
     flags = sum(
         bits
         for bits, valid in (
@@ -307,7 +290,7 @@ def estimator_status(v: TelemetryState) -> list[Message]:
         )
         if valid
     )
-    return [mav.MAVLink_estimator_status_message(v.us, flags, *[nan] * 6, place, height)]
+    return [mav.MAVLink_estimator_status_message(v.us, flags, *[nan] * 6, position_accuracy, height_accuracy)]
 
 
 def wind_cov(v: TelemetryState) -> list[Message]:
@@ -333,10 +316,10 @@ def available_modes(v: TelemetryState) -> list[Message]:
     return [mode_line(v.vehicle, index) for index in range(1, len(LIST) + 1)]
 
 
-def mode_line(about: VehicleConstants, index: int) -> Message:
+def mode_line(vehicle: VehicleConstants, index: int) -> Message:
     """Return AVAILABLE_MODES of one mode, counted from 1."""
     mode, name, properties = LIST[index - 1]
-    number = custom_mode(mode, about.personality)
+    number = custom_mode(mode, vehicle.personality)
     return mav.MAVLink_available_modes_message(
         len(LIST), index, STANDARD.get(mode, 0), number, properties, name.encode()
     )

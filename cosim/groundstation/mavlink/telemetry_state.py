@@ -50,21 +50,21 @@ class TelemetryState:
         self.events = events
         self.time = snapshot.time
         self.measured = snapshot.measured  # what the sensors say
-        # what is told is the instant after the step, beside what acted until then
+        # The state is that after the step, with the actuation that acted until then.
         self.sample = snapshot.sample._replace(
             k=snapshot.k, time=snapshot.time, state=snapshot.state, measured=snapshot.measured
         )
         self.status, ending = snapshot.status, snapshot.ending
-        if self.status.engines is EngineState.OFF:  # the least throttle stands at their inputs, and none acts on it
+        if self.status.engines is EngineState.OFF:  # their inputs are at the least throttle, which has no effect
             still = self.sample.actuation._replace(throttle=(0.0,) * len(self.sample.actuation.throttle))
             control = self.sample.control._replace(collective=0.0)
             self.sample = self.sample._replace(actuation=still, control=control)
         if ending is not None and ending.outcome != "completed":
             self.status = self.status._replace(failsafe=ending.reason)
-        self.estimate = self.status.seen or self.measured  # what the vehicle is thought to do
+        self.estimate = self.status.seen or self.measured  # of the vehicle's motion
         self.euler = to_euler(self.estimate.attitude)
         self.position_deg = vehicle.geodesy.to_geodetic(*self.status.fix.position, self.altitude)[:2]
-        self.ms = round(snapshot.time * 1e3) & U32  # in the 32 bits that there are for it
+        self.ms = round(snapshot.time * 1e3) & U32  # a field of 32 bits
         self.us = round(snapshot.time * 1e6)
 
     @property

@@ -36,15 +36,15 @@ from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import Peer, Priority
 
 LINK_LOST = 3.5  # s without a heartbeat of any ground station; QGroundControl gives the vehicle as long
-_REPEAT_WINDOW = 5.0  # s: a command that is the same again within it has lost its acknowledgement
+_REPEAT_WINDOW = 5.0  # s within which the same command again means that its acknowledgement was lost
 _REPORT_INTERVAL = 5.0  # s between two lines about set-points that are not understood
 _GCS = 6  # MAV_TYPE_GCS
 NO_FOLLOWING = "follow-me is not flown here: the place to follow is not used"
 _MOST_STATIONS = 64  # of which is remembered when they were heard; chosen by us: more than anybody connects
-# lists and files: long, in no hurry, and repeated where they were lost
+# Lists and files: long, not urgent, and repeated by the client where they were lost.
 _BULK = frozenset({"FILE_TRANSFER_PROTOCOL", "LOG_DATA", "LOG_ENTRY", "PARAM_VALUE"})
 _PAGE = (0, 0)  # ids that no system has
-_SERVICE_INTERVAL = 0.01  # s between two looks at a service that has much to send
+_SERVICE_INTERVAL = 0.01  # s between two polls of a service that has much to send
 
 
 class MavlinkVehicle:

@@ -24,9 +24,9 @@ class VehicleConstants:
     personality: Personality = "px4"
     system: int = 1
     component: int = 1
-    tilt_range: float = nan  # rad, either way; NaN: the outputs are told in rad
-    servos: tuple[str, ...] = ("left", "right")  # by which faults know them
-    ranges: tuple[tuple[float, float], ...] = ()  # of each, where they are not two banks
+    tilt_range: float = nan  # rad, either way; NaN: the outputs are sent in rad
+    servos: tuple[str, ...] = ("left", "right")  # names of the faults
+    ranges: tuple[tuple[float, float], ...] = ()  # of each servo, where they are not two banks
     full_thrust: PerJet = ()  # N, each engine at full throttle; empty: not known
     fuel_capacity: float = nan  # kg; NaN: no tank
     position_noise: float = nan  # m, standard deviation of the GNSS; NaN: not known

@@ -25,7 +25,7 @@ Point = tuple[float | None, ...]  # of the strip chart: t [s], measured p, q, r,
 
 _ZERO_CELSIUS = 273.15  # K
 _RPM = 60.0 / (2.0 * pi)  # per rad/s
-_DIGITS = 6  # of a column's number, chosen by us: a strip has a thousand pixels, a place a millimetre a kilometre away
+_DIGITS = 6  # of a column's number, chosen by us: a strip has a thousand pixels, a position 1 mm in 1 km
 _DECIMALS = 4  # digits after the point; a tenth of a millimetre, and less than any sensor here tells
 
 
@@ -50,21 +50,8 @@ def flight(info: FlightInfo) -> dict[str, Any]:
 
 def parameters(parameters: Parameters) -> list[dict[str, Any]]:
     """Return the table of the vehicle's parameters without their values, which are sent on their own."""
-    return [
-        {
-            "name": line.name,
-            "kind": line.kind,
-            "unit": line.unit,
-            "group": line.group,
-            "text": line.text,
-            "default": line.default,
-            "least": line.least,
-            "most": line.most,
-            "values": line.values,
-            "read_only": line.read_only,
-        }
-        for line in parameters
-    ]
+    keys = ("name", "kind", "unit", "group", "text", "default", "least", "most", "values", "read_only")
+    return [{key: getattr(line, key) for key in keys} for line in parameters]
 
 
 class Rows:

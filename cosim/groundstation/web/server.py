@@ -18,8 +18,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from html import escape
 from http import HTTPStatus
-from importlib.resources import files
-from importlib.resources.abc import Traversable
+from pathlib import Path
 from typing import Any
 
 from websockets.asyncio.server import ServerConnection, broadcast, serve
@@ -61,6 +60,7 @@ HELLO_S = 5.0  # for the token to arrive
 _MOST_WAITING_POINTS = 4000  # points of the strip chart that may wait: a second at 16 times real time
 _MOST_POINTS = 40  # of the strip chart in one frame; 20 frames a second show four times the bandwidth of any loop here
 _VALUES_EVERY = 10  # frames between two looks at the parameters: half a second
+_STATIC = Path(__file__).with_name("static")
 _TOKEN, _FILES = "@TOKEN@", "@FILES@"
 _ASSETS = (  # of reports; the page draws with them too
     "vendor/uPlot.iife.min.js", "vendor/uPlot.min.css", THREE, SCENE, licence_file("uPlot"), licence_file("three"),
@@ -127,7 +127,7 @@ class WebServer:
         self._files = _load_files(self._token, self._key, self._hosts)
         running = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._main(listening, running)), name="web")
-        self._thread.daemon = True  # a session that ends badly is not kept alive by its page
+        self._thread.daemon = True  # a session that fails is not kept alive by its page
         self._thread.start()
         running.wait()
 
@@ -343,7 +343,7 @@ class _Page:
 
     def __init__(self, number: int) -> None:
         self.number = number
-        self.flight = 0  # that it was told of
+        self.flight = 0  # the last flight that it was sent
         self.last_message = 0  # the last message that it was sent
         self.values: dict[str, float] = {}  # of parameters, that it was sent
         self.read_at = time.monotonic()
@@ -413,7 +413,7 @@ def _load_files(token: str, key: str, hosts: set[str]) -> dict[str, tuple[str, b
     served = {
         path: (kinds[path.rpartition(".")[2]], body, policy)
         for path, body in [
-            *_walk(files("cosim.groundstation.web") / "static", "/"),
+            *((f"/{path.relative_to(_STATIC).as_posix()}", path.read_bytes()) for path in _STATIC.rglob("*.*")),
             *((f"/assets/{name}", (ASSETS / name).read_bytes()) for name in _ASSETS),
         ]
         if path.rpartition(".")[2] in kinds
@@ -421,13 +421,3 @@ def _load_files(token: str, key: str, hosts: set[str]) -> dict[str, tuple[str, b
     kind, body, _ = served.pop("/index.html")
     page = body.decode().replace(_TOKEN, escape(token)).replace(_FILES, f"/{key}").encode()
     return served | {"/": (kind, page, policy)}
-
-
-def _walk(folder: Traversable, above: str) -> list[tuple[str, bytes]]:
-    files = []
-    for entry in folder.iterdir():
-        if entry.is_dir():
-            files += _walk(entry, f"{above}{entry.name}/")
-        else:
-            files.append((above + entry.name, entry.read_bytes()))
-    return files

@@ -15,8 +15,8 @@ from command_tools import Hexjet
 from patience import FLIGHT_PATIENCE, PATIENCE
 from stated_figures import stated
 
-from cosim.autopilots.ardupilot import HANDLING, ArduPilot, Channel, Launch, Transmitter, parse_channel
-from cosim.autopilots.lockstep import Frame, Sticks
+from cosim.autopilots.ardupilot import HANDLING, ArduPilot, Launch, Transmitter, TransmitterChannel, parse_channel
+from cosim.autopilots.lockstep import SensorFrame, StickPositions
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.flight import fly
@@ -212,17 +212,23 @@ def test_the_throttle_that_is_meant_is_what_comes_out_of_its_stick(hover: float)
     ours = Transmitter(stated, [], 0.0025)
     for throttle in np.linspace(0.15, 0.85, 29):
         for roll in (0.0, 1.0):
-            sticks = Sticks(roll=roll, throttle=float(throttle), armed=True)
-            frame = Frame(50.0, *[(0.0, 0.0, 0.0)] * 2, (1.0, 0.0, 0.0, 0.0), *[(0.0, 0.0, 0.0)] * 2, 10.0, sticks)
+            sticks = StickPositions(roll=roll, throttle=float(throttle), armed=True)
+            frame = SensorFrame(
+                50.0, *[(0.0, 0.0, 0.0)] * 2, (1.0, 0.0, 0.0, 0.0), *[(0.0, 0.0, 0.0)] * 2, 10.0, sticks
+            )
             share = heard(ours.pulses(frame), {}).throttle(hover) / np.cos(np.radians(roll * HANDLING.lean_deg))
             assert 0.1 + 0.8 * share == pytest.approx(throttle, abs=0.002)
 
 
 @pytest.mark.parametrize(
     ("text", "channel"),
-    [("8=2000", Channel(8, 2000, None)), ("16=1100@0", Channel(16, 1100, 0.0)), ("9=1500@2.5", Channel(9, 1500, 2.5))],
+    [
+        ("8=2000", TransmitterChannel(8, 2000, None)),
+        ("16=1100@0", TransmitterChannel(16, 1100, 0.0)),
+        ("9=1500@2.5", TransmitterChannel(9, 1500, 2.5)),
+    ],
 )
-def test_a_channel_is_read(text: str, channel: Channel) -> None:
+def test_a_channel_is_read(text: str, channel: TransmitterChannel) -> None:
     assert parse_channel(text, "--channel") == channel
 
 

@@ -17,9 +17,9 @@ from cosim.autopilots import px4
 from cosim.autopilots.ardupilot import ArduPilot, Launch
 from cosim.autopilots.block import AutopilotBlock
 from cosim.autopilots.lockstep import Autopilot, Handling
-from cosim.autopilots.parameters import px4_outside, px4_torque
+from cosim.autopilots.parameters import px4_external_rates, px4_torque_scale
 from cosim.autopilots.px4 import Px4
-from cosim.autopilots.run import AutopilotRun, fly_autopilot, outside_rates
+from cosim.autopilots.run import AutopilotRun, external_rate_loop, fly_autopilot
 from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import AXES, ZERO3, Sample, Vector3
@@ -72,9 +72,9 @@ def test_a_rate_loop_of_ours_hears_what_px4_asks_for(tmp_path: Path) -> None:
     """A stand-in that is P of a set-point less its gyro, by the parameters for that and a mixing of its own: what it asks
     for arrives, and our loop flies it there through engines 0.1 s late."""
     scenario = HOVER.replace(engine="edf-as-flown", controller="smith")
-    parameters, gain = px4_outside(VEHICLE)
+    parameters, gain = px4_external_rates(VEHICLE)
     assert VEHICLE.servo is not None
-    limit, worth, frames = VEHICLE.servo.range_rad, px4_torque(VEHICLE), count()
+    limit, worth, frames = VEHICLE.servo.range_rad, px4_torque_scale(VEHICLE), count()
     wanted = (0.2, -0.1, 0.05)  # rad/s, from the flight's first step on
 
     def controls(told: dict[str, Any]) -> Sequence[float]:
@@ -92,7 +92,7 @@ def test_a_rate_loop_of_ours_hears_what_px4_asks_for(tmp_path: Path) -> None:
 
     ours = Px4(None, tmp_path / "px4", VEHICLE, HOVER.step_s, PLACE, px4.Launch(31_009, PATIENCE))
     theirs = Px4StandIn(4560 + 31_009, controls=controls)
-    rates = outside_rates(scenario, gain, hears=True)
+    rates = external_rate_loop(scenario, gain, has_gyro=True)
     heard: list[Vector3] = []
 
     class Heard:

@@ -41,8 +41,7 @@ from cosim.base.signals import Ambient
 from cosim.base.storage.toml import parse_setting
 from cosim.cli.main import main
 from cosim.codegen.vectors import record
-from cosim.codegen.vehicle_ports import Flight as FlightOutside
-from cosim.codegen.vehicle_ports import Parts
+from cosim.codegen.vehicle_ports import ExportedFlight, VehicleContents
 from cosim.control.autopilot import requests as rq
 from cosim.design.survey import FLIES, MARK, NONE, REFUSED, UNFIT, describe_design
 from cosim.engine import EngineBank, EngineSpec, load_engine
@@ -346,7 +345,7 @@ def test_nothing_takes_off_before_its_engines_run(quick_crank: Path) -> None:
 
 def test_who_cannot_start_in_flight_is_told(quick_crank: Path) -> None:
     with pytest.raises(InputError, match="an exported vehicle cannot"):
-        FlightOutside(on_the_ground(quick_crank, 1.0), Parts(), lambda: None)
+        ExportedFlight(on_the_ground(quick_crank, 1.0), VehicleContents(), lambda: None)
     with build(on_the_ground(quick_crank, 1.0)) as simulation, pytest.raises(InputError, match="is not exported"):
         record(simulation)
     with pytest.raises(InputError, match=r"engine_start.*initial.on_ground = true"):

@@ -18,9 +18,9 @@ from command_tools import Hexjet
 from stated_figures import stated
 
 from cosim.autopilots import betaflight as theirs
-from cosim.autopilots.block import AutopilotBlock, OutsideRates
-from cosim.autopilots.lockstep import Frame, Sticks
-from cosim.autopilots.run import LOCKSTEP, AutopilotRun, fly_autopilot, outside_rates
+from cosim.autopilots.block import AutopilotBlock, ExternalRateLoop
+from cosim.autopilots.lockstep import SensorFrame, StickPositions
+from cosim.autopilots.run import LOCKSTEP, AutopilotRun, external_rate_loop, fly_autopilot
 from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Sample
 from cosim.design.assessment import margins
@@ -36,7 +36,7 @@ from cosim.identify.logs import read_flight_log
 from cosim.spec.scenario import Scenario
 
 try:
-    BINARY: Path | None = theirs.program(None)
+    BINARY: Path | None = theirs.find_program(None)
 except InputError:
     BINARY = None
 pytestmark = pytest.mark.skipif(
@@ -72,12 +72,12 @@ IN_ITS_LOOP: dict[str, Any] = {
 def made(scenario: Scenario, folder: Path, gains: str = "vehicle", limit: float = 60.0) -> theirs.Betaflight:
     assert BINARY is not None
     vehicle, _ = scenario.resolved_vehicle()
-    lines = theirs.gains_of(vehicle) if gains == "vehicle" else []
+    lines = theirs.gain_settings(vehicle) if gains == "vehicle" else []
     return theirs.Betaflight(BINARY, folder / "betaflight", vehicle, scenario.step_s, lines, free_port(), limit)
 
 
 def fly_with(
-    autopilot: theirs.Betaflight, scenario: Scenario, folder: Path, rates: OutsideRates | None = None, **more: Any
+    autopilot: theirs.Betaflight, scenario: Scenario, folder: Path, rates: ExternalRateLoop | None = None, **more: Any
 ) -> AutopilotRun:
     return fly_autopilot(scenario, AutopilotBlock(autopilot, "betaflight", theirs.HANDLING, rates), folder, **more)
 
@@ -141,8 +141,8 @@ def test_asked_again_it_answers_to_the_bit(tmp_path: Path, monkeypatch: pytest.M
     source.write_text(SLOW_STICKS)
     compiler = (os.environ.get("CC") or "cc").split()[0]
     subprocess.run([compiler, "-shared", "-fPIC", "-o", slow, source, "-ldl"], check=True)
-    clock = theirs.clock()
-    monkeypatch.setattr(theirs, "clock", lambda: Path(f"{slow}:{clock}"))
+    clock = theirs.build_clock()
+    monkeypatch.setattr(theirs, "build_clock", lambda: Path(f"{slow}:{clock}"))
     two = flown(scenario, tmp_path / "two").run
     assert len(one.log) == len(two.log) == 625
     assert [name for name in one.log.columns if one.log[name].tobytes() != two.log[name].tobytes()] == []
@@ -210,7 +210,7 @@ def test_its_loop_is_the_models(tmp_path: Path) -> None:
     """A gyro and an attitude at random go in, motors come out: the matrices that the design reads say the same."""
     vehicle = Scenario.load("hover").replace(vehicle=IN_ITS_LOOP).resolved_vehicle()[0]
     assert BINARY is not None
-    autopilot = theirs.Betaflight(BINARY, tmp_path, vehicle, 0.004, theirs.gains_of(vehicle), free_port(), 60.0)
+    autopilot = theirs.Betaflight(BINARY, tmp_path, vehicle, 0.004, theirs.gain_settings(vehicle), free_port(), 60.0)
     draw = np.random.default_rng(1)
     rates = 0.2 * np.convolve(draw.standard_normal(400), np.full(5, 0.2), "same")
     angles = 0.15 * np.convolve(draw.standard_normal(400), np.full(20, 0.05), "same")
@@ -220,8 +220,8 @@ def test_its_loop_is_the_models(tmp_path: Path) -> None:
         for k in range(before + 400):
             rate, angle = (rates[k - before], angles[k - before]) if k >= before else (0.0, 0.0)
             attitude = (float(np.cos(angle / 2)), float(np.sin(angle / 2)), 0.0, 0.0)
-            sticks = Sticks(throttle=0.6 if k > before - 225 else 0.0, armed=k > before - 475)
-            frame = Frame(
+            sticks = StickPositions(throttle=0.6 if k > before - 225 else 0.0, armed=k > before - 475)
+            frame = SensorFrame(
                 0.004 * k, (float(rate), 0.0, 0.0), (0.0, 0.0, -9.80665), attitude, ZERO3, ZERO3, 10.0, sticks
             )
             throttle = autopilot.exchange(frame).throttle
@@ -283,10 +283,10 @@ def test_a_rate_loop_of_ours_flies_it_from_outside(tmp_path: Path) -> None:
     """The gains with which its own loop is lost hold with a predictor; the flight repeats without either."""
     doublet = Scenario.load("roll-doublet")
     vehicle, _ = doublet.resolved_vehicle()
-    lines = [*theirs.gains_of(vehicle), *theirs.OUTSIDE]
+    lines = [*theirs.gain_settings(vehicle), *theirs.EXTERNAL_RATES]
     assert BINARY is not None
     autopilot = theirs.Betaflight(BINARY, tmp_path / "its", vehicle, doublet.step_s, lines, free_port(), 60.0)
-    rates = outside_rates(doublet.replace(controller="smith"), theirs.outside_gain(vehicle))
+    rates = external_rate_loop(doublet.replace(controller="smith"), theirs.external_rate_gain(vehicle))
     run = fly_with(autopilot, doublet, tmp_path / "run", rates=rates).run
     roll = run.metrics["roll"]
     assert run.outcome == "completed"
@@ -429,7 +429,7 @@ def test_its_own_blackbox_is_read(tmp_path: Path) -> None:
     """What Betaflight logged of the flight is what it was told: the gyro, in whole degrees a second, on another clock."""
     scenario = Scenario.load("roll-doublet").replace(duration_s=3.0, vehicle=DESIGNED)
     vehicle, _ = scenario.resolved_vehicle()
-    lines = [*theirs.gains_of(vehicle), "set blackbox_device = VIRTUAL", "set blackbox_sample_rate = 1/4"]
+    lines = [*theirs.gain_settings(vehicle), "set blackbox_device = VIRTUAL", "set blackbox_sample_rate = 1/4"]
     assert BINARY is not None
     folder = tmp_path / "run"
     autopilot = theirs.Betaflight(BINARY, folder / "betaflight", vehicle, scenario.step_s, lines, free_port(), 60.0)

@@ -13,7 +13,7 @@ import pytest
 from command_tools import Hexjet
 
 from cosim.autopilots import betaflight
-from cosim.autopilots.prepare import INSTANCE_PORTS, MOST_INSTANCES, own_instance
+from cosim.autopilots.prepare import INSTANCE_PORTS, MOST_INSTANCES, reserve_instance
 from cosim.base.errors import FlightError, InputError
 from cosim.campaign import fly_again, open_campaign, run_campaign
 from cosim.campaign.study.study import Study
@@ -41,7 +41,7 @@ def test_the_study_on_the_page_is_the_one_that_is_flown_here() -> None:
 
 def installed() -> bool:
     try:
-        betaflight.program(None)
+        betaflight.find_program(None)
     except InputError:
         return False
     return True
@@ -68,15 +68,15 @@ def test_betaflight_flies_a_study_and_any_flight_of_it_again(tmp_path: Path) -> 
 
 
 def test_a_number_is_held_and_given_back() -> None:
-    with own_instance() as first, own_instance() as second:
+    with reserve_instance() as first, reserve_instance() as second:
         assert 1 <= first < second <= MOST_INSTANCES
-    with own_instance() as third:
+    with reserve_instance() as third:
         assert third <= first
 
 
 def test_more_than_there_are_numbers_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cosim.autopilots.prepare.MOST_INSTANCES", 0)
-    with pytest.raises(FlightError, match="fly on this machine already"), own_instance():
+    with pytest.raises(FlightError, match="fly on this machine already"), reserve_instance():
         pass
     assert INSTANCE_PORTS + MOST_INSTANCES < 65536
 

@@ -12,7 +12,7 @@ import pytest
 from command_tools import Done, Hexjet
 from px4_program import installed
 
-from cosim.autopilots.parameters import px4_parameters, px4_torque
+from cosim.autopilots.parameters import px4_parameters, px4_torque_scale
 from cosim.results.run import open_run
 from cosim.spec.scenario import Scenario
 
@@ -116,7 +116,7 @@ def test_the_gains_of_a_design_are_flown_and_named(hexjet: Hexjet) -> None:
 
     vehicle, _ = with_controller("hover", DESIGN, (), None).resolved_vehicle()
     own, _ = Scenario.load("hover").resolved_vehicle()
-    assert told["parameters"]["MC_ROLLRATE_P"] == vehicle.control.rate.roll.p / px4_torque(vehicle)[0]
+    assert told["parameters"]["MC_ROLLRATE_P"] == vehicle.control.rate.roll.p / px4_torque_scale(vehicle)[0]
     assert told["parameters"]["MC_ROLLRATE_P"] != px4_parameters(own)["MC_ROLLRATE_P"]
     assert seen()["values"]["MC_ROLLRATE_P"] == float(np.float32(told["parameters"]["MC_ROLLRATE_P"]))
 

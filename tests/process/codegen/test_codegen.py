@@ -21,8 +21,8 @@ from cosim.base.protocols import EngineState
 from cosim.base.signals import ZERO3, Command, Disturbance, EngineOutput, Measured
 from cosim.cli.main import main
 from cosim.codegen import measure
-from cosim.codegen.export import Exported, export_controller
-from cosim.codegen.files import Labels, texts
+from cosim.codegen.export import ExportedController, export_controller
+from cosim.codegen.files import Labels, render_sources
 from cosim.codegen.form import form_of, predictor_form
 from cosim.codegen.vectors import INPUTS, RecordingController, Vectors, output_names, record
 from cosim.control.predictors.registry import PREDICTORS
@@ -31,7 +31,7 @@ from cosim.simulation.build import build
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Scenario
 
-CC = measure.compiler()
+CC = measure.find_compiler()
 STRICT = (
     "-Wsign-conversion",
     "-Wshadow",
@@ -49,7 +49,7 @@ pytestmark = pytest.mark.skipif(CC is None, reason="no C compiler")
 def written(folder: Path, simulation: Simulation, vectors: Vectors, form: dict[str, Any]) -> Path:
     """The C files of a controller."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in texts(form, vectors, Labels("ours", "a test", None, ("a test",))).items():
+    for name, text in render_sources(form, vectors, Labels("ours", "a test", None, ("a test",))).items():
         (folder / name).write_text(text, encoding="utf-8")
     return folder
 
@@ -296,13 +296,13 @@ def test_no_heap_no_globals_no_library_but_mathematics(flown: Path, tmp_path: Pa
 
 
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> Exported:
+def exported(tmp_path_factory: pytest.TempPathFactory) -> ExportedController:
     """A whole folder."""
     folder = tmp_path_factory.mktemp("exported") / "out"
     return export_controller(scenario(HEXJET, controller="smith", duration_s=2.0), folder, "ours", "MIT")
 
 
-def test_a_folder_has_what_is_said_of_it(exported: Exported) -> None:
+def test_a_folder_has_what_is_said_of_it(exported: ExportedController) -> None:
     folder, found = exported.folder, exported.measured
     assert sorted(exported.files) == sorted(path.name for path in folder.iterdir())
     assert {"ours.fmu", "ours-fmi2.fmu", "ours.c", "README.md"} <= set(exported.files)
@@ -333,7 +333,7 @@ def test_the_command_says_what_it_came_to(hexjet: Hexjet, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_the_fmus_answer_as_the_flight(exported: Exported, fmi: int, tmp_path: Path) -> None:
+def test_the_fmus_answer_as_the_flight(exported: ExportedController, fmi: int, tmp_path: Path) -> None:
     import fmpy
     from fmpy.fmi2 import FMU2Slave
     from fmpy.fmi3 import FMU3Slave
@@ -379,7 +379,7 @@ BACK = {
 
 
 @pytest.mark.parametrize("case", BACK)
-def test_flown_back_it_leaves_the_same_log(case: str, exported: Exported, tmp_path: Path) -> None:
+def test_flown_back_it_leaves_the_same_log(case: str, exported: ExportedController, tmp_path: Path) -> None:
     """Every sample of every column, as bytes: NaN included."""
     file, name, changes = BACK[case]
     flight = scenario(name, duration_s=2.0, **changes)

@@ -23,7 +23,7 @@ from cosim.base.errors import InputError
 from cosim.codegen import measure
 from cosim.codegen.ssp import write_ssp
 from cosim.codegen.vehicle import export_vehicle
-from cosim.codegen.vehicle_ports import Flight, Parts
+from cosim.codegen.vehicle_ports import ExportedFlight, VehicleContents
 from cosim.codegen.vehicle_process import other_versions
 from cosim.engine.fmu.port_kinds import AMBIENT
 from cosim.flight import fly
@@ -33,7 +33,7 @@ from cosim.spec.scenario import Scenario
 STEP = 0.004
 STEPS = 375  # the doublet begins after 1 s
 pytestmark = pytest.mark.skipif(
-    measure.compiler() is None or sys.platform != "linux", reason="no C compiler, or not Linux"
+    measure.find_compiler() is None or sys.platform != "linux", reason="no C compiler, or not Linux"
 )
 
 # outputs of the FMU and columns of our log: the whole state, what is measured, and what the engines do
@@ -60,7 +60,7 @@ def ours() -> Run:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return export_vehicle(doublet(), tmp_path_factory.mktemp("whole") / "out", "ours", Parts()).folder
+    return export_vehicle(doublet(), tmp_path_factory.mktemp("whole") / "out", "ours", VehicleContents()).folder
 
 
 @pytest.fixture(scope="module")
@@ -191,7 +191,7 @@ def test_other_versions_are_refused_by_name(whole: Path, tmp_path: Path, monkeyp
 def system(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The SSP, and what is in it, in one folder."""
     folder = tmp_path_factory.mktemp("system")
-    done = export_vehicle(doublet(), folder / "out", "ours", Parts(), fmis=(2,), system=True)
+    done = export_vehicle(doublet(), folder / "out", "ours", VehicleContents(), fmis=(2,), system=True)
     assert done.files == ["ours-fmi2.ssp"]
     with zipfile.ZipFile(done.folder / "ours-fmi2.ssp") as ssp:
         ssp.extractall(folder)
@@ -229,10 +229,10 @@ def test_a_controller_outside_that_does_the_same_makes_the_same_flight(ours: Run
         k = next(told)
         names = [each.name for each in flight.outputs]
         assert dict(zip(names, flight.values(), strict=True))["roll"] == log["roll_rad"][k]
-        flight.given.update({f"throttle_{i}": log[f"throttle_{i}"][k] for i in range(1, 7)})
-        flight.given.update({f"tilt_{side}": log[f"tilt_{side}_command_rad"][k] for side in ("left", "right")})
+        flight.input_values.update({f"throttle_{i}": log[f"throttle_{i}"][k] for i in range(1, 7)})
+        flight.input_values.update({f"tilt_{side}": log[f"tilt_{side}_command_rad"][k] for side in ("left", "right")})
 
-    flight = Flight(doublet(), Parts(controller=False), meet)
+    flight = ExportedFlight(doublet(), VehicleContents(controller=False), meet)
     try:
         flight.simulation.reset()
         for k in range(STEPS - 1):
@@ -325,7 +325,7 @@ def test_the_system_keeps_to_the_schema_of_ssp(system: Path) -> None:
 
 def test_an_engine_with_units_of_its_own_is_connected_by_transformations(tmp_path: Path) -> None:
     big = doublet(aircraft="hexjet-p220", engine="p220").replace(controller="baseline")
-    flight = Flight(big, Parts(engines=False), lambda: None)
+    flight = ExportedFlight(big, VehicleContents(engines=False), lambda: None)
     flight.close()
     (tmp_path / "vehicle.fmu").write_bytes(b"")
     write_ssp(flight, tmp_path / "vehicle.fmu", tmp_path / "v.ssp", 3, 1.0)
@@ -346,15 +346,15 @@ def test_what_cannot_be_exported_is_one_line(hexjet: Hexjet) -> None:
     )
     fault = {"kind": "stuck_throttle", "jet": 1, "start_s": 0.1}
     with pytest.raises(InputError, match="fault stuck_throttle: acts between controller and engines, and both are out"):
-        Flight(doublet(fault=[fault]), Parts(False, False), lambda: None)
+        ExportedFlight(doublet(fault=[fault]), VehicleContents(False, False), lambda: None)
 
 
 def test_the_page_names_every_variable() -> None:
     """Of docs/export-vehicle.md: a row has each, or the first of a series."""
     words = set(re.findall(r"`([a-z_0-9]+)`", (DOCS / "export-vehicle.md").read_text(encoding="utf-8")))
     series = {re.sub(r"_(1|x|w|north|roll_rate)$", "", word) for word in words}
-    for parts in (Parts(), Parts(engines=False), Parts(controller=False)):
-        flight = Flight(doublet(engine="turbojet").replace(controller="baseline"), parts, lambda: None)
+    for parts in (VehicleContents(), VehicleContents(engines=False), VehicleContents(controller=False)):
+        flight = ExportedFlight(doublet(engine="turbojet").replace(controller="baseline"), parts, lambda: None)
         flight.close()
         for each in (*flight.inputs, *flight.outputs):
             stem = re.sub(r"_([1-9]|[wxyz]|north|east|down|roll_rate|pitch_rate|yaw_rate)$", "", each.name)

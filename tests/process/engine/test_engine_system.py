@@ -32,7 +32,7 @@ from cosim.engine.ssp.system_instance import make_instance
 from cosim.flight import fly
 from cosim.spec.scenario import Scenario
 
-pytestmark = pytest.mark.skipif(measure.compiler() is None, reason="no C compiler")
+pytestmark = pytest.mark.skipif(measure.find_compiler() is None, reason="no C compiler")
 THROTTLE = [0.5] * 20 + [1.0] * 80 + [0.2] * 60
 
 

@@ -16,9 +16,9 @@ from cosim.autopilots.betaflight import (
     P_SCALE,
     TILT_WEIGHT,
     Betaflight,
-    gains_of,
-    mixing,
-    program,
+    find_program,
+    gain_settings,
+    mixer_settings,
 )
 from cosim.autopilots.lockstep import listen
 from cosim.base.errors import InputError
@@ -36,7 +36,7 @@ def mix(lines: list[str]) -> list[list[float]]:
 def test_the_banks_are_mixed_as_the_allocator_does() -> None:
     """Roll by throttle, left up; the outputs behind the engines tilt both banks for pitch and against each other for yaw."""
     hexjet = vehicle("hexjet")
-    rows = mix(mixing(hexjet, 0.05))
+    rows = mix(mixer_settings(hexjet, 0.05))
     for jet, (throttle, roll, pitch, yaw) in zip(hexjet.jets, rows, strict=False):
         assert (throttle, roll, pitch, yaw) == (1.0, 1.0 if jet.servo == "left" else -1.0, 0.0, 0.0)
     # the jets stand above the centre of gravity: tilted forward they push the nose down, which is Betaflight's positive
@@ -48,7 +48,9 @@ def test_a_quadrotor_is_mixed_as_its_own() -> None:
     rows = {
         (x > 0.0, y > 0.0): row
         for (x, y, _), row in zip(
-            [jet.position_m for jet in vehicle("quadrotor").jets], mix(mixing(vehicle("quadrotor"), 0.05)), strict=True
+            [jet.position_m for jet in vehicle("quadrotor").jets],
+            mix(mixer_settings(vehicle("quadrotor"), 0.05)),
+            strict=True,
         )
     }
     assert {place: row[:3] for place, row in rows.items()} == {
@@ -64,7 +66,7 @@ def test_a_quadrotor_is_mixed_as_its_own() -> None:
 def test_gains_are_ours_in_its_units() -> None:
     """Each back again through its scales, its mixer and our tilt: within half of its unit."""
     hexjet = vehicle("hexjet")
-    set_to = {line.split()[1]: float(line.split()[3]) for line in gains_of(hexjet) if line.split()[3].isdigit()}
+    set_to = {line.split()[1]: float(line.split()[3]) for line in gain_settings(hexjet) if line.split()[3].isdigit()}
     gains, room = hexjet.control.rate, 1.0 - hexjet.control.allocation.throttle_min
     assert hexjet.servo is not None
     for axis, ours, worth in (
@@ -97,10 +99,10 @@ def test_what_is_no_program_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
     text = tmp_path / "text"
     text.write_text("no program")
     with pytest.raises(InputError, match=r"--binary: .*text: is no program"):
-        program(text)
+        find_program(text)
     monkeypatch.setenv("BETAFLIGHT_SITL", str(tmp_path / "missing"))
     with pytest.raises(InputError, match=r"BETAFLIGHT_SITL: .*missing: no such file"):
-        program(None)
+        find_program(None)
 
 
 def test_wrong_gains_are_one_line(hexjet: Hexjet) -> None:

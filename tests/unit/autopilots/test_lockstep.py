@@ -22,7 +22,7 @@ from patience import PATIENCE
 from cosim.autopilots import hil, px4
 from cosim.autopilots.ardupilot import ArduPilot, Launch
 from cosim.autopilots.instruments import compass, earth_field
-from cosim.autopilots.lockstep import Frame, Sticks
+from cosim.autopilots.lockstep import SensorFrame, StickPositions
 from cosim.autopilots.px4 import Px4
 from cosim.base.errors import FlightError, InputError
 from cosim.base.frames import from_euler
@@ -33,11 +33,11 @@ from cosim.spec.vehicle import load_vehicle
 STEP = 0.004
 HEXJET = load_vehicle("hexjet")[0]
 PLACE = Geodesy(22.35, 113.59, 5.0)
-STICKS = Sticks(0.5, -0.25, 0.1, 0.4, True)
+STICKS = StickPositions(0.5, -0.25, 0.1, 0.4, True)
 
 
-def frame(k: int, **changes: Any) -> Frame:
-    made = Frame(
+def frame(k: int, **changes: Any) -> SensorFrame:
+    made = SensorFrame(
         k * STEP, (0.1, -0.2, 0.3), (0.5, -0.4, -9.8), from_euler(0.1, 0.2, 0.3), (1.0, 2.0, -30.0), (0.1, 0.2, -0.3), 30.0, STICKS
     )  # fmt: skip
     return made._replace(**changes)
@@ -98,7 +98,7 @@ def test_ardupilot_loses_and_doubles_nothing(steps: int, tmp_path: Path) -> None
     twice, late = (sorted(rng.choice(np.arange(2, steps - 2), 20, replace=False).tolist()) for _ in range(2))
     lose = (700, 1900)
     with ardupilot(tmp_path, lose=lose, twice=twice, late=late, waits=0.2) as (ours, theirs):
-        ours.patience = 0.1
+        ours.repeat_delay = 0.1
         for k in range(steps):
             answer = ours.exchange(frame(k))
         assert answer.throttle == (0.5,) * 6
@@ -290,8 +290,8 @@ def test_a_command_names_a_port_that_is_in_use(name: str, hexjet: Hexjet, tmp_pa
 # --- messages and field ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", hil.KINDS.values(), ids=lambda kind: mav.mavlink_map[kind.number].msgname)
-def test_messages_are_those_of_pymavlink(kind: hil.Kind) -> None:
+@pytest.mark.parametrize("kind", hil.FORMATS.values(), ids=lambda kind: mav.mavlink_map[kind.number].msgname)
+def test_messages_are_those_of_pymavlink(kind: hil.MessageFormat) -> None:
     """Length, order and checksum byte as its generator makes them; and read back by ours."""
     theirs = KINDS[kind.number]
     assert kind.extra == theirs.crc_extra
@@ -299,18 +299,18 @@ def test_messages_are_those_of_pymavlink(kind: hil.Kind) -> None:
     payload = bytes(range(kind.payload.size))
     values = kind.payload.unpack(payload)
     assert values == theirs.unpacker.unpack(payload)
-    raw = hil.Writer().frame(kind, *values)
+    raw = hil.FrameWriter().frame(kind, *values)
     (message,) = mav.MAVLink(None).parse_buffer(raw)
     assert message.get_msgId() == kind.number
-    ((again, read),) = hil.Reader().feed(b"\x00noise" + raw)
+    ((again, read),) = hil.FrameReader().feed(b"\x00noise" + raw)
     assert again is kind
     assert read == pytest.approx(values, nan_ok=True)
 
 
 def test_a_stream_may_come_in_pieces_and_with_wrong_bytes() -> None:
-    raw = hil.Writer().frame(hil.HIL_ACTUATOR_CONTROLS, 4001, 1, *[0.25] * 16, 129)
+    raw = hil.FrameWriter().frame(hil.HIL_ACTUATOR_CONTROLS, 4001, 1, *[0.25] * 16, 129)
     broken = raw[:-1] + bytes((raw[-1] ^ 1,))
-    reader, found = hil.Reader(), []
+    reader, found = hil.FrameReader(), []
     for byte in raw + broken + raw:
         found += reader.feed(bytes((byte,)))
     assert [values[0] for _, values in found] == [4001, 4001]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from command_tools import Hexjet
 
-from cosim.autopilots.lockstep import Answer
-from cosim.autopilots.run import outside_rates
+from cosim.autopilots.lockstep import ActuatorOutputs
+from cosim.autopilots.run import external_rate_loop
 from cosim.base.protocols import EngineState
 from cosim.base.signals import ZERO3, Command, Disturbance, Measured, Vector3
 from cosim.control.allocation.reallocation import torques
@@ -23,16 +23,16 @@ FLOWN = {
 }
 
 
-@pytest.mark.parametrize("hears", [False, True])
+@pytest.mark.parametrize("has_gyro", [False, True])
 @pytest.mark.parametrize("name", FLOWN)
-def test_what_an_autopilot_asks_for_reaches_the_controller(name: str, hears: bool) -> None:
+def test_what_an_autopilot_asks_for_reaches_the_controller(name: str, has_gyro: bool) -> None:
     """By mixing of the test's own: P of a set-point on banks and tilts, or on rotors; within what the curves' table is
     coarse, which is a part of a step of 12 bits."""
     scenario = FLOWN[name]
     vehicle, _ = scenario.resolved_vehicle()
-    rates = outside_rates(scenario, GAIN, hears)
+    rates = external_rate_loop(scenario, GAIN, has_gyro)
     draw = np.random.default_rng(3)
-    assert rates.gyro((0.1, 0.2, 0.3)) == ((0.1, 0.2, 0.3) if hears else ZERO3)
+    assert rates.gyro((0.1, 0.2, 0.3)) == ((0.1, 0.2, 0.3) if has_gyro else ZERO3)
     with build(scenario) as simulation:
         cascade, jets = simulation.cascade, len(vehicle.jets)
         cascade.reset(False, 0.0)
@@ -53,7 +53,7 @@ def test_what_an_autopilot_asks_for_reaches_the_controller(name: str, hears: boo
                 forward = -1.0 if sum(jet.position_m[2] for jet in vehicle.jets) < 0.0 else 1.0
                 tilt = (forward * pitch + yaw, forward * pitch - yaw)
             measured = Measured(rate, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, 0.0)
-            found = rates.answer(Answer(throttle, tilt, True), measured)
+            found = rates.answer(ActuatorOutputs(throttle, tilt, True), measured)
             wanted = cascade.update(
                 Command(ZERO3, 0.0, tuple(map(float, asked)), share),  # type: ignore[arg-type]
                 measured,
@@ -66,8 +66,8 @@ def test_what_an_autopilot_asks_for_reaches_the_controller(name: str, hears: boo
 
 def test_disarmed_its_answer_is_left_as_it_is() -> None:
     still = Measured(ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, 0.0)
-    asked = Answer((0.0,) * 6, (0.0, 0.0), False)
-    assert outside_rates(DOUBLET, GAIN).answer(asked, still) is asked
+    asked = ActuatorOutputs((0.0,) * 6, (0.0, 0.0), False)
+    assert external_rate_loop(DOUBLET, GAIN).answer(asked, still) is asked
 
 
 def test_the_inverse_gives_back_what_the_allocation_was_told() -> None:

@@ -8,7 +8,13 @@ import pytest
 from arducopter_standin import FRAMES
 from command_tools import Hexjet
 
-from cosim.autopilots.parameters import ardupilot_parameters, parameter_file, px4_outputs, px4_parameters, px4_torque
+from cosim.autopilots.parameters import (
+    ardupilot_parameters,
+    parameter_file,
+    px4_outputs,
+    px4_parameters,
+    px4_torque_scale,
+)
 from cosim.base.errors import InputError
 from cosim.spec.vehicle import Vehicle, load_vehicle
 
@@ -21,7 +27,7 @@ def test_a_torque_of_one_for_px4_with_tilts() -> None:
     divided by sqrt(2)/2, the greater of their root mean squares times sqrt(2); yaw by its own greatest, 1/2."""
     assert HEXJET.servo is not None
     lever = HEXJET.jets[0].position_m[1]
-    torque = px4_torque(HEXJET)
+    torque = px4_torque_scale(HEXJET)
     assert torque[0] == pytest.approx(sqrt(2.0) / (6.0 * 6.5 * lever), rel=1e-12)
     assert torque[1] == pytest.approx(HEXJET.servo.range_rad / sqrt(2.0), rel=1e-12)
     assert torque[2] == pytest.approx(HEXJET.servo.range_rad, rel=1e-12)
@@ -29,14 +35,14 @@ def test_a_torque_of_one_for_px4_with_tilts() -> None:
 
 def test_a_torque_of_one_for_px4_without_tilts() -> None:
     """A square quadrotor: four equal entries a, divided by sqrt(4 a^2 / 2): 0.707 about roll and pitch, 1 about yaw."""
-    assert px4_torque(QUADROTOR) == pytest.approx((sqrt(0.5), sqrt(0.5), 1.0), rel=1e-9)
+    assert px4_torque_scale(QUADROTOR) == pytest.approx((sqrt(0.5), sqrt(0.5), 1.0), rel=1e-9)
 
 
 @pytest.mark.parametrize("vehicle", [HEXJET, QUADROTOR], ids=["hexjet", "quadrotor"])
 def test_gains_times_a_torque_of_one_are_ours(vehicle: Vehicle) -> None:
     told, ours = px4_parameters(vehicle), vehicle.control.rate
     for axis, gains, worth in zip(
-        ("ROLL", "PITCH", "YAW"), (ours.roll, ours.pitch, ours.yaw), px4_torque(vehicle), strict=True
+        ("ROLL", "PITCH", "YAW"), (ours.roll, ours.pitch, ours.yaw), px4_torque_scale(vehicle), strict=True
     ):
         assert told[f"MC_{axis}RATE_P"] * worth == pytest.approx(gains.p)
         assert told[f"MC_{axis}RATE_I"] * worth == pytest.approx(gains.i)

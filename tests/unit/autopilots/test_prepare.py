@@ -13,11 +13,11 @@ from cosim.autopilots.parameters import (
     ARDUPILOT_STICKS,
     ardupilot_parameters,
     parameter_file,
-    px4_outside,
+    px4_external_rates,
     px4_target,
     read_parameters,
 )
-from cosim.autopilots.prepare import PORTS_APART, PreparedAutopilot, Setup, find_program, program_of
+from cosim.autopilots.prepare import PORT_SPACING, PreparedAutopilot, Setup, find_program, require_program
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import parse_numbers
 from cosim.spec.scenario import Scenario
@@ -40,13 +40,13 @@ def test_betaflights_console_has_gains_then_what_is_stated(tmp_path: Path) -> No
     vehicle, _ = HOVER.resolved_vehicle()
     setup = Setup(instance=3, lines=["set p_roll = 12"])
     own = prepare("betaflight", HOVER, tmp_path, PROGRAM, setup)
-    console = [*betaflight.gains_of(vehicle), "set p_roll = 12"]
+    console = [*betaflight.gain_settings(vehicle), "set p_roll = 12"]
     assert own.details["gains"] == "vehicle"
     assert own.details["console"][-len(console) :] == console
-    assert own.endpoint == f"UDP port {betaflight.PORT + 3 * PORTS_APART}"
+    assert own.endpoint == f"UDP port {betaflight.PORT + 3 * PORT_SPACING}"
     assert own.rates is None
     stock = prepare("betaflight", HOVER, tmp_path, PROGRAM, Setup(gains="stock", port=2000))
-    assert not set(betaflight.gains_of(vehicle)) & set(stock.details["console"])
+    assert not set(betaflight.gain_settings(vehicle)) & set(stock.details["console"])
     assert stock.endpoint == "UDP port 2000"
 
 
@@ -56,9 +56,9 @@ def test_a_rate_loop_from_outside_makes_their_own_p(tmp_path: Path) -> None:
     first = prepare("betaflight", HOVER, tmp_path, PROGRAM, Setup(lines=["set p_roll = 12"]), smith)
     console = first.details["console"]
     assert console[-1] == "set p_roll = 12"
-    assert console[-1 - len(betaflight.OUTSIDE) : -1] == betaflight.OUTSIDE
+    assert console[-1 - len(betaflight.EXTERNAL_RATES) : -1] == betaflight.EXTERNAL_RATES
     second = prepare("px4", HOVER, tmp_path, PROGRAM, Setup(), smith)
-    assert second.details["parameters"] == px4_target(vehicle, HOVER.step_s, "sitl") | px4_outside(vehicle)[0]
+    assert second.details["parameters"] == px4_target(vehicle, HOVER.step_s, "sitl") | px4_external_rates(vehicle)[0]
     assert first.rates is not None
     assert second.rates is not None
     with pytest.raises(InputError, match="allowed with another in its place: betaflight, px4"):
@@ -76,7 +76,7 @@ def test_ardupilots_parameters_are_a_file_where_it_is_started_here(tmp_path: Pat
     vehicle, _ = QUAD.resolved_vehicle()
     by_hand = prepare("ardupilot", QUAD, tmp_path, None, Setup(instance=1))
     assert by_hand.details["defaults"] == "None"
-    assert by_hand.endpoint == f"UDP port {ardupilot.PORT + ardupilot.APART}"
+    assert by_hand.endpoint == f"UDP port {ardupilot.PORT + ardupilot.PORT_SPACING}"
     assert not (tmp_path / "ardupilot").exists()
     file = tmp_path / "ardupilot" / "hexjet.parm"
     prepare("ardupilot", QUAD, tmp_path, PROGRAM, Setup())
@@ -133,9 +133,9 @@ def test_who_may_be_started_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("PX4_SITL", raising=False)
     assert find_program("px4", None) is None
     with pytest.raises(InputError, match=r"px4: no program is named; allowed: binary in the table .*, or PX4_SITL"):
-        program_of("px4", None)
+        require_program("px4", None)
     monkeypatch.setenv("PX4_SITL", str(PROGRAM))
-    assert program_of("px4", None) == PROGRAM
+    assert require_program("px4", None) == PROGRAM
 
 
 @pytest.mark.parametrize("name", ["px4", "ardupilot", "betaflight"])

@@ -10,8 +10,8 @@ import pytest
 from command_tools import Hexjet
 from px4_program import DEFAULTS, configured, mixer
 
-from cosim.autopilots.parameters import PX4_TARGETS, px4_link, px4_parameters, px4_target, px4_torque
-from cosim.autopilots.px4 import unbent
+from cosim.autopilots.parameters import PX4_TARGETS, px4_link, px4_parameters, px4_target, px4_torque_scale
+from cosim.autopilots.px4 import yaw_stick
 from cosim.base.errors import InputError
 from cosim.codegen.form import form_of
 from cosim.simulation.build import build
@@ -52,7 +52,7 @@ def test_a_torque_of_px4s_is_a_moment_of_that_sign_and_of_no_other_axis(vehicle:
 @pytest.mark.parametrize("vehicle", TOLD, ids=lambda vehicle: vehicle.name)
 def test_a_torque_of_one_is_what_its_mixer_makes_of_it(vehicle: Vehicle) -> None:
     mix, jets = mixer(DEFAULTS | px4_parameters(vehicle)), len(vehicle.jets)
-    roll, pitch, yaw = px4_torque(vehicle)
+    roll, pitch, yaw = px4_torque_scale(vehicle)
     assert np.abs(mix[:jets, 0]).max() == pytest.approx(roll, rel=1e-6)
     size = 1.0 if vehicle.servo is None else vehicle.servo.range_rad
     of = slice(jets, None) if vehicle.servo else slice(0, jets)
@@ -143,9 +143,9 @@ def test_a_target_is_told_of_what_it_has(hexjet: Hexjet) -> None:
 
 def test_the_yaw_stick_undoes_what_px4_bends() -> None:
     for turn in np.linspace(-1.0, 1.0, 41):
-        stick = unbent(float(turn))
+        stick = yaw_stick(float(turn))
         assert 0.4 * stick + 0.6 * stick**3 == pytest.approx(turn, abs=1e-12)
-    assert (unbent(3.0), unbent(-3.0)) == pytest.approx((1.0, -1.0))
+    assert (yaw_stick(3.0), yaw_stick(-3.0)) == pytest.approx((1.0, -1.0))
 
 
 @pytest.mark.parametrize("vehicle", TOLD, ids=lambda vehicle: vehicle.name)
@@ -160,4 +160,4 @@ def test_what_an_exported_controller_takes_for_a_torque_is_that_torque_to_the_mi
     size = np.ones(mix.shape[0])
     size[jets:] = 0.0 if vehicle.servo is None else vehicle.servo.range_rad
     told = back @ np.vstack([size[:, None] * mix[:, :3], np.zeros((back.shape[1] - mix.shape[0], 3))])
-    assert told / np.array(px4_torque(vehicle))[:, None] == pytest.approx(np.eye(3), abs=1e-6)
+    assert told / np.array(px4_torque_scale(vehicle))[:, None] == pytest.approx(np.eye(3), abs=1e-6)

@@ -13,8 +13,8 @@ static const Real INVERSE[3][ACTUATORS] = {
     [[ row|c("     ") ]],
 {% endfor %}
 };
-/* The same for a torque of 1 in [[ autopilot ]]: [[ origin_of_worth ]]. */
-static const Real WORTH[3] = [[ worth|c ]];
+/* The same for a torque of 1 in [[ autopilot ]]: [[ origin_of_scale ]]. */
+static const Real WORTH[3] = [[ torque_scale|c ]];
 {% if curve is not none %}
 
 /* The share of an engine's range of thrust that a throttle asks for: the inverse of the controller's thrust map. */

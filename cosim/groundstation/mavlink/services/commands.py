@@ -52,9 +52,21 @@ ORIGIN_FIXED = "the origin stays where the flight began; --place puts it elsewhe
 _MOTOR, _SERVO = 101, 102
 _SENSORS = {0: "gyro", 3: "barometer", 4: "gnss"}
 _OK, _OFF, _STUCK, _WRONG, _SLOW, _DELAYED = 0, 1, 2, 4, 5, 6
-_THRUST_LOSS, _LAG_S, _DELAY_S = 0.5, 0.5, 0.1
+_ENGINE_FAULTS = {  # kind of the fault, and its amount
+    _OFF: ("flame_out", None),
+    _STUCK: ("stuck_throttle", None),
+    _WRONG: ("thrust_loss", 0.5),
+    _SLOW: ("slow_spool", 0.5),  # s
+    _DELAYED: ("delay_growth", 0.1),  # s
+}
 _GYRO_BIAS, _BAROMETER_BIAS, _GNSS_BIAS = (0.05, 0.0, 0.0), 3.0, (5.0, 0.0, 0.0)  # rad/s; m; m, NED
-_SIDES = ("left", "right")
+
+
+class _FrameError(Exception):
+    """Raised for a frame in which the command has no meaning here."""
+
+
+Handler = Callable[[MavCommand, Context], Plan]
 
 
 def plan(command: MavCommand, context: Context) -> Plan:
@@ -66,6 +78,8 @@ def plan(command: MavCommand, context: Context) -> Plan:
         return handler(command, context)
     except InputError as error:
         return Plan(result=Ack.DENIED, text=str(error))
+    except _FrameError:
+        return Plan(result=Ack.UNSUPPORTED_FRAME)
 
 
 def _do(*requests: Request) -> Plan:
@@ -118,14 +132,6 @@ def _land(command: MavCommand, context: Context) -> Plan:
     return _do(Land())
 
 
-def _go_home(command: MavCommand, context: Context) -> Plan:
-    return _do(ReturnHome())
-
-
-def _hold(command: MavCommand, context: Context) -> Plan:
-    return _do(Hold())
-
-
 def _set_mode(command: MavCommand, context: Context) -> Plan:
     base, main, sub = (_whole(value) for value in command.p[:3])
     if base < 0 or not base & CUSTOM:
@@ -149,22 +155,11 @@ def _mode(mode: Mode | None, number: str) -> Plan:
 
 def _reposition(command: MavCommand, context: Context) -> Plan:
     """Plan a flight to a position, height and yaw [rad]; without any of them a pause."""
-    speed, yaw, altitude, place = command.p[0], command.p[3], command.p[6], command.position
-    if place is None and altitude is None and yaw is None:
+    speed, yaw = command.p[0], command.p[3]
+    if command.position is None and command.p[6] is None and yaw is None:
         return _do(Hold())
-    if command.frame is not None and command.frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
-        return _refuse("", Ack.UNSUPPORTED_FRAME)
-    above = None if altitude is None else _altitude(command, altitude, context)
-    north, east = (None, None) if place is None else _local(place, context, above)
-    return _do(
-        Goto(
-            north,
-            east,
-            above,
-            None if yaw is None else remainder(yaw, tau),
-            speed if speed is not None and speed > 0.0 else None,
-        )
-    )
+    heading = None if yaw is None else remainder(yaw, tau)
+    return _do(Goto(*_target(command, context), heading, speed if speed is not None and speed > 0.0 else None))
 
 
 def _orbit(command: MavCommand, context: Context) -> Plan:
@@ -172,18 +167,13 @@ def _orbit(command: MavCommand, context: Context) -> Plan:
     radius, speed, yaw, angle = command.p[:4]
     if radius is None:
         return _refuse("orbit: parameter 1, the radius, is missing")
-    if command.frame is not None and command.frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
-        return _refuse("", Ack.UNSUPPORTED_FRAME)
-    above = None if command.p[6] is None else _altitude(command, command.p[6], context)
-    north, east = (None, None) if command.position is None else _local(command.position, context, above)
+    target = _target(command, context)
     return _do(
         Orbit(
             abs(radius),
             radius > 0.0,
             speed if speed is not None and speed > 0.0 else None,
-            north,
-            east,
-            above,
+            *target,
             _ORBIT_YAW.get(0 if yaw is None else int(yaw), OrbitYaw.AS_IT_IS),
             0.0 if angle is None else abs(angle) / tau,
         )
@@ -219,11 +209,7 @@ def _set_home(command: MavCommand, context: Context) -> Plan:
         return _do(SetHome())
     if command.position is None:
         return _refuse("home: latitude and longitude are missing")
-    if command.frame is not None and command.frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
-        return _refuse("", Ack.UNSUPPORTED_FRAME)
-    altitude = command.p[6]
-    above = None if altitude is None else _altitude(command, altitude, context)
-    return _do(SetHome(*_local(command.position, context, above), above))
+    return _do(SetHome(*_target(command, context)))
 
 
 def _terminate(command: MavCommand, context: Context) -> Plan:
@@ -249,9 +235,22 @@ def _pause(command: MavCommand, context: Context) -> Plan:
     return _do(MissionStart()) if command.p[0] == 1.0 else _refuse("pause: parameter 1 must be 0 or 1")
 
 
-def _local(place: tuple[float, float], context: Context, above: float | None = None) -> tuple[float, float]:
+def _target(command: MavCommand, context: Context) -> tuple[float | None, float | None, float | None]:
+    """Return a command's north, east and height above the origin [m], None where it has none.
+
+    Raises InputError for a position that is none or too far away, _FrameError.
+    """
+    if command.frame is not None and command.frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
+        raise _FrameError
+    altitude = command.p[6]
+    above = None if altitude is None else _altitude(command, altitude, context)
+    north, east = (None, None) if command.position is None else _local(command.position, context, above)
+    return north, east, above
+
+
+def _local(position: tuple[float, float], context: Context, above: float | None = None) -> tuple[float, float]:
     """Return north and east [m] of a position at this height above the origin [m], or at the vehicle's."""
-    lat, lon = place
+    lat, lon = position
     if not (-90.0 <= lat <= 90.0 and -180.0 <= lon <= 180.0):
         raise InputError(f"{lat:g}, {lon:g} is no latitude and longitude")
     geodesy = context.vehicle.geodesy
@@ -284,32 +283,19 @@ def _fail(command: MavCommand, context: Context) -> Plan:
     if unit == _MOTOR:
         if not 0 <= which <= context.vehicle.jets:
             return _refuse(f"failure: engine {which}; there are 1 to {context.vehicle.jets}, and 0 for all")
-        faults = _engine_fault(kind, (which,) if which else tuple(range(1, context.vehicle.jets + 1)))
+        if fault := _ENGINE_FAULTS.get(kind):
+            jets = (which,) if which else tuple(range(1, context.vehicle.jets + 1))
+            faults = (InjectFault(fault[0], jets, amount=fault[1]),)
     elif unit == _SERVO and kind in (_OFF, _STUCK):
-        known = context.vehicle.servos
-        if not 0 <= which <= len(known):
-            if known == _SIDES:
+        servos = context.vehicle.servos
+        if not 0 <= which <= len(servos):
+            if servos == ("left", "right"):
                 return _refuse(f"failure: servo {which}; 1 is the left one, 2 the right one, 0 both")
-            return _refuse(f"failure: servo {which}; there are 1 to {len(known)}, and 0 for all")
-        sides = (known[which - 1],) if which else known
-        faults = tuple(InjectFault("servo_jam", servo=side) for side in sides)
+            return _refuse(f"failure: servo {which}; there are 1 to {len(servos)}, and 0 for all")
+        faults = tuple(InjectFault("servo_jam", servo=servo) for servo in (servos[which - 1 : which] or servos))
     elif unit in _SENSORS:
         faults = _sensor_fault(kind, _SENSORS[unit])
     return Plan(faults) if faults else _refuse("failure: not one that can be made here", Ack.UNSUPPORTED)
-
-
-def _engine_fault(kind: int, jets: tuple[int, ...]) -> tuple[InjectFault, ...]:
-    if kind == _OFF:
-        return (InjectFault("flame_out", jets),)
-    if kind == _STUCK:
-        return (InjectFault("stuck_throttle", jets),)
-    if kind == _WRONG:
-        return (InjectFault("thrust_loss", jets, amount=_THRUST_LOSS),)
-    if kind == _SLOW:
-        return (InjectFault("slow_spool", jets, amount=_LAG_S),)
-    if kind == _DELAYED:
-        return (InjectFault("delay_growth", jets, amount=_DELAY_S),)
-    return ()
 
 
 def _sensor_fault(kind: int, sensor: str) -> tuple[InjectFault, ...]:
@@ -335,7 +321,7 @@ def _request_message(command: MavCommand, context: Context) -> Plan:
     if messages is None and number in BY_ID:
         messages = BY_ID[number].build(context.state)
         if not messages:
-            return _refuse("", Ack.TEMPORARILY_REJECTED)  # not known yet: who waits for it asks again and again
+            return _refuse("", Ack.TEMPORARILY_REJECTED)  # not known yet: its client requests it again
     if messages is None:
         return Plan(result=Ack.UNSUPPORTED)
     return Plan(messages=tuple(messages))
@@ -350,20 +336,10 @@ def _modes(command: MavCommand, context: Context) -> Plan:
     return Plan(messages=(mode_line(context.vehicle, index),))
 
 
-def _capabilities(command: MavCommand, context: Context) -> Plan:
-    return _ask_for("AUTOPILOT_VERSION", command, context)
-
-
-def _version(command: MavCommand, context: Context) -> Plan:
-    return _ask_for("PROTOCOL_VERSION", command, context)
-
-
-def _home(command: MavCommand, context: Context) -> Plan:
-    return _ask_for("HOME_POSITION", command, context)
-
-
-def _ask_for(name: str, command: MavCommand, context: Context) -> Plan:
-    return _request_message(command._replace(p=(float(BY_NAME[name].id), *command.p[1:])), context)
+def _requester_of(name: str) -> Handler:
+    """Return the handler of a command that requests one kind of message."""
+    number = float(BY_NAME[name].id)
+    return lambda command, context: _request_message(command._replace(p=(number, *command.p[1:])), context)
 
 
 def _get_interval(command: MavCommand, context: Context) -> Plan:
@@ -423,9 +399,9 @@ def _reboot(command: MavCommand, context: Context) -> Plan:
     return _do(context.shutdown_requests[number - 1])
 
 
-_HANDLERS: dict[int, Callable[[MavCommand, Context], Plan]] = {
-    17: _hold,  # NAV_LOITER_UNLIM
-    20: _go_home,  # NAV_RETURN_TO_LAUNCH
+_HANDLERS: dict[int, Handler] = {
+    17: lambda command, context: _do(Hold()),  # NAV_LOITER_UNLIM
+    20: lambda command, context: _do(ReturnHome()),  # NAV_RETURN_TO_LAUNCH
     21: _land,  # NAV_LAND
     22: _take_off,  # NAV_TAKEOFF
     115: _yaw,  # CONDITION_YAW
@@ -442,14 +418,14 @@ _HANDLERS: dict[int, Callable[[MavCommand, Context], Plan]] = {
     300: _start_mission,  # MISSION_START
     400: _arm,  # COMPONENT_ARM_DISARM
     401: _prearm,  # RUN_PREARM_CHECKS
-    410: _home,  # GET_HOME_POSITION
+    410: _requester_of("HOME_POSITION"),  # GET_HOME_POSITION
     420: _fail,  # INJECT_FAILURE
     510: _get_interval,  # GET_MESSAGE_INTERVAL
     511: _set_interval,  # SET_MESSAGE_INTERVAL
     512: _request_message,  # REQUEST_MESSAGE
-    519: _version,  # REQUEST_PROTOCOL_VERSION
-    520: _capabilities,  # REQUEST_AUTOPILOT_CAPABILITIES
+    519: _requester_of("PROTOCOL_VERSION"),  # REQUEST_PROTOCOL_VERSION
+    520: _requester_of("AUTOPILOT_VERSION"),  # REQUEST_AUTOPILOT_CAPABILITIES
     611: _set_origin,  # DO_SET_GLOBAL_ORIGIN
 }
 KNOWN = frozenset(_HANDLERS)
-ONCE = frozenset({22, 420})  # that are not done again when an acknowledgement was lost
+ONCE = frozenset({22, 420})  # not executed again when their acknowledgement was lost

@@ -30,7 +30,7 @@ LOITER_ALTITUDE = wire.MAV_CMD_NAV_LOITER_TO_ALT
 RETURN, LAND, TAKEOFF = wire.MAV_CMD_NAV_RETURN_TO_LAUNCH, wire.MAV_CMD_NAV_LAND, wire.MAV_CMD_NAV_TAKEOFF
 DELAY, JUMP, SPEED = wire.MAV_CMD_NAV_DELAY, wire.MAV_CMD_DO_JUMP, wire.MAV_CMD_DO_CHANGE_SPEED
 
-# What asks for a payload that no vehicle here has: cameras, gimbals, regions of interest, triggers; and the mark of
+# Commands for a payload that no vehicle here has (cameras, gimbals, regions of interest, triggers), and the mark of
 # where a landing begins.  Such an item is passed at once.
 LEFT_OUT: dict[int, str] = {
     getattr(wire, name): name.removeprefix("MAV_CMD_")
@@ -66,7 +66,7 @@ LEFT_OUT: dict[int, str] = {
 _SEA = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_GLOBAL_INT)  # z above the sea
 _HOME = (wire.MAV_FRAME_GLOBAL_RELATIVE_ALT, wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)  # z above home
 FARTHEST: float = get_args(Metres)[1].most  # m, either way, that the pilot takes
-NO_POSITION = 2**31 - 1  # x or y that is not given
+NO_POSITION = 2**31 - 1  # x or y that is missing
 
 
 class Item(NamedTuple):
@@ -146,7 +146,7 @@ def to_item(item: MissionItem, geodesy: Geodesy) -> Item:
         ItemKind.ALTITUDE: Item(global_frame, LOITER_ALTITUDE, (0.0, 0.0, 0.0, 0.0), x, y, z),
         ItemKind.SPEED: Item(mission_frame, SPEED, (1.0, item.speed or 0.0, -1.0, 0.0), 0, 0, 0.0),
         ItemKind.DELAY: delay,
-        ItemKind.LEFT_OUT: delay,  # which command was left out is not known any more: a pause of no length
+        ItemKind.LEFT_OUT: delay,  # the command that was left out is not stored: a pause of no length
         ItemKind.JUMP: Item(mission_frame, JUMP, (float(item.target or 0), float(item.repeat), 0.0, 0.0), 0, 0, 0.0),
         ItemKind.RETURN: Item(mission_frame, RETURN, (0.0, 0.0, 0.0, 0.0), 0, 0, 0.0),
     }[item.kind]

@@ -27,7 +27,7 @@ from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 from cosim.groundstation.mavlink.wire.peer import Peer
 
-MOST_EARLIER_LOGS = 20  # runs of before that are listed, the newest; chosen by us, as each has to be made
+MOST_EARLIER_LOGS = 20  # earlier runs that are listed, the newest; chosen by us, as each has to be converted
 MOST_LOGS = 200  # with those that come later
 RATE = 2500.0  # LOG_DATA a second and client: 225 kB/s, as fast as a flight at 250 Hz writes them; chosen by us
 SEARCH_INTERVAL = 2.0  # s before the folders are read again, however often somebody asks; chosen by us
@@ -81,11 +81,11 @@ class LogStore:
     def __init__(self, runs: Callable[[], Sequence[Path]]) -> None:
         self._runs = runs
         self._folder = Path(tempfile.mkdtemp(prefix="logs-", dir=scratch()))
-        self._known: set[Path] = set()
+        self._seen_runs: set[Path] = set()
         self._conversion: tuple[Child, LogEntry, float] | None = None
         self._converted_count = 0  # how many of them are done with
         self._search: Thread | None = None
-        self._found: Sequence[Path] = ()
+        self._found_runs: Sequence[Path] = ()
         self._last_search = -inf
         self._is_outdated = True  # a run has been finished since the last search began
         self._now = 0.0
@@ -109,19 +109,19 @@ class LogStore:
 
     def _run_search(self) -> None:
         with suppress(OSError):  # a folder that may not be read: as it was
-            self._found = self._runs()
+            self._found_runs = self._runs()
 
     def _list_found(self, now: float) -> None:
         """List the runs that a search found, once it has ended."""
         if self._search is None or self._search.is_alive():
             return
         self._search, self._last_search = None, now
-        new = [run for run in self._found if run not in self._known]
-        first = not self._known
-        self._known.update(new)
+        new = [run for run in self._found_runs if run not in self._seen_runs]
+        first = not self._seen_runs
+        self._seen_runs.update(new)
         for run in new[-MOST_EARLIER_LOGS:] if first else new[: MOST_LOGS - len(self.logs)]:
             self.logs.append(LogEntry(len(self.logs), run, _start_time(run)))
-        if self._is_outdated:  # finished while it was being looked for: who waits for the list wants it too
+        if self._is_outdated:  # a run was finished during the search: it belongs in the list too
             self.search(now)
 
     def poll(self, now: float) -> None:
@@ -217,7 +217,7 @@ class LogService(Service):
                 if download.at >= download.end:
                     break
             if download.at >= download.end:
-                if download.is_past_end:  # more was asked for than there is: an empty part is the end
+                if download.is_past_end:  # more was requested than there is: an empty part is the end
                     out.append((client.peer, _data(download.number, download.at, b"")))
                 del self._downloads[client]
         return out

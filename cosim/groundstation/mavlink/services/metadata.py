@@ -42,15 +42,13 @@ class Metadata:
         self.files: Mapping[str, bytes] = {GENERAL: general, PARAMETERS: inner}
         crc, uri = crc32(general), _uri(GENERAL).encode()
 
-        def component_metadata(boot: int) -> Message:
-            return wire.MAVLink_component_metadata_message(boot, crc, uri)
-
-        def component_information(boot: int) -> Message:
-            return wire.MAVLink_component_information_message(boot, crc, uri, 0, b"")
-
         self.on_request: Mapping[int, Callable[[int], Message]] = {
-            wire.MAVLINK_MSG_ID_COMPONENT_METADATA: component_metadata,
-            wire.MAVLINK_MSG_ID_COMPONENT_INFORMATION: component_information,
+            wire.MAVLINK_MSG_ID_COMPONENT_METADATA: (
+                lambda boot: wire.MAVLink_component_metadata_message(boot, crc, uri)
+            ),
+            wire.MAVLINK_MSG_ID_COMPONENT_INFORMATION: (
+                lambda boot: wire.MAVLink_component_information_message(boot, crc, uri, 0, b"")
+            ),
         }
 
 

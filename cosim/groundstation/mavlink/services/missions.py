@@ -53,10 +53,10 @@ from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 from cosim.groundstation.mavlink.wire.peer import Peer
 
-RETRY_INTERVAL = 0.25  # s without the item that was asked for; as PX4
+RETRY_INTERVAL = 0.25  # s without the requested item; as PX4
 UPLOAD_TIMEOUT = 5.0  # s without any progress of an upload; as PX4
 REPEAT_INTERVAL = 1.0  # s between two MISSION_CURRENT without a change
-REPEATS = 3  # times that a finished item is told, because nobody acknowledges it
+REPEATS = 3  # times that a finished item is sent, as it is not acknowledged
 
 MISSION, ALL = wire.MAV_MISSION_TYPE_MISSION, wire.MAV_MISSION_TYPE_ALL
 FENCE, RALLY = wire.MAV_MISSION_TYPE_FENCE, wire.MAV_MISSION_TYPE_RALLY
@@ -71,8 +71,8 @@ _CLEARING: dict[int, Request] = {MISSION: MissionClear(), FENCE: FenceUpload(())
 class _Upload:
     client: Client
     count: int
-    last_request: float  # when the present item was last asked for
-    last_progress: float  # when anything last came
+    last_request: float  # when the present item was last requested
+    last_progress: float  # when an item last came
     mission_type: int = MISSION
     items: list[Item] = field(default_factory=list)
     mission: list[MissionItem] = field(default_factory=list)
@@ -111,11 +111,10 @@ class MissionService(Service):
         self._items, self._status, self._geodesy = items, status, geodesy
         self._answers = AnswerQueue(ask)
         self._upload: _Upload | None = None
-        self._last_upload: tuple[Client, int, int, int] | None = (
-            None  # who uploaded, how many items, of what, with which end
-        )
-        self._mission: tuple[MissionItem, ...] = ()  # what the pilot got of the last upload
-        self._sent_items: list[Item] = []  # and what came
+        # The last upload: its client, number of items, type and result.
+        self._last_upload: tuple[Client, int, int, int] | None = None
+        self._mission: tuple[MissionItem, ...] = ()  # the last upload as the autopilot has it
+        self._sent_items: list[Item] = []  # the same as it came
         self._progress_sent: tuple[int, ...] = ()
         self._progress_at = -REPEAT_INTERVAL
         self._reached = -1

@@ -25,7 +25,7 @@ _CIRCLES = {
 }
 _COMMANDS = {kind: command for command, kind in (_POLYGONS | _CIRCLES).items()}
 _RALLY = wire.MAV_CMD_NAV_RALLY_POINT
-# the place to return to inside a fence, of old stations: this vehicle returns home or to a rally point
+# The return point inside a fence, of old stations: this vehicle returns home or to a rally point.
 _RETURN_POINT = wire.MAV_CMD_NAV_FENCE_RETURN_POINT
 
 

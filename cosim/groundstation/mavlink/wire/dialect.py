@@ -16,7 +16,7 @@ except ImportError as error:
     raise InputError("the MAVLink messages have not been made: install the project again (pip install -e .)") from error
 
 mav.MAVLINK_IGNORE_CRC = False  # MAV_IGNORE_CRC in the environment would let damaged frames in
-Message = Any  # an instance of one of the made classes
+Message = Any  # an instance of one of the generated classes
 KINDS: dict[int, Any] = mav.mavlink_map
 BY_NAME: dict[str, Any] = {kind.msgname: kind for kind in KINDS.values()}
 CHECKSUM = 2  # bytes

@@ -36,16 +36,16 @@ def generate(folder: Path) -> Path:
         work = Path(name)
         for source in (*(bundled / f"{name}.xml" for name in BUNDLED), SOURCE):
             _strip_descriptions(source, work / source.name)
-        made = work / TARGET
-        options = mavgen.Opts(str(made), wire_protocol="2.0", language="Python3", validate=False)
+        output_file = work / TARGET
+        options = mavgen.Opts(str(output_file), wire_protocol="2.0", language="Python3", validate=False)
         try:
             with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
                 done = mavgen.mavgen(options, [str(work / SOURCE.name)])
         except SystemExit as error:  # how mavgen gives up
             raise GenerateError(f"mavgen ended with {error.code}: {output.getvalue()[-300:]}") from error
-        if not done or not made.exists():
+        if not done or not output_file.exists():
             raise GenerateError(f"mavgen refused {SOURCE.name}: {output.getvalue()[-300:]}")
-        text = made.read_text(encoding="utf-8")
+        text = output_file.read_text(encoding="utf-8")
     target = folder / TARGET
     target.write_text(_HEAD + text, encoding="utf-8")
     return target
@@ -61,6 +61,6 @@ def _strip_descriptions(source: Path, target: Path) -> None:
 
 
 if __name__ == "__main__":
-    made = generate(Path(__file__).parent)
-    py_compile.compile(str(made), doraise=True)  # a second of compiling that no first flight should wait for
-    print(made)
+    module = generate(Path(__file__).parent)
+    py_compile.compile(str(module), doraise=True)  # a second of compiling that no first flight should wait for
+    print(module)

@@ -23,7 +23,7 @@ _BULK_S = 0.1  # on a line what it carries in this time, if that is less
 FRAMES_A_SECOND = 1000  # that are read from one station; beyond it they are thrown away unread
 _BURST = 1000
 _AHEAD = 0.02  # s of a line's bytes that may lie in its driver: what an answer waits for what was sent before it
-# Of a line, for telemetry; PX4 takes half of it where its MAV_0_RATE is 0 (baud / 20 bytes a second).
+# Of a line's rate; PX4 takes half of it too where its MAV_0_RATE is 0 (baud / 20 bytes a second).
 TELEMETRY_FRACTION = 0.5
 # How a line that takes less than it should is slowed down and comes back, once a second, and how far down.
 _SLOWER, _FASTER, _SLOWEST = 0.75, 0.05, 0.05
@@ -47,7 +47,7 @@ class Line:
 
     def __init__(self, rate: float, now: float) -> None:
         self.full_rate = rate
-        self.health = 1.0  # the share of the rate that it has shown to carry
+        self.health = 1.0  # fraction of the rate that it has carried so far
         self._tokens = self._capacity
         self._last = self._last_check = now
         self._has_stalled = False
@@ -88,9 +88,9 @@ class Line:
 class Peer:
     """A ground station on a link.
 
-    ``transmit``: hands bytes to the operating system and says how many it took, without ever waiting.  ``whole``:
-    frames are datagrams, so one is taken whole or not at all.  ``line``: bytes a second that it carries; None: not
-    known, and telemetry goes at the rates that were asked for.
+    ``transmit``: hands bytes to the operating system and returns how many it took, without ever waiting.
+    ``is_datagram``: a frame is taken whole or not at all.  ``line``: bytes a second that it carries; None: unknown, and
+    telemetry goes at the requested rates.
     """
 
     def __init__(
@@ -110,8 +110,8 @@ class Peer:
         self.created = now = clock()
         self.last_heard = -1.0  # when the last frame came; -1: none yet
         self.intervals: dict[int, float] = {}  # s, by message; 0: not sent
-        self.stretch = 1.0  # how much longer they are, so that they fit the line
-        self.stretched_at = -inf  # when that was last worked out
+        self.stretch = 1.0  # factor by which they are longer, so that they fit the line
+        self.stretched_at = -inf  # when that was last computed
         self.line = None if line is None else Line(line, now)
         self.received = self.sent = self.dropped = 0
         self.signature = packer.signature  # bytes of it on every frame

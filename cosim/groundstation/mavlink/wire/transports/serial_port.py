@@ -29,25 +29,25 @@ class SerialDevice:
         import serial
 
         self._device: Any = serial.Serial(device, baud, timeout=0, write_timeout=0)
-        self._number = int(self._device.fileno())
+        self._descriptor = int(self._device.fileno())
         self._most = _FRAME + _BEHIND_S * baud / _BITS
-        self._held = False
+        self._is_full = False
 
     def fileno(self) -> int:
         """Return the file descriptor, for a selector."""
-        return self._number
+        return self._descriptor
 
     def read(self) -> bytes:
-        return os.read(self._number, DATAGRAM)
+        return os.read(self._descriptor, DATAGRAM)
 
     def write(self, data: bytes) -> int:
         """Write, and return how many bytes the driver took; none while it has enough, as those would go first."""
         try:
-            self._held = self._unsent() > self._most
-            taken = 0 if self._held else os.write(self._number, data)
+            self._is_full = self._unsent() > self._most
+            taken = 0 if self._is_full else os.write(self._descriptor, data)
         except BlockingIOError:
             taken = 0
-        self._held = self._held or taken < len(data)
+        self._is_full = self._is_full or taken < len(data)
         return taken
 
     def close(self) -> None:
@@ -55,8 +55,8 @@ class SerialDevice:
         import termios
 
         with contextlib.suppress(OSError, termios.error):  # it may not be there any more
-            if self._held or self._unsent():
-                termios.tcflush(self._number, termios.TCOFLUSH)
+            if self._is_full or self._unsent():
+                termios.tcflush(self._descriptor, termios.TCOFLUSH)
         with contextlib.suppress(OSError, termios.error):
             self._device.close()
 
@@ -75,8 +75,8 @@ class Serial:
         self._link = link
         self._endpoint = endpoint
         self._stream: Connection | None = None
-        self._lost = False
-        self._next = self._since = link.now()
+        self._is_lost = False
+        self._next = self._opened_at = link.now()
         try:
             self._open()
         except ImportError as error:
@@ -90,7 +90,7 @@ class Serial:
         speed = self._endpoint.port
         port = SerialDevice(self._endpoint.host, speed)
         self._stream = Connection(self._link, self._endpoint.url, port, port.read, port.write, speed / _BITS)
-        self._since = self._link.now()
+        self._opened_at = self._link.now()
 
     @property
     def peers(self) -> list[Peer]:
@@ -101,21 +101,21 @@ class Serial:
         if stream is not None:
             stream.poll(now)
             if stream.open:
-                self._say_again(stream, now)
+                self._report_recovery(stream, now)
                 return
             self._stream, self._next = None, now + RETRY
-            if not self._lost:
+            if not self._is_lost:
                 self._link.say(f"{self._endpoint.url} is dropped: {stream.why}")
-            self._lost = True
+            self._is_lost = True
         if now >= self._next:
             self._next = now + RETRY
             with contextlib.suppress(OSError, ValueError):  # not yet
                 self._open()
 
-    def _say_again(self, stream: Connection, now: float) -> None:
+    def _report_recovery(self, stream: Connection, now: float) -> None:
         """Report a lost line as back once it has worked for as long as it may be stuck, not at each attempt."""
-        if self._lost and now - self._since > STALL and not stream.peer.blocked(now):
-            self._lost = False
+        if self._is_lost and now - self._opened_at > STALL and not stream.peer.blocked(now):
+            self._is_lost = False
             self._link.say(f"{self._endpoint.url} carries again")
 
     def close(self) -> None:

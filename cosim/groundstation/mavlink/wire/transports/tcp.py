@@ -19,8 +19,8 @@ from cosim.groundstation.mavlink.wire.transports.channel import (
 from cosim.groundstation.mavlink.wire.transports.connection import Connection
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 
-# bytes that may lie in a connection, and those of them that are not on their way yet: old telemetry is worth nothing to
-# a slow reader
+# Bytes that may be buffered in a connection, and those of them that are not sent yet: a slow reader has no use for old
+# telemetry.
 _KERNEL = 65536
 _UNSENT = 4096
 _UNSENT_OPTION = getattr(socket, "TCP_NOTSENT_LOWAT", None)
@@ -71,7 +71,7 @@ class TcpIn:
         idle = [stream for stream in streams if is_replaceable(stream.peer, now)]
         if not idle:
             return False
-        # one that has never said a word goes before one that has
+        # one that has sent nothing is closed before one that has
         oldest = max(idle, key=lambda stream: (stream.peer.last_heard < 0.0, stream.peer.silent(now)))
         oldest.close()
         streams.remove(oldest)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from cosim.autopilots.betaflight import fixed, gains_of, mixing, torque
+from cosim.autopilots.betaflight import base_settings, gain_settings, mixer_settings, torque_scale
 from cosim.autopilots.parameters import (
     ardupilot_parameters,
-    ardupilot_torque,
+    ardupilot_torque_scale,
     parameter_file,
     px4_target,
-    px4_torque,
+    px4_torque_scale,
 )
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
@@ -22,13 +22,18 @@ def parameters_of(autopilot: str, vehicle: Vehicle, step: float, target: str = "
     no parameters for.
     """
     if autopilot == "betaflight":
-        lines = [*mixing(vehicle, vehicle.control.allocation.throttle_min), *fixed(vehicle), *gains_of(vehicle), "save"]
+        lines = [
+            *mixer_settings(vehicle, vehicle.control.allocation.throttle_min),
+            *base_settings(vehicle),
+            *gain_settings(vehicle),
+            "save",
+        ]
         return "\n".join(lines) + "\n"
     parameters = px4_target(vehicle, step, target) if autopilot == "px4" else ardupilot_parameters(vehicle, step)
     return parameter_file(autopilot, parameters)
 
 
-def torque_of(autopilot: str, vehicle: Vehicle) -> Vector3:
+def torque_scale_of(autopilot: str, vehicle: Vehicle) -> Vector3:
     """Return what a torque of 1 is to an autopilot: throttle about roll, rad of tilt (or throttle) about the others.
 
     Raises InputError for a vehicle that is flown by effectiveness.
@@ -38,5 +43,5 @@ def torque_of(autopilot: str, vehicle: Vehicle) -> Vector3:
             f"{autopilot}: {vehicle.name}: is flown by effectiveness, whose torques are not an autopilot's"
         )
     if autopilot == "betaflight":
-        return torque(vehicle)
-    return px4_torque(vehicle) if autopilot == "px4" else ardupilot_torque(vehicle)
+        return torque_scale(vehicle)
+    return px4_torque_scale(vehicle) if autopilot == "px4" else ardupilot_torque_scale(vehicle)
