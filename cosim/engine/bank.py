@@ -63,12 +63,12 @@ def group_stations(specs: Sequence[EngineSpec]) -> list[list[int]]:
     An FMU that holds several serves as many stations that follow each other, where these have the same engine with the
     same parameters; what stands there besides has an instance of its own.
     """
-    found: dict[Hashable, list[int]] = {}
+    groups: dict[Hashable, list[int]] = {}
     for station, spec in enumerate(specs):
-        held = len(spec.archive.engines)
-        key = (spec.shared, station - spec.lane) if held > 1 else station
-        found.setdefault(key, [-1] * held)[spec.lane] = station
-    return list(found.values())
+        count = len(spec.archive.engines)
+        key = (spec.shared, station - spec.slot) if count > 1 else station
+        groups.setdefault(key, [-1] * count)[spec.slot] = station
+    return list(groups.values())
 
 
 def _engine_numbers(group: Sequence[int]) -> str:
@@ -82,7 +82,7 @@ def _engine_numbers(group: Sequence[int]) -> str:
 class EngineBank:
     """``count`` engines of one kind, or one per entry of a sequence of specs, stepped by ``step`` seconds.
 
-    Stations whose engines are held by one FMU (:attr:`EngineSpec.lane`) share an instance, as many as it holds; an
+    Stations whose engines are held by one FMU (:attr:`EngineSpec.slot`) share an instance, as many as it holds; an
     engine that serves no station has throttle 0, or, where one engine alone is asked for, that of the reset.
 
     ``in_flight``: engines whose mapping file states a start stand cold after a reset, and go through it over the steps
@@ -101,17 +101,19 @@ class EngineBank:
         if len(self._specs) != count:
             raise ValueError(f"{count} engines need as many specs, not {len(self._specs)}")
         self._groups = group_stations(self._specs)
-        self._server = {station: index for index, group in enumerate(self._groups) for station in group if station >= 0}
+        self._instance_index = {
+            station: index for index, group in enumerate(self._groups) for station in group if station >= 0
+        }
         self._step = step
         self._in_flight = in_flight
-        self._starts: dict[int, Ignition] = {}  # of the instances that have yet to start
-        self._given_up: set[int] = set()  # stations that were shut off meanwhile
+        self._starts: dict[int, Ignition] = {}  # by instance, of those that have yet to start
+        self._cancelled: set[int] = set()  # stations that were shut off before they had started
         self._instances: list[FmuInstance] = []
         self._folders: dict[tuple[str, int], Unpacked] = {}
-        self.wants_ambient = any(each.has(port) for each in self._specs for port in AMBIENT)
+        self.wants_ambient = any(spec.has(port) for spec in self._specs for port in AMBIENT)
         self._native = _bank.Bank((), step, EngineOutput)
-        self._given = EngineOutput((), (), (), ())  # last
-        self._used = False
+        self._last_output = EngineOutput((), (), (), ())
+        self._was_reset = False
         try:
             self._instantiate()
         except BaseException:
@@ -120,8 +122,8 @@ class EngineBank:
 
     def _instantiate(self) -> None:
         for index, group in enumerate(self._groups):
-            spec, label = self._spec(index), self._label(index)
-            # an FMU that may be instantiated once per process is loaded from copies: another file, another library
+            spec, label = self._first_spec(index), self._label(index)
+            # An FMU that may be instantiated once per process is loaded from copies, each of which is a library.
             key = spec.sha256, index if spec.archive.once_per_process else -1
             if key not in self._folders:
                 self._folders[key] = unpack(spec.archive)
@@ -129,18 +131,18 @@ class EngineBank:
                 self._instances.append(make_instance(spec.archive, self._folders[key].path, _engine_numbers(group)))
             except InstanceError as error:
                 raise EngineError(f"{label}: {error}") from error
-        self._hand_over()
+        self._make_native()
 
-    def _hand_over(self) -> None:
+    def _make_native(self) -> None:
         rows = [instance.row(0, group) for instance, group in zip(self._instances, self._groups, strict=True)]
         self._native = _bank.Bank(tuple(rows), self._step, EngineOutput)
 
-    def _spec(self, index: int) -> EngineSpec:
+    def _first_spec(self, index: int) -> EngineSpec:
         """Return the spec of the first station that an instance serves."""
         return self._specs[self._stations(index)[0]]
 
     def _label(self, index: int) -> str:
-        return f"{_engine_numbers(self._groups[index])} ({self._spec(index).path.name})"
+        return f"{_engine_numbers(self._groups[index])} ({self._first_spec(index).path.name})"
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
         """Bring every engine to equilibrium at the throttle, one for all or one each, ready for flight step 0.
@@ -150,11 +152,11 @@ class EngineBank:
 
         Raises EngineError if an FMU refuses or does not settle.
         """
-        if self._used:
-            # fresh instances, because fmiReset is what many FMUs get wrong
+        if self._was_reset:
+            # New instances are made, because many FMUs get fmiReset wrong.
             self._close_instances()
             self._instantiate()
-        self._used = True
+        self._was_reset = True
         count = len(self._specs)
         throttles = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * count
         airs = [spec.air for spec in self._specs]
@@ -165,9 +167,9 @@ class EngineBank:
         self._starts = {
             index: Ignition(stages, self._step)
             for index in range(len(self._groups))
-            if self._in_flight and (stages := self._spec(index).archive.starting.stages)
+            if self._in_flight and (stages := self._first_spec(index).archive.starting.stages)
         }
-        self._given_up = set()
+        self._cancelled = set()
         for index, group in enumerate(self._groups):
             idle = throttles[0] if count == 1 else 0.0
             at = self._stations(index)[0]
@@ -176,20 +178,20 @@ class EngineBank:
                 [throttles[station] if station >= 0 else idle for station in group],
                 [airs[station if station >= 0 else at] for station in group],
             )
-        self._hand_over()
+        self._make_native()
         for index in range(len(self._groups)):
-            if self._spec(index).start is None and index not in self._starts:
+            if self._first_spec(index).start is None and index not in self._starts:
                 for station in self._stations(index):
                     self._run_up(station, throttles[station])
-        self._advance("at the start")
+        self._advance_starts("at the start")
         try:
-            self._given = self._native.outputs()
-            return self._given
+            self._last_output = self._native.outputs()
+            return self._last_output
         except _bank.FailureError as failure:
-            raise self._failed(failure, "at the start") from failure
+            raise self._describe_failure(failure, "at the start") from failure
 
     def _initialize(self, index: int, throttles: Sequence[float], airs: Sequence[Air]) -> None:
-        spec = self._spec(index)
+        spec = self._first_spec(index)
         settings = list(spec.settings)
         cold = index in self._starts
         if cold:
@@ -203,15 +205,15 @@ class EngineBank:
             raise EngineError(f"{self._label(index)}: {error}") from error
 
     def _run_up(self, station: int, throttle: float) -> None:
-        def hold(held: float, steps: int) -> list[float]:
-            return self._native.hold(station, held, steps)
+        def hold(constant: float, steps: int) -> list[float]:
+            return self._native.hold(station, constant, steps)
 
         try:
             spec = self._specs[station]
             rest, span = spec.archive.starting.rest_n, abs(spec.curve.thrust[-1])
             settle(hold, throttle, spec.window, self._step, spec.quiet, rest, span)
         except _bank.FailureError as failure:
-            raise self._failed(failure, "before the flight") from failure
+            raise self._describe_failure(failure, "before the flight") from failure
         except ResponseError as error:
             raise EngineError(f"{self._engine_label(station)}: {error}") from error
 
@@ -224,17 +226,17 @@ class EngineBank:
         try:
             for station in range(len(self._specs)):
                 self._native.hold(station, 0.0, steps)
-            self._given = self._native.outputs()
+            self._last_output = self._native.outputs()
         except _bank.FailureError as failure:
-            raise self._failed(failure, "before the flight") from failure
-        return self._given
+            raise self._describe_failure(failure, "before the flight") from failure
+        return self._last_output
 
     def _engine_label(self, station: int) -> str:
         return f"engine {station + 1} ({self._specs[station].path.name})"
 
-    def _failed(self, failure: _bank.FailureError, moment: str) -> EngineError:
+    def _describe_failure(self, failure: _bank.FailureError, moment: str) -> EngineError:
         station, what, *_ = failure.args
-        index = self._server[station]
+        index = self._instance_index[station]
         label = self._engine_label(station) if what in ("nan", "input") else self._label(index)
         return EngineError(f"{label}: {self._instances[index].explain(failure, moment)}")
 
@@ -247,18 +249,18 @@ class EngineBank:
         ValueError if ``k`` is not the next step.
         """
         if self._starts:
-            held = list(throttle)
+            throttles = list(throttle)
             for index, ignition in self._starts.items():
                 for station in self._stations(index):
-                    held[station] = 0.0 if station in self._given_up else ignition.throttle
-            throttle = tuple(held)
+                    throttles[station] = 0.0 if station in self._cancelled else ignition.throttle
+            throttle = tuple(throttles)
         try:
             output = self._native.step(k, throttle, ambient)
         except _bank.FailureError as failure:
-            raise self._failed(failure, self._moment(k)) from failure
+            raise self._describe_failure(failure, self._moment(k)) from failure
         if self._starts:
-            self._advance(self._moment(k))
-        self._given = output
+            self._advance_starts(self._moment(k))
+        self._last_output = output
         return output
 
     def _moment(self, k: int) -> str:
@@ -267,9 +269,9 @@ class EngineBank:
     def _stations(self, index: int) -> list[int]:
         return [station for station in self._groups[index] if station >= 0]
 
-    def _advance(self, moment: str) -> None:
+    def _advance_starts(self, moment: str) -> None:
         """Advance every start sequence by one step, and remove those that have ended."""
-        for index in [index for index in self._starts if not self._given_up.issuperset(self._stations(index))]:
+        for index in [index for index in self._starts if not self._cancelled.issuperset(self._stations(index))]:
             instance = self._instances[index]
             try:
                 more = self._starts[index].advance(instance.write, instance.read)
@@ -292,31 +294,35 @@ class EngineBank:
     @property
     def shown(self) -> tuple[float, ...]:
         """Present values of :attr:`columns` in the FMU's own units; raises EngineError if the FMU fails."""
-        found = [float(self._server[station] in self._starts) for station in range(len(self._specs)) if self._in_flight]
-        found += [
-            getattr(self._given, port)[station]
+        values = [
+            float(self._instance_index[station] in self._starts)
+            for station in range(len(self._specs))
+            if self._in_flight
+        ]
+        values += [
+            getattr(self._last_output, port)[station]
             for station, spec in enumerate(self._specs)
             for port in ASIDE
             if spec.has(port)
         ]
         for station, spec in enumerate(self._specs):
             try:
-                instance = self._instances[self._server[station]]
-                found += [instance.read(variable) for _, variable in spec.logged]
+                instance = self._instances[self._instance_index[station]]
+                values += [instance.read(variable) for _, variable in spec.logged]
             except InstanceError as error:
                 self._native.stop()
                 raise EngineError(f"{self._engine_label(station)}: {error}") from error
-        return tuple(found)
+        return tuple(values)
 
     def set_run(self, index: int, on: bool) -> bool:
         """Switch one engine off or on before the next step, and return False if it has no port for that.
 
         One that is shut off before it has started does not start any more.  Raises EngineError if the FMU refuses.
         """
-        if self._server[index] in self._starts:
-            self._given_up.add(index)
+        if self._instance_index[index] in self._starts:
+            self._cancelled.add(index)
         try:
-            return self._instances[self._server[index]].set_run(on, self._specs[index].lane)
+            return self._instances[self._instance_index[index]].set_run(on, self._specs[index].slot)
         except InstanceError as error:
             self._native.stop()
             raise EngineError(f"{self._engine_label(index)}: {error}") from error
@@ -329,7 +335,7 @@ class EngineBank:
         self._folders.clear()
 
     def _close_instances(self) -> None:
-        self._native = _bank.Bank((), self._step, EngineOutput)  # nothing may step what is being freed
+        self._native = _bank.Bank((), self._step, EngineOutput)  # nothing may step an instance that is being freed
         while self._instances:
             self._instances.pop().close()
 

@@ -1,4 +1,4 @@
-"""A bank of engines in a process of its own: what an FMU does to its process it does to nobody else.
+"""A bank of engines in a process of its own, so that an FMU can harm no other process.
 
 A crash, a hang, a library's own threads or run time, a flood on standard output: the flight ends as failed, with
 engine, step and time, and its log is kept.  The numbers that go to and fro are the same doubles, so a flight is the one
@@ -28,9 +28,9 @@ from cosim.engine.spec import EngineSpec
 HANG_S = 4.0  # for one step of all engines; chosen by us: a thousand control steps
 START_S = 120.0  # to be loaded, started and run up, which a flight does once
 CLOSE_S = 2.0  # to be freed
-MOST_MB = 1024.0  # resident, of the engines' process: as a check allows (cosim.engine.qualify.supervisor.Limits)
-MOST_ANSWERED = 2**20  # bytes
-LOOKED_AT = 250  # steps between two looks at that: a second
+MAX_MEGABYTES = 1024.0  # resident, of the engines' process: as cosim.engine.qualify.supervisor.Limits
+MAX_ANSWER_BYTES = 2**20
+MEMORY_CHECK_STEPS = 250  # a second of control steps
 _ANY = 2**32  # bytes of a question, which is ours
 _SERVE = "from cosim.engine.isolated import serve; serve(*map(int, sys.argv[1:]))"
 
@@ -48,11 +48,11 @@ class IsolatedBank:
         self._columns = logged_columns(specs, in_flight)
         self._in_flight = in_flight
         self.starting: tuple[int, ...] = ()  # as the bank's; asked for as long as there are any
-        self._row, self._answer = _frames(self._count)
+        self._row, self._answer = _frame_formats(self._count)
         self._no_air = (0.0,) * (3 + self._count)
         self._child, self._pipes = Child.open_pipes(_SERVE)
         try:
-            self._ask(("make", tuple(specs), step, in_flight), START_S, "when it was loaded")
+            self._call(("make", tuple(specs), step, in_flight), START_S, "when it was loaded")
         except BaseException:
             self.close()
             raise
@@ -61,15 +61,15 @@ class IsolatedBank:
         """As the bank's."""
         held = tuple(throttle) if isinstance(throttle, Sequence) else throttle
         air = None if ambient is None else (ambient.pressure, ambient.temperature, tuple(ambient.air_speed))
-        output = self._output(self._asked(("reset", held, air), START_S, "before the flight"))
-        self._look(self._in_flight, "before the flight")
+        output = self._output(self._request(("reset", held, air), START_S, "before the flight"))
+        self._update_starting(self._in_flight, "before the flight")
         return output
 
-    def _look(self, ask: bool, moment: str | int) -> None:
+    def _update_starting(self, ask: bool, moment: str | int) -> None:
         if ask:
-            starting = self._ask(("starting",), HANG_S, moment)
+            starting = self._call(("starting",), HANG_S, moment)
             if not isinstance(starting, list) or any(number not in range(1, self._count + 1) for number in starting):
-                raise self._unknown()
+                raise self._invalid_answer()
             self.starting = tuple(starting)
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
@@ -80,7 +80,7 @@ class IsolatedBank:
             row = self._row.pack(b"s", k, *throttle, 1.0, ambient[0], ambient[1], *ambient[2])
         output = self._output(self._exchange(row, HANG_S, k))
         if self.starting:
-            self._look(True, k)
+            self._update_starting(True, k)
         return output
 
     @property
@@ -91,16 +91,16 @@ class IsolatedBank:
     @property
     def shown(self) -> tuple[float, ...]:
         """As the bank's; one more passage in every step, where there is something to show."""
-        data = self._asked(("shown",), HANG_S, "when its further outputs were read")
+        data = self._request(("shown",), HANG_S, "when its further outputs were read")
         return self._doubles(data, struct.Struct(f"<{len(self._columns)}d"))
 
     def run_down(self, seconds: float) -> EngineOutput:
         """As the bank's."""
-        return self._output(self._asked(("run down", seconds), START_S, "before the flight"))
+        return self._output(self._request(("run down", seconds), START_S, "before the flight"))
 
     def set_run(self, index: int, on: bool) -> bool:
         """As the bank's."""
-        return bool(self._ask(("run", index, on), HANG_S, "when it was shut off or on"))
+        return bool(self._call(("run", index, on), HANG_S, "when it was shut off or on"))
 
     def close(self) -> None:
         """End the child, by force if it takes long.  May be called again."""
@@ -113,10 +113,10 @@ class IsolatedBank:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _ask(self, question: tuple[Any, ...], limit: float, moment: str | int) -> Any:
-        return self._read(self._asked(question, limit, moment))
+    def _call(self, question: tuple[Any, ...], limit: float, moment: str | int) -> Any:
+        return self._read(self._request(question, limit, moment))
 
-    def _asked(self, question: tuple[Any, ...], limit: float, moment: str | int) -> bytes:
+    def _request(self, question: tuple[Any, ...], limit: float, moment: str | int) -> bytes:
         return self._exchange(b"p" + pickle.dumps(question), limit, moment)
 
     def _read(self, data: bytes) -> Any:
@@ -128,7 +128,7 @@ class IsolatedBank:
             good, answer = json.loads(data.removeprefix(b"p"))
             kind, text = ("", "") if good else map(str, answer)
         except (ValueError, TypeError, RecursionError):
-            raise self._unknown() from None
+            raise self._invalid_answer() from None
         if good:
             return answer
         raise {"InputError": InputError, "ValueError": ValueError}.get(kind, EngineError)(text)
@@ -138,23 +138,23 @@ class IsolatedBank:
         if data[:1] == b"p":
             self._read(data)
         if data[:1] != b"s" or len(data) != 1 + form.size:
-            raise self._unknown()
+            raise self._invalid_answer()
         return form.unpack_from(data, 1)
 
     def _output(self, data: bytes) -> EngineOutput:
         values, n = self._doubles(data, self._answer), self._count
         return EngineOutput(*[values[i : i + n] for i in range(0, len(values), n)])
 
-    def _unknown(self) -> EngineError:
+    def _invalid_answer(self) -> EngineError:
         return EngineError(f"engines ({self._names}): their process answered what is no answer")
 
     def _exchange(self, data: bytes, limit: float, moment: str | int) -> bytes:
         """Send a request and return the answer; ``moment`` is when, for an error: words, or the step's number."""
         try:
             self._pipes.send_message(data)
-            return self._pipes.receive_message(MOST_ANSWERED, limit)
+            return self._pipes.receive_message(MAX_ANSWER_BYTES, limit)
         except ValueError:
-            raise self._unknown() from None
+            raise self._invalid_answer() from None
         except TimeoutError:
             self._child.end()
             end = f"no answer within {limit:g} s {self._describe(moment)}: a call to the FMU hangs"
@@ -178,7 +178,7 @@ def make_bank(specs: Sequence[EngineSpec], step: float, in_flight: bool = False)
     return EngineBank(specs, len(specs), step, in_flight)
 
 
-def _frames(count: int) -> tuple[struct.Struct, struct.Struct]:
+def _frame_formats(count: int) -> tuple[struct.Struct, struct.Struct]:
     """Return the binary formats of a step of ``count`` engines and of the numbers of its answer.
 
     Kind, step, throttles, whether there is air, pressure, temperature and speeds; then what they give, quantity by
@@ -187,12 +187,12 @@ def _frames(count: int) -> tuple[struct.Struct, struct.Struct]:
     return struct.Struct(f"<cq{2 * count + 3}d"), struct.Struct(f"<{len(EngineOutput._fields) * count}d")
 
 
-def _said(good: bool, answer: Any) -> bytes:
+def _json_answer(good: bool, answer: Any) -> bytes:
     """Return an answer that is no row of doubles as JSON, which runs nothing where it is read."""
     return b"p" + json.dumps((good, answer)).encode()
 
 
-def _packed(values: Sequence[float]) -> bytes:
+def _double_answer(values: Sequence[float]) -> bytes:
     """Return doubles as they are."""
     return b"s" + struct.pack(f"<{len(values)}d", *values)
 
@@ -212,7 +212,7 @@ class _Server:
             what, *arguments = pickle.loads(data[1:])
             return self._make(*arguments) if what == "make" else self._other(what, arguments)
         except Exception as error:
-            return _said(False, (type(error).__name__, str(error)))
+            return _json_answer(False, (type(error).__name__, str(error)))
 
     def _step(self, data: bytes) -> bytes:
         assert self.bank is not None
@@ -221,28 +221,28 @@ class _Server:
         k, values = row[1], row[2:]
         ambient = Ambient(values[count + 1], values[count + 2], values[count + 3 :]) if values[count] else None
         output = self.bank.step(k, values[:count], ambient)
-        if k % LOOKED_AT == 0 and (size := measure_megabytes(os.getpid())) > MOST_MB:
-            much = f"takes {size:.0f} MB of memory at step {k}, {MOST_MB:g} MB at most: it leaks"
+        if k % MEMORY_CHECK_STEPS == 0 and (size := measure_megabytes(os.getpid())) > MAX_MEGABYTES:
+            much = f"takes {size:.0f} MB of memory at step {k}, {MAX_MEGABYTES:g} MB at most: it leaks"
             raise EngineError(f"engines: their process {much}")
         return b"s" + self._doubles.pack(*chain.from_iterable(output))
 
     def _make(self, specs: Sequence[EngineSpec], step: float, in_flight: bool) -> bytes:
         self._count = len(specs)
-        self._row, self._doubles = _frames(self._count)
+        self._row, self._doubles = _frame_formats(self._count)
         self.bank = EngineBank(specs, self._count, step, in_flight)
-        return _said(True, None)
+        return _json_answer(True, None)
 
     def _other(self, what: str, arguments: Sequence[Any]) -> bytes:
         bank = self.bank
         assert bank is not None
         if what == "reset":
             throttle, air = arguments
-            return _packed(list(chain(*bank.reset(throttle, Ambient(*air) if air else None))))
+            return _double_answer(list(chain(*bank.reset(throttle, Ambient(*air) if air else None))))
         if what == "run down":
-            return _packed(list(chain(*bank.run_down(*arguments))))
+            return _double_answer(list(chain(*bank.run_down(*arguments))))
         if what == "shown":
-            return _packed(bank.shown)
-        return _said(True, bank.set_run(*arguments) if what == "run" else bank.starting)
+            return _double_answer(bank.shown)
+        return _json_answer(True, bank.set_run(*arguments) if what == "run" else bank.starting)
 
 
 def serve(reader: int, writer: int) -> None:

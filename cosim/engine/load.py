@@ -9,10 +9,10 @@ from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.instance import InstanceError
 from cosim.engine.fmu.mapping import is_mapping
 from cosim.engine.fmu.port_kinds import AMBIENT
-from cosim.engine.fmu.ports import PortError, is_several, members_of
+from cosim.engine.fmu.ports import PortError, names_several, variables_of_engines
 from cosim.engine.fmu.starting import CONSTANTS
 from cosim.engine.fmu.variables import Variable
-from cosim.engine.measure import Measured, measure_once
+from cosim.engine.measure import EngineMeasurement, measure_once
 from cosim.engine.response import ResponseError, window_for
 from cosim.engine.rundown import OWN, FlameOutLaw, law_of
 from cosim.engine.spec import EngineSource, EngineSpec, Sibling, find_source, need_whole_steps, resolve_parameters
@@ -23,17 +23,17 @@ def load_unchecked(
     parameters: Mapping[str, float],
     step: float,
     *,
-    measured: Measured | None = None,
+    measured: EngineMeasurement | None = None,
     air: Air = STANDARD_AIR,
-    foreign: Callable[[str, Mapping[str, float], float, Air], Measured] | None = None,
+    measure_foreign: Callable[[str, Mapping[str, float], float, Air], EngineMeasurement] | None = None,
 ) -> EngineSpec:
     """Find, validate and measure an engine that will be stepped by ``step`` seconds.
 
     The engine is an FMI 2.0 or 3.0 co-simulation FMU, by its name in the library, by path, or by the path of a mapping
     file; see ``cosim.engine.fmu.mapping`` for it, ``ports`` for how its ports are found.
 
-    What is ``measured`` already is taken as it is; ``foreign`` measures the engine, from what is asked for and the
-    air, where this process should not.
+    ``measured``: the result of an earlier measurement.  ``measure_foreign``: measures the engine, from the other
+    arguments, where this process should not.
 
     ``air``: in which it is measured, if it has a port for any of it; without one it is the same in every air.
 
@@ -49,8 +49,8 @@ def load_unchecked(
     ledger = engine.ledger if engine else {}
     delay = resolved.get(ledger.get("delay", ""))
     try:
-        if measured is None and foreign is not None:
-            measured = foreign(name_or_path, parameters, step, air)
+        if measured is None and measure_foreign is not None:
+            measured = measure_foreign(name_or_path, parameters, step, air)
             if engine is not None:
                 measured = measured._replace(small=None)
         elif measured is None:
@@ -83,42 +83,42 @@ def load_unchecked(
         small=measured.small,
         logged=_logged(source, 0),
         others=tuple(
-            Sibling(other.curve, other.small, _logged(source, lane))
-            for lane, other in enumerate(measured.others, start=1)
+            Sibling(other.curve, other.small, _logged(source, slot))
+            for slot, other in enumerate(measured.others, start=1)
         ),
     )
 
 
-def _logged(source: EngineSource, lane: int) -> tuple[tuple[str, Variable], ...]:
+def _logged(source: EngineSource, slot: int) -> tuple[tuple[str, Variable], ...]:
     """Return the outputs that a mapping file adds to the log, by column name.
 
-    With several engines in the FMU, those of engine ``lane``; an output shared by all belongs to the first.
+    With several engines in the FMU, those of engine ``slot``; an output shared by all belongs to the first.
     """
     columns = []
     count = len(source.archive.engines)
     for name, variable in source.mapping.log.items():
-        if is_several(variable):
+        if names_several(variable):
             try:
-                outputs = members_of(f"log.{name}", "output", variable, source.archive.outputs)
+                outputs = variables_of_engines(f"log.{name}", "output", variable, source.archive.outputs)
             except PortError as error:
                 raise InputError(f"{source.path}: {error}") from error
             if len(outputs) != count:
                 raise InputError(f"{source.path}: log.{name} states {len(outputs)} outputs of {count} engines")
-            output = outputs[lane]
-        elif lane == 0:
+            output = outputs[slot]
+        elif slot == 0:
             output = str(variable)
         else:
             continue
-        hits = [v for v in source.archive.outputs if v.name == output]
+        matches = [v for v in source.archive.outputs if v.name == output]
         where = f"{source.path}: log.{name} = {output!r}"
-        if not hits:
+        if not matches:
             known = [v.name for v in source.archive.outputs]
             raise InputError(f"{where}: no such output; {nearest(output, known)}")
-        if hits[0].type not in CONSTANTS:
-            raise InputError(f"{where}: it is of type {hits[0].type}; allowed: {', '.join(CONSTANTS)}")
+        if matches[0].type not in CONSTANTS:
+            raise InputError(f"{where}: it is of type {matches[0].type}; allowed: {', '.join(CONSTANTS)}")
         if not name.isidentifier() or not name.isascii():
             raise InputError(f"{where}: a column's name is of letters, digits and _, no digit first")
-        columns.append((name, hits[0]))
+        columns.append((name, matches[0]))
     return tuple(columns)
 
 

@@ -21,7 +21,7 @@ from cosim.engine.response import (
     Response,
     ResponseError,
     RestlessError,
-    Small,
+    SmallStep,
     settle,
     static_curve,
     step_response,
@@ -30,24 +30,22 @@ from cosim.engine.response import (
 from cosim.engine.spec import behaviour_of
 from cosim.engine.ssp.system_instance import make_instance
 
-AROUND, BY = 0.5, 0.05  # of the throttle, a small step: about where an engine hovers, and what no limit of it sees
-CLEAR = 5.0  # times its own movement at rest, that the small step has to change the thrust
+SMALL_STEP_FROM, SMALL_STEP_SIZE = 0.5, 0.05  # throttle: about where an engine hovers, and away from its limits
+LEAST_CHANGE_OVER_REST = 5.0  # thrust change of a small step over the engine's own movement at rest
 
 
-class Measured(NamedTuple):
+class EngineMeasurement(NamedTuple):
     """Measured behaviour of an engine."""
 
     curve: Curve
     response: Response  # to the throttle opened from 0 to 1
     start: str | None  # the start parameter, if it does what it should
-    quiet: float  # to what share of itself the thrust stands still at rest
-    small: Small | None = (
-        None  # None: of the library, which states its own, or drowned in what the thrust moves by itself
-    )
-    others: tuple[Measured, ...] = ()  # of an FMU that holds several engines: the second and on
+    quiet: float  # fraction of itself by which the thrust may move at rest
+    small: SmallStep | None = None  # None: an engine of the library, or no larger than the movement at rest
+    others: tuple[EngineMeasurement, ...] = ()  # the second and further engines of one FMU
 
 
-_measured: Memory[Measured] = Memory(256)
+_measured: Memory[EngineMeasurement] = Memory(256)
 
 
 def measure_once(
@@ -57,7 +55,7 @@ def measure_once(
     step: float,
     air: Air = STANDARD_AIR,
     small: bool = True,
-) -> Measured:
+) -> EngineMeasurement:
     """Measure as :func:`measure`, once per process for the same archive, settings and conditions."""
     key = (*behaviour_of(archive, settings, air), start, step, small)
     return _measured.get(key, lambda: measure(archive, settings, start, step, air=air, small=small))
@@ -71,7 +69,7 @@ def measure(
     alive: Callable[[], object] = lambda: None,
     air: Air = STANDARD_AIR,
     small: bool = True,
-) -> Measured:
+) -> EngineMeasurement:
     """Measure an engine's static curve and step response in ``air``, and test its start parameter.
 
     ``small``: whether a small step is measured too.  Of several engines in one FMU each is measured, while all of them
@@ -96,7 +94,7 @@ def _measure(
     quiet: float,
     air: Air,
     small: bool,
-) -> Measured:
+) -> EngineMeasurement:
     with unpack(archive) as folder:
         instance = make_instance(archive, folder, "measured")
         try:
@@ -104,57 +102,57 @@ def _measure(
             native = _bank.Bank([instance.row()], step)
             rest = archive.starting.rest_n
             curves = []
-            for lane in range(len(archive.engines)):
+            for slot in range(len(archive.engines)):
 
-                def hold(throttle: float, steps: int, lane: int = lane) -> list[float]:
+                def hold(throttle: float, steps: int, slot: int = slot) -> list[float]:
                     alive()
-                    return native.hold(lane, throttle, steps, True)
+                    return native.hold(slot, throttle, steps, True)
 
                 at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step, quiet, rest)
                 response = step_response(hold, at_rest, 1.0, step, quiet, rest)
                 curve = static_curve(hold, window_for(response.delay), step, quiet, rest)
                 span = abs(response.after - response.before)
-                little = _small(hold, window_for(response.delay), step, quiet, rest, span) if small else None
-                curves.append(Measured(curve, response, None, quiet, little))
+                small_step = _small_step(hold, window_for(response.delay), step, quiet, rest, span) if small else None
+                curves.append(EngineMeasurement(curve, response, None, quiet, small_step))
         except _bank.FailureError as failure:
             raise InstanceError(instance.explain(failure, "while its thrust was measured")) from failure
         finally:
             instance.close()
         first, *others = curves
-        if start is not None and not _starts_level(archive, folder, settings, step, first.curve, first.response, air):
+        if start is not None and not _starts_settled(archive, folder, settings, step, first, air):
             start = None
     return first._replace(start=start, others=tuple(others))
 
 
-def _small(hold: Hold, window: int, step: float, quiet: float, rest: float, span: float) -> Small | None:
-    course: list[float] = []
+def _small_step(hold: Hold, window: int, step: float, quiet: float, rest: float, span: float) -> SmallStep | None:
+    thrusts: list[float] = []
 
     def recorded(throttle: float, steps: int) -> list[float]:
-        thrusts = list(hold(throttle, steps))
-        course.extend(thrusts)
-        return thrusts
+        chunk = list(hold(throttle, steps))
+        thrusts.extend(chunk)
+        return chunk
 
     try:
-        before = settle(hold, AROUND, window, step, quiet, rest, span)
-        response = step_response(recorded, before, AROUND + BY, step, quiet, rest)
+        before = settle(hold, SMALL_STEP_FROM, window, step, quiet, rest, span)
+        response = step_response(recorded, before, SMALL_STEP_FROM + SMALL_STEP_SIZE, step, quiet, rest)
     except ResponseError:
         return None
     change = response.after - response.before
-    if abs(change) < CLEAR * rest:
+    if abs(change) < LEAST_CHANGE_OVER_REST * rest:
         return None
-    return Small(response.delay, sum((response.after - thrust) / change for thrust in course))
+    return SmallStep(response.delay, sum((response.after - thrust) / change for thrust in thrusts))
 
 
-def _starts_level(
+def _starts_settled(
     archive: Archive,
     folder: Path,
     settings: tuple[Setting, ...],
     step: float,
-    curve: Curve,
-    response: Response,
+    measured: EngineMeasurement,
     air: Air,
 ) -> bool:
     """Return whether the start parameter puts the engine on its static curve and keeps it there, at half throttle."""
+    curve, response = measured.curve, measured.response
     middle = len(curve.throttle) // 2
     throttle, thrust = curve.throttle[middle], curve.thrust[middle]
     instance = make_instance(archive, folder, "started")

@@ -39,7 +39,7 @@ class Response(NamedTuple):
     after: float  # N
 
 
-class Small(NamedTuple):
+class SmallStep(NamedTuple):
     """A small step of the throttle around its middle, in communication steps."""
 
     delay: int  # in which nothing moves
@@ -80,15 +80,15 @@ def settle(
         if rest > 0.0:
             if max(thrusts) - min(thrusts) <= rest and abs(fmean(thrusts) - fmean(before)) <= DRIFT * rest:
                 return fmean(thrusts)
-        elif _still([before[-1], *thrusts], quiet):
+        elif _is_constant([before[-1], *thrusts], quiet):
             return thrusts[-1]
         before = thrusts
-    if rest == 0.0 and _still(before, quiet, quiet * span):
+    if rest == 0.0 and _is_constant(before, quiet, quiet * span):
         return before[-1]
-    raise _restless(before, throttle)
+    raise _restless_error(before, throttle)
 
 
-def _restless(last: Sequence[float], throttle: float) -> RestlessError:
+def _restless_error(last: Sequence[float], throttle: float) -> RestlessError:
     moves = max(last) - min(last)
     return RestlessError(
         f"thrust does not settle within {LONGEST_S:g} s at throttle {throttle:g}: it still moves by {moves:.2g} N; a "
@@ -114,16 +114,16 @@ def step_response(
                 "first, or held open, is told how in a mapping file: [start], [inputs]"
             )
         thrusts += hold(throttle, 64)
-        moved = next((k for k, thrust in enumerate(thrusts) if not _still([before, thrust], quiet, rest)), None)
+        moved = next((k for k, thrust in enumerate(thrusts) if not _is_constant([before, thrust], quiet, rest)), None)
     window = window_for(moved)
-    while len(thrusts) < moved + 2 * window or not _stands(thrusts, window, quiet, rest):
+    while len(thrusts) < moved + 2 * window or not _has_settled(thrusts, window, quiet, rest):
         if len(thrusts) * step > LONGEST_S + LONGEST_DELAY_S:
-            if rest == 0.0 and _still(thrusts[-window:], quiet, quiet * abs(before - thrusts[-1])):
+            if rest == 0.0 and _is_constant(thrusts[-window:], quiet, quiet * abs(before - thrusts[-1])):
                 break
-            raise _restless(thrusts[-window:], throttle)
+            raise _restless_error(thrusts[-window:], throttle)
         thrusts += hold(throttle, window)
     after = fmean(thrusts[-window:]) if rest > 0.0 else thrusts[-1]
-    if _still([before, after], quiet, rest):
+    if _is_constant([before, after], quiet, rest):
         raise ResponseError("thrust is the same at throttle 0 and 1")
     course = [before, *thrusts]
     rise = (crossing(course, 0.9, before, after) - crossing(course, 0.1, before, after)) * step
@@ -148,9 +148,9 @@ def static_curve(hold: Hold, window: int, step: float, quiet: float = NO_CHANGE,
 def curve_problems(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> list[str]:
     """Return the problems of a static curve, measured to within ``quiet`` of its thrust or ``rest`` N."""
     throttle, thrust = curve
-    doubt = _doubt(thrust, quiet, rest)
+    tolerance = _tolerance(thrust, quiet, rest)
     problems = []
-    falls = [k for k in range(1, len(thrust)) if thrust[k] < thrust[k - 1] - doubt]
+    falls = [k for k in range(1, len(thrust)) if thrust[k] < thrust[k - 1] - tolerance]
     inner = rising(curve, quiet, rest)
     stands = [v for v, (f, g) in zip(inner.throttle[1:], pairwise(inner.thrust), strict=True) if g <= f]
     if falls or stands:
@@ -159,13 +159,13 @@ def curve_problems(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) ->
             f"its thrust does not rise with the throttle: {thrust[k - 1]:.4g} N at {throttle[k - 1]:g}, "
             f"{thrust[k]:.4g} N at {throttle[k]:g}"
         )
-    if min(thrust) < -doubt:
+    if min(thrust) < -tolerance:
         k = thrust.index(min(thrust))
         problems.append(f"its thrust is negative: {thrust[k]:.4g} N at throttle {throttle[k]:g}")
     return problems
 
 
-def _doubt(thrust: Sequence[float], quiet: float, rest: float) -> float:
+def _tolerance(thrust: Sequence[float], quiet: float, rest: float) -> float:
     """Return the difference [N] up to which two thrusts count as equal."""
     return max(rest, 10.0 * quiet * max(1.0, *map(abs, thrust)))
 
@@ -176,9 +176,9 @@ def rising(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> Curve:
     Beyond an end of the remaining curve the engine gives the thrust of that end.
     """
     throttle, thrust = curve
-    doubt = _doubt(thrust, quiet, rest)
-    first = max(k for k in range(len(thrust)) if all(abs(g - thrust[0]) <= doubt for g in thrust[: k + 1]))
-    last = min(k for k in range(len(thrust)) if all(abs(g - thrust[-1]) <= doubt for g in thrust[k:]))
+    tolerance = _tolerance(thrust, quiet, rest)
+    first = max(k for k in range(len(thrust)) if all(abs(g - thrust[0]) <= tolerance for g in thrust[: k + 1]))
+    last = min(k for k in range(len(thrust)) if all(abs(g - thrust[-1]) <= tolerance for g in thrust[k:]))
     if last <= first:
         return curve
     return Curve(throttle[first : last + 1], thrust[first : last + 1])
@@ -187,25 +187,25 @@ def rising(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> Curve:
 def flat_notes(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> list[str]:
     """Return notes on the flat parts at the ends of a static curve."""
     throttle, thrust = rising(curve, quiet, rest)
-    said = "its thrust at rest is the same, {:.4g} N, from throttle {:.4g} to {:.4g}: a flight does not go {} {:.4g}"
+    text = "its thrust at rest is the same, {:.4g} N, from throttle {:.4g} to {:.4g}: a flight does not go {} {:.4g}"
     notes = []
     if throttle[0] > curve.throttle[0]:
-        notes.append(said.format(thrust[0], curve.throttle[0], throttle[0], "below", throttle[0]))
+        notes.append(text.format(thrust[0], curve.throttle[0], throttle[0], "below", throttle[0]))
     if throttle[-1] < curve.throttle[-1]:
-        notes.append(said.format(thrust[-1], throttle[-1], curve.throttle[-1], "beyond", throttle[-1]))
+        notes.append(text.format(thrust[-1], throttle[-1], curve.throttle[-1], "beyond", throttle[-1]))
     return notes
 
 
-def _still(thrusts: Sequence[float], quiet: float, rest: float = 0.0) -> bool:
+def _is_constant(thrusts: Sequence[float], quiet: float, rest: float = 0.0) -> bool:
     low, high = min(thrusts), max(thrusts)
     return high - low <= max(rest, quiet * max(1.0, abs(low), abs(high)))
 
 
-def _stands(thrusts: Sequence[float], window: int, quiet: float, rest: float) -> bool:
+def _has_settled(thrusts: Sequence[float], window: int, quiet: float, rest: float) -> bool:
     """Return whether a course's last window is constant and, with ``rest``, has the mean of the window before."""
     last, before = thrusts[-window:], thrusts[-2 * window : -window]
     level = rest == 0.0 or abs(fmean(last) - fmean(before)) <= DRIFT * rest
-    return _still(last, quiet, rest) and level
+    return _is_constant(last, quiet, rest) and level
 
 
 def crossing(course: Sequence[float], fraction: float, before: float, after: float) -> float:

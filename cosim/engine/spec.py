@@ -28,7 +28,7 @@ from cosim.engine.library import (
     engine_folders,
     read_engine,
 )
-from cosim.engine.response import NO_CHANGE, Curve, Small, rising
+from cosim.engine.response import NO_CHANGE, Curve, SmallStep, rising
 from cosim.engine.rundown import FlameOutLaw
 from cosim.engine.ssp.parameter_set import read_parameter_set
 from cosim.engine.ssp.system import SUFFIX, is_system, read_system
@@ -38,7 +38,7 @@ class Sibling(NamedTuple):
     """The data of a further engine in the same FMU."""
 
     curve: Curve
-    small: Small | None
+    small: SmallStep | None
     logged: tuple[tuple[str, Variable], ...]
 
 
@@ -72,9 +72,11 @@ class EngineSpec:
     quiet: float = field(default=NO_CHANGE, repr=False)  # to what share of itself the thrust stands still at rest
     air: Air = STANDARD_AIR  # in which the curve was measured
     isolated: bool = False  # it asks for a process of its own
-    small: Small | None = None  # how late it is to a small step, as measured at the control step; None: see Measured
+    small: SmallStep | None = (
+        None  # how late it is to a small step, as measured at the control step; None: see Measured
+    )
     logged: tuple[tuple[str, Variable], ...] = ()  # further outputs, by what they are called in the log
-    lane: int = 0  # which of the engines that its FMU holds, from 0
+    slot: int = 0  # which of the engines that its FMU holds, from 0
     others: tuple[Sibling, ...] = field(default=(), repr=False)  # of the first one: those that are held with it
     misbehaves: str = ""  # what a check found that it does to its process, for which it has one of its own
 
@@ -111,17 +113,17 @@ class EngineSpec:
     @property
     def behaviour(self) -> tuple[Hashable, ...]:
         """Everything besides its inputs that the behaviour of the engine depends on."""
-        return *self.shared, self.lane
+        return *self.shared, self.slot
 
     def at(self, station: int) -> EngineSpec:
         """Return the engine of a station, counted from 0; those of a multi-engine FMU alternate."""
-        lane = station % len(self.archive.engines)
-        if lane == self.lane:
+        slot = station % len(self.archive.engines)
+        if slot == self.slot:
             return self
-        if self.lane:
-            raise ValueError(f"engine {self.lane + 1} of {self.path.name} does not serve station {station + 1}")
-        other = self.others[lane - 1]
-        return replace(self, lane=lane, curve=other.curve, small=other.small, logged=other.logged, others=())
+        if self.slot:
+            raise ValueError(f"engine {self.slot + 1} of {self.path.name} does not serve station {station + 1}")
+        other = self.others[slot - 1]
+        return replace(self, slot=slot, curve=other.curve, small=other.small, logged=other.logged, others=())
 
     @property
     def family(self) -> str:
@@ -135,7 +137,7 @@ class EngineSpec:
     @property
     def ports(self) -> Mapping[str, Port]:
         """The engine's variables with their conversions, by port name."""
-        return self.archive.engines[self.lane]
+        return self.archive.engines[self.slot]
 
     def has(self, port: str) -> bool:
         """Return whether the engine has a port, such as ``ambient_pressure``, ``run`` or ``fuel_flow``."""
@@ -265,10 +267,10 @@ def _definition(folder: Path) -> EngineDefinition:
 def need_whole_steps(archive: Archive, engine: EngineDefinition | None, step: float) -> None:
     """Raise InputError for a communication step that is no multiple of the engine's clocks and internal step."""
     if archive.system is not None:
-        for part in archive.system.parts:
-            need_whole_steps(part.archive, None, step)
+        for component in archive.system.components:
+            need_whole_steps(component.archive, None, step)
     for clock in archive.clocks:
-        if clock.grid(step, archive.parts(step)) is None:
+        if clock.grid(step, archive.substeps(step)) is None:
             raise InputError(
                 f"{archive.path}: its clock {clock.name} ticks every {clock.interval:g} s"
                 + (f" from {clock.shift:g} s on" if clock.shift else "")
@@ -287,25 +289,25 @@ def need_whole_steps(archive: Archive, engine: EngineDefinition | None, step: fl
 
 
 def resolve_parameters(
-    archive: Archive, given: Mapping[str, float], start: str | None
+    archive: Archive, overrides: Mapping[str, float], start: str | None
 ) -> tuple[dict[str, float], tuple[Setting, ...]]:
-    """Return every parameter's value, and the settings for those that were given.
+    """Return every parameter's value, and the settings for those in ``overrides``.
 
     Raises InputError for an unknown parameter, one that the simulation sets itself, or a value out of range.
     """
     values = {v.name: v.start for v in archive.parameters if v.name != start and v.start is not None}
     settings = []
-    for name, value in given.items():
+    for name, value in overrides.items():
         if name not in [v.name for v in archive.parameters if v.name != start]:
             known = [v.name for v in archive.parameters if v.name != start]
             allowed = nearest(name, known) if known else "it has none"
-            owned = (
+            hint = (
                 " is set by the simulation itself" if name == start
                 else " is an input, which a mapping file holds under [inputs], and no parameter"
                 if any(v.name == name for v in archive.inputs)
                 else ": no such parameter"
             )  # fmt: skip
-            raise InputError(f"{archive.path}: {name}{owned}; {allowed}")
+            raise InputError(f"{archive.path}: {name}{hint}; {allowed}")
         variable = archive.parameter(name)
         _need_value(archive, variable, value)
         values[name] = float(value)

@@ -45,26 +45,26 @@ _archives: Memory[Archive] = Memory(64)
 class Feed(NamedTuple):
     """Connection to a component's input: ``factor * value + offset`` of another component's output."""
 
-    part: int
+    component: int
     variable: Variable
     source: int  # the component
     output: Variable
     factor: float
     offset: float
-    late: bool  # it is that of the step's beginning, because the source is stepped later
+    late: bool  # the value of the step's beginning, because the source is stepped later
 
 
 class ComponentVariable(NamedTuple):
     """A variable of a system: that of a component, and on the way there or from there ``factor * value + offset``."""
 
-    part: int
+    component: int
     variable: Variable
     factor: float = 1.0
     offset: float = 0.0
 
 
 @dataclass(frozen=True)
-class Part:
+class Component:
     """A component of a system: an FMU in its archive."""
 
     name: str
@@ -77,19 +77,19 @@ class Part:
 class System:
     """The components of a system in stepping order, and their connections.
 
-    ``places``: by the reference of a variable of the system; an input may be several components'.
+    ``targets``: by the reference of a variable of the system; an input may be several components'.
     """
 
-    parts: tuple[Part, ...]
+    components: tuple[Component, ...]
     feeds: tuple[Feed, ...]
-    places: tuple[tuple[ComponentVariable, ...], ...]
+    targets: tuple[tuple[ComponentVariable, ...], ...]
 
     @property
     def late(self) -> list[str]:
         """Descriptions of the connections whose values are exchanged one step late."""
-        parts = self.parts
+        names = [component.name for component in self.components]
         return [
-            f"{parts[feed.source].name}.{feed.output.name} to {parts[feed.part].name}.{feed.variable.name}"
+            f"{names[feed.source]}.{feed.output.name} to {names[feed.component]}.{feed.variable.name}"
             for feed in self.feeds
             if feed.late
         ]
@@ -101,15 +101,15 @@ class Archive:
 
     path: Path
     sha256: str
-    equations_sha256: str | None  # of an engine of the library: see equations_of; None for any other
+    equations_sha256: str | None  # see equations_of; None if not of the library
     fmi: int  # 2 or 3
     version: str  # of FMI, as the description says
     model: str
     identifier: str
     token: str
-    engines: tuple[Mapping[str, Port], ...]  # that it holds: the ports of each
+    engines: tuple[Mapping[str, Port], ...]  # the ports of each engine in it
     port_notes: tuple[str, ...]  # what was assumed about the ports
-    blemishes: tuple[str, ...]  # of the description, that stepping does not depend on
+    blemishes: tuple[str, ...]  # violations of FMI that stepping does not depend on
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     parameters: tuple[Variable, ...]
@@ -119,12 +119,12 @@ class Archive:
     returns_early: bool  # FMI 3.0: it may return from a step before its end
     saves_state: bool
     serializes_state: bool
-    starting: Starting = field(default_factory=Starting)  # what is done with an instance before it is asked for thrust
-    system: System | None = field(default=None, repr=False)  # of a system of FMUs: what it is made of
-    clocks: tuple[InputClock, ...] = ()  # that are ticked; the first is that of its clocked ports, where it has such
+    starting: Starting = field(default_factory=Starting)  # what an instance goes through before it gives thrust
+    system: System | None = field(default=None, repr=False)  # None: one FMU
+    clocks: tuple[InputClock, ...] = ()  # that are ticked; first that of its clocked ports, if any
 
-    def parts(self, step: float) -> int:
-        """Return into how many parts a step [s] is divided so that every clock ticks between two parts."""
+    def substeps(self, step: float) -> int:
+        """Return into how many substeps a step [s] is divided so that every clock ticks between two of them."""
         return max([1, *(round(step / clock.interval) for clock in self.clocks)])
 
     @property
@@ -163,16 +163,16 @@ def read_archive(path: Path, ports: PortMap | None = None) -> Archive:
 
 
 def read_once(
-    path: Path, ports: PortMap | None, known: Memory[Archive], read: Callable[[Path, bytes, str, PortMap], Archive]
+    path: Path, ports: PortMap | None, cache: Memory[Archive], read: Callable[[Path, bytes, str, PortMap], Archive]
 ) -> Archive:
-    """Return ``read`` of a file's path, bytes, SHA-256 and port map, taken from the cache ``known`` where possible.
+    """Return ``read`` of a file's path, bytes, SHA-256 and port map, taken from ``cache`` where possible.
 
     Raises InputError with the file and what is wrong with it.
     """
     try:
-        stated, data = ports or PortMap(), read_bytes(path)
+        port_map, data = ports or PortMap(), read_bytes(path)
         sha256 = hashlib.sha256(data).hexdigest()
-        return known.get((path, sha256, repr(stated)), lambda: read(path, data, sha256, stated))
+        return cache.get((path, sha256, repr(port_map)), lambda: read(path, data, sha256, port_map))
     except UnusableError as reason:
         raise InputError(f"{path}: {reason}") from reason
 
@@ -181,7 +181,7 @@ def libraries_of(archive: Archive) -> list[str]:
     """Return the paths of this platform's libraries relative to the folder of an unpacked archive."""
     if archive.system is None:
         return [library_of(archive)]
-    return [f"{number}/{library_of(part.archive)}" for number, part in enumerate(archive.system.parts)]
+    return [f"{number}/{library_of(component.archive)}" for number, component in enumerate(archive.system.components)]
 
 
 def library_of(archive: Archive) -> str:
@@ -206,13 +206,13 @@ def read_component(path: Path, data: bytes) -> Archive:
     return _read(path, data, hashlib.sha256(data).hexdigest(), None)
 
 
-def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archive:
+def _read(path: Path, data: bytes, sha256: str, port_map: PortMap | None) -> Archive:
     names, xml = open_archive(data)
     root = parse(xml)
     fmi = fmi_of(root)
     description, blemishes = describe(data)
     cosimulation = description.coSimulation
-    _need_library(names, fmi, cosimulation.modelIdentifier)
+    _check_library(names, fmi, cosimulation.modelIdentifier)
     _read_unsigned(root, description)
     elements = _all_elements(description)
     inputs, outputs, parameters = (
@@ -220,17 +220,17 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
     )
     engines: tuple[Mapping[str, Port], ...] = ()
     notes: list[str] = []
-    begin = Starting()
+    starting = Starting()
     try:
-        if stated is not None:
-            engines, notes = find_engines([*inputs, *outputs, *parameters], stated)
-            begin = resolve_start(stated, inputs, outputs, label_ports(engines))
-            notes += note_unset_inputs(inputs, label_ports(engines), begin)
+        if port_map is not None:
+            engines, notes = find_engines([*inputs, *outputs, *parameters], port_map)
+            starting = resolve_start(port_map, inputs, outputs, label_ports(engines))
+            notes += note_unset_inputs(inputs, label_ports(engines), starting)
     except PortError as error:
         raise UnusableError(str(error)) from error
     without = (
         "the FMU has no event mode" if not cosimulation.hasEventMode
-        else "the components of a system are stepped without event mode" if stated is None
+        else "the components of a system are stepped without event mode" if port_map is None
         else None
     )  # fmt: skip
     events, clocks, clock_notes = find_clocks(root, without, label_ports(engines))
@@ -256,7 +256,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
         returns_early=cosimulation.mightReturnEarlyFromDoStep,
         saves_state=cosimulation.canGetAndSetFMUstate,
         serializes_state=cosimulation.canGetAndSetFMUstate and cosimulation.canSerializeFMUstate,
-        starting=begin,
+        starting=starting,
         clocks=clocks if events else (),
     )
 
@@ -273,7 +273,7 @@ def equations_of(data: bytes, root: ElementTree.Element, description: Any) -> st
     for name, text in own_sources(data):
         digest.update(f"{name}\0".encode() + text + b"\0")
     for v in sorted(description.modelVariables, key=lambda v: str(v.name)):
-        digest.update(repr([str(part) for part in (v.name, v.causality, v.start, v.min, v.max, v.unit)]).encode())
+        digest.update(repr([str(value) for value in (v.name, v.causality, v.start, v.min, v.max, v.unit)]).encode())
     return digest.hexdigest()
 
 
@@ -282,10 +282,10 @@ def own_sources(data: bytes) -> list[tuple[str, bytes]]:
 
     Raises UnusableError where one is damaged.
     """
-    given = {f"sources/{name}" for name in (*ADAPTER, *ADAPTER_GENERATED, "fmi2.c", "fmi3.c")}
+    adapter = {f"sources/{name}" for name in (*ADAPTER, *ADAPTER_GENERATED, "fmi2.c", "fmi3.c")}
     try:
         with Zip(io.BytesIO(data)) as fmu:
-            names = sorted(set(fmu.namelist()) - given)
+            names = sorted(set(fmu.namelist()) - adapter)
             return [(name, fmu.read(name)) for name in names if name.startswith("sources/")]
     except DAMAGE as error:
         raise UnusableError(f"is damaged or truncated: {one_line(error)}") from error
@@ -300,42 +300,42 @@ def label_ports(engines: Sequence[Mapping[str, Port]]) -> dict[str, Port]:
     }
 
 
-def note_unset_inputs(inputs: Sequence[Variable], ports: Mapping[str, Port], begin: Starting) -> list[str]:
+def note_unset_inputs(inputs: Sequence[Variable], ports: Mapping[str, Port], starting: Starting) -> list[str]:
     """Return a note on inputs that nothing sets, or an empty list."""
-    set_ = {port.variable.name for port in ports.values()} | {
-        v.name for settings in (begin.constants, *(stage.settings for stage in begin.stages)) for v, _ in settings
+    assigned = {port.variable.name for port in ports.values()} | {
+        v.name for settings in (starting.constants, *(stage.settings for stage in starting.stages)) for v, _ in settings
     }
-    left = [v for v in inputs if v.name not in set_ and not v.is_array]
-    if not left:
+    unset = [v for v in inputs if v.name not in assigned and not v.is_array]
+    if not unset:
         return []
-    shown = ", ".join(v.name if v.start is None else f"{v.name} = {v.start:g}" for v in left[:10])
-    more = f" and {len(left) - 10} more" if len(left) > 10 else ""
+    shown = ", ".join(v.name if v.start is None else f"{v.name} = {v.start:g}" for v in unset[:10])
+    more = f" and {len(unset) - 10} more" if len(unset) > 10 else ""
     return [f"inputs that stay at their start values, unless a mapping file says otherwise in [inputs]: {shown}{more}"]
 
 
 def _read_unsigned(root: ElementTree.Element, description: Any) -> None:
     """Fill in the limits of FMI 3.0's unsigned variables, which FMPy leaves out."""
-    stated = {
+    unsigned = {
         element.get("name"): element for element in root.iterfind("ModelVariables/*") if element.tag.startswith("UInt")
     }
     for v in description.modelVariables:
-        if v.name in stated:
-            v.min, v.max = (stated[v.name].get(key) for key in ("min", "max"))
+        if v.name in unsigned:
+            v.min, v.max = (unsigned[v.name].get(key) for key in ("min", "max"))
 
 
-def _need_library(names: list[str], fmi: int, identifier: str) -> None:
+def _check_library(names: list[str], fmi: int, identifier: str) -> None:
     import fmpy
 
     needed = f"binaries/{platform_folder(fmi)}/{identifier}{fmpy.sharedLibraryExtension}"
     if needed in names:
         return
     inside = sorted(name.split("/", 2)[1:] for name in names if name.startswith("binaries/") and name.count("/") > 1)
-    own = [file for folder, file in inside if folder == platform_folder(fmi)]
+    here = [file for folder, file in inside if folder == platform_folder(fmi)]
     folders = ", ".join(dict.fromkeys(folder for folder, file in inside if file))
     has = f"it has: {folders or 'no binary at all'}"
-    if own:
-        held = ", ".join(file for file in own if file)
-        has = f"folder {platform_folder(fmi)} {f'holds {held}' if held else 'is empty'}"
+    if here:
+        files = ", ".join(file for file in here if file)
+        has = f"folder {platform_folder(fmi)} {f'holds {files}' if files else 'is empty'}"
     more = "; it has sources: hexjet fmu compile makes one of them" if has_sources(names) else ""
     raise UnusableError(f"has no binary for this machine, {needed} ({has}){more}")
 
@@ -375,10 +375,10 @@ def _elements(v: Any, bases: Mapping[str, Unit]) -> list[Variable]:
         return [_variable(v, v.name, 0, starts, bases)]
     if not 1 <= size <= LARGEST_ARRAY or not starts:
         return []
-    places = itertools.product(*(range(1, length + 1) for length in shape))
+    subscripts = itertools.product(*(range(1, length + 1) for length in shape))
     return [
-        _variable(v, f"{v.name}[{','.join(map(str, place))}]", index, starts, bases)
-        for index, place in enumerate(places)
+        _variable(v, f"{v.name}[{','.join(map(str, subscript))}]", index, starts, bases)
+        for index, subscript in enumerate(subscripts)
     ]
 
 

@@ -28,13 +28,13 @@ class InputClock(NamedTuple):
 
 
 def find_clocks(
-    root: ElementTree.Element, without: str | None, ports: Mapping[str, Port]
+    root: ElementTree.Element, reason_against: str | None, ports: Mapping[str, Port]
 ) -> tuple[bool, tuple[InputClock, ...], list[str]]:
     """Return whether event mode can be used, the input clocks ticked in it, and notes on the other clocks.
 
     An input may be set in step mode where it is continuous, and at its clock's ticks where it has one; one that is
-    discrete without a clock may be set in event mode alone, so with such a port event mode is left off.  ``without``
-    is why there is none anyway.
+    discrete without a clock may be set in event mode alone, so with such a port event mode is left off.
+    ``reason_against``: why there is no event mode anyway, or None.
     """
     ticked, notes = [], []
     for element in root.iterfind("ModelVariables/Clock[@causality='input']"):
@@ -54,32 +54,32 @@ def find_clocks(
                 "beforehand is ticked"
             )
     inputs = [port.variable for name, port in ports.items() if port.variable.causality == "input"]
-    of_ports = {v.clocks for v in inputs if v.clocks}
-    known = {clock.reference for clock in ticked}
-    free = all(v.variability == "continuous" or set(v.clocks) & known for v in inputs)
+    port_clocks = {v.clocks for v in inputs if v.clocks}
+    ticked_references = {clock.reference for clock in ticked}
+    settable = all(v.variability == "continuous" or set(v.clocks) & ticked_references for v in inputs)
     switch = any(port.variable.clocks for name, port in ports.items() if name.startswith("run"))
-    events = without is None and free and len(of_ports) <= 1 and not switch and len(ticked) <= MOST_CLOCKS
+    events = reason_against is None and settable and len(port_clocks) <= 1 and not switch and len(ticked) <= MOST_CLOCKS
     if ticked and not events:
         why = (
-            without if without is not None
-            else "a port is discrete, without a clock that ticks" if not free
-            else "its ports have several clocks" if len(of_ports) > 1
+            reason_against if reason_against is not None
+            else "a port is discrete, without a clock that ticks" if not settable
+            else "its ports have several clocks" if len(port_clocks) > 1
             else "its run switch has a clock" if switch
             else f"it has more than {MOST_CLOCKS}"
         )  # fmt: skip
         notes += [f"its clock {clock.name} never ticks: {why}" for clock in ticked]
     elif ticked:
         notes += [f"its clock {clock.name} ticks every {clock.interval:g} s" for clock in ticked]
-    first = of_ports.pop() if of_ports else ()
+    first = port_clocks.pop() if port_clocks else ()
     return events, tuple(sorted(ticked, key=lambda clock: clock.reference not in first)), notes
 
 
-def _seconds(element: ElementTree.Element, what: str, otherwise: float | None) -> float | None:
+def _seconds(element: ElementTree.Element, what: str, default: float | None) -> float | None:
     """Return a clock's interval or shift [s], stated as a decimal or as counts of a resolution."""
     decimal, count, resolution = (element.get(key) for key in (f"{what}Decimal", f"{what}Counter", "resolution"))
     try:
         if decimal is not None:
             return float(decimal)
-        return int(count) / int(resolution) if count and resolution else otherwise
+        return int(count) / int(resolution) if count and resolution else default
     except (ValueError, ZeroDivisionError):
         return None

@@ -75,8 +75,8 @@ class FmuInstance:
         self._stepping = False
         self._step = 1.0  # s, of communication, once it is known
         self._dead = False
-        self._done = 0  # communication steps of the start
-        self._inputs = [_canonical(0.0, STANDARD_AIR)] * len(archive.engines)  # what they were set to
+        self._start_steps = 0  # communication steps that the start took
+        self._inputs = [_input_values(0.0, STANDARD_AIR)] * len(archive.engines)  # as set last
         self.fmu: Any = load() if load is not None else _load(archive, folder, name)
         try:
             with _isolate_modules(self._resources) if self._python else nullcontext():
@@ -146,8 +146,8 @@ class FmuInstance:
         if self.archive.one_speed:
             mean = fmean(air.speed for air in airs)
             airs = tuple(air._replace(speed=mean) for air in airs)
-        self._inputs = [_canonical(*values) for values in zip(throttles, airs, strict=True)]
-        self._done, self._step = 0, step
+        self._inputs = [_input_values(*values) for values in zip(throttles, airs, strict=True)]
+        self._start_steps, self._step = 0, step
         if self.archive.fmi == 2:
             self.call("setupExperiment", startTime=0.0)
         self.write([*settings, *self.archive.starting.constants])
@@ -166,7 +166,7 @@ class FmuInstance:
             self._handle_events()
         if not cold:
             self._start(step)
-        thrusts = [self.output("thrust", lane) for lane in range(len(engines))]
+        thrusts = [self.output("thrust", slot) for slot in range(len(engines))]
         if not all(map(math.isfinite, thrusts)):
             raise InstanceError("thrust is not finite at the start")
         return thrusts[0]
@@ -179,7 +179,7 @@ class FmuInstance:
             while ignition.advance(self.write, self.read):
                 native = native or _bank.Bank((self.row(),), step)
                 native.hold(0, ignition.throttle, 1, True)
-                self._done += 1
+                self._start_steps += 1
         except StartError as error:
             raise InstanceError(str(error)) from error
         except _bank.FailureError as failure:
@@ -198,17 +198,17 @@ class FmuInstance:
             return variable.type
         return "Integer" if self.archive.fmi == 2 else "Int64"
 
-    def output(self, name: str, lane: int = 0) -> float:
+    def output(self, name: str, slot: int = 0) -> float:
         """Return an engine's present value at one of its ports in SI units; ram drag is subtracted from thrust."""
-        ports = self.archive.engines[lane]
+        ports = self.archive.engines[slot]
         port = ports[name]
         value = port.scale * self.read(port.variable)
         value = value + port.offset if port.offset else value
-        return value - self.output("ram_drag", lane) if name == "thrust" and "ram_drag" in ports else value
+        return value - self.output("ram_drag", slot) if name == "thrust" and "ram_drag" in ports else value
 
-    def set_run(self, on: bool, lane: int = 0) -> bool:
+    def set_run(self, on: bool, slot: int = 0) -> bool:
         """Set an engine's port ``run`` between two steps; False if it has none."""
-        port = self.archive.engines[lane].get("run")
+        port = self.archive.engines[slot].get("run")
         if port is None:
             return False
         self.write([(port.variable, port.value(float(on)))])
@@ -282,27 +282,27 @@ class FmuInstance:
         """
         archive = self.archive
         stations = range(len(archive.engines)) if stations is None else stations
-        sets, inputs = self._blocks("set", INPUTS)
-        gets, outputs = self._blocks("get", (*OUTPUTS, "ram_drag"))
+        sets, inputs = self._call_blocks("set", INPUTS)
+        gets, outputs = self._call_blocks("get", (*OUTPUTS, "ram_drag"))
         return (
             archive.fmi,
             self.fmu.component,
             self._address(f"fmi{archive.fmi}DoStep"),
             tuple(self._address(name) if archive.event_mode else 0 for name in EVENT_FUNCTIONS),
-            self._done + done,
+            self._start_steps + done,
             sets,
             gets,
             archive.one_speed,
-            archive.parts(self._step),
-            tuple((clock.reference, *self._grid(clock)) for clock in archive.clocks),
+            archive.substeps(self._step),
+            tuple((clock.reference, *self._tick_grid(clock)) for clock in archive.clocks),
             tuple(
-                (station, inputs[lane], outputs[lane], tuple(self._inputs[lane][name] for name in BASE))
-                for lane, station in enumerate(stations)
+                (station, inputs[slot], outputs[slot], tuple(self._inputs[slot][name] for name in BASE))
+                for slot, station in enumerate(stations)
             ),
         )
 
-    def _grid(self, clock: InputClock) -> tuple[int, int]:
-        grid = clock.grid(self._step, self.archive.parts(self._step))
+    def _tick_grid(self, clock: InputClock) -> tuple[int, int]:
+        grid = clock.grid(self._step, self.archive.substeps(self._step))
         if grid is None:  # a step that need_whole_steps refuses
             raise InstanceError(f"its clock {clock.name} does not tick at whole parts of a step of {self._step:g} s")
         return grid
@@ -310,7 +310,7 @@ class FmuInstance:
     def _address(self, name: str) -> int:
         return ctypes.cast(getattr(self.fmu.dll, name), ctypes.c_void_p).value or 0
 
-    def _blocks(
+    def _call_blocks(
         self, way: Literal["set", "get"], names: Sequence[str]
     ) -> tuple[tuple[_bank.Block, ...], list[tuple[_bank.Place | None, ...]]]:
         """Return one FMI call for each type of the ports, the first port's first, and each port's index in its values.
@@ -318,37 +318,37 @@ class FmuInstance:
         The indices are by engine; those of the first port of all engines come before those of the second.
         """
         engines = self.archive.engines
-        ports = {(name, lane): engine[name] for name in names for lane, engine in enumerate(engines) if name in engine}
+        ports = {(name, slot): engine[name] for name in names for slot, engine in enumerate(engines) if name in engine}
         ticked = bool(way == "set" and self.archive.clocks)
 
-        def together(v: Variable) -> tuple[str, bool]:
+        def call_group(v: Variable) -> tuple[str, bool]:
             return v.type, ticked and bool(v.clocks)
 
-        types = list(dict.fromkeys(together(port.variable) for port in ports.values()))
-        # the throttles alone are set in every step: their references, and how many values these have
-        alone = {v.reference: len(v.starts) for v in (engine[names[0]].variable for engine in engines)}
+        types = list(dict.fromkeys(call_group(port.variable) for port in ports.values()))
+        # Only the throttles are set in every step: the number of values by reference.
+        throttles_by_reference = {v.reference: len(v.starts) for v in (engine[names[0]].variable for engine in engines)}
         blocks: list[_bank.Block] = []
         places: dict[tuple[str, int], _bank.Place] = {}
         for number, (kind, clocked) in enumerate(types):
             values: list[float] = []
-            begin: dict[int, int] = {}  # reference: its first value
-            for (name, lane), port in ports.items():
+            first_index: dict[int, int] = {}  # reference: its first value
+            for (name, slot), port in ports.items():
                 v = port.variable
-                if together(v) != (kind, clocked):
+                if call_group(v) != (kind, clocked):
                     continue
-                if v.reference not in begin:
-                    begin[v.reference] = len(values)
+                if v.reference not in first_index:
+                    first_index[v.reference] = len(values)
                     values += v.starts
-                index = begin[v.reference] + v.index
+                index = first_index[v.reference] + v.index
                 if way == "set":
-                    values[index] = port.value(self._inputs[lane][name])
-                    places[name, lane] = number, index, port.gain, port.bias, port.low, port.high
+                    values[index] = port.value(self._inputs[slot][name])
+                    places[name, slot] = number, index, port.gain, port.bias, port.low, port.high
                 else:
-                    places[name, lane] = number, index, port.scale, port.offset, -math.inf, math.inf
+                    places[name, slot] = number, index, port.scale, port.offset, -math.inf, math.inf
             function = self._address(f"fmi{self.archive.fmi}{way.capitalize()}{kind}")
-            first = (len(alone), sum(alone.values())) if number == 0 else (0, 0)
-            blocks.append((function, VALUES[kind], tuple(begin), tuple(values), *first, clocked))
-        return tuple(blocks), [tuple(places.get((name, lane)) for name in names) for lane in range(len(engines))]
+            first = (len(throttles_by_reference), sum(throttles_by_reference.values())) if number == 0 else (0, 0)
+            blocks.append((function, VALUES[kind], tuple(first_index), tuple(values), *first, clocked))
+        return tuple(blocks), [tuple(places.get((name, slot)) for name in names) for slot in range(len(engines))]
 
     def close(self) -> None:
         """Terminate and free the instance, and let go of the library."""
@@ -356,7 +356,7 @@ class FmuInstance:
             return
         fmu, self.fmu = self.fmu, None
         if self._python:
-            _leave_path(self._resources)
+            _remove_from_path(self._resources)
         if self._dead:
             return  # after a fatal error nothing may be called any more, not even to free it
         version = self.archive.fmi
@@ -378,18 +378,18 @@ def _isolate_modules(resources: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        _leave_path(resources)
+        _remove_from_path(resources)
         sys.path.append(folder)  # for what it imports later
         for name, module in list(sys.modules.items()):
             if str(getattr(module, "__file__", None) or "").startswith(folder + os.sep):
                 del sys.modules[name]  # the instance keeps what it has
 
 
-def _leave_path(resources: Path) -> None:
+def _remove_from_path(resources: Path) -> None:
     sys.path[:] = [entry for entry in sys.path if Path(entry) != resources]
 
 
-def _canonical(throttle: float, air: Air) -> dict[str, float]:
+def _input_values(throttle: float, air: Air) -> dict[str, float]:
     return dict(zip(BASE, (throttle, *air), strict=True)) | air.derived()
 
 

@@ -110,7 +110,7 @@ class _Scale(Model):
 
     @field_validator("*")
     @classmethod
-    def _not_nothing(cls, value: float | None) -> float | None:
+    def _nonzero(cls, value: float | None) -> float | None:
         if value is not None and (value == 0.0 or not isfinite(value)):
             raise ValueError("must be a finite number other than 0")
         return value
@@ -132,11 +132,11 @@ class _FlameOut(Model):
     relight_s: Positive | None = None
 
     @model_validator(mode="after")
-    def _one_or_the_other(self) -> Self:
-        stated = [self.thrust_left, self.run_down_s, self.exponent, self.relight_s]
-        if self.electric and any(value is not None for value in stated):
+    def _one_form(self) -> Self:
+        numbers = [self.thrust_left, self.run_down_s, self.exponent, self.relight_s]
+        if self.electric and any(value is not None for value in numbers):
             raise ValueError("electric = true stands alone")
-        if not self.electric and None in stated:
+        if not self.electric and None in numbers:
             raise ValueError("state thrust_left, run_down_s, exponent and relight_s, or electric = true")
         return self
 
@@ -144,29 +144,29 @@ class _FlameOut(Model):
         return law_of(self.model_dump(exclude_none=True))
 
 
-def flat(table: object) -> object:
+def flatten(table: object) -> object:
     """Return nested tables with dotted keys: ``emf.k = 1`` means Modelica's name, TOML reads a table ``emf``."""
     if not isinstance(table, dict):
         return table
     values: dict[str, object] = {}
     for name, value in table.items():
-        inner = flat(value)
+        inner = flatten(value)
         values |= {f"{name}.{rest}": v for rest, v in inner.items()} if isinstance(inner, dict) else {name: value}
     return values
 
 
-Held = bool | float | str  # of an input: a number, true or false, or the name of an enumeration's item
+ConstantValue = bool | float | str  # of an input: a number, true or false, or the name of an enumeration's item
 
 
 class _Stage(Model):
-    set: Annotated[dict[str, Held], BeforeValidator(flat)] = Field(default_factory=dict)
+    set: Annotated[dict[str, ConstantValue], BeforeValidator(flatten)] = Field(default_factory=dict)
     throttle: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     for_s: Positive | None = None
     until: str | None = None
     at_most_s: Annotated[float, Field(gt=0.0, le=LONGEST_START_S)] | None = None
 
     @model_validator(mode="after")
-    def _ends(self) -> Self:
+    def _has_one_end(self) -> Self:
         if (self.for_s is None) == (self.until is None):
             raise ValueError("say how it ends: for_s = 5.0, or until = 'output > number'")
         if self.until is not None and CONDITION.fullmatch(self.until) is None:
@@ -197,14 +197,14 @@ class MappingFile(Model):
     units: _Units = Field(default_factory=_Units.model_construct)
     range: _Range = Field(default_factory=_Range.model_construct)
     scale: _Scale = Field(default_factory=_Scale.model_construct)
-    parameters: Annotated[dict[str, float], BeforeValidator(flat)] = Field(default_factory=dict)
-    inputs: Annotated[dict[str, Held], BeforeValidator(flat)] = Field(default_factory=dict)
+    parameters: Annotated[dict[str, float], BeforeValidator(flatten)] = Field(default_factory=dict)
+    inputs: Annotated[dict[str, ConstantValue], BeforeValidator(flatten)] = Field(default_factory=dict)
     start: _Start = Field(default_factory=_Start.model_construct)
     rest: _Rest = Field(default_factory=_Rest.model_construct)
     rotor: _Rotor = Field(default_factory=_Rotor.model_construct)
     flame_out: _FlameOut | None = None
     ledger: _Ledger = Field(default_factory=_Ledger.model_construct)
-    log: Annotated[dict[str, VariableName], BeforeValidator(flat)] = Field(default_factory=dict)  # column: output
+    log: Annotated[dict[str, VariableName], BeforeValidator(flatten)] = Field(default_factory=dict)  # column: output
     parameter_set: str | None = Field(default=None, min_length=1)  # a file (SSV) beside it; [parameters] go before it
 
 
@@ -217,7 +217,7 @@ class PortMap:
     throttle_range: tuple[float, float] | None = None
     search: bool = True  # look for the ports that are not stated
     scale: Mapping[str, float] = field(default_factory=dict)  # the port is so many times the variable
-    inputs: Mapping[str, Held] = field(default_factory=dict)  # that are held
+    inputs: Mapping[str, ConstantValue] = field(default_factory=dict)  # that are constant
     start: _Start = field(default_factory=_Start.model_construct)
     rest_n: float = 0.0  # N, peak to peak, within which a thrust stands still
 
@@ -239,7 +239,7 @@ def read_mapping(path: Path) -> tuple[MappingFile, Path, PortMap]:
     limits = file.range.throttle
     if limits and limits[0] == limits[1]:
         raise InputError(f"{path}: range.throttle = {list(limits)}: what 0 and 1 are must differ")
-    for port, unit in _stated(file.units).items():
+    for port, unit in _stated_values(file.units).items():
         quantity = KINDS[port].quantity
         if port != "throttle" and by_name(unit, quantity) is None:
             raise InputError(f"{path}: units.{port} = {unit!r}: allowed: {', '.join(quantity.units)}")
@@ -247,10 +247,10 @@ def read_mapping(path: Path) -> tuple[MappingFile, Path, PortMap]:
         file,
         path.parent / file.fmu,
         PortMap(
-            _stated(file.ports),
-            _stated(file.units),
+            _stated_values(file.ports),
+            _stated_values(file.units),
             limits,
-            scale=_stated(file.scale),
+            scale=_stated_values(file.scale),
             inputs=file.inputs,
             start=file.start,
             rest_n=file.rest.thrust,
@@ -258,5 +258,5 @@ def read_mapping(path: Path) -> tuple[MappingFile, Path, PortMap]:
     )
 
 
-def _stated(table: Model) -> dict[str, Any]:
+def _stated_values(table: Model) -> dict[str, Any]:
     return {name: value for name, value in table.model_dump().items() if value is not None}

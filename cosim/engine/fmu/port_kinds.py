@@ -24,7 +24,7 @@ from cosim.engine.fmu.variables import LEVERS, REALS, SWITCHES
 # In the order of the C loop.
 BASE = ("throttle", "ambient_pressure", "ambient_temperature", "air_speed")
 INPUTS = (*BASE, *DERIVED)
-ASIDE = ("force_forward", "force_right", "torque")  # what an engine does to the airframe beside its thrust
+ASIDE = ("force_forward", "force_right", "torque")  # loads of an engine on the airframe other than its thrust
 OUTPUTS = ("thrust", "spool_speed", "exhaust_temperature", "fuel_flow", *ASIDE)
 AMBIENT = INPUTS[1:]
 NEEDED = ("throttle", "thrust")
@@ -47,7 +47,7 @@ class Kind(NamedTuple):
     types: tuple[str, ...]
     names: tuple[str, ...]
     vague: tuple[str, ...] = ()  # names that count where no better one is found
-    stated: bool = False  # never looked for, because an FMU that has it may mean another thing by it
+    only_mapped: bool = False  # never found by name, because an FMU may mean another thing by it
 
 
 KINDS: Mapping[str, Kind] = {
@@ -121,7 +121,7 @@ KINDS: Mapping[str, Kind] = {
         ),
         ("force", "f"),
     ),
-    "ram_drag": Kind("output", FORCE, REALS, (), stated=True),  # taken from a thrust that is the gross one
+    "ram_drag": Kind("output", FORCE, REALS, (), only_mapped=True),  # taken from a thrust that is the gross one
     "spool_speed": Kind(
         "output",
         ANGULAR_SPEED,
@@ -148,9 +148,9 @@ KINDS: Mapping[str, Kind] = {
         ),
     ),
     # in the frame of the jet, which tilts with it; a torque of an engine is most often that of its shaft
-    "force_forward": Kind("output", FORCE, REALS, (), stated=True),
-    "force_right": Kind("output", FORCE, REALS, (), stated=True),
-    "torque": Kind("output", MOMENT, REALS, (), stated=True),
+    "force_forward": Kind("output", FORCE, REALS, (), only_mapped=True),
+    "force_right": Kind("output", FORCE, REALS, (), only_mapped=True),
+    "torque": Kind("output", MOMENT, REALS, (), only_mapped=True),
     "start": Kind(
         "parameter",
         RATIO,

@@ -27,7 +27,7 @@ from cosim.engine.fmu.units import (
 )
 from cosim.engine.fmu.variables import INTEGERS, LEVERS, REALS, Port, Variable
 
-RANGE = "a mapping file does: [range] throttle = [what 0 is, what 1 is]"
+RANGE_ADVICE = "a mapping file does: [range] throttle = [what 0 is, what 1 is]"
 LEAST_STEPS = 20  # of a throttle in whole numbers, chosen by us: coarser than 5 % it is a switch
 NO_BOUND = 1e9  # tools write bounds such as 1e60 where there is none
 
@@ -36,21 +36,21 @@ class PortError(ValueError):
     """A port is missing, ambiguous or unfit: one line without the FMU's name, which the caller knows."""
 
 
-def find_engines(variables: Sequence[Variable], stated: PortMap) -> tuple[tuple[dict[str, Port], ...], list[str]]:
+def find_engines(variables: Sequence[Variable], port_map: PortMap) -> tuple[tuple[dict[str, Port], ...], list[str]]:
     """Return the ports of each engine in an FMU, and notes on what was assumed or left out.
 
     There is one engine unless ports are specified as several variables.  Other ports are shared by all engines.
     Raises PortError as :func:`find_ports`, and where the engines are not as many everywhere.
     """
-    members = {name: members_of(name, KINDS[name].causality, variable, variables)
-               for name, variable in stated.ports.items() if is_several(variable)}  # fmt: skip
+    members = {name: variables_of_engines(name, KINDS[name].causality, variable, variables)
+               for name, variable in port_map.ports.items() if names_several(variable)}  # fmt: skip
     if not members:
-        ports, notes = find_ports(variables, stated)
+        ports, notes = find_ports(variables, port_map)
         return (ports,), notes
     counts = {name: len(names) for name, names in members.items()}
-    lone = [name for name in NEEDED if name not in members]
-    if lone:
-        raise PortError(f"[ports] states several engines by {', '.join(members)}; their {' and '.join(lone)} too "
+    unmapped = [name for name in NEEDED if name not in members]
+    if unmapped:
+        raise PortError(f"[ports] states several engines by {', '.join(members)}; their {' and '.join(unmapped)} too "
                         "must be stated, one for each")  # fmt: skip
     if len(set(counts.values())) > 1:
         shown = ", ".join(f"{count} of {name}" for name, count in counts.items())
@@ -58,18 +58,18 @@ def find_engines(variables: Sequence[Variable], stated: PortMap) -> tuple[tuple[
     count = counts["throttle"]
     if not 2 <= count <= MOST_JETS:
         raise PortError(f"[ports] states {count} engines; 2 to {MOST_JETS} may be in one FMU")
-    shared = [name for name in OWN if name not in members and stated.ports.get(name)]
+    shared = [name for name in OWN if name not in members and port_map.ports.get(name)]
     if shared:
         raise PortError(f"[ports] {shared[0]} is one for {count} engines; state one for each, or an output in [log]")
     if "start" in members:
         raise PortError("[ports] start: several engines in one FMU are run up before a flight; leave it out")
-    rest = {name: variable for name, variable in stated.ports.items() if name not in members}
+    rest = {name: variable for name, variable in port_map.ports.items() if name not in members}
     rest |= {name: "" for name in OWN if name not in members}
     engines = []
     notes = []
     for k in range(count):
         own = {name: names[k] for name, names in members.items()}
-        ports, more = find_ports(variables, replace(stated, ports={**rest, **own}))
+        ports, more = find_ports(variables, replace(port_map, ports={**rest, **own}))
         engines.append(ports)
         notes += [note for note in more if note not in notes]
     _need_distinct_ports(engines)
@@ -77,33 +77,33 @@ def find_engines(variables: Sequence[Variable], stated: PortMap) -> tuple[tuple[
     return tuple(engines), [f"holds {count} engines, stepped as one: {pairs}", *notes]
 
 
-def is_several(stated: VariableName) -> bool:
+def names_several(name: VariableName) -> bool:
     """Return whether the variables specified for a port belong to several engines."""
-    return isinstance(stated, list) or "*" in stated
+    return isinstance(name, list) or "*" in name
 
 
-def members_of(port: str, causality: str, stated: VariableName, variables: Sequence[Variable]) -> list[str]:
+def variables_of_engines(port: str, causality: str, name: VariableName, variables: Sequence[Variable]) -> list[str]:
     """Return the variables specified for a port: a list unchanged, a ``*`` as all its numbers in rising order."""
-    if isinstance(stated, list):
-        return stated
-    shape = re.compile(re.escape(stated).replace(r"\*", r"(\d+)", 1))
-    fitting = [v.name for v in variables if v.causality == causality]
-    hits = sorted((int(match[1]), name) for name in fitting if (match := shape.fullmatch(name)))
-    if not hits:
-        raise PortError(f"has no {causality} like {stated}, with a number for *, for {port} "
-                        f"({_list(causality, [v for v in variables if v.causality == causality])})")  # fmt: skip
-    return [name for _, name in hits]
+    if isinstance(name, list):
+        return name
+    pattern = re.compile(re.escape(name).replace(r"\*", r"(\d+)", 1))
+    candidates = [v.name for v in variables if v.causality == causality]
+    matches = sorted((int(match[1]), candidate) for candidate in candidates if (match := pattern.fullmatch(candidate)))
+    if not matches:
+        raise PortError(f"has no {causality} like {name}, with a number for *, for {port} "
+                        f"({_list_names(causality, [v for v in variables if v.causality == causality])})")  # fmt: skip
+    return [match for _, match in matches]
 
 
 def _need_distinct_ports(engines: Sequence[Mapping[str, Port]]) -> None:
     """Refuse ports that two engines of one FMU must not share, and throttles of different types."""
-    taken: dict[tuple[str, str, int, int], str] = {}
+    used: dict[tuple[str, str, int, int], str] = {}
     for k, ports in enumerate(engines, start=1):
         for name in OWN:
             if name not in ports:
                 continue
             v = ports[name].variable
-            other = taken.setdefault((v.causality, v.type, v.reference, v.index), f"{name} of engine {k}")
+            other = used.setdefault((v.causality, v.type, v.reference, v.index), f"{name} of engine {k}")
             if other != f"{name} of engine {k}":
                 raise PortError(f"its {v.name} is both {other} and {name} of engine {k}; each has its own")
     types = {ports["throttle"].variable.type for ports in engines}
@@ -111,7 +111,7 @@ def _need_distinct_ports(engines: Sequence[Mapping[str, Port]]) -> None:
         raise PortError(f"its throttles are of several types, {', '.join(sorted(types))}; must be of one")
 
 
-def find_ports(variables: Sequence[Variable], stated: PortMap) -> tuple[dict[str, Port], list[str]]:
+def find_ports(variables: Sequence[Variable], port_map: PortMap) -> tuple[dict[str, Port], list[str]]:
     """Return all specified and detected ports of one engine, and notes on what was assumed or left out.
 
     Raises PortError if a needed or specified port is unfit; an unfit optional one is left out with a note.
@@ -119,26 +119,26 @@ def find_ports(variables: Sequence[Variable], stated: PortMap) -> tuple[dict[str
     ports: dict[str, Port] = {}
     notes: list[str] = []
     for name, kind in KINDS.items():
-        asked_for = stated.ports.get(name)
-        assert not isinstance(asked_for, list)  # of one engine
-        insist = name in NEEDED or asked_for or name in stated.units
-        if asked_for == "" and name in NEEDED:
+        mapped = port_map.ports.get(name)
+        assert not isinstance(mapped, list)  # of one engine
+        is_required = name in NEEDED or mapped or name in port_map.units
+        if mapped == "" and name in NEEDED:
             raise PortError(f"its {name} cannot be left unconnected")
-        if asked_for == "" or (asked_for is None and (kind.stated or not stated.search)):
+        if mapped == "" or (mapped is None and (kind.only_mapped or not port_map.search)):
             continue
         try:
-            variable = _named(name, kind, asked_for, variables) if asked_for else _search(name, kind, variables, ports)
-            if variable is None and insist:
-                raise PortError(f"has no {kind.causality} that is known as its {name}; {_how(name)}")
+            variable = _find_mapped(name, kind, mapped, variables) if mapped else _search(name, kind, variables, ports)
+            if variable is None and is_required:
+                raise PortError(f"has no {kind.causality} that is known as its {name}; {_advise_mapping(name)}")
             if variable is not None:
-                ports[name] = _connect(name, kind, variable, stated, ports, notes)
+                ports[name] = _make_port(name, kind, variable, port_map, ports, notes)
         except PortError as error:
-            if insist:
+            if is_required:
                 raise
             notes.append(f"no {name}: {error}")
-    taken: dict[tuple[str, int, int], str] = {}
+    used: dict[tuple[str, int, int], str] = {}
     for name, port in ports.items():
-        other = taken.setdefault((port.variable.type, port.variable.reference, port.variable.index), name)
+        other = used.setdefault((port.variable.type, port.variable.reference, port.variable.index), name)
         if other != name:
             raise PortError(f"its {port.variable.name} is both {other} and {name}; state one of them in [ports]")
     return ports, notes
@@ -159,17 +159,17 @@ def without_unit(name: str, quantity: Quantity) -> tuple[str, str | None]:
     return name, None
 
 
-def _named(port: str, kind: Kind, stated: str, variables: Sequence[Variable]) -> Variable:
+def _find_mapped(port: str, kind: Kind, name: str, variables: Sequence[Variable]) -> Variable:
     """Return the variable specified for a port; raise PortError if it is missing, ambiguous or of a wrong type."""
-    fitting = [v for v in variables if v.causality == kind.causality]
-    hits = [v for v in fitting if v.name == stated] or [v for v in fitting if v.name.lower() == stated.lower()]
-    if not hits:
-        raise PortError(f"has no {kind.causality} called {stated} for {port} ({_list(kind.causality, fitting)})")
-    if len(hits) > 1:
-        raise PortError(f"has several {kind.causality}s called {stated} in other case; state the exact name")
-    if hits[0].type not in kind.types:
-        raise PortError(f"its {hits[0].name} is of type {hits[0].type}; it must be one of: {', '.join(kind.types)}")
-    return hits[0]
+    candidates = [v for v in variables if v.causality == kind.causality]
+    matches = [v for v in candidates if v.name == name] or [v for v in candidates if v.name.lower() == name.lower()]
+    if not matches:
+        raise PortError(f"has no {kind.causality} called {name} for {port} ({_list_names(kind.causality, candidates)})")
+    if len(matches) > 1:
+        raise PortError(f"has several {kind.causality}s called {name} in other case; state the exact name")
+    if matches[0].type not in kind.types:
+        raise _wrong_type(matches[0], kind)
+    return matches[0]
 
 
 def _search(port: str, kind: Kind, variables: Sequence[Variable], ports: Mapping[str, Port]) -> Variable | None:
@@ -177,27 +177,26 @@ def _search(port: str, kind: Kind, variables: Sequence[Variable], ports: Mapping
 
     None if there is none and the port is not needed.
     """
-    taken = {port.variable.name for port in ports.values()}
-    fitting = [v for v in variables if v.causality == kind.causality and v.name not in taken and not v.is_array]
-    usable = [v for v in fitting if v.type in kind.types and not _other_quantity(port, kind, v)]
+    used = {port.variable.name for port in ports.values()}
+    candidates = [v for v in variables if v.causality == kind.causality and v.name not in used and not v.is_array]
+    usable = [v for v in candidates if v.type in kind.types and not _other_quantity(port, kind, v)]
     reals = [v for v in usable if v.type in REALS]
-    whole = usable if kind.types == LEVERS and len(reals) < len(usable) else []  # a lever in whole numbers comes second
-    for tier in (*_tiers(port, kind, reals if whole else usable), *_tiers(port, kind, whole)):
+    integers = usable if kind.types == LEVERS and len(reals) < len(usable) else []  # of a lever, tried last
+    for tier in (*_tiers(port, kind, reals if integers else usable), *_tiers(port, kind, integers)):
         if len(tier) == 1:
             return tier[0]
         if tier:
             names = ", ".join(v.name for v in tier)
-            raise PortError(f"has several {kind.causality}s that may be its {port}: {names}; {_how(port)}")
+            raise PortError(f"has several {kind.causality}s that may be its {port}: {names}; {_advise_mapping(port)}")
     if port not in NEEDED:
         return None
-    unfit = [v for v in fitting if v not in usable and plain(v.name) in kind.names + kind.vague]
+    unfit = [v for v in candidates if v not in usable and plain(v.name) in kind.names + kind.vague]
     if unfit and unfit[0].type not in kind.types:
-        raise PortError(f"its {unfit[0].name} is of type {unfit[0].type}; it must be one of: {', '.join(kind.types)}")
+        raise _wrong_type(unfit[0], kind)
     if unfit:
         raise _wrong_unit(port, unfit[0], _unit_complaint(unfit[0], kind))
-    listed = [v for v in variables if v.causality == kind.causality]
-    all_of_them = _list(kind.causality, listed)
-    raise PortError(f"has no {kind.causality} that is known as its {port} ({all_of_them}); {_how(port)}")
+    names = _list_names(kind.causality, [v for v in variables if v.causality == kind.causality])
+    raise PortError(f"has no {kind.causality} that is known as its {port} ({names}); {_advise_mapping(port)}")
 
 
 def _tiers(port: str, kind: Kind, usable: Sequence[Variable]) -> Iterable[list[Variable]]:
@@ -209,14 +208,9 @@ def _tiers(port: str, kind: Kind, usable: Sequence[Variable]) -> Iterable[list[V
     if port == "thrust":
         yield [v for v in usable if measures(v.unit, v.base, kind.quantity)]
     if port == "throttle":
-        others = [
-            name
-            for kind_of_port in KINDS.values()
-            for name in kind_of_port.names
-            if kind_of_port.causality == kind.causality
-        ]
-        left = [v for v, stem in zip(usable, stems, strict=True) if stem not in others]
-        yield left if len(left) == 1 else []
+        others = [name for other in KINDS.values() if other.causality == kind.causality for name in other.names]
+        rest = [v for v, stem in zip(usable, stems, strict=True) if stem not in others]
+        yield rest if len(rest) == 1 else []
 
 
 def _other_quantity(port: str, kind: Kind, v: Variable) -> bool:
@@ -237,42 +231,48 @@ def _unit_complaint(v: Variable, kind: Kind) -> str:
     return f"must be {kind.quantity.name}"
 
 
+def _wrong_type(v: Variable, kind: Kind) -> PortError:
+    return PortError(f"its {v.name} is of type {v.type}; it must be one of: {', '.join(kind.types)}")
+
+
 def _wrong_unit(port: str, v: Variable, complaint: str) -> PortError:
     return PortError(f"its {v.name} {complaint}; a mapping file states it: [units] {port} = ...")
 
 
-def _how(port: str) -> str:
+def _advise_mapping(port: str) -> str:
     return f'a mapping file states it: [ports] {port} = "..."'
 
 
-def _list(causality: str, variables: Sequence[Variable]) -> str:
+def _list_names(causality: str, variables: Sequence[Variable]) -> str:
     names = [v.name for v in variables]
     shown = ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
     return f"{causality}s: {shown or 'none'}"
 
 
-def _connect(name: str, kind: Kind, v: Variable, stated: PortMap, ports: Mapping[str, Port], notes: list[str]) -> Port:
+def _make_port(
+    name: str, kind: Kind, v: Variable, port_map: PortMap, ports: Mapping[str, Port], notes: list[str]
+) -> Port:
     """Return a port on a variable with the conversion to SI units, or to 0..1 for throttle and start."""
     if name == "throttle":
-        return _lever(v, stated, notes)
+        return _throttle_port(v, port_map, notes)
     if name == "start":
         own = _declared_range(v)
-        return _over_range(v, *own) if own else replace(ports["throttle"], variable=v)
+        return _port_over_range(v, *own) if own else replace(ports["throttle"], variable=v)
     if name == "run":
         if v.is_array:
             raise PortError(f"its {v.name} is an element of an array; {name} must be a scalar")
         return Port(v)
-    return _quantity(name, kind, v, stated, notes)
+    return _quantity_port(name, kind, v, port_map, notes)
 
 
-def _quantity(name: str, kind: Kind, v: Variable, stated: PortMap, notes: list[str]) -> Port:
+def _quantity_port(name: str, kind: Kind, v: Variable, port_map: PortMap, notes: list[str]) -> Port:
     """Return a port on a physical quantity, converted from the unit specified, declared or in the variable's name."""
-    unit = stated.units.get(name, v.unit)
+    unit = port_map.units.get(name, v.unit)
     if unit is None:
         unit = without_unit(v.name, kind.quantity)[1]
         if unit is not None:
             notes.append(f"{v.name} states no unit; it is taken to be in {unit}, as its name says")
-    scale = stated.scale.get(name, 1.0)
+    scale = port_map.scale.get(name, 1.0)
     if unit is None and kind.quantity is RATIO:
         return Port(v)
     if unit is None:
@@ -281,10 +281,10 @@ def _quantity(name: str, kind: Kind, v: Variable, stated: PortMap, notes: list[s
         notes.append(f"{v.name} states no unit; it is taken to be in {kind.quantity.si}")
         return Port(v, scale, 0.0, 1.0 / scale)
     try:
-        factor, offset = to_si(unit, None if name in stated.units else v.base, kind.quantity)
+        factor, offset = to_si(unit, None if name in port_map.units else v.base, kind.quantity)
     except UnitError as error:
         raise _wrong_unit(name, v, str(error)) from error
-    if name in stated.units and v.unit is not None and v.unit != unit:
+    if name in port_map.units and v.unit is not None and v.unit != unit:
         notes.append(f"{v.name} is in {v.unit}, says the FMU; the mapping file says {unit}, and that counts")
     if not (isfinite(factor) and factor != 0.0 and isfinite(offset)):
         raise PortError(f"its {v.name} is in {unit}, which the FMU defines by {factor:g} and {offset:g}")
@@ -292,21 +292,21 @@ def _quantity(name: str, kind: Kind, v: Variable, stated: PortMap, notes: list[s
     return Port(v, factor, offset, 1.0 / factor, -offset / factor if offset else 0.0)
 
 
-def _lever(v: Variable, stated: PortMap, notes: list[str]) -> Port:
+def _throttle_port(v: Variable, port_map: PortMap, notes: list[str]) -> Port:
     """Return the throttle port, 0 to 1 over the range that is specified, declared or implied by the unit."""
-    limits = stated.throttle_range or _declared_range(v)
-    if limits is None and v.type in INTEGERS and stated.units.get("throttle", v.unit) is None:
-        raise PortError(f"its {v.name} is a whole number and states no range; {RANGE}")
+    limits = port_map.throttle_range or _declared_range(v)
+    if limits is None and v.type in INTEGERS and port_map.units.get("throttle", v.unit) is None:
+        raise PortError(f"its {v.name} is a whole number and states no range; {RANGE_ADVICE}")
     if limits is None:
-        limits = _range_of_unit(v, stated.units.get("throttle", v.unit))
+        limits = _range_of_unit(v, port_map.units.get("throttle", v.unit))
         notes.append(f"{v.name} states no range; it is taken to run from {limits[0]:g} to {limits[1]:g}")
     if v.type in INTEGERS:
         steps = abs(limits[1] - limits[0])
         if steps < LEAST_STEPS:
             raise PortError(f"its {v.name} is a whole number from {limits[0]:g} to {limits[1]:g}: a throttle needs "
-                            f"{LEAST_STEPS} steps at least; {RANGE}")  # fmt: skip
+                            f"{LEAST_STEPS} steps at least; {RANGE_ADVICE}")  # fmt: skip
         notes.append(f"{v.name} is a whole number: the throttle moves in {steps:.0f} steps")
-    return _over_range(v, *limits)
+    return _port_over_range(v, *limits)
 
 
 def _declared_range(v: Variable) -> tuple[float, float] | None:
@@ -317,7 +317,7 @@ def _declared_range(v: Variable) -> tuple[float, float] | None:
     return v.min, v.max
 
 
-def _over_range(v: Variable, low: float, high: float) -> Port:
+def _port_over_range(v: Variable, low: float, high: float) -> Port:
     span = high - low
     return Port(v, 1.0 / span, -low / span if low else 0.0, span, low, min(low, high), max(low, high))
 
@@ -325,11 +325,13 @@ def _over_range(v: Variable, low: float, high: float) -> Port:
 def _range_of_unit(v: Variable, unit: str | None) -> tuple[float, float]:
     """Return the throttle range implied by its unit: 0 to 1 for a ratio, 0 to 100 for a percentage."""
     if unit is None and plain(v.name).endswith(("pla", "tla", "angle")):
-        raise PortError(f"its {v.name} states neither range nor unit; {RANGE}")
+        raise PortError(f"its {v.name} states neither range nor unit; {RANGE_ADVICE}")
     base = v.base if unit == v.unit else None
     if unit is not None and not measures(unit, base, RATIO):
-        raise PortError(f"its {v.name} is in {unit} and states no range; {RANGE}")
+        raise PortError(f"its {v.name} is in {unit} and states no range; {RANGE_ADVICE}")
     high = 1.0 if unit is None else 1.0 / to_si(unit, base, RATIO)[0]
     if not 0.0 <= (v.start or 0.0) <= high:
-        raise PortError(f"its {v.name} states no range and starts at {v.start:g}, outside 0 to {high:g}; {RANGE}")
+        raise PortError(
+            f"its {v.name} states no range and starts at {v.start:g}, outside 0 to {high:g}; {RANGE_ADVICE}"
+        )
     return 0.0, high

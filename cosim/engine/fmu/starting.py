@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from cosim.engine.fmu.mapping import CONDITION, Held, PortMap
+from cosim.engine.fmu.mapping import CONDITION, ConstantValue, PortMap
 from cosim.engine.fmu.ports import PortError
 from cosim.engine.fmu.variables import INTEGERS, REALS, Port, Variable
 
@@ -55,7 +55,7 @@ class Stage(NamedTuple):
 
     settings: tuple[Setting, ...]
     throttle: float
-    seconds: float  # that it lasts, or may last until the condition holds
+    seconds: float  # how long it lasts, or may last until the condition holds
     until: Until | None
 
 
@@ -79,8 +79,8 @@ class Ignition:
 
     def __init__(self, stages: Sequence[Stage], step: float) -> None:
         self._stages, self._step = stages, step
-        self._number = -1  # of the present stage, from 0
-        self._made = 0  # steps of it
+        self._number = -1  # number of the present stage, from 0
+        self._steps_made = 0  # of the present stage
         self.throttle = stages[0].throttle if stages else 0.0
 
     @property
@@ -94,27 +94,27 @@ class Ignition:
         Raises StartError where a condition does not come about in time.
         """
         if self._number < 0:
-            self._begin(write)
+            self._begin_stage(write)
         while self._number < len(self._stages):
             stage = self._stages[self._number]
             most = max(1, round(stage.seconds / self._step))
             until = stage.until
             if until is None:
-                over = self._made == most
-            elif not (over := until.holds(value := read(until.output))) and self._made == most:
+                over = self._steps_made == most
+            elif not (over := until.holds(value := read(until.output))) and self._steps_made == most:
                 raise StartError(
                     f"it does not start: {until} does not come about within {stage.seconds:g} s of stage "
                     f"{self.stage} of its [start]; {until.output.name} is {value:g}"
                 )
             if not over:
-                self._made += 1
+                self._steps_made += 1
                 return True
-            self._begin(write)
+            self._begin_stage(write)
         return False
 
-    def _begin(self, write: Callable[[Sequence[Setting]], None]) -> None:
+    def _begin_stage(self, write: Callable[[Sequence[Setting]], None]) -> None:
         self._number += 1
-        self._made = 0
+        self._steps_made = 0
         if self._number < len(self._stages):
             stage = self._stages[self._number]
             self.throttle = stage.throttle
@@ -122,56 +122,56 @@ class Ignition:
 
 
 def resolve_start(
-    stated: PortMap, inputs: Sequence[Variable], outputs: Sequence[Variable], ports: Mapping[str, Port]
+    port_map: PortMap, inputs: Sequence[Variable], outputs: Sequence[Variable], ports: Mapping[str, Port]
 ) -> Starting:
     """Resolve the start of a mapping file to variables and numbers.
 
     Raises PortError for an input or output that is not there, a port, or a value that the input cannot have.
     """
-    taken = {port.variable.name: name for name, port in ports.items()}
+    port_names = {port.variable.name: name for name, port in ports.items()}
     arrays = {port.variable.reference for port in ports.values() if port.variable.is_array}
 
-    def settings(table: Mapping[str, Held], where: str) -> tuple[Setting, ...]:
+    def settings(table: Mapping[str, ConstantValue], where: str) -> tuple[Setting, ...]:
         pairs = []
-        for name, held in table.items():
-            variable = _input(name, inputs, where)
-            if variable.name in taken:
-                raise PortError(f"{where}: {name} is its port {taken[variable.name]}, which the simulation sets")
+        for name, stated in table.items():
+            variable = _find_input(name, inputs, where)
+            if variable.name in port_names:
+                raise PortError(f"{where}: {name} is its port {port_names[variable.name]}, which the simulation sets")
             if variable.reference in arrays and variable.is_array:
                 raise PortError(f"{where}: {name} is an element of an array of which another is a port")
-            pairs.append((variable, value_of(variable, held, where)))
+            pairs.append((variable, value_of(variable, stated, where)))
         return tuple(pairs)
 
     stages = []
-    for k, stage in enumerate(stated.start.sequence, start=1):
+    for k, stage in enumerate(port_map.start.sequence, start=1):
         where = f"[start] stage {k}"
         until = None
         if stage.until is not None:
             match = CONDITION.fullmatch(stage.until)
             assert match is not None
-            hits = [v for v in outputs if v.name == match[1]]
-            if not hits:
-                raise PortError(f"{where}: no output is called {match[1]} ({_names(outputs)})")
-            until = Until(hits[0], match[2], float(match[3]))
+            matches = [v for v in outputs if v.name == match[1]]
+            if not matches:
+                raise PortError(f"{where}: no output is called {match[1]} ({_list_names(outputs)})")
+            until = Until(matches[0], match[2], float(match[3]))
         seconds = stage.for_s if stage.for_s is not None else stage.at_most_s or AT_MOST_S
         stages.append(Stage(settings(stage.set, where), stage.throttle or 0.0, seconds, until))
-    if stated.start.warm_up_s:
-        stages.append(Stage((), 0.0, stated.start.warm_up_s, None))
-    return Starting(settings(stated.inputs, "[inputs]"), tuple(stages), stated.rest_n)
+    if port_map.start.warm_up_s:
+        stages.append(Stage((), 0.0, port_map.start.warm_up_s, None))
+    return Starting(settings(port_map.inputs, "[inputs]"), tuple(stages), port_map.rest_n)
 
 
-def value_of(variable: Variable, held: Held, where: str) -> float:
+def value_of(variable: Variable, stated: ConstantValue, where: str) -> float:
     """Return the number for an input's specified value; raise PortError if the variable cannot have it."""
-    shown = f"{where}: {variable.name} = {held!r}"
-    if isinstance(held, str):
+    shown = f"{where}: {variable.name} = {stated!r}"
+    if isinstance(stated, str):
         items = dict(variable.items)
-        if held not in items:
+        if stated not in items:
             allowed = ", ".join(items) or "a number, because it is no enumeration"
             raise PortError(f"{shown}: allowed: {allowed}")
-        return float(items[held])
-    if isinstance(held, bool) and variable.type != "Boolean":
+        return float(items[stated])
+    if isinstance(stated, bool) and variable.type != "Boolean":
         raise PortError(f"{shown}: it is of type {variable.type}; a number goes here")
-    value = float(held)
+    value = float(stated)
     if variable.type == "Boolean" and value not in (0.0, 1.0):
         raise PortError(f"{shown}: true or false goes here")
     if variable.type in (*INTEGERS, "Enumeration") and value != round(value):
@@ -185,15 +185,15 @@ def value_of(variable: Variable, held: Held, where: str) -> float:
     return value
 
 
-def _input(name: str, inputs: Sequence[Variable], where: str) -> Variable:
-    hits = [v for v in inputs if v.name == name]
-    if not hits:
-        raise PortError(f"{where}: no input is called {name} ({_names(inputs)})")
-    if hits[0].type not in CONSTANTS:
-        raise PortError(f"{where}: {name} is of type {hits[0].type}; allowed: {', '.join(CONSTANTS)}")
-    return hits[0]
+def _find_input(name: str, inputs: Sequence[Variable], where: str) -> Variable:
+    matches = [v for v in inputs if v.name == name]
+    if not matches:
+        raise PortError(f"{where}: no input is called {name} ({_list_names(inputs)})")
+    if matches[0].type not in CONSTANTS:
+        raise PortError(f"{where}: {name} is of type {matches[0].type}; allowed: {', '.join(CONSTANTS)}")
+    return matches[0]
 
 
-def _names(variables: Sequence[Variable]) -> str:
+def _list_names(variables: Sequence[Variable]) -> str:
     shown = ", ".join(v.name for v in variables[:20])
     return f"there are: {shown or 'none'}" + (f" and {len(variables) - 20} more" if len(variables) > 20 else "")

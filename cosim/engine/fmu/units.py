@@ -1,7 +1,7 @@
 """Units of an FMU's variables: from what its description declares, or from a unit's name, to SI.
 
-A table of our own instead of a library of units: the description itself states almost every unit in SI base units, what
-remains is a few dozen names, and a library knows none of the quirks below (a revolution without ``rad``).
+A table instead of a library of units: the description itself states almost every unit in SI base units, what remains is
+a few dozen names, and a library knows none of the quirks below (a revolution without ``rad``).
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ class Quantity(NamedTuple):
 
 
 def exponents(unit: str) -> Exponents:
-    """Of a unit of the table."""
+    """Return the exponents of a unit of the table."""
     return tuple(int(UNITS[unit].get(base, 0)) for base in BASE_UNITS)
 
 
 class UnitError(ValueError):
-    """A unit does not serve: one clause that goes behind the variable's name."""
+    """A unit does not serve: one clause that follows the variable's name."""
 
 
 POUND_FORCE = 0.45359237 * GRAVITY  # N: the international pound and the standard acceleration of gravity, both exact
@@ -51,141 +51,58 @@ POUND = 0.45359237  # kg
 TURN = 2.0 * pi  # rad
 
 
-def _named(**sizes: float) -> dict[str, tuple[float, float]]:
-    return {name: (factor, 0.0) for name, factor in sizes.items()}
+def _units(*rows: tuple[str, float], offset: float = 0.0) -> dict[str, tuple[float, float]]:
+    """Return factor and offset by name, of rows of names with blanks between them and their factor."""
+    return {name: (factor, offset) for names, factor in rows for name in names.split()}
 
 
-FORCE = Quantity(
-    "a force",
-    "N",
-    _named(
-        N=1.0,
-        newton=1.0,
-        mN=1e-3,
-        daN=10.0,
-        kN=1e3,
-        MN=1e6,
-        lbf=POUND_FORCE,
-        lb_f=POUND_FORCE,
-        lbs=POUND_FORCE,
-        klbf=1e3 * POUND_FORCE,
-        kgf=GRAVITY,
-        kp=GRAVITY,
-        gf=GRAVITY * 1e-3,
-    ),
-)
-PRESSURE = Quantity(
-    "a pressure",
-    "Pa",
-    _named(
-        Pa=1.0,
-        pascal=1.0,
-        hPa=1e2,
-        kPa=1e3,
-        MPa=1e6,
-        mbar=1e2,
-        bar=1e5,
-        atm=101325.0,
-        psi=POUND_FORCE / SQUARE_INCH,
-        psia=POUND_FORCE / SQUARE_INCH,
-        inHg=3386.389,  # conventional, at 0 degC
-        mmHg=133.322387415,
-        Torr=101325.0 / 760.0,
-    )
-    | {"lbf/in2": (POUND_FORCE / SQUARE_INCH, 0.0), "N/m2": (1.0, 0.0)},
-)
-_CELSIUS = (1.0, 273.15)
-_FAHRENHEIT = (5.0 / 9.0, 273.15 - 32.0 * 5.0 / 9.0)
-TEMPERATURE = Quantity(
-    "a temperature",
-    "K",
-    {
-        **_named(K=1.0, kelvin=1.0, degK=1.0, degR=5.0 / 9.0, R=5.0 / 9.0, Rankine=5.0 / 9.0),
-        **dict.fromkeys(("degC", "deg_C", "\u00b0C", "\u2103", "C", "celsius"), _CELSIUS),
-        **dict.fromkeys(("degF", "deg_F", "\u00b0F", "F", "fahrenheit"), _FAHRENHEIT),
-    },
-)
-SPEED = Quantity(
-    "a speed",
-    "m/s",
-    {
-        **dict.fromkeys(("m/s", "m.s-1", "mps"), (1.0, 0.0)),
-        **dict.fromkeys(("km/h", "kph", "kmh"), (1.0 / 3.6, 0.0)),
-        **dict.fromkeys(("kn", "kt", "kts", "knot", "knots"), (1852.0 / 3600.0, 0.0)),
-        **dict.fromkeys(("ft/s", "fps"), (FOOT, 0.0)),
-        "ft/min": (FOOT / 60.0, 0.0),
-        **dict.fromkeys(("mph", "mi/h"), (5280.0 * FOOT / 3600.0, 0.0)),
-    },
-)
-ANGULAR_SPEED = Quantity(
-    "a speed of rotation",
-    "rad/s",
-    {
-        **dict.fromkeys(("rad/s", "rad.s-1", "rad/sec"), (1.0, 0.0)),
-        **dict.fromkeys(
-            ("rpm", "rev/min", "r/min", "1/min", "min-1", "U/min", "r.min-1"), (UNITS["rpm"]["factor"], 0.0)
-        ),
-        "krpm": (1e3 * UNITS["rpm"]["factor"], 0.0),
-        **dict.fromkeys(("rps", "rev/s", "r/s", "Hz"), (TURN, 0.0)),
-        "deg/s": (pi / 180.0, 0.0),
-    },
-)
-MASS_FLOW = Quantity(
-    "a mass flow",
-    "kg/s",
-    {
-        **dict.fromkeys(("kg/s", "kg.s-1"), (1.0, 0.0)),
-        "kg/min": (1.0 / 60.0, 0.0),
-        **dict.fromkeys(("kg/h", "kg/hr"), (1.0 / 3600.0, 0.0)),
-        "g/s": (1e-3, 0.0),
-        "g/min": (1e-3 / 60.0, 0.0),
-        **dict.fromkeys(("g/h", "g/hr"), (1e-3 / 3600.0, 0.0)),
-        **dict.fromkeys(("lb/s", "lbm/s", "pps"), (POUND, 0.0)),
-        "lb/min": (POUND / 60.0, 0.0),
-        **dict.fromkeys(("lb/h", "lb/hr", "lbm/h", "lbm/hr", "pph"), (POUND / 3600.0, 0.0)),
-    },
-)
-RATIO = Quantity(
-    "a ratio",
-    "1",
-    {
-        **dict.fromkeys(("1", "-", "", "ratio"), (1.0, 0.0)),
-        **dict.fromkeys(("%", "percent", "pct", "perc"), (0.01, 0.0)),
-    },
-)
-LENGTH = Quantity(
-    "a length",
-    "m",
-    _named(m=1.0, metre=1.0, meter=1.0, km=1e3, ft=FOOT, feet=FOOT, kft=1e3 * FOOT),
-)
-DENSITY = Quantity(
-    "a density",
-    "kg/m3",
-    {
-        **dict.fromkeys(("kg/m3", "kg/m^3", "kg.m-3", "g/l"), (1.0, 0.0)),
-        "g/cm3": (1e3, 0.0),
-        **dict.fromkeys(("lb/ft3", "lbm/ft3"), (POUND / FOOT**3, 0.0)),
-        "slug/ft3": (POUND_FORCE / FOOT**4, 0.0),  # a slug is lbf s^2 / ft
-    },
-)
-MOMENT = Quantity(
-    "a moment",
-    "N.m",
-    {
-        **dict.fromkeys(("N.m", "Nm", "N*m", "N-m"), (1.0, 0.0)),
-        **dict.fromkeys(("kN.m", "kNm"), (1e3, 0.0)),
-        **dict.fromkeys(("mN.m", "mNm"), (1e-3, 0.0)),
-        **dict.fromkeys(("lbf.ft", "lbf*ft", "ft.lbf", "ft-lbf", "lb-ft"), (POUND_FORCE * FOOT, 0.0)),
-        **dict.fromkeys(("lbf.in", "in.lbf", "in-lbf"), (POUND_FORCE * 0.0254, 0.0)),
-    },
-)
+_PSI, _RPM = POUND_FORCE / SQUARE_INCH, UNITS["rpm"]["factor"]
+FORCE = Quantity("a force", "N", _units(
+    ("N newton", 1.0), ("mN", 1e-3), ("daN", 10.0), ("kN", 1e3), ("MN", 1e6), ("lbf lb_f lbs", POUND_FORCE),
+    ("klbf", 1e3 * POUND_FORCE), ("kgf kp", GRAVITY), ("gf", GRAVITY * 1e-3),
+))  # fmt: skip
+PRESSURE = Quantity("a pressure", "Pa", _units(
+    ("Pa pascal", 1.0), ("hPa", 1e2), ("kPa", 1e3), ("MPa", 1e6), ("mbar", 1e2), ("bar", 1e5), ("atm", 101325.0),
+    ("psi psia", _PSI), ("inHg", 3386.389), ("mmHg", 133.322387415), ("Torr", 101325.0 / 760.0),  # inHg: at 0 degC
+    ("lbf/in2", _PSI), ("N/m2", 1.0),
+))  # fmt: skip
+TEMPERATURE = Quantity("a temperature", "K", {
+    **_units(("K kelvin degK", 1.0), ("degR R Rankine", 5.0 / 9.0)),
+    **_units(("degC deg_C \u00b0C \u2103 C celsius", 1.0), offset=273.15),
+    **_units(("degF deg_F \u00b0F F fahrenheit", 5.0 / 9.0), offset=273.15 - 32.0 * 5.0 / 9.0),
+})  # fmt: skip
+SPEED = Quantity("a speed", "m/s", _units(
+    ("m/s m.s-1 mps", 1.0), ("km/h kph kmh", 1.0 / 3.6), ("kn kt kts knot knots", 1852.0 / 3600.0), ("ft/s fps", FOOT),
+    ("ft/min", FOOT / 60.0), ("mph mi/h", 5280.0 * FOOT / 3600.0),
+))  # fmt: skip
+ANGULAR_SPEED = Quantity("a speed of rotation", "rad/s", _units(
+    ("rad/s rad.s-1 rad/sec", 1.0), ("rpm rev/min r/min 1/min min-1 U/min r.min-1", _RPM), ("krpm", 1e3 * _RPM),
+    ("rps rev/s r/s Hz", TURN), ("deg/s", pi / 180.0),
+))  # fmt: skip
+MASS_FLOW = Quantity("a mass flow", "kg/s", _units(
+    ("kg/s kg.s-1", 1.0), ("kg/min", 1.0 / 60.0), ("kg/h kg/hr", 1.0 / 3600.0), ("g/s", 1e-3), ("g/min", 1e-3 / 60.0),
+    ("g/h g/hr", 1e-3 / 3600.0), ("lb/s lbm/s pps", POUND), ("lb/min", POUND / 60.0),
+    ("lb/h lb/hr lbm/h lbm/hr pph", POUND / 3600.0),
+))  # fmt: skip
+RATIO = Quantity("a ratio", "1", {
+    **_units(("1 -", 1.0)), "": (1.0, 0.0), **_units(("ratio", 1.0), ("% percent pct perc", 0.01)),
+})  # fmt: skip
+LENGTH = Quantity("a length", "m", _units(("m metre meter", 1.0), ("km", 1e3), ("ft feet", FOOT), ("kft", 1e3 * FOOT)))
+DENSITY = Quantity("a density", "kg/m3", _units(
+    ("kg/m3 kg/m^3 kg.m-3 g/l", 1.0), ("g/cm3", 1e3), ("lb/ft3 lbm/ft3", POUND / FOOT**3),
+    ("slug/ft3", POUND_FORCE / FOOT**4),  # a slug is lbf s^2 / ft
+))  # fmt: skip
+MOMENT = Quantity("a moment", "N.m", _units(
+    ("N.m Nm N*m N-m", 1.0), ("kN.m kNm", 1e3), ("mN.m mNm", 1e-3),
+    ("lbf.ft lbf*ft ft.lbf ft-lbf lb-ft", POUND_FORCE * FOOT), ("lbf.in in.lbf in-lbf", POUND_FORCE * 0.0254),
+))  # fmt: skip
 QUANTITIES = (FORCE, PRESSURE, TEMPERATURE, SPEED, ANGULAR_SPEED, MASS_FLOW, RATIO, LENGTH, DENSITY, MOMENT)
 
 _PER_SECOND = exponents("1/s")
 
 
 def by_name(name: str, quantity: Quantity) -> tuple[float, float] | None:
-    """Factor and offset of a unit known by name; the case counts only where it tells two units apart."""
+    """Return factor and offset of a unit known by name; the case counts only where it tells two units apart."""
     if name in quantity.units:
         return quantity.units[name]
     close = {size for known, size in quantity.units.items() if known.lower() == name.strip().lower()}
@@ -193,7 +110,7 @@ def by_name(name: str, quantity: Quantity) -> tuple[float, float] | None:
 
 
 def measures(name: str | None, base: Unit | None, quantity: Quantity) -> bool:
-    """Whether a declared unit is one of this quantity."""
+    """Return whether a declared unit is one of this quantity."""
     if name is None:
         return False
     if base is None:
@@ -203,7 +120,7 @@ def measures(name: str | None, base: Unit | None, quantity: Quantity) -> bool:
 
 
 def to_si(name: str, base: Unit | None, quantity: Quantity) -> tuple[float, float]:
-    """Factor and offset from a declared unit to SI.
+    """Return factor and offset from a declared unit to SI.
 
     A declared revolution (``1/s`` without ``rad``) goes by its name.  Raises UnitError if the unit is not one of this
     quantity, is not known, or is declared as another than its name says: then one of the two is wrong.

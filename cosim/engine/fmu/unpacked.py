@@ -33,8 +33,8 @@ class Unpacked:
                 _extract(archive, data, self.path)
             else:
                 with Zip(io.BytesIO(data)) as ssp:
-                    for number, part in enumerate(archive.system.parts):
-                        _extract(part.archive, ssp.read(part.file), self.path / str(number))
+                    for number, component in enumerate(archive.system.components):
+                        _extract(component.archive, ssp.read(component.file), self.path / str(number))
         except BaseException:
             self.remove()
             raise

@@ -26,11 +26,11 @@ from cosim.engine.fmu.port_kinds import KINDS
 from cosim.engine.fmu.ports import plain
 from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.fmu.variables import Port, Variable
-from cosim.engine.measure import Measured, measure_once
-from cosim.engine.qualify.remembered import misbehaves, remember_misbehaviour, write
+from cosim.engine.measure import EngineMeasurement, measure_once
+from cosim.engine.qualify.remembered import misbehaves, record_misbehaviour, write
 from cosim.engine.qualify.report import CheckReport
-from cosim.engine.qualify.supervisor import READ, STARTED, Apart, Limits, run_apart
-from cosim.engine.response import NO_CHANGE, Curve, Response, Small, curve_problems
+from cosim.engine.qualify.supervisor import READ, STARTED, ChildResult, Limits, run_in_child
+from cosim.engine.response import NO_CHANGE, Curve, Response, SmallStep, curve_problems
 from cosim.engine.spec import EngineSource, find_source, need_whole_steps, resolve_parameters
 
 DEFAULT_STEP_S = 0.004  # of the Hex-Jet's control loop
@@ -78,7 +78,7 @@ def _check(
     limits: Limits,
     parts: Sequence[str] = PARTS,
     air: Air = STANDARD_AIR,
-) -> tuple[CheckReport, Measured | None]:
+) -> tuple[CheckReport, EngineMeasurement | None]:
     source = find_source(name_or_path)
     need_trust(source.code, f"engine {source.path.name}")
     archive = source.archive
@@ -105,13 +105,13 @@ def _check(
     # the child runs in a folder of its own
     name = name_or_path if source.engine else str(Path(name_or_path).absolute())
     task = {"name": name, "parameters": dict(parameters), "step": step, "air": list(air)}
-    measured = _Trying(task, limits, report).all(parts)
+    measured = _TrialRunner(task, limits, report).all(parts)
     if source.engine is None and (report.apart or (tuple(parts) == PARTS and report.ok)):
-        remember_misbehaviour(archive.sha256, report.apart or "")
+        record_misbehaviour(archive.sha256, report.apart or "")
     return report, measured
 
 
-class _Trying:
+class _TrialRunner:
     """Runner of a trial's parts in child processes, a new one after each crash."""
 
     def __init__(self, task: Mapping[str, Any], limits: Limits, report: CheckReport) -> None:
@@ -120,7 +120,7 @@ class _Trying:
         self._printed = 0
         self._findings: dict[str, Any] = {}
 
-    def all(self, parts: Sequence[str]) -> Measured | None:
+    def all(self, parts: Sequence[str]) -> EngineMeasurement | None:
         """Run the parts, fill in the report, and return the measurement for flights."""
         while parts:
             apart = self._run(parts)
@@ -149,9 +149,9 @@ class _Trying:
         """Record the first misbehaviour, for flights: the worst comes first."""
         self._report.apart = self._report.apart or what
 
-    def _run(self, parts: Sequence[str]) -> Apart:
+    def _run(self, parts: Sequence[str]) -> ChildResult:
         limits = replace(self._limits, seconds=max(0.1, self._left))
-        apart = run_apart({**self._task, "parts": list(parts)}, limits)
+        apart = run_in_child({**self._task, "parts": list(parts)}, limits)
         self._left -= apart.took
         for message in apart.messages:
             findings = message.get("found", {})
@@ -182,7 +182,7 @@ class _Trying:
             if problem not in self._report.problems:
                 self._report.problems.append(problem)
 
-    def _fill(self) -> Measured | None:
+    def _fill(self) -> EngineMeasurement | None:
         findings, report = self._findings, self._report
         for part in fields(CheckReport):
             if part.name in findings and part.name != "notes":
@@ -202,14 +202,14 @@ class _Trying:
         return measured
 
 
-def _measured(data: Mapping[str, Any]) -> Measured:
+def _measured(data: Mapping[str, Any]) -> EngineMeasurement:
     curve = Curve(tuple(data["throttle"]), tuple(data["thrust"]))
-    small = Small(**data["small"]) if data["small"] else None
+    small = SmallStep(**data["small"]) if data["small"] else None
     others = tuple(_measured(other) for other in data["others"])
-    return Measured(curve, Response(**data["response"]), data["start"], float(data["quiet"]), small, others)
+    return EngineMeasurement(curve, Response(**data["response"]), data["start"], float(data["quiet"]), small, others)
 
 
-def as_table(measured: Measured) -> dict[str, Any]:
+def as_table(measured: EngineMeasurement) -> dict[str, Any]:
     """Return a measurement as a table for transmission and caching."""
     return {
         **measured.curve._asdict(),
@@ -289,9 +289,9 @@ def _notes(archive: Archive, library: bool) -> list[str]:
 _fit: set[tuple[str, str, float]] = set()  # found fit in this process: sha256 of the archive, mapping, step
 
 
-def measure_apart(
+def measure_in_child(
     name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR, apart: bool = False
-) -> Measured:
+) -> EngineMeasurement:
     """Check a user's FMU in another process, and return its static curve and response.
 
     The result is cached by archive, mapping file, parameters, step and air, and a fit FMU is not checked again: in
@@ -306,23 +306,23 @@ def measure_apart(
     path = _cache_path(source, parameters, step, air)
     cached = _read_cached(path)
     if cached is None and tried and (apart or not misbehaves(source.archive.sha256)):
-        measure = measure_unjudged if apart else _measure_here
+        measure = measure_unchecked if apart else _measure_here
         measured = measure(name_or_path, parameters, step, air)
         _need_no_problems(source, all_curve_problems(measured, source.archive.starting.rest_n))
         return measured
-    measured = cached or _measure_apart(name_or_path, source, parameters, step, air)
+    measured = cached or _check_and_measure(name_or_path, source, parameters, step, air)
     if cached is None:
         _cache(path, measured)
     _fit.add(content)
     return measured
 
 
-_apart: dict[Path, Measured] = {}  # measured in this process's children without being judged
+_apart: dict[Path, EngineMeasurement] = {}  # measured in this process's children without being judged
 
 
-def measure_unjudged(
+def measure_unchecked(
     name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR
-) -> Measured:
+) -> EngineMeasurement:
     """Measure as :func:`measure_apart` in another process, without a verdict on the engine.
 
     Raises InputError if it cannot be measured at all.
@@ -339,7 +339,7 @@ def measure_unjudged(
     return result
 
 
-def _measure_here(name_or_path: str, parameters: Mapping[str, float], step: float, air: Air) -> Measured:
+def _measure_here(name_or_path: str, parameters: Mapping[str, float], step: float, air: Air) -> EngineMeasurement:
     source = find_source(name_or_path)
     archive, given = source.archive, {**source.mapping.parameters, **parameters}
     start = archive.ports["start"].variable.name if "start" in archive.ports else None
@@ -347,20 +347,20 @@ def _measure_here(name_or_path: str, parameters: Mapping[str, float], step: floa
     return measure_once(archive, settings, start, step, air)
 
 
-def all_curve_problems(measured: Measured, rest: float) -> list[str]:
+def all_curve_problems(measured: EngineMeasurement, rest: float) -> list[str]:
     """Return the problems of the static curves of all engines in an FMU."""
     problems = curve_problems(measured.curve, measured.quiet, rest)
-    for lane, other in enumerate(measured.others, start=2):
-        problems += [f"engine {lane}: {text}" for text in curve_problems(other.curve, other.quiet, rest)]
+    for slot, other in enumerate(measured.others, start=2):
+        problems += [f"engine {slot}: {text}" for text in curve_problems(other.curve, other.quiet, rest)]
     return problems
 
 
-def _measure_apart(
+def _check_and_measure(
     name_or_path: str, source: EngineSource, parameters: Mapping[str, float], step: float, air: Air
-) -> Measured:
+) -> EngineMeasurement:
     parts: Sequence[str] = PARTS
     if air != STANDARD_AIR:
-        measure_apart(name_or_path, parameters, step)
+        measure_in_child(name_or_path, parameters, step)
         parts = ("measure",)
     report, measured = _check(name_or_path, step, parameters, LIMITS, parts, air)
     _need_no_problems(source, report.problems)
@@ -402,7 +402,7 @@ def _code() -> str:
     return digest.hexdigest()
 
 
-def _read_cached(path: Path) -> Measured | None:
+def _read_cached(path: Path) -> EngineMeasurement | None:
     """Return a cached measurement, or None if there is none that can be read."""
     try:
         measured = _measured(json.loads(path.read_text(encoding="utf-8")))
@@ -412,5 +412,5 @@ def _read_cached(path: Path) -> Measured | None:
         return None
 
 
-def _cache(path: Path, measured: Measured) -> None:
+def _cache(path: Path, measured: EngineMeasurement) -> None:
     write(path, json.dumps(as_table(measured)))

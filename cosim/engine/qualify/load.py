@@ -9,8 +9,8 @@ from functools import partial
 from cosim.base.trust import need_trust
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.load import load_unchecked
-from cosim.engine.measure import Measured
-from cosim.engine.qualify.check import measure_apart, measure_unjudged
+from cosim.engine.measure import EngineMeasurement
+from cosim.engine.qualify.check import measure_in_child, measure_unchecked
 from cosim.engine.qualify.remembered import misbehaves
 from cosim.engine.spec import EngineSpec, find_source
 
@@ -21,7 +21,7 @@ def load_engine(
     step: float,
     *,
     unchecked: bool = False,
-    measured: Measured | None = None,
+    measured: EngineMeasurement | None = None,
     air: Air = STANDARD_AIR,
     apart: bool = False,
 ) -> EngineSpec:
@@ -37,14 +37,14 @@ def load_engine(
     """
     source = find_source(name_or_path)
     need_trust(source.code, f"engine {source.path.name}")
-    mine = source.engine is not None or source.mapping.isolated is False  # or stated to be harmless
-    apart = apart or bool(source.mapping.isolated or (not mine and misbehaves(source.archive.sha256)))
-    foreign: Callable[[str, Mapping[str, float], float, Air], Measured] | None
+    is_harmless = source.engine is not None or source.mapping.isolated is False
+    apart = apart or bool(source.mapping.isolated or (not is_harmless and misbehaves(source.archive.sha256)))
+    measure_foreign: Callable[[str, Mapping[str, float], float, Air], EngineMeasurement] | None
     if unchecked or source.engine is not None:
-        foreign = measure_unjudged if apart else None
+        measure_foreign = measure_unchecked if apart else None
     else:
-        foreign = partial(measure_apart, apart=apart)
-    spec = load_unchecked(name_or_path, parameters, step, measured=measured, air=air, foreign=foreign)
+        measure_foreign = partial(measure_in_child, apart=apart)
+    spec = load_unchecked(name_or_path, parameters, step, measured=measured, air=air, measure_foreign=measure_foreign)
     spec = replace(spec, isolated=True) if apart else spec
-    why = "" if mine else misbehaves(source.archive.sha256)  # it may have been found out just now
-    return replace(spec, isolated=True, misbehaves=why) if why else spec
+    misbehaviour = "" if is_harmless else misbehaves(source.archive.sha256)  # known only now that it is measured
+    return replace(spec, isolated=True, misbehaves=misbehaviour) if misbehaviour else spec

@@ -28,19 +28,19 @@ def write(path: Path, text: str) -> None:
 def misbehaves(sha256: str) -> str:
     """Return why an archive needs a process of its own according to its last check, else an empty string."""
     try:
-        return _place(sha256).read_text(encoding="utf-8").strip()[:300]
+        return _record_path(sha256).read_text(encoding="utf-8").strip()[:300]
     except (OSError, ValueError):
         return ""
 
 
-def remember_misbehaviour(sha256: str, why: str) -> None:
+def record_misbehaviour(sha256: str, why: str) -> None:
     """Record why an archive needs a process of its own; an empty ``why`` after a complete check removes the record."""
     if why:
-        write(_place(sha256), why)
+        write(_record_path(sha256), why)
         return
     with suppress(OSError):
-        _place(sha256).unlink(missing_ok=True)
+        _record_path(sha256).unlink(missing_ok=True)
 
 
-def _place(sha256: str) -> Path:
+def _record_path(sha256: str) -> Path:
     return cache_folder() / "apart" / f"{sha256}.txt"

@@ -47,7 +47,7 @@ class Limits:
 
 
 @dataclass
-class Apart:
+class ChildResult:
     """What came of a task; ``end`` is None if it was finished, else what became of the process, in words."""
 
     messages: list[dict[str, Any]] = field(default_factory=list)
@@ -61,12 +61,12 @@ class Apart:
     took: float = 0.0  # s that it had
 
 
-def run_apart(task: Mapping[str, Any], limits: Limits) -> Apart:
+def run_in_child(task: Mapping[str, Any], limits: Limits) -> ChildResult:
     """Hand a task to a new child process and wait until it is done, dead, or beyond its limits.
 
     Nothing of it is left when this returns: processes that the child started are ended with it.
     """
-    apart = Apart()
+    apart = ChildResult()
     with temporary("engine-apart-") as folder, _child(task, limits, folder) as (child, pipe):
         assert child.stdout is not None
         readers = {pipe: _lines_into(apart), child.stdout.fileno(): _output_into(apart)}
@@ -189,7 +189,7 @@ def _drain(descriptor: int, take: Callable[[bytes], bool]) -> None:
             take(data)
 
 
-def _lines_into(apart: Apart) -> Callable[[bytes], bool]:
+def _lines_into(apart: ChildResult) -> Callable[[bytes], bool]:
     rest, total = bytearray(), 0
 
     def take(data: bytes) -> bool:
@@ -212,7 +212,7 @@ def _lines_into(apart: Apart) -> Callable[[bytes], bool]:
     return take
 
 
-def _output_into(apart: Apart) -> Callable[[bytes], bool]:
+def _output_into(apart: ChildResult) -> Callable[[bytes], bool]:
     kept = bytearray()
 
     def take(data: bytes) -> bool:

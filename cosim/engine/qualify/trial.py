@@ -26,7 +26,7 @@ from cosim.engine.fmu.description import describe, is_blemish
 from cosim.engine.fmu.instance import FmuInstance, InstanceError
 from cosim.engine.fmu.unpacked import contents, unpack
 from cosim.engine.load import load_unchecked
-from cosim.engine.measure import Measured, measure
+from cosim.engine.measure import EngineMeasurement, measure
 from cosim.engine.qualify.check import NEEDED, all_curve_problems, as_table
 from cosim.engine.qualify.process_state import (
     count_threads,
@@ -100,7 +100,7 @@ class Trial:
         ports = self.archive.ports
         self.start = ports["start"].variable.name if "start" in ports else None
         given = {**source.mapping.parameters, **task.parameters}
-        self.measured: Measured | None = None
+        self.measured: EngineMeasurement | None = None
         _, self.settings = resolve_parameters(self.archive, given, self.start)
 
     @contextmanager
@@ -201,7 +201,10 @@ def _validate(trial: Trial) -> Findings:
     trial.say({"at": "while its description was validated"})
     notes = name_notes(trial.archive.path)
     if trial.archive.system is not None:  # what a component's has to say was said when it was read
-        return {"features": [f"{part.name}: {part.file}" for part in trial.archive.system.parts], "notes": notes}, []
+        return {
+            "features": [f"{component.name}: {component.file}" for component in trial.archive.system.components],
+            "notes": notes,
+        }, []
     data = read_bytes(trial.archive.path)
     # with blemishes it was judged when it was read
     complaints = [] if trial.archive.blemishes else validate(data)

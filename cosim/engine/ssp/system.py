@@ -16,9 +16,9 @@ from cosim.base.errors import nearest
 from cosim.base.storage.cache import Memory
 from cosim.engine.fmu.archive import (
     Archive,
+    Component,
     ComponentVariable,
     Feed,
-    Part,
     System,
     label_ports,
     note_unset_inputs,
@@ -27,7 +27,7 @@ from cosim.engine.fmu.archive import (
 )
 from cosim.engine.fmu.container import UnusableError, Zip, need_harmless_xml, open_archive
 from cosim.engine.fmu.mapping import PortMap
-from cosim.engine.fmu.ports import PortError, find_engines, is_several
+from cosim.engine.fmu.ports import PortError, find_engines, names_several
 from cosim.engine.fmu.starting import Setting, resolve_start
 from cosim.engine.fmu.units import Unit
 from cosim.engine.fmu.variables import Variable
@@ -135,8 +135,8 @@ def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, com
     ordered, late = order(list(components.archives), fed)
     number = {name: i for i, name in enumerate(ordered)}
     settings = _settings(structure, components, origins)
-    parts = tuple(
-        Part(".".join(name), structure.components[name], components.archives[name], settings.get(name, ()))
+    fmus = tuple(
+        Component(".".join(name), structure.components[name], components.archives[name], settings.get(name, ()))
         for name in ordered
     )
     feeds = tuple(
@@ -147,9 +147,9 @@ def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, com
     )  # fmt: skip
     starts = {(name, v.name): value for name, pairs in settings.items() for v, value in pairs}
     variables, places = _variables(structure, components, origins, number, starts)
-    system = System(parts, feeds, places)
+    system = System(fmus, feeds, places)
     named = {name for each in stated.ports.values() for name in (each if isinstance(each, list) else [each])}
-    many = any(is_several(port) and "." in port for port in stated.ports.values())  # of components, with a *
+    many = any(names_several(port) and "." in port for port in stated.ports.values())  # of components, with a *
     own = [v for v in variables if many or "." not in v.name or v.name in named]
     inputs, outputs, parameters = (
         tuple(v for v in variables if v.causality == causality) for causality in ("input", "output", "parameter")
@@ -160,7 +160,7 @@ def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, com
     except PortError as error:
         raise UnusableError(str(error)) from error
     notes += note_unset_inputs(inputs, label_ports(engines), begin)
-    notes += [f"component {part.name}: {text}" for part in parts for text in part.archive.port_notes]  # on clocks
+    notes += [f"component {fmu.name}: {text}" for fmu in fmus for text in fmu.archive.port_notes]  # on clocks
     notes += [f"exchanged a step late, because it is in a loop: {text}" for text in system.late]
     return Archive(
         path=path,
@@ -173,16 +173,16 @@ def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, com
         token="",
         engines=engines,
         port_notes=tuple(notes),
-        blemishes=tuple(f"component {part.name}: {text}" for part in parts for text in part.archive.blemishes),
+        blemishes=tuple(f"component {fmu.name}: {text}" for fmu in fmus for text in fmu.archive.blemishes),
         inputs=inputs,
         outputs=outputs,
         parameters=parameters,
         internal_step=None,
-        once_per_process=any(part.archive.once_per_process for part in parts),
+        once_per_process=any(fmu.archive.once_per_process for fmu in fmus),
         event_mode=False,
         returns_early=False,
-        saves_state=all(part.archive.saves_state for part in parts),
-        serializes_state=all(part.archive.serializes_state for part in parts),
+        saves_state=all(fmu.archive.saves_state for fmu in fmus),
+        serializes_state=all(fmu.archive.serializes_state for fmu in fmus),
         starting=begin,
         system=system,
     )
@@ -267,7 +267,7 @@ def _variables(
                 unit=unit[0],
                 min=low if plain else None,
                 max=high if plain else None,
-                start=starts.get((names[first.part], v.name), v.start) if plain else None,
+                start=starts.get((names[first.component], v.name), v.start) if plain else None,
                 description=v.description,
                 causality=causality,
                 variability="fixed" if causality == "parameter" else "continuous",

@@ -87,9 +87,9 @@ class _SystemSlave:
             fmi2Terminate=_ONE(lambda component: _OK),  # closing a component terminates it
         )
         try:
-            for number, part in enumerate(system.parts):
+            for number, fmu in enumerate(system.components):
                 with self._of(number):
-                    self._components.append(FmuInstance(part.archive, folder / str(number), f"{name}.{part.name}"))
+                    self._components.append(FmuInstance(fmu.archive, folder / str(number), f"{name}.{fmu.name}"))
         except BaseException:
             self.freeLibrary()
             raise
@@ -108,27 +108,27 @@ class _SystemSlave:
         self._given: list[list[float]] = [[] for _ in self._components]  # what each gave last
         self._feeds = []
         for number, component in enumerate(self._components):
-            feeds = [feed for feed in self._system.feeds if feed.part == number]
+            feeds = [feed for feed in self._system.feeds if feed.component == number]
             rows = [
                 (feed.source, places[feed.source].index(feed.output.name), feed.factor, feed.offset) for feed in feeds
             ]
             self._feeds.append((_Values(component, [feed.variable for feed in feeds]), rows))
         self._steppers = [_Stepper(component) for component in self._components]
-        self._places = [
-            [(place, _Values(self._components[place.part], [place.variable])) for place in places]
-            for places in self._system.places
+        self._targets = [
+            [(target, _Values(self._components[target.component], [target.variable])) for target in targets]
+            for targets in self._system.targets
         ]
 
     def _of(self, number: int) -> _ComponentErrors:
-        part = self._system.parts[number]
-        return _ComponentErrors(f"component {part.name} ({part.file})")
+        fmu = self._system.components[number]
+        return _ComponentErrors(f"component {fmu.name} ({fmu.file})")
 
     def setupExperiment(self, startTime: float = 0.0, **_: Any) -> None:
-        for number, (component, part) in enumerate(zip(self._components, self._system.parts, strict=True)):
+        for number, (component, fmu) in enumerate(zip(self._components, self._system.components, strict=True)):
             with self._of(number):
-                if part.archive.fmi == 2:
+                if fmu.archive.fmi == 2:
                     component.call("setupExperiment", startTime=startTime)
-                component.write([(v, _whole(v, value)) for v, value in part.settings])
+                component.write([(v, _whole(v, value)) for v, value in fmu.settings])
 
     def enterInitializationMode(self) -> None:
         for number, component in enumerate(self._components):
@@ -179,16 +179,16 @@ class _SystemSlave:
 
     def setReal(self, references: Sequence[int], values: Sequence[float]) -> None:
         for reference, value in zip(references, values, strict=True):
-            for place, one in self._places[reference]:
-                with self._of(place.part):
-                    one.set([place.factor * value + place.offset])
+            for target, one in self._targets[reference]:
+                with self._of(target.component):
+                    one.set([target.factor * value + target.offset])
 
     def getReal(self, references: Sequence[int]) -> list[float]:
         values = []
         for reference in references:
-            place, one = self._places[reference][0]
-            with self._of(place.part):
-                values.append(place.factor * one.get()[0] + place.offset)
+            target, one = self._targets[reference][0]
+            with self._of(target.component):
+                values.append(target.factor * one.get()[0] + target.offset)
         return values
 
     def getFMUState(self) -> list[Any]:
@@ -236,7 +236,7 @@ class _SystemSlave:
         return self._guarded(read)
 
     def _guarded(self, action: Any) -> int:
-        """Run an action called from C; store an exception's text and return FMI's error status in its place."""
+        """Run an action called from C; store an exception's text and return FMI's error status in its target."""
         try:
             action()
         except Exception as error:

@@ -62,7 +62,7 @@ def test_a_clocked_throttle_is_taken_at_the_ticks(stated: str, period: float, st
     spec = load(path)
     assert spec.archive.event_mode
     assert f"its clock ecu.tick ticks every {period:g} s" in spec.archive.port_notes
-    assert spec.archive.parts(STEP) == max(1, round(STEP / period))
+    assert spec.archive.substeps(STEP) == max(1, round(STEP / period))
     own = load(foreign(place, f"own-{period}", made_of + (f",sampled={period}" if period > STEP else ""), None, 3))
     # a run-up begins a flight where it ends, at a multiple of neither
     for each in (spec, own):

@@ -68,7 +68,7 @@ def test_each_has_its_own_static_curve_and_they_may_take_from_each_other(place: 
     spec = load(foreign(place, "uneven", "lag=0.05,engines=6,uneven=0.05,coupled=0.2", SIX), *NUMBERED)
     stations = all_six(spec)
     for i, each in enumerate(stations):
-        assert each.lane == i
+        assert each.slot == i
         for u, thrust in zip(*each.curve, strict=True):  # measured while all have the same throttle
             assert thrust == pytest.approx(FULL * (1.0 - 0.05 * i) * u * (1.0 - 0.2 * u), abs=1e-7)
     with EngineBank(stations, 6, STEP) as bank:

@@ -196,8 +196,8 @@ def test_without_a_fault_it_is_fit(sound: Path) -> None:
 
 def test_it_is_tried_once(sound: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     tried = []
-    run_apart = check.run_apart
-    monkeypatch.setattr(check, "run_apart", lambda *task: tried.append(1) or run_apart(*task))
+    run_in_child = check.run_in_child
+    monkeypatch.setattr(check, "run_apart", lambda *task: tried.append(1) or run_in_child(*task))
     first = load_engine(str(sound), {}, STEP)
     count = len(tried)
     assert count > 0
@@ -215,8 +215,10 @@ def test_in_another_air_it_is_only_measured(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(check, "_fit", set())
     asked = []
-    run_apart = check.run_apart
-    monkeypatch.setattr(check, "run_apart", lambda task, limits: asked.append(task["parts"]) or run_apart(task, limits))
+    run_in_child = check.run_in_child
+    monkeypatch.setattr(
+        check, "run_apart", lambda task, limits: asked.append(task["parts"]) or run_in_child(task, limits)
+    )
     build_engines(["turbine-20"])
     path = tmp_path / "foreign.fmu"
     path.write_bytes((data_folder("fmus") / "turbine-20.fmu").read_bytes())

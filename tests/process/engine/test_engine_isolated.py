@@ -27,7 +27,7 @@ from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.engine import EngineBank, IsolatedBank, bank, isolated, load_engine, measure
 from cosim.engine.qualify import check
-from cosim.engine.qualify.supervisor import Apart
+from cosim.engine.qualify.supervisor import ChildResult
 from cosim.identify.sweep import identify_engine
 from cosim.results.log.digest import log_digest
 
@@ -78,7 +78,7 @@ def test_what_an_fmu_does_to_its_process_ends_the_flight_and_nothing_else(
 ) -> None:
     """Fit for the check, and bad with six of it after 3 s of its own time, 0.4 s into the flight; the log is kept."""
     assert isolated.HANG_S < 5.0  # of the clock, and of the flight the leak: a named end within 5 s
-    assert isolated.LOOKED_AT * STEP < 5.0
+    assert isolated.MEMORY_CHECK_STEPS * STEP < 5.0
     monkeypatch.setattr(isolated, "HANG_S", 0.5)
     if "leaks" in made_of:
         monkeypatch.setattr(isolated, "_SERVE", LITTLE)
@@ -149,7 +149,7 @@ def test_what_a_check_finds_is_remembered_and_the_flight_takes_it_apart(
     report, _ = check._check(str(path), STEP, {}, check.LIMITS, parts)
     assert (report.apart or "") == why
     if not why:
-        check.remember_misbehaviour(report.sha256, "crashed once")
+        check.record_misbehaviour(report.sha256, "crashed once")
         check._check(str(path), STEP, {}, check.LIMITS, parts)
         assert check.misbehaves(report.sha256)  # a part of a check clears nobody
         return
@@ -185,7 +185,7 @@ def test_a_hang_is_the_engines_only_where_the_engine_was_called(
 ) -> None:
     """A machine that is busy may take as long to start a process."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    ended = Apart(end=f"hangs {moment}", hung=True, moment=moment)
+    ended = ChildResult(end=f"hangs {moment}", hung=True, moment=moment)
     monkeypatch.setattr(check, "run_apart", lambda task, limits: ended)
     report, _ = check._check(str(foreign(tmp_path, "stays", "lag=0.1")), STEP, {}, check.LIMITS)
     assert check.misbehaves(report.sha256) == (f"hangs {moment}" if remembered else "")
@@ -193,10 +193,10 @@ def test_a_hang_is_the_engines_only_where_the_engine_was_called(
 
 def test_a_whole_check_without_a_finding_forgives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(check._Trying, "all", lambda self, parts: None)
+    monkeypatch.setattr(check._TrialRunner, "all", lambda self, parts: None)
     path = foreign(tmp_path, "mine", "lag=0.1")
     digest = check._check(str(path), STEP, {}, check.LIMITS)[0].sha256
-    check.remember_misbehaviour(digest, "printed once")
+    check.record_misbehaviour(digest, "printed once")
     check._check(str(path), STEP, {}, check.LIMITS)
     assert not check.misbehaves(digest)
 

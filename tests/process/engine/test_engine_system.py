@@ -68,7 +68,7 @@ def test_it_is_stepped_as_by_hand_to_the_last_bit(mine: Path) -> None:
     assert thrusts(mine) == by_hand(THROTTLE)
     assert thrusts(mine, governor__gain=0.1) == by_hand(THROTTLE, 0.1)
     archive = find_source(str(mine)).archive
-    assert [part.name for part in archive.system.parts] == ["governor", "pump", "core"]
+    assert [part.name for part in archive.system.components] == ["governor", "pump", "core"]
     assert archive.system.late == ["core.n to governor.speed"]
     assert pickle.loads(pickle.dumps(archive)).system == archive.system
 
@@ -81,7 +81,7 @@ def test_the_order_is_that_of_the_connections_and_not_of_the_file(tmp_path: Path
     path = pack(tmp_path / "open.ssp", structure(open_loop, ("core", "pump", "governor"), version="2.0"), fmus)
     archive = find_source(str(path)).archive
     assert archive.system.late == []
-    assert [part.name for part in archive.system.parts] == ["governor", "pump", "core"]
+    assert [part.name for part in archive.system.components] == ["governor", "pump", "core"]
     a, b, c = ("a",), ("b",), ("c",)
     assert order([a, b, c], {a: {c}, b: {a}, c: {b}}) == ([a, b, c], {(c, a)})
     assert order([a, b], {a: {a}}) == ([a, b], {(a, a)})
@@ -125,7 +125,7 @@ def test_systems_in_systems_and_units_that_differ(tmp_path: Path, fmus: dict[str
     text = text.replace("</ssd:Units>", lbf)
     assert uri in text
     archive = find_source(str(pack(tmp_path / "deep.ssp", text, fmus))).archive
-    assert [part.name for part in archive.system.parts] == ["pump", "hot.core"]
+    assert [part.name for part in archive.system.components] == ["pump", "hot.core"]
     assert (archive.thrust.unit, archive.system.places[archive.thrust.reference][0].factor) == (
         "lbf",
         1000.0 / 4.4482216152605,
@@ -173,7 +173,7 @@ def test_an_archive_as_another_tool_writes_it_is_read_and_flies(tmp_path: Path, 
     assert thrusts(packed("inside.ssp", inside)) == pytest.approx(by_hand(0.3), rel=1e-12)
     archive = find_source(str(path)).archive
     assert (archive.throttle.unit, archive.thrust.unit, archive.model) == ("%", "lbf", "propulsion unit")
-    assert [part.name for part in archive.system.parts] == ["Hot section.core", "Control.governor", "pump"]
+    assert [part.name for part in archive.system.components] == ["Hot section.core", "Control.governor", "pump"]
     assert archive.system.late == ["pump.flow to Hot section.core.fuel"]
     run = fly(Scenario.load("hover").replace(
         engine=str(path), engine_unchecked=True, controller="baseline", duration_s=0.2, expect=[]

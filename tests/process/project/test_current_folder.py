@@ -23,7 +23,7 @@ from cosim.engine import IsolatedBank, load_engine
 from cosim.engine.fmu.air import STANDARD_AIR
 from cosim.engine.make.compile import compile_archive
 from cosim.engine.make.controller_fmu import command
-from cosim.engine.qualify.supervisor import Limits, run_apart
+from cosim.engine.qualify.supervisor import Limits, run_in_child
 from cosim.flight import fly
 from cosim.groundstation.mavlink.services.logs import LogStore
 from cosim.simulation.controllers.process import describe
@@ -46,7 +46,7 @@ def isolated_engines() -> None:
 
 def fmu_check() -> None:
     task = {"name": ENGINE, "parameters": {}, "step": STEP, "air": list(STANDARD_AIR), "parts": ["start"]}
-    assert run_apart(task, Limits(PATIENCE, PATIENCE)).end is None
+    assert run_in_child(task, Limits(PATIENCE, PATIENCE)).end is None
 
 
 def worker() -> None:

@@ -239,8 +239,10 @@ def test_a_foreign_engine_is_tried_once_and_then_measured(tmp_path: Path, monkey
     path = tmp_path / "theirs.fmu"
     shutil.copy(data_folder("fmus") / "edf-as-flown.fmu", path)
     asked: list[Any] = []
-    run_apart = check.run_apart
-    monkeypatch.setattr(check, "run_apart", lambda task, limits: asked.append(task["parts"]) or run_apart(task, limits))
+    run_in_child = check.run_in_child
+    monkeypatch.setattr(
+        check, "run_apart", lambda task, limits: asked.append(task["parts"]) or run_in_child(task, limits)
+    )
     monkeypatch.setattr(check, "_fit", set())
     load_engine(str(path), {"delay_samples": 3.0}, STEP)
     assert asked == [list(check.PARTS), ["run"]]  # the run once more in another process
@@ -269,7 +271,7 @@ def test_what_is_measured_here_is_judged_as_in_a_trial(tmp_path: Path, monkeypat
     measured = Measured(falling, Response(7, 0.1, 0.0, 20.0), None, NO_CHANGE)
     monkeypatch.setattr(check, "measure_once", lambda *_: measured)
     with pytest.raises(InputError, match=r"theirs.fmu: is not fit to fly: its thrust does not rise with the throttle"):
-        check.measure_apart(str(path), {"delay_samples": 7.0}, STEP, STANDARD_AIR)
+        check.measure_in_child(str(path), {"delay_samples": 7.0}, STEP, STANDARD_AIR)
 
 
 def test_unpacked_files_are_used_again_if_nobody_changed_them() -> None:
