@@ -44,8 +44,7 @@ def load_unchecked(
     need_whole_steps(archive, engine, step)
     if not any(port in archive.ports for port in AMBIENT):
         air = STANDARD_AIR
-    start = archive.ports["start"].variable.name if "start" in archive.ports else None
-    resolved, settings = resolve_parameters(archive, {**mapping.parameters, **parameters}, start)
+    resolved, settings = resolve_parameters(source, parameters)
     ledger = engine.ledger if engine else {}
     delay = resolved.get(ledger.get("delay", ""))
     try:
@@ -54,7 +53,7 @@ def load_unchecked(
             if engine is not None:
                 measured = measured._replace(small=None)
         elif measured is None:
-            measured = measure_once(archive, settings, start, step, air, small=engine is None)
+            measured = measure_once(archive, settings, archive.start, step, air, small=engine is None)
     except (InstanceError, ResponseError) as error:
         raise InputError(f"{archive.path}: {error}") from error
     return EngineSpec(

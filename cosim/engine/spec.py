@@ -289,29 +289,29 @@ def need_whole_steps(archive: Archive, engine: EngineDefinition | None, step: fl
 
 
 def resolve_parameters(
-    archive: Archive, overrides: Mapping[str, float], start: str | None
+    source: EngineSource, overrides: Mapping[str, float]
 ) -> tuple[dict[str, float], tuple[Setting, ...]]:
-    """Return every parameter's value, and the settings for those in ``overrides``.
+    """Return every parameter's value, and the settings for those of the mapping file and of ``overrides``.
 
     Raises InputError for an unknown parameter, one that the simulation sets itself, or a value out of range.
     """
-    values = {v.name: v.start for v in archive.parameters if v.name != start and v.start is not None}
+    archive = source.archive
+    parameters = {v.name: v for v in archive.parameters if v.name != archive.start}
+    values = {name: v.start for name, v in parameters.items() if v.start is not None}
     settings = []
-    for name, value in overrides.items():
-        if name not in [v.name for v in archive.parameters if v.name != start]:
-            known = [v.name for v in archive.parameters if v.name != start]
-            allowed = nearest(name, known) if known else "it has none"
+    for name, value in {**source.mapping.parameters, **overrides}.items():
+        if name not in parameters:
+            allowed = nearest(name, list(parameters)) if parameters else "it has none"
             hint = (
-                " is set by the simulation itself" if name == start
+                " is set by the simulation itself" if name == archive.start
                 else " is an input, which a mapping file holds under [inputs], and no parameter"
                 if any(v.name == name for v in archive.inputs)
                 else ": no such parameter"
             )  # fmt: skip
             raise InputError(f"{archive.path}: {name}{hint}; {allowed}")
-        variable = archive.parameter(name)
-        _need_value(archive, variable, value)
+        _need_value(archive, parameters[name], value)
         values[name] = float(value)
-        settings.append((variable, float(value)))
+        settings.append((parameters[name], float(value)))
     return values, tuple(settings)
 
 

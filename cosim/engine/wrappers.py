@@ -1,9 +1,9 @@
-"""The engines as they fly: what stands before and behind the bank, in one chain.
+"""The engines as they fly: a chain of effects before and behind the bank.
 
-    throttle -> shut off? -> faults -> later than known -> bank -> other than known -> faults -> shut off? -> thrust
+    throttle -> shut off? -> faults -> added delay -> bank -> thrust factors -> faults -> shut off? -> thrust
 
-Each link acts only where it has something to do, so that engines without it are the bank to the last bit.  An engine
-runs where neither a flame-out nor a switch keeps it off; nobody else touches the ports ``run``.
+A link without anything to do leaves the bank's numbers as they are, to the last bit.  An engine runs where neither a
+flame-out nor a switch keeps it off; only this chain sets the ports ``run``.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from cosim.spec.scenario import DelayGrowth, EngineFault, FlameOut, SlowSpool, S
 # Chosen by us.  After this time a turbine's rotor has less than a fiftieth of its speed.  An engine is up at nine
 # tenths of the thrust with which it idles; one that is not after two minutes is left to the engine monitor.
 _RUN_DOWN_S = 60.0
-_UP = 0.9
+_STARTED_THRUST = 0.9
 _LONGEST_RESTART_S = 120.0
 
 
 class EngineEffect:
-    """What stands around one engine: it changes the throttle before it, thrust [N] and speed [rad/s] behind it."""
+    """An effect on one engine: it changes the throttle before it, and thrust [N] and speed [rad/s] behind it."""
 
     burns: bool = True  # False: it takes no fuel
 
@@ -36,10 +36,10 @@ class EngineEffect:
         return thrust, speed
 
     def light(self) -> None:
-        """From the next step on it starts."""
+        """Start from the next step on."""
 
 
-class _Stuck(EngineEffect):
+class _StuckThrottle(EngineEffect):
     """The throttle stays at ``at``, or at the command of its first step."""
 
     def __init__(self, at: float | None) -> None:
@@ -51,43 +51,43 @@ class _Stuck(EngineEffect):
         return self._at
 
 
-class _Late(EngineEffect):
+class _ThrottleDelay(EngineEffect):
     """The command arrives ``samples`` later; until the first late one arrives the first one is held."""
 
     def __init__(self, samples: int) -> None:
-        self._line: deque[float] = deque()
+        self._queue: deque[float] = deque()
         self._samples = samples
 
     def throttle(self, command: float) -> float:
-        line = self._line
-        line.append(command)
-        return line.popleft() if len(line) > self._samples else line[0]
+        queue = self._queue
+        queue.append(command)
+        return queue.popleft() if len(queue) > self._samples else queue[0]
 
 
-class _Slow(EngineEffect):
+class _SlowSpool(EngineEffect):
     """``y += (1 - exp(-dt / lag)) (command - y)``, from the command of its first step."""
 
-    def __init__(self, share: float) -> None:
-        self._share = share
+    def __init__(self, fraction: float) -> None:
+        self._fraction = fraction
         self._value: float | None = None
 
     def throttle(self, command: float) -> float:
         value = command if self._value is None else self._value
-        self._value = value + self._share * (command - value)
+        self._value = value + self._fraction * (command - value)
         return self._value
 
 
-class _Weak(EngineEffect):
-    """A constant share of the thrust."""
+class _ThrustLoss(EngineEffect):
+    """A constant fraction of the thrust is left."""
 
-    def __init__(self, share: float) -> None:
-        self._share = share
+    def __init__(self, fraction: float) -> None:
+        self._fraction = fraction
 
     def deliver(self, thrust: float, speed: float) -> tuple[float, float]:
-        return thrust * self._share, speed * sqrt(self._share)
+        return thrust * self._fraction, speed * sqrt(self._fraction)
 
 
-class _Closed(EngineEffect):
+class _ClosedThrottle(EngineEffect):
     """Shut off without a port for it: throttle 0, and no thrust at once."""
 
     def throttle(self, command: float) -> float:
@@ -97,7 +97,7 @@ class _Closed(EngineEffect):
         return 0.0, speed
 
 
-class _Unpowered(EngineEffect):
+class _UnpoweredFan(EngineEffect):
     """A fan's motor is off: the thrust dies away by ``left`` a step; on again, it comes back the same way."""
 
     def __init__(self, left: float) -> None:
@@ -128,46 +128,45 @@ class _Rundown(EngineEffect):
     def __init__(self, law: FlameOutLaw, step: float, cold: bool = False) -> None:
         self._law = law
         self._step = step
-        self._steps = int(cold)  # without fire; an engine that has not run yet has none to lose
-        self._lit = -1  # steps since it was called to start; -1 while it is not
+        self._steps_out = int(cold)  # without fire; an engine that has not run yet has none to lose
+        self._steps_since_start = -1  # steps since it was called to start; -1 while it is not
         self._thrust = 0.0
         self._speed = 0.0
         self.burns = False  # has its command again
 
     def light(self) -> None:
-        """From the next step on it starts; at once without a time for it."""
-        self._lit = 0
+        """Start from the next step on; at once if the law has no time for it."""
+        self._steps_since_start = 0
         self.burns = self._law.relight <= 0.0
 
     def throttle(self, command: float) -> float:
-        return command if self.burns or not self._steps else 0.0
+        return command if self.burns or not self._steps_out else 0.0
 
     def deliver(self, thrust: float, speed: float) -> tuple[float, float]:
         if self.burns:
             return thrust, speed
-        if not self._steps:
+        if not self._steps_out:
             self._thrust, self._speed = thrust, speed
-        self._steps += 1
+        self._steps_out += 1
         law = self._law
-        slowed = 1.0 / (1.0 + self._steps * self._step / law.run_down)
+        slowed = 1.0 / (1.0 + self._steps_out * self._step / law.run_down)
         cold, turning = self._thrust * law.left * slowed**law.exponent, self._speed * slowed
-        if self._lit < 0:
+        if self._steps_since_start < 0:
             return cold, turning
-        self._lit += 1
-        share = self._lit * self._step / law.relight
-        if share >= 1.0:
+        self._steps_since_start += 1
+        fraction = self._steps_since_start * self._step / law.relight
+        if fraction >= 1.0:
             self.burns = True
-            share = 1.0
-        return cold + share * (thrust - cold), turning + share * (speed - turning)
+            fraction = 1.0
+        return cold + fraction * (thrust - cold), turning + fraction * (speed - turning)
 
 
 class EngineChain:
-    """A bank of engines with everything that stands around it.
+    """A bank of engines with the effects on each of them.
 
-    ``laws[i]``: how engine ``i``, from 0, goes out (:mod:`cosim.engine.rundown`); ``lag(i)``: its time constant
-    [s], asked for
-    where a fan loses its current.  ``factors``: thrust over that of the bank, spool speeds the same; ``delay``: steps
-    by which every throttle arrives later; ``aside``: some engine does more to the airframe than its thrust.
+    ``laws[i]``: how engine ``i``, from 0, goes out (:mod:`cosim.engine.rundown`); ``lag(i)``: its time constant [s],
+    which is needed where a fan loses its current.  ``factors``: thrust over that of the bank, spool speeds the same;
+    ``delay``: steps by which every throttle arrives later; ``side_loads``: some engine has loads beside its thrust.
 
     A flame-out and a shut-off shut the engine's ``run`` port, and the engine's own equations say what follows.  One
     without that port is given a closed throttle, and its law says what is left of its thrust: of a turbine the cold air
@@ -185,96 +184,99 @@ class EngineChain:
         step: float,
         factors: PerJet | None = None,
         delay: int = 0,
-        aside: bool = False,
+        side_loads: bool = False,
     ) -> None:
         self.bank = bank
         self.wants_ambient = bank.wants_ambient
         self._laws, self._lag, self._step = list(laws), lag, step
         self._factors = factors
         self._delay = delay
-        self._aside = aside
+        self._has_side_loads = side_loads
         self._idle: PerJet = (0.0,) * len(self._laws)  # thrust at the reset
-        self._line: deque[PerJet] = deque()
-        self._forget()
+        self._queue: deque[PerJet] = deque()
+        self._clear()
 
-    def _forget(self) -> None:
-        """No fault, and all are on, as a bank that was reset is."""
+    def _clear(self) -> None:
+        """Return to engines that are on and have no fault, as a bank that was reset."""
         self._acting: list[EngineFault] = []
         self._effects: list[tuple[int, EngineFault, EngineEffect]] = []
-        self._out: list[tuple[int, EngineFault]] = []  # flamed out by their port run
+        self._flamed_out: list[tuple[int, EngineFault]] = []  # by their port run
         self.off: frozenset[int] = NO_JETS  # switched off
-        self._cut: dict[int, EngineEffect] = {}  # of them those without the port
+        self._shut_off: dict[int, EngineEffect] = {}  # of these, the engines without a port run
         self._restarts: dict[int, int] = {}  # engines that were switched on again, and the steps they still have for it
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
-        """Sound engines in equilibrium at the throttle, one for all or one each.  Raises EngineError."""
-        self._forget()
-        held = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * len(self._laws)
-        self._line = deque([held] * self._delay)
-        output = self._delivered(self.bank.reset(throttle, ambient))
+        """Reset to sound engines in equilibrium at the throttle, one for all or one each.  Raises EngineError."""
+        self._clear()
+        throttles = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * len(self._laws)
+        self._queue = deque([throttles] * self._delay)
+        output = self._apply_effects(self.bank.reset(throttle, ambient))
         self._idle = output.thrust
         return output
 
     def stop(self) -> EngineOutput:
         """Shut every engine off right after the reset, as if it had not run yet.  Raises EngineError."""
         self.off = frozenset(range(len(self._laws)))
-        for index, law in enumerate(self._laws):
+        for index in range(len(self._laws)):
             if not self.bank.set_run(index, False):
-                self._cut[index] = _Closed() if law is None or law.electric else _Rundown(law, self._step, cold=True)
-        return self._delivered(self.bank.run_down(_RUN_DOWN_S))
+                self._shut_off[index] = self._run_down(index, cold=True)
+        return self._apply_effects(self.bank.run_down(_RUN_DOWN_S))
 
     @property
     def restarting(self) -> tuple[int, ...]:
         """The engines, counted from 1, that were switched on again and are not back at the thrust of the start."""
         return tuple([index + 1 for index in sorted(self._restarts)])
 
-    def _watch_restarts(self, thrust: PerJet) -> None:
+    def _update_restarts(self, thrust: PerJet) -> None:
         """Forget the engines that have come up, and those that have had long enough."""
-        left = {index: steps - 1 for index, steps in self._restarts.items() if thrust[index] < _UP * self._idle[index]}
+        idle = self._idle
+        left = {i: steps - 1 for i, steps in self._restarts.items() if thrust[i] < _STARTED_THRUST * idle[i]}
         self._restarts = {index: steps for index, steps in left.items() if steps > 0}
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
-        """Thrust and reports at the end of step ``k``.  Raises EngineError."""
-        if self._cut or self._effects:
-            given = list(throttle)
-            for i, effect in self._cut.items():
-                given[i] = effect.throttle(given[i])
+        """Return thrust and reports at the end of step ``k``.  Raises EngineError."""
+        if self._shut_off or self._effects:
+            throttles = list(throttle)
+            for i, effect in self._shut_off.items():
+                throttles[i] = effect.throttle(throttles[i])
             for i, _, effect in self._effects:
-                given[i] = effect.throttle(given[i])
-            throttle = tuple(given)
+                throttles[i] = effect.throttle(throttles[i])
+            throttle = tuple(throttles)
         if self._delay:
-            self._line.append(throttle)
-            throttle = self._line.popleft()
-        output = self._delivered(self.bank.step(k, throttle, ambient))
+            self._queue.append(throttle)
+            throttle = self._queue.popleft()
+        output = self._apply_effects(self.bank.step(k, throttle, ambient))
         if self._restarts:
-            self._watch_restarts(output.thrust)
+            self._update_restarts(output.thrust)
         return output
 
-    def _changed(self, output: EngineOutput, thrust: Sequence[float], speed: PerJet, flow: PerJet) -> EngineOutput:
-        """With another thrust; what an engine does beside its thrust goes with that."""
-        aside = [output.force_forward, output.force_right, output.torque]
-        if self._aside:
-            shares = [after / before if before else 0.0 for after, before in zip(thrust, output.thrust, strict=True)]
-            aside = [tuple([share * value for share, value in zip(shares, values, strict=True)]) for values in aside]
-        forward, right, torque = aside
+    def _with_thrust(self, output: EngineOutput, thrust: Sequence[float], speed: PerJet, flow: PerJet) -> EngineOutput:
+        """Return the output with another thrust; side loads change in proportion to it."""
+        side_loads = [output.force_forward, output.force_right, output.torque]
+        if self._has_side_loads:
+            fractions = [after / before if before else 0.0 for after, before in zip(thrust, output.thrust, strict=True)]
+            side_loads = [
+                tuple([part * load for part, load in zip(fractions, loads, strict=True)]) for loads in side_loads
+            ]
+        forward, right, torque = side_loads
         return EngineOutput(tuple(thrust), speed, output.exhaust_temperature, flow, forward, right, torque)
 
-    def _delivered(self, output: EngineOutput) -> EngineOutput:
-        """With the thrust of the engines that fly, where the bank's are those that are known, and behind faults."""
+    def _apply_effects(self, output: EngineOutput) -> EngineOutput:
+        """Return the bank's output with the thrust factors, faults and switches applied."""
         if self._factors is not None:
-            known = [factor * newton for factor, newton in zip(self._factors, output.thrust, strict=True)]
-            output = self._changed(output, known, output.spool_speed, output.fuel_flow)
-        if not (self._cut or self._effects):
+            scaled = [factor * newton for factor, newton in zip(self._factors, output.thrust, strict=True)]
+            output = self._with_thrust(output, scaled, output.spool_speed, output.fuel_flow)
+        if not (self._shut_off or self._effects):
             return output
         thrust, speed, flow = list(output.thrust), list(output.spool_speed), list(output.fuel_flow)
         for i, _, effect in self._effects:
             thrust[i], speed[i] = effect.deliver(thrust[i], speed[i])
             if not effect.burns:
                 flow[i] *= 0.0
-        for i, effect in self._cut.items():
+        for i, effect in self._shut_off.items():
             thrust[i], speed[i] = effect.deliver(thrust[i], speed[i])
             flow[i] = 0.0
-        return self._changed(output, thrust, tuple(speed), tuple(flow))
+        return self._with_thrust(output, thrust, tuple(speed), tuple(flow))
 
     def switch(self, index: int, on: bool) -> None:
         """Shut one engine off, or on again, before the next step; ``index`` from 0.  Raises EngineError.
@@ -290,39 +292,43 @@ class EngineChain:
             self._restarts.pop(index, None)
         if not self.bank.set_run(index, on):
             if on:
-                del self._cut[index]
+                del self._shut_off[index]
             else:
-                law = self._laws[index]
-                self._cut[index] = _Closed() if law is None or law.electric else _Rundown(law, self._step)
+                self._shut_off[index] = self._run_down(index)
+
+    def _run_down(self, index: int, cold: bool = False) -> EngineEffect:
+        """Return the effect of an engine without a port ``run`` that is shut off; ``cold``: it has not run yet."""
+        law = self._laws[index]
+        return _ClosedThrottle() if law is None or law.electric else _Rundown(law, self._step, cold)
 
     def begin(self, fault: EngineFault) -> None:
-        """``fault`` acts from the next step on."""
+        """Let ``fault`` act from the next step on."""
         self._acting.append(fault)
         for jet in fault.jet:
             i = jet - 1
             if isinstance(fault, FlameOut) and self.bank.set_run(i, False):
-                self._out.append((i, fault))
+                self._flamed_out.append((i, fault))
             else:
-                self._effects.append((i, fault, self._effect(fault, i)))
+                self._effects.append((i, fault, self._make_effect(fault, i)))
 
-    def _effect(self, fault: EngineFault, i: int) -> EngineEffect:
+    def _make_effect(self, fault: EngineFault, i: int) -> EngineEffect:
         if isinstance(fault, ThrustLoss):
-            return _Weak(1.0 - fault.share)
+            return _ThrustLoss(1.0 - fault.share)
         if isinstance(fault, StuckThrottle):
-            return _Stuck(fault.throttle)
+            return _StuckThrottle(fault.throttle)
         if isinstance(fault, DelayGrowth):
-            return _Late(round(fault.delay_s / self._step))
+            return _ThrottleDelay(round(fault.delay_s / self._step))
         if isinstance(fault, SlowSpool):
-            return _Slow(1.0 - exp(-self._step / fault.lag_s))
+            return _SlowSpool(1.0 - exp(-self._step / fault.lag_s))
         law = self._laws[i]
         assert law is not None  # the fault schedule refuses a flame-out of such an engine
         if not law.electric:
             return _Rundown(law, self._step)
         lag = self._lag(i)
-        return _Unpowered(exp(-self._step / lag) if lag > 0.0 else 0.0)
+        return _UnpoweredFan(exp(-self._step / lag) if lag > 0.0 else 0.0)
 
     def end(self, fault: EngineFault) -> None:
-        """``fault`` is over from the next step on; an engine that went out is lit again, if nothing keeps it out."""
+        """End ``fault`` at the next step; an engine that went out is lit again, if nothing keeps it out."""
         self._acting = [acting for acting in self._acting if acting is not fault]
         if not isinstance(fault, FlameOut):
             self._effects = [entry for entry in self._effects if entry[1] is not fault]
@@ -330,10 +336,10 @@ class EngineChain:
         for _, owner, effect in self._effects:
             if owner is fault:
                 effect.light()
-        mine = [i for i, owner in self._out if owner is fault]
-        self._out = [entry for entry in self._out if entry[1] is not fault]
-        still_out = {i for i, _ in self._out} | self.off
-        for i in mine:
+        out = [i for i, owner in self._flamed_out if owner is fault]
+        self._flamed_out = [entry for entry in self._flamed_out if entry[1] is not fault]
+        still_out = {i for i, _ in self._flamed_out} | self.off
+        for i in out:
             if i not in still_out:
                 self.bank.set_run(i, True)
 

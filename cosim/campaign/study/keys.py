@@ -371,7 +371,7 @@ def _archive(scenario: Scenario, engine: str) -> Archive:
 def _parameters(path: str, archive: Archive, values: Mapping[str, float]) -> Iterator[Key]:
     """Yield the parameters that an engine declares and the simulation does not set itself."""
 
-    start = archive.ports["start"].variable.name if "start" in archive.ports else None
+    start = archive.start
     for variable in archive.parameters:
         if variable.name == start or variable.start is None:
             continue

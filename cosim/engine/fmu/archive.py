@@ -149,9 +149,10 @@ class Archive:
         """The variable of the thrust."""
         return self.ports["thrust"].variable
 
-    def parameter(self, name: str) -> Variable:
-        """Return the parameter of this name, which must exist."""
-        return next(variable for variable in self.parameters if variable.name == name)
+    @property
+    def start(self) -> str | None:
+        """The name of the parameter that starts the first engine in equilibrium at a throttle; None: it has none."""
+        return self.ports["start"].variable.name if "start" in self.ports else None
 
 
 def read_archive(path: Path, ports: PortMap | None = None) -> Archive:

@@ -81,8 +81,8 @@ def compile_archive(path: Path, out: Path | None = None, windows: bool = False) 
         raise InputError(f"{path}: {reason}") from reason
     if description.coSimulation is None or not has_sources(names):
         raise InputError(f"{path}: has no sources of a co-simulation interface; nothing to compile")
-    with temporary("compile-") as place:
-        folder = str(place)
+    with temporary("compile-") as folder_path:
+        folder = str(folder_path)
         with Zip(BytesIO(data)) as fmu:
             fmu.extractall(folder)
         Path(folder, DESCRIPTION).write_bytes(with_initial(xml))
@@ -91,14 +91,14 @@ def compile_archive(path: Path, out: Path | None = None, windows: bool = False) 
         else:
             _build(path, folder)
             binaries = Path(folder) / "binaries" / platform_folder(2 if description.fmiVersion == "2.0" else 3)
-        made = sorted(file for file in binaries.glob("*") if file.is_file()) if binaries.is_dir() else []
-        if not made:
+        libraries = sorted(file for file in binaries.glob("*") if file.is_file()) if binaries.is_dir() else []
+        if not libraries:
             raise InputError(f"{path}: its sources make no library")
         try:
             with replacing(target) as copy:
                 copy.write_bytes(data)
                 with zipfile.ZipFile(copy, "a", zipfile.ZIP_DEFLATED) as fmu:
-                    for file in made:
+                    for file in libraries:
                         name = file.relative_to(folder).as_posix()
                         if name not in names:
                             fmu.write(file, name)
@@ -135,8 +135,8 @@ def _build_for_windows(path: Path, folder: str, description: Any) -> Path:
 
 
 def _build(path: Path, folder: str) -> None:
-    here = os.path.dirname(sys.executable)  # where a CMake that came as a package is
-    environment = os.environ | {"PATH": f"{here}{os.pathsep}{os.environ.get('PATH', os.defpath)}"}
+    scripts = os.path.dirname(sys.executable)  # where a CMake that came as a package is
+    environment = os.environ | {"PATH": f"{scripts}{os.pathsep}{os.environ.get('PATH', os.defpath)}"}
     _run(path, folder, python_command(_BUILD, folder), "(CMake and a C compiler are needed)", environment)
 
 
@@ -145,12 +145,12 @@ def _run(
 ) -> None:
     """Call what compiles.  Raises InputError with what it complained of first."""
     try:
-        done = run_child(command, LONGEST_S, environ=environment)
+        result = run_child(command, LONGEST_S, environ=environment)
     except subprocess.TimeoutExpired as error:
         raise InputError(f"{path}: its sources are not compiled within {LONGEST_S:g} s") from error
-    if done.returncode == 0:
+    if result.returncode == 0:
         return
-    said = [*done.stdout.splitlines(), *done.stderr.splitlines()]
-    wrong = [line for line in said if "error" in line.lower() and "CalledProcessError" not in line] or said
-    first = wrong[0].replace(f"{folder}{os.sep}", "") if wrong else "no word of it"
+    lines = [*result.stdout.splitlines(), *result.stderr.splitlines()]
+    errors = [line for line in lines if "error" in line.lower() and "CalledProcessError" not in line] or lines
+    first = errors[0].replace(f"{folder}{os.sep}", "") if errors else "no word of it"
     raise InputError(f"{path}: its sources do not compile {how}: {one_line(first)[:200]}")

@@ -10,8 +10,8 @@ without case, or stated in a mapping file ``NAME.fmu.toml``::
 A whole controller's ``tilt_`` outputs are for the actuators of a vehicle, whose names are known when it flies; until
 then they are those that it has.
 
-What an FMU has no input for it is not told.  Its other outputs of numbers become columns of the log, its parameters
-the controller's own.  It runs in a process of its own, whatever it does to that.
+An FMU without an input for a signal is not given it.  Its other outputs of numbers become columns of the log, its
+parameters the controller's own.  It runs in a process of its own.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from cosim.engine.library import platform_folder
 
 MAPPING = ".fmu.toml"
 _SERVE = "from cosim.engine.make.controller_fmu import serve; serve(sys.argv[1])"
-_ON_GROUND = "on_ground"  # a parameter that is set by us, if there is one
+_ON_GROUND = "on_ground"  # a parameter that the simulation sets, if there is one
 _DOUBLES = {"Real": "fmi2", "Float64": "fmi3"}  # types of doubles, and what their functions' names begin with
 _KINDS = {*REALS, *INTEGERS, "Boolean"}
 
@@ -95,7 +95,7 @@ def read_controller_fmu(path: Path, servos: Sequence[str] | None = None) -> Cont
 
     ``servos``: the names of the vehicle's actuators, which the FMU may spell its own way; None: not known yet.
     """
-    mapping, stated = None, {}
+    mapping, mapped = None, {}
     if path.name.lower().endswith(MAPPING):
         table = read_toml(path)
         unknown = [key for key in table if key not in ("fmu", "ports")]
@@ -103,29 +103,29 @@ def read_controller_fmu(path: Path, servos: Sequence[str] | None = None) -> Cont
             raise InputError(f'{path}: must have fmu = "FILE.fmu" and a table [ports] of names, nothing else')
         if Path(table["fmu"]).name != table["fmu"]:
             raise InputError(f"{path}: fmu = {table['fmu']!r}: must be the name of a file beside it")
-        mapping, stated = path, {str(key): str(value) for key, value in table.get("ports", {}).items()}
+        mapping, mapped = path, {str(key): str(value) for key, value in table.get("ports", {}).items()}
         path = path.with_name(table["fmu"])
     try:
-        return _read(path, mapping, stated, servos)
+        return _read(path, mapping, mapped, servos)
     except UnusableError as reason:
         raise InputError(f"{path}: {reason}") from reason
 
 
-def _read(path: Path, mapping: Path | None, stated: Mapping[str, str], servos: Sequence[str] | None) -> ControllerFmu:
+def _read(path: Path, mapping: Path | None, mapped: Mapping[str, str], servos: Sequence[str] | None) -> ControllerFmu:
     data = read_bytes(path)
     _, xml = open_archive(data)
     fmi = fmi_of(parse(xml))
     description, blemishes = describe(data)
     scalars = [v for v in description.modelVariables if v.type in _KINDS and not v.shape]
-    by_cause = {cause: [v for v in scalars if v.causality == cause] for cause in ("input", "output", "parameter")}
-    by_name = {v.name: v for v in scalars}
+    all_inputs, all_outputs, parameters = (
+        [v for v in scalars if v.causality == causality] for causality in ("input", "output", "parameter")
+    )
     jets_known = range(1, MOST_JETS + 1)
     if servos is None:
-        servos = _servos([v.name for v in by_cause["output"]], stated)
-    outs = {plain(name): name for n in jets_known for name in wire.output_names("controller", n, servos, wire.EXTRAS)}
-    for level in ("rate", "attitude", "predictor"):
-        outs |= {plain(name): name for name in wire.output_names(level, 1, ())}
-    outputs = _found(by_cause["output"], outs, stated, by_name, "output")
+        servos = _servos([v.name for v in all_outputs], mapped)
+    names = [name for n in jets_known for name in wire.output_names("controller", n, servos, wire.EXTRAS)]
+    names += [name for level in ("rate", "attitude", "predictor") for name in wire.output_names(level, 1, ())]
+    outputs = _match_ports(all_outputs, {plain(name): name for name in names}, mapped)
     level = next((known_level for name, known_level in wire.LEVEL_BY_OUTPUT.items() if name in outputs), "")
     if not level:
         raise UnusableError(
@@ -134,31 +134,31 @@ def _read(path: Path, mapping: Path | None, stated: Mapping[str, str], servos: S
         )
     jets = next(number for number in reversed(jets_known) if number == 1 or f"throttle_{number}" in outputs)
     moved = tuple([name for name in servos if f"tilt_{name}" in outputs])
-    extras = tuple([e for e in wire.EXTRAS if level == "controller" and set(_extra(level, jets, e)) <= set(outputs)])
+    extras = tuple([e for e in wire.EXTRAS if level == "controller" and _extra_outputs(jets, e) <= set(outputs)])
     needed = wire.output_names(level, jets, moved, extras)
     if missing := [name for name in needed if name not in outputs]:
         raise IncompleteError(f"has no output {missing[0]}, which a {level} needs")
     outputs = {name: outputs[name] for name in needed}
-    ins = {plain(name): name for name in wire.input_names(level, jets, servos or SERVOS, True)}
-    inputs = _found(by_cause["input"], ins, stated, by_name, "input")
+    input_ports = {plain(name): name for name in wire.input_names(level, jets, servos or SERVOS, True)}
+    inputs = _match_ports(all_inputs, input_ports, mapped)
     used = {id(v) for v in (*inputs.values(), *outputs.values())}
-    left = [v.name for v in by_cause["input"] if id(v) not in used]
+    unset = [v.name for v in all_inputs if id(v) not in used]
     names = [name for name in wire.input_names(level, jets, servos or SERVOS) if name not in inputs]
-    untold = list(dict.fromkeys(re.sub(r"_\d+$", "_1 and on", name) for name in names))
+    unread = list(dict.fromkeys(re.sub(r"_\d+$", "_1 and on", name) for name in names))
     notes = (
         *blemishes,
-        *([f"inputs that stay at their start values: {', '.join(left)}"] if left else []),
-        *([f"is not told of: {', '.join(untold)}"] if untold else []),
+        *([f"inputs that stay at their start values: {', '.join(unset)}"] if unset else []),
+        *([f"is not told of: {', '.join(unread)}"] if unread else []),
     )
-    for port, name in stated.items():
-        if port not in (*ins.values(), *needed):
-            allowed = nearest(port, [*ins.values(), *needed])
+    for port, name in mapped.items():
+        if port not in (*input_ports.values(), *needed):
+            allowed = nearest(port, [*input_ports.values(), *needed])
             raise UnusableError(f"ports.{port}: unknown port of a {level}; {allowed}")
-        cause = "output" if port in needed else "input"
-        if name not in by_name or by_name[name].causality != cause:
-            allowed = nearest(name, [v.name for v in by_cause[cause]])
-            raise UnusableError(f"ports.{port} = {name!r}: is no {cause} of it; {allowed}")
-    tuned = [v for v in by_cause["parameter"] if v.name != _ON_GROUND and v.start is not None]
+        causality, variables = ("output", all_outputs) if port in needed else ("input", all_inputs)
+        if name not in [v.name for v in variables]:
+            allowed = nearest(name, [v.name for v in variables])
+            raise UnusableError(f"ports.{port} = {name!r}: is no {causality} of it; {allowed}")
+    tuned = [v for v in parameters if v.name != _ON_GROUND and v.start is not None]
     return ControllerFmu(
         path,
         mapping,
@@ -170,41 +170,35 @@ def _read(path: Path, mapping: Path | None, stated: Mapping[str, str], servos: S
         inputs,
         outputs,
         [v for v in tuned if v.variability != "constant"],
-        [v for v in by_cause["output"] if id(v) not in used],
+        [v for v in all_outputs if id(v) not in used],
         notes,
         description,
         data,
     )
 
 
-def _servos(outputs: Sequence[str], stated: Mapping[str, str]) -> tuple[str, ...]:
+def _servos(outputs: Sequence[str], mapped: Mapping[str, str]) -> tuple[str, ...]:
     """Return the actuators of the ``tilt_`` outputs: those mapped, and left and right, or all others if one lacks."""
-    servos = [name[5:] for name in stated if name.startswith("tilt_") and not name.endswith("_applied")]
-    short = [plain(name)[4:] for name in outputs if plain(name).startswith("tilt") and name not in stated.values()]
+    servos = [name[5:] for name in mapped if name.startswith("tilt_") and not name.endswith("_applied")]
+    short = [plain(name)[4:] for name in outputs if plain(name).startswith("tilt") and name not in mapped.values()]
     banks = set(SERVOS) <= {*servos, *short}
-    known = {plain(name) for name in servos}
-    servos += [name for name in short if name not in known and (name in SERVOS if banks else name)]
+    mapped_servos = {plain(name) for name in servos}
+    servos += [name for name in short if name not in mapped_servos and (name in SERVOS if banks else name)]
     return tuple(sorted(servos, key=lambda name: SERVOS.index(name) if name in SERVOS else len(SERVOS)))
 
 
-def _extra(level: str, jets: int, extra: str) -> list[str]:
-    without = wire.output_names(level, jets, ())
-    return [name for name in wire.output_names(level, jets, (), (extra,)) if name not in without]
+def _extra_outputs(jets: int, extra: str) -> set[str]:
+    """Return the outputs that a whole controller has with an extra and not without it."""
+    return {*wire.output_names("controller", jets, (), (extra,))} - {*wire.output_names("controller", jets, ())}
 
 
-def _found(
-    variables: Sequence[Any],
-    known: Mapping[str, str],
-    stated: Mapping[str, str],
-    by_name: Mapping[str, Any],
-    cause: str,
-) -> dict[str, Any]:
-    """Return variables by port, matched by name; mapped ports take precedence."""
-    ports = {known[plain(v.name)]: v for v in variables if plain(v.name) in known}
-    for port, name in stated.items():
-        if port in known.values() and name in by_name and by_name[name].causality == cause:
-            ports[port] = by_name[name]
-    return ports
+def _match_ports(variables: Sequence[Any], ports: Mapping[str, str], mapped: Mapping[str, str]) -> dict[str, Any]:
+    """Return variables by port, matched by the plain names in ``ports``; mapped ports take precedence."""
+    by_name = {v.name: v for v in variables}
+    by_port = {ports[plain(v.name)]: v for v in variables if plain(v.name) in ports}
+    return by_port | {
+        port: by_name[name] for port, name in mapped.items() if port in ports.values() and name in by_name
+    }
 
 
 def command(path: Path) -> list[str]:
@@ -217,29 +211,26 @@ def describe_controller(fmu: ControllerFmu) -> dict[str, Any]:
     return {
         "level": fmu.level,
         "extras": fmu.extras,
-        "parameters": [
-            [
-                _word(v),
-                _number_or(v.start),
-                v.unit or "",
-                v.description or "",
-                _number_or(v.min, -1e308),
-                _number_or(v.max, 1e308),
-            ]
-            for v in fmu.parameters
-        ],
-        "columns": [[_word(v), v.unit or "1", "", v.description or v.name] for v in fmu.shown],
+        "parameters": [[_identifier(v), *_number_and_range(v)] for v in fmu.parameters],
+        "columns": [[_identifier(v), v.unit or "1", "", v.description or v.name] for v in fmu.shown],
     }
 
 
-def _word(v: Any) -> str:
+def _identifier(v: Any) -> str:
     """Return a variable's name as an identifier, for columns and parameters."""
     return "".join(c if c.isascii() and c.isalnum() else "_" for c in v.name)
 
 
-def _number_or(text: str | None, otherwise: float = 0.0) -> float:
-    number = parse_number(text)
-    return otherwise if number is None else number
+def _number_and_range(v: Any) -> tuple[float, str, str, float, float]:
+    """Return a parameter's default, unit, meaning, least and greatest value."""
+    start, low, high = map(parse_number, (v.start, v.min, v.max))
+    return (
+        start or 0.0,
+        v.unit or "",
+        v.description or "",
+        -1e308 if low is None else low,
+        1e308 if high is None else high,
+    )
 
 
 def serve(path: str) -> None:
@@ -251,25 +242,25 @@ def serve(path: str) -> None:
     line = sys.stdin.buffer.readline()
     if not line:
         return
-    told = json.loads(line)
-    columns, own = [_word(v) for v in fmu.shown], fmu.servos
+    settings = json.loads(line)
+    columns, servos_known = [_identifier(v) for v in fmu.shown], fmu.servos
     if fmu.level == "controller":
-        fmu = read_controller_fmu(Path(path), told["servos"])
-    asked, answered = wire.frame(len(told["inputs"])), wire.frame(len(told["outputs"]))
+        fmu = read_controller_fmu(Path(path), settings["servos"])
+    input_frame, output_frame = wire.frame(len(settings["inputs"])), wire.frame(len(settings["outputs"]))
     try:
         with temporary("controller-") as folder:
-            if told["outputs"] != [*fmu.outputs, *columns] or columns != [_word(v) for v in fmu.shown]:
-                moved = f"servos {', '.join(own)}" if own else "no servos"
-                has = f"servos {', '.join(told['servos'])}" if told["servos"] else "no servos"
-                name, jets = told["vehicle"]["name"], len(told["vehicle"]["jets"])
+            if settings["outputs"] != [*fmu.outputs, *columns] or columns != [_identifier(v) for v in fmu.shown]:
+                moved = f"servos {', '.join(servos_known)}" if servos_known else "no servos"
+                has = f"servos {', '.join(settings['servos'])}" if settings["servos"] else "no servos"
+                name, jets = settings["vehicle"]["name"], len(settings["vehicle"]["jets"])
                 raise RuntimeError(f"is for {fmu.jets} jets and {moved}; {name} has {jets} and {has}")
-            instance = _Instance(fmu, folder, told)
+            instance = _Instance(fmu, folder, settings)
             read = sys.stdin.buffer.read
-            while len(frame := read(asked.size)) == asked.size:
-                k, *values = asked.unpack(frame)
-                _write(out, answered.pack(k, *instance.step(int(k), values)))
+            while len(frame := read(input_frame.size)) == input_frame.size:
+                k, *values = input_frame.unpack(frame)
+                _write(out, output_frame.pack(k, *instance.step(int(k), values)))
     except Exception as error:
-        _write(out, answered.pack(-1.0, *[0.0] * len(told["outputs"])) + f"{one_line(error)}\n".encode())
+        _write(out, output_frame.pack(-1.0, *[0.0] * len(settings["outputs"])) + f"{one_line(error)}\n".encode())
 
 
 class _Group:
@@ -324,13 +315,13 @@ def _write(file: int, data: bytes) -> None:
 class _Instance:
     """An instance of the controller FMU, advanced one control step at a time."""
 
-    def __init__(self, fmu: ControllerFmu, folder: Path, told: Mapping[str, Any]) -> None:
+    def __init__(self, fmu: ControllerFmu, folder: Path, settings: Mapping[str, Any]) -> None:
         self._fmu, self._folder = fmu, folder
-        self._dt = float(told["step_s"])
-        self._settings = {v: told["parameters"].get(_word(v)) for v in fmu.parameters}
+        self._dt = float(settings["step_s"])
+        self._settings = {v: settings["parameters"].get(_identifier(v)) for v in fmu.parameters}
         ground = [v for v in fmu.description.modelVariables if v.name == _ON_GROUND and v.causality == "parameter"]
-        self._settings |= {v: float(told["on_ground"]) for v in ground}
-        self._names: list[str] = told["inputs"]
+        self._settings |= {v: float(settings["on_ground"]) for v in ground}
+        self._names: list[str] = settings["inputs"]
         self._inputs: list[_Group] = []
         self._outputs: list[_Group] = []
         self._instance: Any = None

@@ -16,6 +16,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from cosim.base.errors import InputError
 from cosim.base.storage.user import cache_folder
 from cosim.base.trust import need_trust
@@ -30,7 +32,7 @@ from cosim.engine.measure import EngineMeasurement, measure_once
 from cosim.engine.qualify.remembered import misbehaves, record_misbehaviour, write
 from cosim.engine.qualify.report import CheckReport
 from cosim.engine.qualify.supervisor import READ, STARTED, ChildResult, Limits, run_in_child
-from cosim.engine.response import NO_CHANGE, Curve, Response, SmallStep, curve_problems
+from cosim.engine.response import NO_CHANGE, Response, curve_problems
 from cosim.engine.spec import EngineSource, find_source, need_whole_steps, resolve_parameters
 
 DEFAULT_STEP_S = 0.004  # of the Hex-Jet's control loop
@@ -84,8 +86,7 @@ def _check(
     archive = source.archive
     step = step or (source.engine.internal_step if source.engine else DEFAULT_STEP_S)
     need_whole_steps(archive, source.engine, step)
-    start = archive.ports["start"].variable.name if "start" in archive.ports else None
-    resolve_parameters(archive, {**source.mapping.parameters, **parameters}, start)
+    resolve_parameters(source, parameters)
     unpack(archive).close()
     report = CheckReport(
         path=str(source.path),
@@ -116,73 +117,73 @@ class _TrialRunner:
 
     def __init__(self, task: Mapping[str, Any], limits: Limits, report: CheckReport) -> None:
         self._task, self._limits, self._report = task, limits, report
-        self._left = limits.seconds
-        self._printed = 0
+        self._seconds_left = limits.seconds
+        self._printed_bytes = 0
         self._findings: dict[str, Any] = {}
 
     def all(self, parts: Sequence[str]) -> EngineMeasurement | None:
         """Run the parts, fill in the report, and return the measurement for flights."""
         while parts:
             apart = self._run(parts)
-            begun = [message["part"] for message in apart.messages if "part" in message]
-            over = any(message.get("over") for message in apart.messages)
-            last = begun[-1] if begun else parts[0]
-            if over or not apart.crashed or last in NEEDED:
+            begun_parts = [message["part"] for message in apart.messages if "part" in message]
+            is_over = any(message.get("over") for message in apart.messages)
+            last = begun_parts[-1] if begun_parts else parts[0]
+            if is_over or not apart.crashed or last in NEEDED:
                 break
             parts = parts[parts.index(last) + 1 :]  # a crash in one part need not hide what the others have to say
-        measured = self._fill()
+        measured = self._fill_report()
         if self._findings.get("own"):
-            self._misbehaves(self._findings["own"])
-        if "digest" in self._findings and self._left > 0.0 and not self._report.problems:
-            self._again()
-        if self._printed > MOST_PRINTED:
-            self._add([f"prints too much: {self._printed / 2**20:.0f} MB while it was tried"])
-        elif self._printed:
+            self._note_misbehaviour(self._findings["own"])
+        if "digest" in self._findings and self._seconds_left > 0.0 and not self._report.problems:
+            self._repeat_run()
+        if self._printed_bytes > MOST_PRINTED:
+            self._add_problems([f"prints too much: {self._printed_bytes / 2**20:.0f} MB while it was tried"])
+        elif self._printed_bytes:
             self._report.notes.append(
-                f"prints to standard output or standard error ({self._printed} bytes in the trial)"
+                f"prints to standard output or standard error ({self._printed_bytes} bytes in the trial)"
             )
-        if self._printed:
-            self._misbehaves("prints to standard output or standard error")
+        if self._printed_bytes:
+            self._note_misbehaviour("prints to standard output or standard error")
         return measured
 
-    def _misbehaves(self, what: str) -> None:
+    def _note_misbehaviour(self, what: str) -> None:
         """Record the first misbehaviour, for flights: the worst comes first."""
         self._report.apart = self._report.apart or what
 
     def _run(self, parts: Sequence[str]) -> ChildResult:
-        limits = replace(self._limits, seconds=max(0.1, self._left))
+        limits = replace(self._limits, seconds=max(0.1, self._seconds_left))
         apart = run_in_child({**self._task, "parts": list(parts)}, limits)
-        self._left -= apart.took
+        self._seconds_left -= apart.took
         for message in apart.messages:
             findings = message.get("found", {})
             notes = self._report.notes
             notes += [note for note in findings.get("notes", []) if note not in notes]
             self._findings |= findings
-            self._add(message.get("problems", []))
+            self._add_problems(message.get("problems", []))
         if apart.end is not None:
-            self._add([apart.end])
+            self._add_problems([apart.end])
             if (apart.crashed or apart.hung) and apart.moment not in (STARTED, READ):
-                self._misbehaves(apart.end)
+                self._note_misbehaviour(apart.end)
         if apart.left_behind:
-            self._add(["leaves processes behind"])
-            self._misbehaves("leaves processes behind")
-        self._printed += apart.printed
+            self._add_problems(["leaves processes behind"])
+            self._note_misbehaviour("leaves processes behind")
+        self._printed_bytes += apart.printed
         return apart
 
-    def _again(self) -> None:
+    def _repeat_run(self) -> None:
         """Repeat the run in another process, where addresses, process number and time of day differ."""
         digest = self._findings.pop("digest")
         if self._run(["run"]).end is None:
             self._report.processes_agree = self._findings.get("digest") == digest
             if not self._report.processes_agree:
-                self._add(["two processes with the same throttle differ"])
+                self._add_problems(["two processes with the same throttle differ"])
 
-    def _add(self, problems: Iterable[str]) -> None:
+    def _add_problems(self, problems: Iterable[str]) -> None:
         for problem in problems:
             if problem not in self._report.problems:
                 self._report.problems.append(problem)
 
-    def _fill(self) -> EngineMeasurement | None:
+    def _fill_report(self) -> EngineMeasurement | None:
         findings, report = self._findings, self._report
         for part in fields(CheckReport):
             if part.name in findings and part.name != "notes":
@@ -194,7 +195,7 @@ class _TrialRunner:
                 setattr(report, f"rise_time_{way}", response.rise)
         if "measured" not in findings:
             return None
-        measured = _measured(findings["measured"])
+        measured = measurement_json().validate_python(findings["measured"])
         if measured.quiet > NO_CHANGE:
             report.notes.append(
                 f"its thrust trembles at rest; it is taken to stand still to {measured.quiet:g} of itself"
@@ -202,23 +203,10 @@ class _TrialRunner:
         return measured
 
 
-def _measured(data: Mapping[str, Any]) -> EngineMeasurement:
-    curve = Curve(tuple(data["throttle"]), tuple(data["thrust"]))
-    small = SmallStep(**data["small"]) if data["small"] else None
-    others = tuple(_measured(other) for other in data["others"])
-    return EngineMeasurement(curve, Response(**data["response"]), data["start"], float(data["quiet"]), small, others)
-
-
-def as_table(measured: EngineMeasurement) -> dict[str, Any]:
-    """Return a measurement as a table for transmission and caching."""
-    return {
-        **measured.curve._asdict(),
-        "response": measured.response._asdict(),
-        "start": measured.start,
-        "quiet": measured.quiet,
-        "small": measured.small._asdict() if measured.small else None,
-        "others": [as_table(other) for other in measured.others],
-    }
+@cache
+def measurement_json() -> TypeAdapter[EngineMeasurement]:
+    """Return what turns a measurement into JSON and back, for transmission and caching."""
+    return TypeAdapter(EngineMeasurement)
 
 
 def _described(variables: Iterable[Variable]) -> list[dict[str, Any]]:
@@ -227,33 +215,33 @@ def _described(variables: Iterable[Variable]) -> list[dict[str, Any]]:
 
 def _described_port(label: str, port: Port, source: EngineSource) -> dict[str, Any]:
     v = port.variable
-    name = label.partition(" ")[0]  # without whose it is
-    stated = source.engine.ports if source.engine else source.mapping.ports.model_dump(exclude_none=True)
-    if name in stated:
-        place = "in engine.toml" if source.engine else "in the mapping file"
+    name = label.partition(" ")[0]  # without the engine's number
+    mapped = source.engine.ports if source.engine else source.mapping.ports.model_dump(exclude_none=True)
+    if name in mapped:
+        origin = "in engine.toml" if source.engine else "in the mapping file"
     elif plain(v.name) == plain(name):
-        place = "by its name"
+        origin = "by its name"
     elif any(plain(text) in KINDS[name].names for text in (v.name, v.name.rpartition(".")[2])):
-        place = "by a usual name"
+        origin = "by a usual name"
     else:
-        place = "by its unit" if name == "thrust" else "as the only one"
-    ranged = KINDS[name].causality == "input" and name in ("throttle",)
+        origin = "by its unit" if name == "thrust" else "as the only one"
+    is_lever = KINDS[name].causality == "input" and name in ("throttle",)
     return {
         "port": label,
         "name": v.name,
         "unit": v.unit if name in ("throttle", "run", "start") else _unit(name, source) or v.unit,
-        "from": port.value(0.0) if ranged else None,
-        "to": port.value(1.0) if ranged else None,
+        "from": port.value(0.0) if is_lever else None,
+        "to": port.value(1.0) if is_lever else None,
         "scale": port.scale,
         "offset": port.offset,
         "si": KINDS[name].quantity.si,
-        "found": place,
+        "found": origin,
     }
 
 
 def _unit(name: str, source: EngineSource) -> str | None:
-    stated = None if source.engine else getattr(source.mapping.units, name, None)
-    return str(stated) if stated else None
+    mapped = None if source.engine else getattr(source.mapping.units, name, None)
+    return str(mapped) if mapped else None
 
 
 def _checksums(path: Path) -> list[str]:
@@ -286,7 +274,7 @@ def _notes(archive: Archive, library: bool) -> list[str]:
 
 # ---- before a flight
 
-_fit: set[tuple[str, str, float]] = set()  # found fit in this process: sha256 of the archive, mapping, step
+_fit_engines: set[tuple[str, str, float]] = set()  # checked in this process: sha256 of the archive, mapping, step
 
 
 def measure_in_child(
@@ -301,23 +289,23 @@ def measure_in_child(
     Raises InputError if it is unfit: one line with the first problem.  InstanceError, ResponseError if it fails here.
     """
     source = find_source(name_or_path)
-    content = source.archive.sha256, source.mapping.model_dump_json(), step
-    tried = content in _fit
+    key = source.archive.sha256, source.mapping.model_dump_json(), step
+    is_fit = key in _fit_engines
     path = _cache_path(source, parameters, step, air)
     cached = _read_cached(path)
-    if cached is None and tried and (apart or not misbehaves(source.archive.sha256)):
+    if cached is None and is_fit and (apart or not misbehaves(source.archive.sha256)):
         measure = measure_unchecked if apart else _measure_here
         measured = measure(name_or_path, parameters, step, air)
         _need_no_problems(source, all_curve_problems(measured, source.archive.starting.rest_n))
         return measured
     measured = cached or _check_and_measure(name_or_path, source, parameters, step, air)
     if cached is None:
-        _cache(path, measured)
-    _fit.add(content)
+        write(path, measurement_json().dump_json(measured).decode())
+    _fit_engines.add(key)
     return measured
 
 
-_apart: dict[Path, EngineMeasurement] = {}  # measured in this process's children without being judged
+_unjudged_measurements: dict[Path, EngineMeasurement] = {}  # measured in this process's children without being judged
 
 
 def measure_unchecked(
@@ -329,22 +317,20 @@ def measure_unchecked(
     """
     source = find_source(name_or_path)
     path = _cache_path(source, parameters, step, air)
-    result = _apart.get(path) or _read_cached(path)
+    result = _unjudged_measurements.get(path) or _read_cached(path)
     if result is None:
         report, measured = _check(name_or_path, step, parameters, LIMITS, ("measure",), air)
         if measured is None:
             raise InputError(f"{source.path}: {report.problems[0]}")
         result = measured
-    _apart[path] = result
+    _unjudged_measurements[path] = result
     return result
 
 
 def _measure_here(name_or_path: str, parameters: Mapping[str, float], step: float, air: Air) -> EngineMeasurement:
     source = find_source(name_or_path)
-    archive, given = source.archive, {**source.mapping.parameters, **parameters}
-    start = archive.ports["start"].variable.name if "start" in archive.ports else None
-    _, settings = resolve_parameters(archive, given, start)
-    return measure_once(archive, settings, start, step, air)
+    _, settings = resolve_parameters(source, parameters)
+    return measure_once(source.archive, settings, source.archive.start, step, air)
 
 
 def all_curve_problems(measured: EngineMeasurement, rest: float) -> list[str]:
@@ -405,12 +391,8 @@ def _code() -> str:
 def _read_cached(path: Path) -> EngineMeasurement | None:
     """Return a cached measurement, or None if there is none that can be read."""
     try:
-        measured = _measured(json.loads(path.read_text(encoding="utf-8")))
+        measured = measurement_json().validate_json(path.read_bytes())
         sane = len(measured.curve.throttle) == len(measured.curve.thrust) > 1 and measured.response.delay >= 0
         return measured if sane else None
-    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+    except (OSError, ValueError):
         return None
-
-
-def _cache(path: Path, measured: EngineMeasurement) -> None:
-    write(path, json.dumps(as_table(measured)))

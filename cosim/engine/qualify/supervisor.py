@@ -25,13 +25,13 @@ from cosim.engine.fmu.container import one_line
 
 POLL_S = 0.02  # how often time and memory are looked at
 MOST_MESSAGES = 2**24  # bytes; a check says less than 100 kB
-KEPT_OUTPUT = 2000  # bytes of what the FMU printed last
+LAST_OUTPUT_BYTES = 2000  # of what the FMU printed
 HANGS = "hangs"
 STARTED, READ = "while its process started", "while its archive was read"  # before the FMU is called
-TO_VANISH_S = 0.3  # for the processes of a child that has ended
+GROUP_END_S = 0.3  # for the processes of a child that has ended
 BACKSTOP_S = 10.0  # after the parent's limit the child's own alarm ends it, should the parent be gone
 _MAIN = "from cosim.engine.qualify.child import main; main(int(sys.argv[1]))"
-BUSIEST = 10.0  # times its limit that a child may take by the clock, on a machine that is busy with something else
+CLOCK_FACTOR = 10.0  # times its limit that a child may take by the clock, on a machine that is busy with something else
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Limits:
 
 @dataclass
 class ChildResult:
-    """What came of a task; ``end`` is None if it was finished, else what became of the process, in words."""
+    """The result of a task; ``end`` is None if it was finished, else a clause on how the process ended."""
 
     messages: list[dict[str, Any]] = field(default_factory=list)
     end: str | None = None
@@ -58,7 +58,7 @@ class ChildResult:
     printed: int = 0  # bytes
     last_words: str = ""
     left_behind: bool = False  # processes that it did not end
-    took: float = 0.0  # s that it had
+    took: float = 0.0  # of its own time
 
 
 def run_in_child(task: Mapping[str, Any], limits: Limits) -> ChildResult:
@@ -66,30 +66,30 @@ def run_in_child(task: Mapping[str, Any], limits: Limits) -> ChildResult:
 
     Nothing of it is left when this returns: processes that the child started are ended with it.
     """
-    apart = ChildResult()
+    result = ChildResult()
     with temporary("engine-apart-") as folder, _child(task, limits, folder) as (child, pipe):
         assert child.stdout is not None
-        readers = {pipe: _lines_into(apart), child.stdout.fileno(): _output_into(apart)}
-        had = _Had(child.pid)
-        apart.end = _watch(child, readers, limits, had)
-        apart.took = had.seconds
-        apart.hung = apart.end is not None and apart.end.startswith(HANGS)
+        readers = {pipe: _message_reader(result), child.stdout.fileno(): _output_reader(result)}
+        child_time = _ChildTime(child.pid)
+        result.end = _watch(child, readers, limits, child_time)
+        result.took = child_time.seconds
+        result.hung = result.end is not None and result.end.startswith(HANGS)
         for descriptor, take in readers.items():
             _drain(descriptor, take)
-        done = any("done" in message for message in apart.messages)
-        if apart.end is None and not (done and child.returncode == 0):
-            apart.end, apart.crashed = _ended(child.returncode), True
-            if apart.last_words:
-                apart.end += f'; it printed: "{apart.last_words}"'
-        if apart.end is not None:
-            apart.end = apart.end.replace("{moment}", apart.moment)
-        apart.left_behind = apart.end is None and _lives(child.pid)
-    return apart
+        done = any("done" in message for message in result.messages)
+        if result.end is None and not (done and child.returncode == 0):
+            result.end, result.crashed = _describe_exit(child.returncode), True
+            if result.last_words:
+                result.end += f'; it printed: "{result.last_words}"'
+        if result.end is not None:
+            result.end = result.end.replace("{moment}", result.moment)
+        result.left_behind = result.end is None and _is_alive(child.pid)
+    return result
 
 
 @contextlib.contextmanager
 def _child(task: Mapping[str, Any], limits: Limits, folder: Path) -> Iterator[tuple[Child, int]]:
-    most = BUSIEST * limits.seconds + BACKSTOP_S
+    most = CLOCK_FACTOR * limits.seconds + BACKSTOP_S
     read, write = os.pipe()
     try:
         child = Child(
@@ -116,51 +116,52 @@ def _child(task: Mapping[str, Any], limits: Limits, folder: Path) -> Iterator[tu
         os.close(read)
 
 
-class _Had:
-    """The time that a process had since it was started, and how much of it was of the processor.
+class _ChildTime:
+    """The time that a process had since its start, and how much of it was processor time.
 
-    One that is ready to run and is not let waits for the machine: that is no time of its own.
+    Time in which it is ready to run and another process runs is not counted.
     """
 
     def __init__(self, process: int) -> None:
         self._process = process
-        self._begun = self._looked = time.monotonic()
+        self._started_at = self._updated_at = time.monotonic()
         self.seconds = self.processor = 0.0
         self.answered()
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Count what has passed since the last look; without a ``/proc`` all of it."""
         now, before = time.monotonic(), self.processor
-        passed, self._looked = now - self._looked, now
-        waits = True
+        elapsed, self._updated_at = now - self._updated_at, now
+        is_waiting = True
         with contextlib.suppress(OSError, ValueError, IndexError):
             used = Path(f"/proc/{self._process}/stat").read_text().rpartition(")")[2].split()[11:13]
             self.processor = sum(map(int, used)) / os.sysconf("SC_CLK_TCK")
             threads = Path(f"/proc/{self._process}/task").glob("*/stat")
-            waits = all(thread.read_text().rpartition(")")[2].split()[0] != "R" for thread in threads)
-        self.seconds += max(self.processor - before, passed if waits else 0.0)
+            is_waiting = all(thread.read_text().rpartition(")")[2].split()[0] != "R" for thread in threads)
+        self.seconds += max(self.processor - before, elapsed if is_waiting else 0.0)
 
     def answered(self) -> None:
         """Record that the process has reported."""
-        self._told, self._heard, self._computed = self._looked, self.seconds, self.processor
+        self._answer = self._updated_at, self.seconds, self.processor
 
-    def beyond(self, limits: Limits) -> str | None:
-        """Return in words which limit of time it has passed, None for none; by the clock they are ten times as long."""
-        if self.seconds > limits.seconds or self._looked - self._begun > BUSIEST * limits.seconds:
+    def exceeded(self, limits: Limits) -> str | None:
+        """Return a clause on the exceeded time limit, or None; limits by the clock are ten times as long."""
+        answered_at, seconds, processor = self._answer
+        if self.seconds > limits.seconds or self._updated_at - self._started_at > CLOCK_FACTOR * limits.seconds:
             return f"takes too long: was not done within {limits.seconds:.3g} s, and ended {{moment}}"
-        if self.seconds - self._heard > limits.silence:
-            busy = self.processor - self._computed > 0.5 * limits.silence
+        if self.seconds - seconds > limits.silence:
+            busy = self.processor - processor > 0.5 * limits.silence
             slow = " of processor time, if it is not that slow" if busy else ""
             return f"{HANGS} {{moment}}: no answer within {limits.silence:g} s{slow}"
-        if self._looked - self._told > BUSIEST * limits.silence:  # a busy machine is no fault of the FMU
-            return f"takes too long {{moment}}: no answer within {BUSIEST * limits.silence:g} s of the clock"
+        if self._updated_at - answered_at > CLOCK_FACTOR * limits.silence:  # no hang: the machine may be busy
+            return f"takes too long {{moment}}: no answer within {CLOCK_FACTOR * limits.silence:g} s of the clock"
         return None
 
 
 def _watch(
-    child: subprocess.Popen[bytes], readers: Mapping[int, Callable[[bytes], bool]], limits: Limits, had: _Had
+    child: subprocess.Popen[bytes], readers: Mapping[int, Callable[[bytes], bool]], limits: Limits, timer: _ChildTime
 ) -> str | None:
-    """Read what the child says until it ends; the words for what it was ended for, None if it ended by itself."""
+    """Read the child's messages until it ends; return why it is to be ended, or None if it ended by itself."""
     with selectors.DefaultSelector() as selector:
         for descriptor in readers:
             os.set_blocking(descriptor, False)
@@ -173,10 +174,10 @@ def _watch(
                 if not data:
                     selector.unregister(key.fd)
                 elif readers[key.fd](data):
-                    had.answered()
-            had.look()
-            if late := had.beyond(limits):
-                return late
+                    timer.answered()
+            timer.update()
+            if violation := timer.exceeded(limits):
+                return violation
             if measure_megabytes(child.pid) > limits.megabytes:
                 return f"took more than {limits.megabytes:g} MB of memory {{moment}}"
     return None
@@ -189,7 +190,7 @@ def _drain(descriptor: int, take: Callable[[bytes], bool]) -> None:
             take(data)
 
 
-def _lines_into(apart: ChildResult) -> Callable[[bytes], bool]:
+def _message_reader(result: ChildResult) -> Callable[[bytes], bool]:
     rest, total = bytearray(), 0
 
     def take(data: bytes) -> bool:
@@ -204,29 +205,29 @@ def _lines_into(apart: ChildResult) -> Callable[[bytes], bool]:
             with contextlib.suppress(ValueError):  # an FMU may write into a pipe that is not its own
                 message = json.loads(line)
                 if isinstance(message, dict):
-                    apart.moment = str(message.pop("at", apart.moment))
+                    result.moment = str(message.pop("at", result.moment))
                     if message:
-                        apart.messages.append(message)
+                        result.messages.append(message)
         return True
 
     return take
 
 
-def _output_into(apart: ChildResult) -> Callable[[bytes], bool]:
+def _output_reader(result: ChildResult) -> Callable[[bytes], bool]:
     kept = bytearray()
 
     def take(data: bytes) -> bool:
-        apart.printed += len(data)
+        result.printed += len(data)
         kept.extend(data)
-        del kept[:-KEPT_OUTPUT]
+        del kept[:-LAST_OUTPUT_BYTES]
         lines = [line for line in bytes(kept).decode(errors="replace").splitlines() if line.strip()]
-        apart.last_words = one_line(lines[-1])[:200] if lines else ""
+        result.last_words = one_line(lines[-1])[:200] if lines else ""
         return False  # printing is no sign of getting on
 
     return take
 
 
-def _ended(code: int | None) -> str:
+def _describe_exit(code: int | None) -> str:
     if code is not None and code < 0:
         try:
             return f"crashed {{moment}} ({signal.Signals(-code).name}: {signal.strsignal(-code)})"
@@ -235,22 +236,22 @@ def _ended(code: int | None) -> str:
     return f"ended its process {{moment}} (exit status {code})"
 
 
-def _lives(group: int) -> bool:
+def _is_alive(group: int) -> bool:
     """Whether a process group still has a member, some time after its leader has ended; zombies do not count."""
-    give_up = time.monotonic() + TO_VANISH_S
+    give_up = time.monotonic() + GROUP_END_S
     while True:
         try:
             os.killpg(group, 0)
         except (ProcessLookupError, PermissionError):
             return False
-        if sys.platform == "linux" and not _awake_members(group):
+        if sys.platform == "linux" and not _has_live_members(group):
             return False
         if time.monotonic() > give_up:
             return True
         time.sleep(POLL_S)
 
 
-def _awake_members(group: int) -> bool:
+def _has_live_members(group: int) -> bool:
     for path in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError, ValueError, IndexError):
             state, _, leader = path.read_text().rpartition(")")[2].split()[:3]

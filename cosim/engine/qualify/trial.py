@@ -27,7 +27,7 @@ from cosim.engine.fmu.instance import FmuInstance, InstanceError
 from cosim.engine.fmu.unpacked import contents, unpack
 from cosim.engine.load import load_unchecked
 from cosim.engine.measure import EngineMeasurement, measure
-from cosim.engine.qualify.check import NEEDED, all_curve_problems, as_table
+from cosim.engine.qualify.check import NEEDED, all_curve_problems, measurement_json
 from cosim.engine.qualify.process_state import (
     count_threads,
     describe_changes,
@@ -93,15 +93,12 @@ class Task(NamedTuple):
 
 
 class Trial:
-    """One engine, unpacked, and the ways to run it."""
+    """One engine, unpacked, and the ways to run it.  ``say`` sends a message to the parent process."""
 
     def __init__(self, source: EngineSource, task: Task, folder: Path, say: Say) -> None:
         self.archive, self.task, self.folder, self.say, self.step = source.archive, task, folder, say, task.step
-        ports = self.archive.ports
-        self.start = ports["start"].variable.name if "start" in ports else None
-        given = {**source.mapping.parameters, **task.parameters}
         self.measured: EngineMeasurement | None = None
-        _, self.settings = resolve_parameters(self.archive, given, self.start)
+        _, self.settings = resolve_parameters(source, task.parameters)
 
     @contextmanager
     def instance(self, throttle: float = 0.0) -> Iterator[FmuInstance]:
@@ -180,16 +177,16 @@ def perform(order: Mapping[str, Any], say: Say) -> None:
         before = contents(trial.folder)
         for part in task.parts:
             say({"part": part})
-            over = False
+            is_over = False
             try:
                 findings, problems = PARTS[part](trial)
             except (InstanceError, ResponseError, InputError, FlightError) as error:
-                findings, problems, over = {}, [str(error)], part in NEEDED
-            say({"of": part, "found": findings, "problems": problems, "over": over})
-            if over:
+                findings, problems, is_over = {}, [str(error)], part in NEEDED
+            say({"of": part, "found": findings, "problems": problems, "over": is_over})
+            if is_over:
                 break
         after = contents(trial.folder)
-        # what it adds is its own affair: an FMU written in Python leaves compiled modules
+        # Files that it adds are allowed: an FMU written in Python leaves compiled modules.
         if any(after.get(name) != digest for name, digest in before.items()):
             say({"of": "files", "found": {}, "problems": ["changes or deletes files of its own archive"]})
 
@@ -217,7 +214,7 @@ def _features(description: Any) -> list[str]:
     """Return the names of the FMI features that an FMU offers or uses."""
     stated = description.coSimulation
     kinds = Counter(v.type for v in description.modelVariables)
-    said = [
+    features = [
         *(words for key, words in FEATURES.items() if getattr(stated, key, False)),
         *(words for key, words in INTERFACES.items() if getattr(description, key) is not None),
         *(["sources"] if description.buildConfigurations else []),
@@ -225,8 +222,8 @@ def _features(description: Any) -> list[str]:
         *(f"{kinds[kind]} of type {kind}" for kind in ("Binary", "Clock", "String") if kinds[kind]),
     ]
     if stated.fixedInternalStepSize is not None:
-        said.append(f"internal step {float(stated.fixedInternalStepSize):g} s")
-    return [*said, f"{len(description.modelVariables)} variables"]
+        features.append(f"internal step {float(stated.fixedInternalStepSize):g} s")
+    return [*features, f"{len(description.modelVariables)} variables"]
 
 
 def _load(trial: Trial) -> Findings:
@@ -284,13 +281,13 @@ def _measure(trial: Trial) -> Findings:
     measurement = trial.measured = measure(
         trial.archive,
         trial.settings,
-        trial.start,
+        trial.archive.start,
         trial.step,
         lambda: trial.say({"at": "while its thrust was measured"}),
         Air(*trial.task.air),
     )
     curve = measurement.curve._asdict()
-    measured = as_table(measurement)
+    measured = measurement_json().dump_python(measurement, mode="json")
     problems = all_curve_problems(measurement, trial.archive.starting.rest_n)
     notes = flat_notes(measurement.curve, measurement.quiet, trial.archive.starting.rest_n)
     return {**curve, "up": measurement.response._asdict(), "measured": measured, "notes": notes}, problems
@@ -350,8 +347,11 @@ def _repeat(trial: Trial) -> Findings:
     if trial.archive.once_per_process:
         with trial.instance() as other:
             second = trial.zigzag(other)
-    problems = [] if first == second else ["two runs with the same throttle differ"]
-    return {"deterministic": first == second}, problems
+    return _finding("deterministic", first == second, "two runs with the same throttle differ")
+
+
+def _finding(key: str, is_good: bool, problem: str) -> Findings:
+    return {key: is_good}, [] if is_good else [problem]
 
 
 def _together(trial: Trial) -> Findings:
@@ -363,9 +363,9 @@ def _together(trial: Trial) -> Findings:
     memory = resident_bytes()
     spec = _spec(trial)
     runs = []
-    held = len(trial.archive.engines)
-    most = 2 * held if held > 1 else ENGINES
-    for count in (most, held):
+    count_per_fmu = len(trial.archive.engines)
+    most = 2 * count_per_fmu if count_per_fmu > 1 else ENGINES
+    for count in (most, count_per_fmu):
         with EngineBank(spec, count, trial.step) as bank:
             begin = resident_bytes()
             for _ in range(2):  # a second flight of the same bank
@@ -376,10 +376,10 @@ def _together(trial: Trial) -> Findings:
         trial.say({"at": f"when {count} of it were freed"})
         if count == most:
             memory = begin - memory
-    good = all(run == runs[0] for run in runs)
-    many = "six" if held == 1 else "two"
-    problems = [] if good else [f"{many} of it at once do not answer as one alone: they are not independent"]
-    return {"independent": good, "bytes_per_instance": max(0.0, memory) * held / most}, problems
+    many = "six" if count_per_fmu == 1 else "two"
+    problem = f"{many} of it at once do not answer as one alone: they are not independent"
+    findings, problems = _finding("independent", all(run == runs[0] for run in runs), problem)
+    return findings | {"bytes_per_instance": max(0.0, memory) * count_per_fmu / most}, problems
 
 
 def _shifted(k: int, count: int) -> tuple[float, ...]:
@@ -399,29 +399,28 @@ def _reset(trial: Trial) -> Findings:
         trial.say({"at": "when it was reset"})
         instance.call("reset")
         trial.initialize(instance)
-        good = trial.zigzag(instance) == first
-    return {"reset_restores_start": good}, [] if good else ["a run after a reset differs from the first"]
+        is_equal = trial.zigzag(instance) == first
+    return _finding("reset_restores_start", is_equal, "a run after a reset differs from the first")
 
 
 def _restore(trial: Trial) -> Findings:
     if not trial.archive.saves_state:
         return {}, []
     with trial.instance() as instance:
-        good = _continues(trial, instance, lambda state: state)
-    return {"state_restores": good}, [] if good else ["a run from a restored state differs from the first"]
+        is_equal = _continues(trial, instance, lambda state: state)
+    return _finding("state_restores", is_equal, "a run from a restored state differs from the first")
 
 
 def _serialize(trial: Trial) -> Findings:
     if not trial.archive.serializes_state:
         return {}, []
-
     with trial.instance() as instance:
-        good = _continues(
-            trial,
-            instance,
-            lambda state: instance.call("deserializeFMUState", instance.call("serializeFMUState", state)),
-        )
-    return {"serialized_state_restores": good}, [] if good else ["a run from a serialized state differs from the first"]
+
+        def copy(state: Any) -> Any:
+            return instance.call("deserializeFMUState", instance.call("serializeFMUState", state))
+
+        is_equal = _continues(trial, instance, copy)
+    return _finding("serialized_state_restores", is_equal, "a run from a serialized state differs from the first")
 
 
 def _continues(trial: Trial, instance: FmuInstance, copy: Callable[[Any], Any]) -> bool:
@@ -460,9 +459,8 @@ def _grow(trial: Trial) -> Findings:
             resident.append(resident_bytes())
     per_step = min(b - a for a, b in pairwise(resident)) / GROWTH_STEPS
     leaks = per_step >= LEAST_LEAK
-    return {"bytes_per_step": max(0.0, per_step)}, [
-        f"takes {per_step:.0f} bytes more memory in every step"
-    ] if leaks else []
+    problems = [f"takes {per_step:.0f} bytes more memory in every step"] if leaks else []
+    return {"bytes_per_step": max(0.0, per_step)}, problems
 
 
 PARTS: Mapping[str, Callable[[Trial], Findings]] = {

@@ -52,7 +52,8 @@ def stepped(path: Path, **settings: float) -> Iterator[tuple[Archive, FmuInstanc
     with unpack(archive) as folder:
         instance = make_instance(archive, folder, "tried")
         try:
-            named = [(archive.parameter(name.replace("__", ".")), value) for name, value in settings.items()]
+            parameters = {v.name: v for v in archive.parameters}
+            named = [(parameters[name.replace("__", ".")], value) for name, value in settings.items()]
             instance.initialize(named, 0.0, step=STEP)
             yield archive, instance, native.Bank((instance.row(),), STEP)
         finally:
@@ -126,7 +127,7 @@ def test_systems_in_systems_and_units_that_differ(tmp_path: Path, fmus: dict[str
     assert uri in text
     archive = find_source(str(pack(tmp_path / "deep.ssp", text, fmus))).archive
     assert [part.name for part in archive.system.components] == ["pump", "hot.core"]
-    assert (archive.thrust.unit, archive.system.places[archive.thrust.reference][0].factor) == (
+    assert (archive.thrust.unit, archive.system.targets[archive.thrust.reference][0].factor) == (
         "lbf",
         1000.0 / 4.4482216152605,
     )

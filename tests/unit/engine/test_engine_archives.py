@@ -241,11 +241,11 @@ def test_one_that_computes_is_counted_by_the_processor(clock: None) -> None:
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
         assert child.stdout is not None
         child.stdout.readline()
-        had = supervisor._Had(child.pid)
-        while had.processor < 0.5:
-            had.look()
+        child_time = supervisor._ChildTime(child.pid)
+        while child_time.processor < 0.5:
+            child_time.update()
         child.kill()
-    assert had.seconds == had.processor
+    assert child_time.seconds == child_time.processor
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="told by /proc")
@@ -254,8 +254,8 @@ def test_one_that_waits_is_counted_by_the_clock(clock: None) -> None:
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
         assert child.stdout is not None
         child.stdout.readline()
-        had = supervisor._Had(child.pid)
+        child_time = supervisor._ChildTime(child.pid)
         for _ in range(1000):
-            had.look()
+            child_time.update()
         child.kill()
-    assert had.seconds > 900_000.0
+    assert child_time.seconds > 900_000.0
