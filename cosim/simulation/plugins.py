@@ -21,7 +21,7 @@ from cosim.base.plugins.entry_points import GROUPS, find_entries
 from cosim.base.protocols import Column, Columns, Sensors
 from cosim.base.signals import Measured, Sample, State, Vector3
 from cosim.base.storage.files import read_text
-from cosim.simulation.controllers.guard import Named, columns_from
+from cosim.simulation.controllers.guard import CallGuard, columns_from
 from cosim.simulation.controllers.source import NAME, Source, check_method, find_python
 from cosim.simulation.script.wind import FieldWind
 from cosim.spec.scenario import Scenario
@@ -209,7 +209,7 @@ def _made(source: Source, scenario: Scenario, vehicle: Vehicle, number: int) -> 
 
 
 def _called(source: Source, what: str, method: Callable[..., Any], *told: Any) -> Any:
-    return Named(source.label, kind=source.level).call(what, method, *told)
+    return CallGuard(source.label, kind=source.level).call(what, method, *told)
 
 
 class GuardedObserver:

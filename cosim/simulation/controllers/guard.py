@@ -37,15 +37,15 @@ from cosim.base.signals import (
 from cosim.control.belief import Belief
 from cosim.simulation.controllers.deadline import Deadline, LateError
 
-_LARGEST: Final = sys.float_info.max
+_MAX_FLOAT: Final = sys.float_info.max
 _ROUNDING: Final = 1e-9  # of a throttle: this far outside 0 to 1 is the rounding of somebody's arithmetic
-_AXES: Final = tuple([f"the answer for {axis}" for axis in AXES])
+_AXIS_ANSWERS: Final = tuple([f"the answer for {axis}" for axis in AXES])
 _TILTS: Final = ("the tilt of the left servo", "the tilt of the right servo")
 _FLY: Final = EngineState.FLY
 
 
 @dataclass(frozen=True)
-class Named:
+class CallGuard:
     """A block's name in messages, and the time that each of its calls may take; None: any."""
 
     label: str
@@ -55,7 +55,7 @@ class Named:
     def error(self, text: str) -> FlightError:
         return FlightError(f"{self.kind} {self.label}: {text}")
 
-    def call(self, what: str, method: Callable[..., Any], *told: Any) -> Any:
+    def call(self, what: str, method: Callable[..., Any], *arguments: Any) -> Any:
         """Call a method of the user's.  Raises FlightError for what it raises, and if it takes too long.
 
         An InputError that a controller raises is passed on as it is.
@@ -63,7 +63,7 @@ class Named:
         deadline = self.deadline
         begun = 0.0 if deadline is None else deadline.begin()
         try:
-            answer = method(*told)
+            answer = method(*arguments)
             if deadline is not None:
                 deadline.done(begun)
         except BaseException as error:  # Ctrl-C too: nothing is on that could be late
@@ -80,9 +80,9 @@ class Named:
 
     def numbers(self, answer: Any, names: Sequence[str], what: str = "update") -> tuple[float, ...]:
         """Return an answer as so many finite numbers.  Raises FlightError."""
-        found = within(answer, len(names), -_LARGEST, _LARGEST)
-        if found is not None:
-            return found
+        numbers = within(answer, len(names), -_MAX_FLOAT, _MAX_FLOAT)
+        if numbers is not None:
+            return numbers
         try:
             values = tuple([float(value) for value in answer])
         except (TypeError, ValueError):
@@ -112,26 +112,33 @@ def columns_from(block: Any) -> tuple[Column, ...]:
     return tuple([Column(*column) for column in getattr(block, "columns", ())])
 
 
-class GuardedPredictor:
-    """A predictor of the user's on one axis."""
+class Guarded:
+    """A block of the user's whose calls are guarded; its columns go into the log."""
 
-    def __init__(self, block: Any, named: Named, axis: str) -> None:
-        self._block, self._named, self._axis = block, named, axis
+    def __init__(self, block: Any, guard: CallGuard) -> None:
+        self._block, self._guard = block, guard
         self.columns = columns_from(block)
-        self._answer = (f"the rate of {axis}",)
-
-    def reset(self) -> None:
-        self._named.call("reset", self._block.reset)
-
-    def update(self, measured: float, applied: float) -> float:
-        answer = self._named.call("update", self._block.update, measured, applied)
-        if type(answer) is float and isfinite(answer):
-            return answer
-        return self._named.numbers((answer,) if not isinstance(answer, (list, tuple)) else answer, self._answer)[0]
 
     @property
     def shown(self) -> tuple[float, ...]:
-        return self._named.shown(self._block, self.columns)
+        return self._guard.shown(self._block, self.columns)
+
+
+class GuardedPredictor(Guarded):
+    """A predictor of the user's on one axis."""
+
+    def __init__(self, block: Any, guard: CallGuard, axis: str) -> None:
+        super().__init__(block, guard)
+        self._answer = (f"the rate of {axis}",)
+
+    def reset(self) -> None:
+        self._guard.call("reset", self._block.reset)
+
+    def update(self, measured: float, applied: float) -> float:
+        answer = self._guard.call("update", self._block.update, measured, applied)
+        if type(answer) is float and isfinite(answer):
+            return answer
+        return self._guard.numbers((answer,) if not isinstance(answer, (list, tuple)) else answer, self._answer)[0]
 
     @property
     def diagnostics(self) -> Diagnostics:
@@ -139,117 +146,103 @@ class GuardedPredictor:
         return (float(diagnostics[0]), float(diagnostics[1]), float(diagnostics[2]))
 
 
-class GuardedRate:
+class GuardedRate(Guarded):
     """A rate loop of the user's: see :class:`cosim.control.phases.law.CustomRate`."""
 
-    def __init__(self, block: Any, named: Named) -> None:
-        self._block, self._named = block, named
-        self.columns = columns_from(block)
-        self._asked = ZERO3
+    def __init__(self, block: Any, guard: CallGuard) -> None:
+        super().__init__(block, guard)
+        self._torque = ZERO3
         self.predicted: Vector3 = UNKNOWN3
 
     def reset(self) -> None:
-        self._asked, self.predicted = ZERO3, UNKNOWN3
-        self._named.call("reset", self._block.reset)
+        self._torque, self.predicted = ZERO3, UNKNOWN3
+        self._guard.call("reset", self._block.reset)
 
     def update(self, setpoint: Vector3, measured: Vector3, unallocated: Unallocated) -> Vector3:
-        roll, pitch, yaw = self._asked
+        roll, pitch, yaw = self._torque
         applied = (roll - unallocated.roll, pitch - unallocated.pitch, yaw - unallocated.yaw)
-        answer = self._named.call("update", self._block.update, setpoint, measured, applied)
-        roll, pitch, yaw = self._named.numbers(answer, _AXES)
-        self._asked = (roll, pitch, yaw)
+        answer = self._guard.call("update", self._block.update, setpoint, measured, applied)
+        roll, pitch, yaw = self._guard.numbers(answer, _AXIS_ANSWERS)
+        self._torque = (roll, pitch, yaw)
         predicted = getattr(self._block, "predicted", None)
         if predicted is not None:
-            x, y, z = within(predicted, 3, -_LARGEST, _LARGEST) or predicted
+            x, y, z = within(predicted, 3, -_MAX_FLOAT, _MAX_FLOAT) or predicted
             self.predicted = (float(x), float(y), float(z))
-        return self._asked
+        return self._torque
 
     def add_to_command(self, added: Vector3) -> None:
-        x, y, z = self._asked
-        self._asked = (x + added[0], y + added[1], z + added[2])
-
-    @property
-    def shown(self) -> tuple[float, ...]:
-        return self._named.shown(self._block, self.columns)
+        x, y, z = self._torque
+        self._torque = (x + added[0], y + added[1], z + added[2])
 
 
-class GuardedAttitude:
+class GuardedAttitude(Guarded):
     """An attitude loop of the user's: see :class:`cosim.base.protocols.AttitudeLoop`."""
 
-    def __init__(self, block: Any, named: Named) -> None:
-        self._block, self._named = block, named
-        self.columns = columns_from(block)
-
     def reset(self) -> None:
-        self._named.call("reset", self._block.reset)
+        self._guard.call("reset", self._block.reset)
 
     def update(self, command: Command, measured: Measured) -> Vector3:
-        x, y, z = self._named.numbers(
-            self._named.call("update", self._block.update, command, measured),
+        x, y, z = self._guard.numbers(
+            self._guard.call("update", self._block.update, command, measured),
             ("the rate of roll", "the rate of pitch", "the rate of yaw"),
         )
         return (x, y, z)
 
-    @property
-    def shown(self) -> tuple[float, ...]:
-        return self._named.shown(self._block, self.columns)
 
-
-class GuardedController:
+class GuardedController(Guarded):
     """A whole controller of the user's as a :class:`cosim.base.protocols.Controller`."""
 
-    def __init__(self, block: Any, named: Named, belief: Belief) -> None:
-        self._block, self._named = block, named
-        self.columns = columns_from(block)
+    def __init__(self, block: Any, guard: CallGuard, belief: Belief) -> None:
+        super().__init__(block, guard)
         vehicle, jets = belief.vehicle, len(belief.vehicle.jets)
         low = vehicle.control.allocation.throttle_min
         self._idle = belief.thrust_map.throttle((low,) * jets)
-        self._mass, self._thrust_map, self._share = vehicle.mass_kg, belief.thrust_map, belief.hover
-        self._range = vehicle.servo.range_rad if vehicle.servo else 0.0
-        moved: list[tuple[float, float]] = [] if vehicle.servo else list(vehicle.ranges)
-        self._ends = moved  # of hinges and surfaces; none: two banks, or nothing tilts
-        self._servos = tuple([f"the servo {name}" for name in vehicle.actuators]) if moved else _TILTS
+        self._mass, self._thrust_map, self._hover = vehicle.mass_kg, belief.thrust_map, belief.hover
+        self._tilt_limit = vehicle.servo.range_rad if vehicle.servo else 0.0
+        ranges: list[tuple[float, float]] = [] if vehicle.servo else list(vehicle.ranges)
+        self._ranges = ranges  # of hinges and surfaces; none: two banks, or nothing tilts
+        self._servos = tuple([f"the servo {name}" for name in vehicle.actuators]) if ranges else _TILTS
         self._rest: PerServo = vehicle.rest
         self._names = tuple([f"throttle {number}" for number in range(1, jets + 1)])
-        self._every_jet = frozenset(range(jets))
+        self._all_jets = frozenset(range(jets))
         self._flying = True
         # what the next update is told of the step before
         self._throttle, self._tilt = self._idle, self._rest
         self._engines, self._burnt = EngineOutput((), (), (), ()), 0.0
-        self.signals = self._own_signals(self._idle)
+        self.signals = self._control_signals(self._idle)
 
     def reset(self, on_ground: bool, burnt: float) -> PerJet:
         """Return the throttles that hold the vehicle up, or idle; see :class:`cosim.base.protocols.Controller`."""
-        jets, share = len(self._names), self._share
+        jets, hover = len(self._names), self._hover
         if burnt:
-            share = self._thrust_map.share((self._mass - burnt) * GRAVITY / jets)
-        throttle = self._idle if on_ground else self._thrust_map.throttle((share,) * jets)
+            hover = self._thrust_map.share((self._mass - burnt) * GRAVITY / jets)
+        throttle = self._idle if on_ground else self._thrust_map.throttle((hover,) * jets)
         unknown = (float("nan"),) * len(throttle)
         self._throttle, self._tilt = throttle, self._rest
         self._engines, self._burnt = EngineOutput(unknown, unknown, unknown, unknown), burnt
         self._flying = True
-        self._named.call("reset", self._block.reset)
-        self.signals = self._own_signals(throttle)
+        self._guard.call("reset", self._block.reset)
+        self.signals = self._control_signals(throttle)
         return throttle
 
     def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
         """Return the block's checked answer; while the engines do not fly, idle throttle without asking the block."""
         if engines is not _FLY:
             self._flying = False
-            off = self._every_jet if engines is EngineState.OFF else NO_JETS
-            return self._given(Actuation(self._idle, self._rest, Unallocated(), off))
+            off = self._all_jets if engines is EngineState.OFF else NO_JETS
+            return self._record(Actuation(self._idle, self._rest, Unallocated(), off))
         if not self._flying:
-            self._named.call("reset", self._block.reset)
+            self._guard.call("reset", self._block.reset)
             self._flying = True
         applied = Applied(self._throttle, self._tilt, self._engines, self._burnt)
-        return self._given(self._checked(self._named.call("update", self._block.update, command, measured, applied)))
+        return self._record(self._checked(self._guard.call("update", self._block.update, command, measured, applied)))
 
-    def _given(self, answer: Actuation) -> Actuation:
+    def _record(self, answer: Actuation) -> Actuation:
         self._throttle, self._tilt = answer.throttle, answer.tilt
-        self.signals = self._own_signals(answer.throttle)
+        self.signals = self._control_signals(answer.throttle)
         return answer
 
-    def _own_signals(self, throttle: PerJet) -> ControlSignals:
+    def _control_signals(self, throttle: PerJet) -> ControlSignals:
         """Return the signals of a block that is a cascade; of any other controller only its mean throttle is known."""
         signals = getattr(self._block, "signals", None)
         if isinstance(signals, ControlSignals):
@@ -258,38 +251,38 @@ class GuardedController:
         return ControlSignals(UNKNOWN3, UNKNOWN3, UNKNOWN3, mean, mean)
 
     def _checked(self, answer: Any) -> Actuation:
-        named = self._named
-        whole = isinstance(answer, Actuation)
-        if whole:
+        guard = self._guard
+        is_actuation = isinstance(answer, Actuation)
+        if is_actuation:
             throttles, tilts = answer.throttle, answer.tilt
         else:
             try:
-                throttles, tilts = answer if self._range or self._ends else (answer, (0.0, 0.0))
+                throttles, tilts = answer if self._tilt_limit or self._ranges else (answer, (0.0, 0.0))
             except (TypeError, ValueError):
-                raise named.error(f"update gave {_short(answer)}: must be throttles and tilts") from None
-        throttle = within(throttles, len(self._names), 0.0, 1.0) or self._near(throttles)
+                raise guard.error(f"update gave {_short(answer)}: must be throttles and tilts") from None
+        throttle = within(throttles, len(self._names), 0.0, 1.0) or self._round_to_limits(throttles)
         tilt: PerServo | None = None
-        if self._ends:
-            asked = named.numbers(tilts, self._servos, "tilts: update")
-            tilt = tuple([clip(asked[i], least, most) for i, (least, most) in enumerate(self._ends)])
+        if self._ranges:
+            asked = guard.numbers(tilts, self._servos, "tilts: update")
+            tilt = tuple([clip(asked[i], least, most) for i, (least, most) in enumerate(self._ranges)])
         else:
-            tilt = within(tilts, 2, -self._range, self._range)
+            tilt = within(tilts, 2, -self._tilt_limit, self._tilt_limit)
             if tilt is None:
-                left, right = named.numbers(tilts, _TILTS, "tilts: update")
-                tilt = (clamp(left, self._range), clamp(right, self._range))
+                left, right = guard.numbers(tilts, _TILTS, "tilts: update")
+                tilt = (clamp(left, self._tilt_limit), clamp(right, self._tilt_limit))
         return Actuation(
             throttle,
             tilt,
-            answer.unallocated if whole else Unallocated(0.0, 0.0, 0.0, 0.0),
-            answer.off if whole else NO_JETS,
+            answer.unallocated if is_actuation else Unallocated(0.0, 0.0, 0.0, 0.0),
+            answer.off if is_actuation else NO_JETS,
         )
 
-    def _near(self, throttles: Any) -> PerJet:
+    def _round_to_limits(self, throttles: Any) -> PerJet:
         """Return the throttles, limited to 0 to 1, of which only rounding may be outside.  Raises FlightError."""
-        throttle = self._named.numbers(throttles, self._names, "throttles: update")
+        throttle = self._guard.numbers(throttles, self._names, "throttles: update")
         for name, value in zip(self._names, throttle, strict=True):
             if not -_ROUNDING <= value <= 1.0 + _ROUNDING:
-                raise self._named.error(f"{name} = {value:g}: must be from 0 to 1")
+                raise self._guard.error(f"{name} = {value:g}: must be from 0 to 1")
         return tuple([clip(value, 0.0, 1.0) for value in throttle])
 
     def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
@@ -309,7 +302,3 @@ class GuardedController:
     def diagnostics(self) -> tuple[Diagnostics, Diagnostics, Diagnostics]:
         """The predictors' signals, all unknown: there are no predictors."""
         return (UNKNOWN3, UNKNOWN3, UNKNOWN3)
-
-    @property
-    def shown(self) -> tuple[float, ...]:
-        return self._named.shown(self._block, self.columns)

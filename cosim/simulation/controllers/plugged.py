@@ -12,7 +12,13 @@ from cosim.control.belief import Belief
 from cosim.control.predictors.smith import NoPredictor
 from cosim.engine import EngineSpec
 from cosim.simulation.controllers.deadline import Deadline
-from cosim.simulation.controllers.guard import GuardedAttitude, GuardedController, GuardedPredictor, GuardedRate, Named
+from cosim.simulation.controllers.guard import (
+    CallGuard,
+    GuardedAttitude,
+    GuardedController,
+    GuardedPredictor,
+    GuardedRate,
+)
 from cosim.simulation.controllers.models import make_belief
 from cosim.simulation.controllers.process import ProcessBlock
 from cosim.simulation.controllers.source import Source, find
@@ -54,7 +60,7 @@ class Plugged:
     ) -> None:
         self._own, self._scenario = own, scenario
         self._deadline = Deadline(scenario.controller_limit_s * (1.0 if own.repeats else 2.0))
-        self._named = Named(own.label, self._deadline)
+        self._guard = CallGuard(own.label, self._deadline)
         self._blocks: list[Any] = []
         self.whole: GuardedController | None = None
         self.attitude: GuardedAttitude | None = None
@@ -76,11 +82,11 @@ class Plugged:
     def make(self) -> None:
         """Make its block, but for predictors.  Raises InputError as ``_made``; :meth:`close` ends what was begun."""
         if self._own.level == "controller":
-            self.whole = GuardedController(self._made(self._belief), self._named, self._belief)
+            self.whole = GuardedController(self._made(self._belief), self._guard, self._belief)
         elif self._own.level == "rate":
-            self.rate = GuardedRate(self._made(self._belief), self._named)
+            self.rate = GuardedRate(self._made(self._belief), self._guard)
         elif self._own.level == "attitude":
-            self.attitude = GuardedAttitude(self._made(self._belief), self._named)
+            self.attitude = GuardedAttitude(self._made(self._belief), self._guard)
 
     def predictors(self) -> list[Predictor]:
         """Return the predictors before the rate loop: the user's if the controller is one, else built-in ones."""
@@ -89,7 +95,7 @@ class Plugged:
             return belief.predictors(self._own.predictor)
         there = belief.models or (AXES if belief.vehicle.allocation == "rotors" else AXES[:1])
         return [
-            GuardedPredictor(self._made(belief.of(axis)), self._named, axis) if axis in there else NoPredictor()
+            GuardedPredictor(self._made(belief.of(axis)), self._guard, axis) if axis in there else NoPredictor()
             for axis in AXES
         ]
 
@@ -103,7 +109,7 @@ class Plugged:
             return block
         if hasattr(block, "prepare"):
             try:
-                self._named.call("prepare", block.prepare, belief)
+                self._guard.call("prepare", block.prepare, belief)
             except FlightError as error:
                 raise InputError(str(error)) from error
         return block
