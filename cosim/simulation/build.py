@@ -33,49 +33,49 @@ from cosim.vehicle.propulsion import make_propulsion
 from cosim.vehicle.sensors import FaultySensors, SensorSuite
 
 
-def build(scenario: Scenario, own: Source | None = None) -> Simulation:
-    """Wire a flight; ``own`` is a controller that a program hands over, else the scenario's is found by its name.
+def build(scenario: Scenario, controller: Source | None = None) -> Simulation:
+    """Wire a flight; ``controller`` is one that a program hands over, else the scenario's is found by its name.
 
     Raises InputError for anything in scenario, vehicle, engine or controller that does not fit, or is not trusted.
     """
     need_trust_of(scenario)
     kernels.warn_of_others()
-    own = own or find_controller(scenario)
-    parameters = own_parameters(scenario, own)
+    controller = controller or find_controller(scenario)
+    parameters = own_parameters(scenario, controller)
     plugins = load_plugins(scenario)
     scenario.count(scenario.duration_s, "duration_s")
     vehicle, folder = scenario.resolved_vehicle()
     _need_tank(scenario, vehicle)
-    _need_room_below(scenario, vehicle)
+    _need_height_above_ground(scenario, vehicle)
     PREDICTORS.check(vehicle.control.predictor, f"scenario {scenario.name}: vehicle.control.predictor")
     engine, *stations = specs = engines_of(scenario, vehicle)
     step, environment, seed = scenario.step_s, scenario.environment, scenario.seed
     flown = as_flown(vehicle, scenario.mismatch)
     effects = make_effects(vehicle, flown, stations, step)
     spinning = any(isinstance(effect, RotorDynamics) for effect in effects)
-    with ExitStack() as made:
+    with ExitStack() as stack:
         plugged = None
-        if own is not None:
-            plugged = Plugged(own, parameters, scenario, vehicle, engine, stations)
-            made.callback(plugged.close)
+        if controller is not None:
+            plugged = Plugged(controller, parameters, scenario, vehicle, engine, stations)
+            stack.callback(plugged.close)
             plugged.make()
         cascade = make_cascade(scenario, vehicle, engine, stations, plugged)
         airframe = Airframe(flown, folder, environment, step, scenario.substeps, seed, spinning)
-        made.callback(airframe.close)
+        stack.callback(airframe.close)
         engines = make_engines(scenario, stations)
-        made.callback(engines.close)
+        stack.callback(engines.close)
         propulsion = make_propulsion(vehicle, flown, engines, effects, airframe.air, step, scenario.initial.fuel)
         suite: Sensors = SensorSuite(vehicle.sensors, step, seed, scenario.sensor_noise)
         sensors = FaultySensors(suite if plugins.sensors is None else plugins.sensors(suite))
         height = start_height(flown, scenario.initial)
         commander = Commander(scenario, height)
-        ahead = _flies_ahead(scenario, vehicle, commander)
+        flies_ahead = _has_speed_command(scenario, vehicle, commander)
         simulation = Simulation(
             Blocks(
                 scenario=scenario,
                 vehicle=vehicle,
                 specs=specs,
-                ledger=delay_ledger(scenario, vehicle, stations, cascade.allocator, ahead),
+                ledger=delay_ledger(scenario, vehicle, stations, cascade.allocator, flies_ahead),
                 commander=commander,
                 pilot=place_pilot(scenario, vehicle, commander, cascade),
                 disturber=Disturber(scenario),
@@ -98,19 +98,19 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
                 wind=None if plugins.wind is None else plugins.wind(flown, step, height),
             )
         )
-        made.pop_all()
+        stack.pop_all()
         return simulation
 
 
-def _flies_ahead(scenario: Scenario, vehicle: Vehicle, commander: Commander) -> bool:
+def _has_speed_command(scenario: Scenario, vehicle: Vehicle, commander: Commander) -> bool:
     """Return whether a speed ahead is asked for.  Raises InputError where no law flies ahead."""
-    ahead = "ahead_m_s" in commander.signals
-    if ahead and vehicle.control.wing is None:
+    flies_ahead = "ahead_m_s" in commander.signals
+    if flies_ahead and vehicle.control.wing is None:
         raise InputError(
             f"scenario {scenario.name}: command: 'ahead_m_s': {vehicle.name} has no [control.wing] to fly ahead "
             "with; take a velocity"
         )
-    return ahead
+    return flies_ahead
 
 
 def _need_tank(scenario: Scenario, vehicle: Vehicle) -> None:
@@ -122,7 +122,7 @@ def _need_tank(scenario: Scenario, vehicle: Vehicle) -> None:
         )
 
 
-def _need_room_below(scenario: Scenario, vehicle: Vehicle) -> None:
+def _need_height_above_ground(scenario: Scenario, vehicle: Vehicle) -> None:
     """Refuse a start with a contact deeper in the ground than the legs are pressed in when the vehicle stands on them.
 
     What stands deeper is thrown out of the ground by its springs.
@@ -131,12 +131,12 @@ def _need_room_below(scenario: Scenario, vehicle: Vehicle) -> None:
     if initial.on_ground:
         return
     roll, pitch, yaw = [radians(angle) for angle in initial.attitude_deg]
-    turned = from_euler(roll, pitch, yaw)
-    below = max([rotate(turned, contact.position_m)[2] for contact in vehicle.contacts])
-    pressed = max(contact.position_m[2] for contact in vehicle.contacts if contact.kind == "leg")
-    least = below - (pressed - standing_height(vehicle))
+    attitude = from_euler(roll, pitch, yaw)
+    lowest = max([rotate(attitude, contact.position_m)[2] for contact in vehicle.contacts])
+    leg_height = max(contact.position_m[2] for contact in vehicle.contacts if contact.kind == "leg")
+    least = lowest - (leg_height - standing_height(vehicle))
     if initial.altitude_m < least:
         raise InputError(
             f"scenario {scenario.name}: initial.altitude_m = {initial.altitude_m:g}: {vehicle.name} would start "
-            f"{below - initial.altitude_m:.3g} m deep in the ground; at least {least:.3g}, or initial.on_ground = true"
+            f"{lowest - initial.altitude_m:.3g} m deep in the ground; at least {least:.3g}, or initial.on_ground = true"
         )

@@ -27,22 +27,22 @@ def scenario_code(scenario: Scenario) -> list[Code]:
     What cannot be read is left out: whatever loads it says what is wrong.
     """
     blocks = [scenario.controller, *scenario.metrics, *scenario.observers, scenario.sensors, scenario.wind]
-    code = [each for name in blocks if name for each in block_code(name, scenario.folder)]
+    code = [item for name in blocks if name for item in block_code(name, scenario.folder)]
     engines = [scenario.engine, *(station.engine for station in scenario.stations.values())]
-    code += [each for engine in engines if engine for each in engine_code(engine, scenario.folder)]
+    code += [item for engine in engines if engine for item in engine_code(engine, scenario.folder)]
     return list(dict.fromkeys([*code, *aircraft_code(scenario.aircraft, scenario.folder)]))
 
 
-def aircraft_code(aircraft: str, folder: Path, with_its_own: bool = False) -> list[Code]:
-    """Return what the engines run that stand at single jets of an aircraft; ``with_its_own``: and the one for all."""
+def aircraft_code(aircraft: str, folder: Path, with_engine: bool = False) -> list[Code]:
+    """Return the code of the engines at single jets of an aircraft; ``with_engine``: and of the one for all."""
     if not is_own(aircraft):
         return []
     try:
-        vehicle, place = load_vehicle(aircraft, folder=folder)
+        vehicle, own_folder = load_vehicle(aircraft, folder=folder)
     except InputError:
         return []
-    engines = [vehicle.engine if with_its_own else None, *(jet.engine for jet in vehicle.jets)]
-    return [each for engine in dict.fromkeys(engines) if engine for each in engine_code(engine, place)]
+    engines = [vehicle.engine if with_engine else None, *(jet.engine for jet in vehicle.jets)]
+    return [item for engine in dict.fromkeys(engines) if engine for item in engine_code(engine, own_folder)]
 
 
 def engine_code(engine: str, folder: Path) -> list[Code]:
@@ -55,14 +55,14 @@ def engine_code(engine: str, folder: Path) -> list[Code]:
 
 def block_code(name: str, folder: Path) -> list[Code]:
     """Return what a controller or another block of the user's runs; a file is seen from ``folder``."""
-    named = file_name(name)
-    if named is None:
+    parsed = file_name(name)
+    if parsed is None:
         return []
-    path = Path(named.seen_from(folder).file)
+    path = Path(parsed.seen_from(folder).file)
     with suppress(InputError, OSError, KeyError, TypeError):
-        if named.before:
-            return program_code(path, named.after)
-        if named.after:
+        if parsed.before:
+            return program_code(path, parsed.after)
+        if parsed.after:
             return python_code(path)
         if path.name.lower().endswith(MAPPING):
             fmu = path.parent / read_toml(path)["fmu"]

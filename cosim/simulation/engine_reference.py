@@ -11,13 +11,13 @@ from cosim.base.storage.cache import Memory
 from cosim.control.allocation.engine_monitor import EngineReference
 from cosim.engine import EngineSpec, make_bank
 
-_AROUND = (0.4, 0.6)  # throttle; chosen by us: about hover, wide enough for the lag and not for the limits
-_OTHERS = ((0.6, 0.4), (0.0, 0.2), (0.2, 0.0), (0.0, 1.0), (1.0, 0.0))  # where a real engine's lag is another one
+_HOVER_STEP = (0.4, 0.6)  # throttle; chosen by us: about hover, wide enough for the lag and not for the limits
+_OTHER_STEPS = ((0.6, 0.4), (0.0, 0.2), (0.2, 0.0), (0.0, 1.0), (1.0, 0.0))  # where a real engine's lag is another one
 _LONGEST_S = 20.0
-_BEGUN = 1e-6  # of the change: an answer has begun
+_BEGIN = 1e-6  # of the change: an answer has begun
 _SMALL = (0.001, 0.05)  # of throttle, either way: the second for an ECU that does not see the first
-_SEEN = 0.5  # of what the static curve says, that a small step has to change the thrust
-_OVER = 1e-6  # of the change: it has ended once it has been no further off for a second
+_VISIBLE = 0.5  # least change of thrust by a small step, over that of the static curve
+_ENDED = 1e-6  # of the change: an answer has ended once it was within this for a second
 
 
 class AroundTrim(NamedTuple):
@@ -63,10 +63,10 @@ def around_trim(spec: EngineSpec, throttle: float, step: float, sizes: tuple[flo
     The delay is the mean over both ways of ``sum (y_end - y_k) / (y_end - y_0)`` over the steps ``k`` after the move.
     Raises EngineError if the engine fails.
     """
-    return _around.get((*spec.behaviour, throttle, step, sizes), lambda: _answers_around(spec, throttle, step, sizes))
+    return _around.get((*spec.behaviour, throttle, step, sizes), lambda: _measure_around(spec, throttle, step, sizes))
 
 
-def _answers_around(spec: EngineSpec, throttle: float, step: float, sizes: tuple[float, ...]) -> AroundTrim:
+def _measure_around(spec: EngineSpec, throttle: float, step: float, sizes: tuple[float, ...]) -> AroundTrim:
     with make_bank([spec], step) as bank:
         for by in sizes:
             low, high = max(0.0, throttle - by), min(1.0, throttle + by)
@@ -76,12 +76,12 @@ def _answers_around(spec: EngineSpec, throttle: float, step: float, sizes: tuple
                 ends.append((output.thrust[0], output.spool_speed[0] if spec.has("spool_speed") else 0.0))
             (less, slow), (more, fast) = ends
             expected = spec.thrust_at(high) - spec.thrust_at(low)
-            if abs(more - less) < _SEEN * abs(expected) or more == less:
+            if abs(more - less) < _VISIBLE * abs(expected) or more == less:
                 continue
             answers = [_remaining_change(bank, throttle, end, step) for end in (low, high) if end != throttle]
-            late = [sum(left) for left in answers]
+            late = [sum(remaining_fraction) for remaining_fraction in answers]
             per_newton = (fast - slow) / (more - less)
-            course = [1.0 - sum(each) / len(answers) for each in zip_longest(*answers, fillvalue=0.0)]
+            course = [1.0 - sum(remaining) / len(answers) for remaining in zip_longest(*answers, fillvalue=0.0)]
             return AroundTrim(sum(late) / len(late), 0.5 * (slow + fast), per_newton, tuple(course))
         speed = bank.reset(throttle).spool_speed[0] if spec.has("spool_speed") else 0.0
         return AroundTrim(None, speed, 0.0)
@@ -93,9 +93,9 @@ def _remaining_change(bank: Engines, first: float, then: float, step: float) -> 
     change = after - bank.reset(first).thrust[0]
     course, quiet = [], 0
     for k in range(round(_LONGEST_S / step)):
-        left = (after - bank.step(k, (then,)).thrust[0]) / change
-        course.append(left)
-        quiet = quiet + 1 if abs(left) < _OVER else 0
+        remaining_fraction = (after - bank.step(k, (then,)).thrust[0]) / change
+        course.append(remaining_fraction)
+        quiet = quiet + 1 if abs(remaining_fraction) < _ENDED else 0
         if quiet * step >= 1.0:
             break
     return course
@@ -116,28 +116,28 @@ def _measure(spec: EngineSpec, step: float) -> EngineReference:
             if not all(b > a for a, b in pairwise(speed)):
                 speed = None
         if lag is None or delay is None:
-            measured, begins = _measure_response(bank, *_AROUND, step)
+            measured, begins = _measure_response(bank, *_HOVER_STEP, step)
             delay = begins if delay is None else delay
             if lag is None:
                 # the time to 63 % counts from the throttle, so that it holds with the delay that is used
                 lag = max(step, measured + begins - delay)
-                others = [sum(_measure_response(bank, *point, step)) - delay for point in _OTHERS]
+                others = [sum(_measure_response(bank, *point, step)) - delay for point in _OTHER_STEPS]
                 lags = max(step, min(lag, *others)), max(lag, *others)
-    short, long = lags
-    assert short is not None
-    assert long is not None
-    return EngineReference(spec.curve.throttle, spec.curve.thrust, speed, lag, delay, short, long)
+    shortest, longest = lags
+    assert shortest is not None
+    assert longest is not None
+    return EngineReference(spec.curve.throttle, spec.curve.thrust, speed, lag, delay, shortest, longest)
 
 
 def _measure_response(bank: Engines, first: float, then: float, step: float) -> tuple[float, float]:
     """Return lag and delay [s] of a step of the throttle: the time without motion, and then to 63 % of the change."""
     after = bank.reset(then).thrust[0]
     before = bank.reset(first).thrust[0]
-    begun = None
+    begin = None
     for k in range(round(_LONGEST_S / step)):
-        share = (bank.step(k, (then,)).thrust[0] - before) / (after - before)
-        if begun is None and abs(share) > _BEGUN:
-            begun = k
-        if begun is not None and share >= 1.0 - exp(-1.0):
-            return (k + 1 - begun) * step, begun * step
+        fraction = (bank.step(k, (then,)).thrust[0] - before) / (after - before)
+        if begin is None and abs(fraction) > _BEGIN:
+            begin = k
+        if begin is not None and fraction >= 1.0 - exp(-1.0):
+            return (k + 1 - begin) * step, begin * step
     return _LONGEST_S, 0.0

@@ -27,18 +27,18 @@ def engines_of(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
         if int(number) > jets:
             where = f"scenario {scenario.name}: stations.{number}"
             raise InputError(f"{where}: {scenario.aircraft_name} has stations 1 to {jets}")
-    known: dict[tuple[str, frozenset[tuple[str, float]]], EngineSpec] = {}
+    loaded: dict[tuple[str, frozenset[tuple[str, float]]], EngineSpec] = {}
 
     def load(engine: str, parameters: dict[str, float]) -> EngineSpec:
         key = engine, frozenset(parameters.items())
-        if key not in known:
+        if key not in loaded:
             # a file is seen from the scenario's folder
             source = str(scenario.folder / engine) if is_file(engine) else engine
             unchecked, apart = scenario.engine_unchecked, scenario.engine_isolated
-            known[key] = load_engine(source, parameters, scenario.step_s, unchecked=unchecked, air=air, apart=apart)
-        return known[key]
+            loaded[key] = load_engine(source, parameters, scenario.step_s, unchecked=unchecked, air=air, apart=apart)
+        return loaded[key]
 
-    def at(station: Station) -> EngineSpec:
+    def load_station(station: Station) -> EngineSpec:
         if station.engine is None:
             return load(scenario.engine, {**scenario.engine_parameters, **station.parameters})
         return load(station.engine, station.parameters)
@@ -47,15 +47,15 @@ def engines_of(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
     _, folder = scenario.resolved_vehicle()
     own = [None if jet.engine is None else Station(engine=file_seen_from(jet.engine, folder)) for jet in vehicle.jets]
     stations = [scenario.stations.get(str(number), own[number - 1]) for number in range(1, jets + 1)]
-    found = [engine if station is None else at(station) for station in stations]
-    for spec in found:
-        held = len(spec.archive.engines)
-        if jets % held:
+    specs = [engine if station is None else load_station(station) for station in stations]
+    for spec in specs:
+        count = len(spec.archive.engines)
+        if jets % count:
             raise InputError(
-                f"scenario {scenario.name}: engine {spec.name}: its FMU holds {held} engines, and "
+                f"scenario {scenario.name}: engine {spec.name}: its FMU holds {count} engines, and "
                 f"{scenario.aircraft_name} has {jets} stations, which is no whole multiple"
             )
-    return [engine, *(spec.at(station) for station, spec in enumerate(found))]
+    return [engine, *(spec.at(station) for station, spec in enumerate(specs))]
 
 
 def _starts_in_flight(scenario: Scenario, stations: Sequence[EngineSpec]) -> bool:

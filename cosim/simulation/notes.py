@@ -18,8 +18,8 @@ def idle_notes(scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineSpe
 
 def turbulence_notes(scenario: Scenario) -> list[str]:
     """Return a line where turbulence is stated by half: by its wind without a severity, or the other way round."""
-    place = scenario.environment
-    wind, severity = place.turbulence_wind_m_s, place.turbulence_severity
+    environment = scenario.environment
+    wind, severity = environment.turbulence_wind_m_s, environment.turbulence_severity
     if wind and not severity:
         return [
             f"turbulence is off: environment.turbulence_wind_m_s = {wind:g} acts with a turbulence_severity of 1 to 7"
@@ -45,9 +45,9 @@ def varied_turbulence_notes(scenario: Scenario, keys: Collection[str]) -> list[s
 def tank_notes(vehicle: Vehicle, engines: Iterable[EngineSpec]) -> list[str]:
     """Return a line for each kind of engine that reports no fuel flow to a vehicle with a tank."""
     specs = list(engines)
-    silent = dict.fromkeys(spec.name for spec in specs if not spec.has("fuel_flow"))
-    if vehicle.fuel is None or not silent:
+    without_flow = dict.fromkeys(spec.name for spec in specs if not spec.has("fuel_flow"))
+    if vehicle.fuel is None or not without_flow:
         return []
-    some = any(spec.has("fuel_flow") for spec in specs)
-    ending = "what it burns does not leave the tank" if some else "the tank stays full"
-    return [f"engine {name} reports no fuel flow: {ending}" for name in silent]
+    some_report = any(spec.has("fuel_flow") for spec in specs)
+    ending = "what it burns does not leave the tank" if some_report else "the tank stays full"
+    return [f"engine {name} reports no fuel flow: {ending}" for name in without_flow]

@@ -53,7 +53,7 @@ class Pace:
         self._k = k
         self._missed = self._stalls = 0
         self._worst = self._lost = 0.0
-        self._marked = (self._origin, k)
+        self._window_start = (self._origin, k)
         self._slept = 0.0
         self._reached: float | None = None
         self._load: float | None = None
@@ -62,11 +62,11 @@ class Pace:
         """Sleep until the step after ``k`` finished ones is due."""
         self._k = k
         now = self._clock()
-        began, before = self._marked
-        if now - began >= _WINDOW:
-            self._reached = (k - before) * self._dt / (now - began)
-            self._load = 1.0 - min(1.0, self._slept / (now - began))
-            self._marked, self._slept = (now, k), 0.0
+        window_start, first_k = self._window_start
+        if now - window_start >= _WINDOW:
+            self._reached = (k - first_k) * self._dt / (now - window_start)
+            self._load = 1.0 - min(1.0, self._slept / (now - window_start))
+            self._window_start, self._slept = (now, k), 0.0
         if not self._step:
             return
         left = self._origin + (k - self._first) * self._step - now

@@ -301,7 +301,7 @@ def study_code(study: Study) -> list[Code]:
             elif kind == "controller":
                 code += block_code(value, base.folder)
             elif kind == "aircraft":
-                code += aircraft_code(value, base.folder, with_its_own=True)
+                code += aircraft_code(value, base.folder, with_engine=True)
     if study.autopilot is not None and study.autopilot.binary:
         with suppress(OSError):
             code.append(code_of(Path(study.autopilot.seen_from(study.folder).binary)))

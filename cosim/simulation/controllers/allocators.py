@@ -40,7 +40,7 @@ def make_allocator(
         return _by_effectiveness(scenario, vehicle, stations, thrust_map)
     if vehicle.servo is None:
         return RotorAllocator(vehicle.jets, limits, hover)
-    lift = _lift(scenario, vehicle, stations) if scenario.monitored and catch is None else inf
+    lift = _throttle_rise(scenario, vehicle, stations) if scenario.monitored and catch is None else inf
     return TiltAllocator(vehicle.jets, limits, vehicle.servo.range_rad, hover, thrust_map.idle, lift)
 
 
@@ -57,21 +57,21 @@ def _by_effectiveness(
     limits, step = vehicle.control.allocation, scenario.step_s
     jets = len(vehicle.jets)
     ends: list[tuple[float, ...]] = []
-    for share in (limits.throttle_min, limits.throttle_max):
-        throttles = thrust_map.throttle((share,) * jets)
+    for fraction in (limits.throttle_min, limits.throttle_max):
+        throttles = thrust_map.throttle((fraction,) * jets)
         curves = [StaticCurve(spec.name, *spec.rising) for spec in stations]
         thrusts = [_thrust_at(curve, u) for curve, u in zip(curves, throttles, strict=True)]
         ends.append(tuple([(thrust - thrust_map.low) / thrust_map.span for thrust in thrusts]))
     # where a hinge carries engines all keep its pace: vanes that ran ahead of slow banks turned the jetwing over
     layout = vehicle.layout()
-    ahead = 0.0 if layout.moves else 1.0
+    lead_factor = 0.0 if layout.moves else 1.0
     movers = [
         Mover(
             *hinge.least_most,
             hinge.rest_rad,
             hinge.rate_limit_rad_s * step,
             hinge.effort,
-            lead=ahead * hinge.rate_limit_rad_s * hinge.lag_s,
+            lead=lead_factor * hinge.rate_limit_rad_s * hinge.lag_s,
         )
         for hinge in vehicle.hinges
     ]
@@ -91,8 +91,8 @@ def _by_effectiveness(
         movers,
         limits.horizontal,
     )
-    late = _engine_lateness(scenario, vehicle, stations)
-    return EffectivenessAllocator(effectors) if late is None else HingedCatch(effectors, late)
+    lateness = _engine_lateness(scenario, vehicle, stations)
+    return EffectivenessAllocator(effectors) if lateness is None else HingedCatch(effectors, lateness)
 
 
 def _engine_lateness(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> Late | None:
@@ -103,8 +103,9 @@ def _engine_lateness(scenario: Scenario, vehicle: Vehicle, stations: Sequence[En
     monitor = vehicle.control.monitor
     if not scenario.monitored or monitor is None or not monitor.catch:
         return None
-    known = [engine_reference(spec, scenario.step_s) for spec in stations]
-    return Late(max(each.delay for each in known) + max(each.lag for each in known) / 3.0, scenario.step_s)
+    references = [engine_reference(spec, scenario.step_s) for spec in stations]
+    delay, lag = max(reference.delay for reference in references), max(reference.lag for reference in references)
+    return Late(delay + lag / 3.0, scenario.step_s)
 
 
 def _surface_effects(scenario: Scenario, vehicle: Vehicle) -> list[tuple[float, ...]]:
@@ -136,7 +137,7 @@ def _thrust_at(curve: StaticCurve, throttle: float) -> float:
     return curve.thrust[-1]
 
 
-def _lift(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> float:
+def _throttle_rise(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> float:
     """Return how far a throttle may go up in a step to make up for the height that is lost with an engine.
 
     From least to most in no less than the longest lag of the engines: told to go faster they are at the limit of their

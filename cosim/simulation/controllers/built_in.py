@@ -49,8 +49,8 @@ def make_cascade(
     step = scenario.step_s
     gains = vehicle.control
     thrust_map, hover = map_thrust(vehicle, engine, stations)
-    general = vehicle.allocation == "effectiveness"
-    if not general and not gains.allocation.throttle_min < hover < gains.allocation.throttle_max:
+    by_effectiveness = vehicle.allocation == "effectiveness"
+    if not by_effectiveness and not gains.allocation.throttle_min < hover < gains.allocation.throttle_max:
         raise InputError(
             f"engine {engine.name}: {vehicle.name} ({vehicle.mass_kg:g} kg) would hover at throttle {hover:.2f}, "
             f"outside {gains.allocation.throttle_min:g} to {gains.allocation.throttle_max:g}"
@@ -83,14 +83,14 @@ def make_cascade(
         _monitor(scenario, vehicle, stations) if scenario.monitored else None,
         GainSchedule(gains.schedule, gains.lead, step) if gains.schedule else None,
         [
-            *_laws_of_a_loss(
+            *_engine_loss_laws(
                 loops,
                 vehicle,
                 thrust_map,
-                _reduced(scenario, vehicle, stations, thrust_map) if plugged is None else None,
+                _reduced_attitude(scenario, vehicle, stations, thrust_map) if plugged is None else None,
                 catch,
             ),
-            *_laws_of_effectiveness(scenario, vehicle, loops),
+            *_effectiveness_laws(scenario, vehicle, loops),
             FlightLaw(loops),
         ],
         vehicle,
@@ -98,7 +98,7 @@ def make_cascade(
     )
 
 
-def _laws_of_a_loss(
+def _engine_loss_laws(
     loops: Loops, vehicle: Vehicle, thrust_map: ThrustMap, reduced: ReducedAttitude | None, catch: Recovery | None
 ) -> list[FlightLaw]:
     """Return what flies without an engine, of vehicles whose allocation does not."""
@@ -109,7 +109,7 @@ def _laws_of_a_loss(
     return [ShutOpposite(loops, opposite, catch, vehicle.mass_kg)] if opposite else []
 
 
-def _laws_of_effectiveness(scenario: Scenario, vehicle: Vehicle, loops: Loops) -> list[FlightLaw]:
+def _effectiveness_laws(scenario: Scenario, vehicle: Vehicle, loops: Loops) -> list[FlightLaw]:
     """Return the laws of wings, hinges and surfaces, of vehicles that are flown by effectiveness."""
     allocator = loops.allocator
     if not isinstance(allocator, EffectivenessAllocator):
@@ -135,19 +135,19 @@ def _wing(
     tilts = [names.index(name) for name in settings.tilts]
     table = WingTable(tuple(alphas), tuple(lift), tuple(drag), tuple(moment))
     control = vehicle.control
-    late = 1.0 / control.attitude.gain_1_s[1] + 1.0 / control.rate.pitch.p  # s: attitude, and rates below it
-    return WingFlight(loops, allocator, settings, table, tilts, vehicle.mass_kg, scenario.step_s, late)
+    attitude_lag = 1.0 / control.attitude.gain_1_s[1] + 1.0 / control.rate.pitch.p  # s: attitude, and rates below it
+    return WingFlight(loops, allocator, settings, table, tilts, vehicle.mass_kg, scenario.step_s, attitude_lag)
 
 
-def _reduced(
+def _reduced_attitude(
     scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap
 ) -> ReducedAttitude | None:
     """Return the reduced attitude law, where rotors do not tilt and a lost one is to be caught."""
     monitor = vehicle.control.monitor
     if vehicle.allocation != "rotors" or not scenario.monitored or monitor is None or not monitor.catch:
         return None
-    known = [engine_reference(spec, scenario.step_s) for spec in stations]
-    lag, delay = max(each.lag for each in known), max(each.delay for each in known)
+    references = [engine_reference(spec, scenario.step_s) for spec in stations]
+    lag, delay = max(reference.lag for reference in references), max(reference.delay for reference in references)
     added = scenario.added_delay_samples
     return ReducedAttitude(vehicle, opposites(vehicle), thrust_map, lag, delay, scenario.step_s, added)
 
@@ -160,10 +160,10 @@ def _catch(
     With that one its constants were chosen; slower ones stay longer at their limits, which it does not know.
     """
     monitor, lead = vehicle.control.monitor, getattr(vehicle.control.lead, "roll", None)
-    own = scenario.engine == vehicle.engine and all(each.name == vehicle.engine for each in stations)
+    is_nominal = scenario.engine == vehicle.engine and all(spec.name == vehicle.engine for spec in stations)
     if (
         vehicle.allocation != "banks"
-        or not own
+        or not is_nominal
         or not scenario.monitored
         or monitor is None
         or not (monitor.shut_opposite and monitor.catch)
@@ -178,18 +178,18 @@ def _catch(
 def opposites(vehicle: Vehicle) -> tuple[int, ...]:
     """Return for every jet, from 0, the one across the centre of gravity.  Raises InputError if one has none."""
     places = [jet.position_m for jet in vehicle.jets]
-    pairs = []
+    opposite_jets = []
     for number, (x, y, _) in enumerate(places, 1):
-        across = [i for i, (a, b, _) in enumerate(places) if hypot(a + x, b + y) < 1e-3 * hypot(x, y)]
-        if len(across) != 1:
+        candidates = [i for i, (a, b, _) in enumerate(places) if hypot(a + x, b + y) < 1e-3 * hypot(x, y)]
+        if len(candidates) != 1:
             raise InputError(f"{vehicle.name}: control.monitor.shut_opposite: no jet stands opposite jet {number}")
-        pairs.append(across[0])
-    return tuple(pairs)
+        opposite_jets.append(candidates[0])
+    return tuple(opposite_jets)
 
 
 def _lead(vehicle: Vehicle, command: str, step: float) -> Lead | None:
-    stated = getattr(vehicle.control.lead, command, None)
-    return Lead(stated, step) if stated else None
+    settings = getattr(vehicle.control.lead, command, None)
+    return Lead(settings, step) if settings else None
 
 
 def _need_lift(vehicle: Vehicle, stations: Sequence[EngineSpec]) -> None:
@@ -210,10 +210,10 @@ def _monitor(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec
             "state it, or set monitor = false"
         )
     get_ready()
-    known = {key: engine_reference(spec, scenario.step_s) for key, spec in {id(s): s for s in stations}.items()}
+    references = {key: engine_reference(spec, scenario.step_s) for key, spec in {id(s): s for s in stations}.items()}
     return EngineMonitor(
         settings,
-        [known[id(spec)] for spec in stations],
+        [references[id(spec)] for spec in stations],
         vehicle.mass_kg * GRAVITY / len(stations),
         (limits.throttle_min, limits.throttle_max),
         scenario.step_s,

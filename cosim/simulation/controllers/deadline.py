@@ -1,9 +1,8 @@
-"""A bound on how long code of somebody else may take: a call that is past it is broken off, where that can be.
+"""A limit on the time of calls to user-supplied code: a call beyond it is broken off where possible.
 
-A thread looks now and then; a call that takes too long is interrupted by a signal, which ends a sleep and a loop of
-Python.  The signal is one for the process, so all deadlines share what answers it: one flight may be open beside
-another, or left open.  Where flights are not flown by the main thread nothing can be interrupted: what took too long is
-found after.
+A thread checks the time; a call that takes too long is interrupted by a signal, which ends a sleep and a loop of
+Python.  A process has one such signal, so all deadlines share its handler: several flights may be open.  Outside
+the main thread nothing can be interrupted: a call that took too long is found when it returns.
 """
 
 from __future__ import annotations
@@ -13,19 +12,19 @@ import threading
 from time import monotonic
 from types import FrameType
 
-_LOOKS = 8  # in a limit
+_CHECKS = 8  # in a limit
 
 
 class LateError(Exception):
     """The call was broken off."""
 
 
-_OPEN: list[Deadline] = []  # those that the signal breaks off, while they have it
+_ACTIVE: list[Deadline] = []  # the deadlines whose calls the signal breaks off
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    for each in _OPEN:
-        if each.late:
+    for deadline in _ACTIVE:
+        if deadline.late:
             raise LateError
 
 
@@ -34,7 +33,7 @@ class Deadline:
 
     def __init__(self, limit: float) -> None:
         self.limit = limit
-        self._begun: float | None = None
+        self._started: float | None = None
         self._ended = threading.Event()
         self._watcher: threading.Thread | None = None
 
@@ -42,46 +41,46 @@ class Deadline:
         """Start the clock of a call and return its start time [s], which :meth:`done` takes."""
         if self._watcher is None:
             self._start()
-        self._begun = begun = monotonic()
-        return begun
+        self._started = started = monotonic()
+        return started
 
-    def done(self, begun: float) -> None:
+    def done(self, started: float) -> None:
         """Stop the clock of the call that began then.  Raises LateError where it took longer than the limit."""
-        self._begun = None
-        if monotonic() - begun > self.limit:
+        self._started = None
+        if monotonic() - started > self.limit:
             raise LateError
 
     def drop(self) -> None:
         """Stop the clock of a call that ended with an error."""
-        self._begun = None
+        self._started = None
 
     def close(self) -> None:
         """Release the signal; no call follows.  May be called twice."""
         self._ended.set()
-        self._begun, self._watcher = None, None
-        if self in _OPEN:
-            _OPEN.remove(self)
+        self._started, self._watcher = None, None
+        if self in _ACTIVE:
+            _ACTIVE.remove(self)
             main = threading.current_thread() is threading.main_thread()
-            if main and not _OPEN and signal.getsignal(signal.SIGUSR2) is _interrupt:
+            if main and not _ACTIVE and signal.getsignal(signal.SIGUSR2) is _interrupt:
                 signal.signal(signal.SIGUSR2, signal.SIG_DFL)
 
     @property
     def late(self) -> bool:
         """Whether a running call has taken longer than the limit."""
-        begun = self._begun
-        return begun is not None and monotonic() - begun > self.limit
+        started = self._started
+        return started is not None and monotonic() - started > self.limit
 
     def _start(self) -> None:
         if threading.current_thread() is threading.main_thread():
             if signal.getsignal(signal.SIGUSR2) is signal.SIG_DFL:
                 signal.signal(signal.SIGUSR2, _interrupt)
             if signal.getsignal(signal.SIGUSR2) is _interrupt:
-                _OPEN.append(self)
+                _ACTIVE.append(self)
         self._ended = threading.Event()
         self._watcher = threading.Thread(target=self._watch, args=(threading.get_ident(), self._ended), daemon=True)
         self._watcher.start()
 
     def _watch(self, caller: int, ended: threading.Event) -> None:
-        while not ended.wait(self.limit / _LOOKS):
-            if self.late and self in _OPEN:
+        while not ended.wait(self.limit / _CHECKS):
+            if self.late and self in _ACTIVE:
                 signal.pthread_kill(caller, signal.SIGUSR2)

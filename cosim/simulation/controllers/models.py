@@ -67,8 +67,8 @@ def models_of(vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:
             warnings.warn(f"{where}: {other}: left out; hexjet identify {axis} makes one of this", Notice, stacklevel=2)
             continue
         if not engine.library and not model.engine_sha256:
-            unsure = f"states no hash: that it is of this {engine.family} is not verified"
-            warnings.warn(f"{where}: {unsure}", Notice, stacklevel=2)
+            unverified = f"states no hash: that it is of this {engine.family} is not verified"
+            warnings.warn(f"{where}: {unverified}", Notice, stacklevel=2)
         models[axis] = model
     return models
 
@@ -98,12 +98,13 @@ def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list
     if spec.needs_model and not models:
         raise InputError(
             f"controller {scenario.controller!r} needs an identified model of {vehicle.name} with engine "
-            f"{engine.family!r}; there are {_said_of(vehicle.identified)}; " + _advise_design(scenario, vehicle, engine)
+            f"{engine.family!r}; there are {_list_engines(vehicle.identified)}; "
+            + _advise_design(scenario, vehicle, engine)
         )
-    known = known_models(scenario, vehicle, engine)
-    made: list[Predictor] = []
+    models_at_step = known_models(scenario, vehicle, engine)
+    predictors_by_axis: list[Predictor] = []
     for axis in AXES:
-        model = known.get(axis)
+        model = models_at_step.get(axis)
         if spec.needs_model and model is None and axis in models:
             sample_time = models[axis].sample_time_s
             raise InputError(
@@ -112,21 +113,21 @@ def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list
             )
         # jets that tilt give pitch and yaw by servo, which no predictor is for
         predicted = model is not None if spec.needs_model else axis == "roll" or vehicle.allocation == "rotors"
-        made.append(spec.predictor(model, vehicle.control.predictor) if predicted else NoPredictor())
-    return made
+        predictors_by_axis.append(spec.predictor(model, vehicle.control.predictor) if predicted else NoPredictor())
+    return predictors_by_axis
 
 
 def _advise_design(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> str:
     """Return the advice for an engine without an identified model: the command that designs a controller for it."""
-    what = engine.name if engine.library else str(engine.mapping or engine.path)
-    named = aircraft_seen_from(scenario.aircraft, scenario.folder)
-    aircraft = "" if named == "hexjet" else f" --aircraft {named}"
-    file = f"{vehicle.name}-{Path(what).stem}.toml"
+    engine_name = engine.name if engine.library else str(engine.mapping or engine.path)
+    aircraft_seen = aircraft_seen_from(scenario.aircraft, scenario.folder)
+    aircraft = "" if aircraft_seen == "hexjet" else f" --aircraft {aircraft_seen}"
+    file = f"{vehicle.name}-{Path(engine_name).stem}.toml"
     return (
-        f"one is made, with gains to go with it, by: hexjet design --engine {what}{aircraft} --out {file} "
+        f"one is made, with gains to go with it, by: hexjet design --engine {engine_name}{aircraft} --out {file} "
         f"(then fly with --controller {file}; or fly --controller {BASELINE.name})"
     )
 
 
-def _said_of(models: Mapping[str, Any]) -> str:
+def _list_engines(models: Mapping[str, Any]) -> str:
     return f"models for: {', '.join(sorted(models))}" if models else "none"

@@ -34,11 +34,11 @@ def find_controller(scenario: Scenario) -> Source | None:
     return source
 
 
-def own_parameters(scenario: Scenario, own: Source | None) -> dict[str, float]:
+def own_parameters(scenario: Scenario, source: Source | None) -> dict[str, float]:
     """Return the values of a controller's own parameters.  Raises InputError where the scenario states others."""
     where = f"scenario {scenario.name}: controller_parameters"
-    if own is not None:
-        return own.values(scenario.controller_parameters, where)
+    if source is not None:
+        return source.values(scenario.controller_parameters, where)
     for name in scenario.controller_parameters:
         raise InputError(
             f"{where}.{name}: controller {scenario.controller} has none of its own; it is tuned under vehicle.control"
@@ -51,57 +51,57 @@ class Plugged:
 
     def __init__(
         self,
-        own: Source,
+        source: Source,
         parameters: dict[str, float],
         scenario: Scenario,
         vehicle: Vehicle,
         engine: EngineSpec,
         stations: Sequence[EngineSpec],
     ) -> None:
-        self._own, self._scenario = own, scenario
-        self._deadline = Deadline(scenario.controller_limit_s * (1.0 if own.repeats else 2.0))
-        self._guard = CallGuard(own.label, self._deadline)
+        self._source, self._scenario = source, scenario
+        self._deadline = Deadline(scenario.controller_limit_s * (1.0 if source.repeats else 2.0))
+        self._guard = CallGuard(source.label, self._deadline)
         self._blocks: list[Any] = []
         self.whole: GuardedController | None = None
         self.attitude: GuardedAttitude | None = None
         self.rate: GuardedRate | None = None
-        if own.level == "controller" and any(
+        if source.level == "controller" and any(
             isinstance(disturbance, TorqueCommandDisturbance) for disturbance in scenario.disturbance
         ):
             raise InputError(
                 f"scenario {scenario.name}: disturbance: torque_command acts on a rate loop's output, which controller "
-                f"{own.label} does not have; take force, moment or wind"
+                f"{source.label} does not have; take force, moment or wind"
             )
-        if own.level == "controller" and scenario.added_delay_samples:
+        if source.level == "controller" and scenario.added_delay_samples:
             raise InputError(
                 f"scenario {scenario.name}: added_delay_samples = {scenario.added_delay_samples}: is added to a rate "
-                f"loop's output, which controller {own.label} does not have; take mismatch.delay_samples"
+                f"loop's output, which controller {source.label} does not have; take mismatch.delay_samples"
             )
         self._belief = make_belief(scenario, vehicle, engine, stations, parameters)
 
     def make(self) -> None:
-        """Make its block, but for predictors.  Raises InputError as ``_made``; :meth:`close` ends what was begun."""
-        if self._own.level == "controller":
-            self.whole = GuardedController(self._made(self._belief), self._guard, self._belief)
-        elif self._own.level == "rate":
-            self.rate = GuardedRate(self._made(self._belief), self._guard)
-        elif self._own.level == "attitude":
-            self.attitude = GuardedAttitude(self._made(self._belief), self._guard)
+        """Make the block, but for predictors.  Raises InputError as ``_make_block``; :meth:`close` frees it."""
+        if self._source.level == "controller":
+            self.whole = GuardedController(self._make_block(self._belief), self._guard, self._belief)
+        elif self._source.level == "rate":
+            self.rate = GuardedRate(self._make_block(self._belief), self._guard)
+        elif self._source.level == "attitude":
+            self.attitude = GuardedAttitude(self._make_block(self._belief), self._guard)
 
     def predictors(self) -> list[Predictor]:
         """Return the predictors before the rate loop: the user's if the controller is one, else built-in ones."""
         belief = self._belief
-        if self._own.level != "predictor":
-            return belief.predictors(self._own.predictor)
-        there = belief.models or (AXES if belief.vehicle.allocation == "rotors" else AXES[:1])
+        if self._source.level != "predictor":
+            return belief.predictors(self._source.predictor)
+        axes = belief.models or (AXES if belief.vehicle.allocation == "rotors" else AXES[:1])
         return [
-            GuardedPredictor(self._made(belief.of(axis)), self._guard, axis) if axis in there else NoPredictor()
+            GuardedPredictor(self._make_block(belief.of(axis)), self._guard, axis) if axis in axes else NoPredictor()
             for axis in AXES
         ]
 
-    def _made(self, belief: Belief) -> Any:
+    def _make_block(self, belief: Belief) -> Any:
         """Return a new block that was given its beliefs.  Raises InputError if its ``prepare`` fails."""
-        block = self._own.make()
+        block = self._source.make()
         self._blocks.append(block)
         if isinstance(block, ProcessBlock):  # it has limits of its own, and takes a while to start
             block.limit(self._scenario.controller_limit_s)
@@ -117,12 +117,12 @@ class Plugged:
     @property
     def source(self) -> Source:
         """The source of the controller."""
-        return self._own
+        return self._source
 
     def repeats(self) -> bool | None:
         """Whether processes, asked the same again, answer the same; None: it is code of this process."""
-        asked = [block.repeats() for block in self._blocks if isinstance(block, ProcessBlock)]
-        return all(asked) if asked else None
+        answers = [block.repeats() for block in self._blocks if isinstance(block, ProcessBlock)]
+        return all(answers) if answers else None
 
     def close(self) -> None:
         """Free what its blocks hold."""

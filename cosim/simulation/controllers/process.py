@@ -71,14 +71,14 @@ class Connection:
         try:
             self._pipes.send(data)
         except OSError:
-            raise FlightError(f"the process {self._how_it_ended()}") from None
+            raise FlightError(f"the process {self._describe_end()}") from None
 
     def _no_answer(self, error: Exception, limit: float) -> FlightError:
         if isinstance(error, TimeoutError):
             return FlightError(f"the process did not answer within {limit:g} s")
-        return FlightError(f"the process {self._how_it_ended()}")
+        return FlightError(f"the process {self._describe_end()}")
 
-    def _how_it_ended(self) -> str:
+    def _describe_end(self) -> str:
         return self._process.describe_end(END_S, "was ended by {}", "ended with status {}") or "closed its output"
 
     def close(self) -> None:
@@ -93,19 +93,19 @@ class Connection:
 def describe(command: Command, folder: Path, label: str) -> dict[str, Any]:
     """Return a process's description of itself.  Raises InputError."""
     with tempfile.TemporaryFile() as errors:  # it ends before it has begun, and need not like that
-        connection = _started(command, folder, label, errors)
+        connection = _start_process(command, folder, label, errors)
         try:
             return _description(connection, label)
         except InputError as error:
             connection.close()
             errors.seek(0)
-            said = errors.read().decode(errors="replace").strip().rpartition("\n")[2]
-            raise InputError(f"{error}: {said}" if said else str(error)) from error
+            last_line = errors.read().decode(errors="replace").strip().rpartition("\n")[2]
+            raise InputError(f"{error}: {last_line}" if last_line else str(error)) from error
         finally:
             connection.close()
 
 
-def _started(command: Command, folder: Path, label: str, errors: IO[bytes] | None = None) -> Connection:
+def _start_process(command: Command, folder: Path, label: str, errors: IO[bytes] | None = None) -> Connection:
     try:
         return Connection(command(), folder, errors)
     except InputError as error:
@@ -149,8 +149,8 @@ class ProcessBlock:
         self.columns = tuple(columns)
         self._connection: Connection | None = None
         self._belief = b""
-        self._asked: list[bytes] = []
-        self._answered: list[bytes] = []
+        self._frames_sent: list[bytes] = []
+        self._frames_received: list[bytes] = []
         self._k = 0
 
     def limit(self, seconds: float) -> None:
@@ -166,7 +166,7 @@ class ProcessBlock:
         outputs = wire.output_names(self._level, jets, moved, self._extras)
         self._outputs = len(outputs)
         self._in, self._out = wire.frame(len(inputs)), wire.frame(len(outputs) + len(self.columns))
-        told = {
+        belief_table = {
             "protocol": wire.PROTOCOL,
             "version": wire.VERSION,
             "inputs": inputs,
@@ -181,11 +181,11 @@ class ProcessBlock:
             "engines": [engine._asdict() for engine in belief.engines],
             "vehicle": belief.vehicle.model_dump(mode="json"),
         }
-        self._belief = json.dumps(told).encode() + b"\n"
-        self._connection = self._begun()
+        self._belief = json.dumps(belief_table).encode() + b"\n"
+        self._connection = self._start()
 
-    def _begun(self) -> Connection:
-        connection = _started(self._command, self._folder, self._label)
+    def _start(self) -> Connection:
+        connection = _start_process(self._command, self._folder, self._label)
         try:
             _description(connection, self._label)
             connection.send(self._belief)
@@ -201,14 +201,14 @@ class ProcessBlock:
         """Start the numbers of frames at 0 again."""
         self._k = 0
 
-    def update(self, *told: Any) -> Any:
+    def update(self, *arguments: Any) -> Any:
         """Send one frame and read one back.  Raises FlightError."""
         assert self._connection is not None
-        frame = self._in.pack(float(self._k), *wire.numbers(told, self._level, self._ahead))
+        frame = self._in.pack(float(self._k), *wire.numbers(arguments, self._level, self._ahead))
         answer = self._exchange(self._connection, frame, self._k)
-        if len(self._asked) < MOST_FRAMES:
-            self._asked.append(frame)
-            self._answered.append(answer)
+        if len(self._frames_sent) < MOST_FRAMES:
+            self._frames_sent.append(frame)
+            self._frames_received.append(answer)
         self._k += 1
         values = self._out.unpack(answer)[1:]
         self.shown = values[self._outputs :]
@@ -233,11 +233,11 @@ class ProcessBlock:
     def repeats(self) -> bool:
         """Whether another process, asked the same, answers the same, bit for bit."""
         try:
-            connection = self._begun()
+            connection = self._start()
         except (InputError, FlightError):
             return False
         try:
-            for frame, answer in zip(self._asked, self._answered, strict=True):
+            for frame, answer in zip(self._frames_sent, self._frames_received, strict=True):
                 if self._exchange(connection, frame, int(_STEP.unpack_from(frame)[0])) != answer:
                     return False
         except FlightError:

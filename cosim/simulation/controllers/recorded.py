@@ -47,13 +47,13 @@ def read(path: Path, where: str) -> tuple[list[Row], tuple[Column, ...]]:
     while jets < len(names) and names[jets] == f"throttle_{jets + 1}":
         jets += 1
     servo = tuple(names[jets : jets + 2]) == TILTS
-    rest = names[jets + (2 if servo else 0) :]
-    known = {column.name: column for column in COLUMNS}
+    extra_names = names[jets + (2 if servo else 0) :]
+    columns_by_name = {column.name: column for column in COLUMNS}
     if not jets:
         raise InputError(f"{where}: {path}, line 1: {names[0]!r}: must be throttle_1, throttle_2 and on, then tilts")
-    for name in rest:
-        if name not in known:
-            raise InputError(f"{where}: {path}, line 1: {name!r}: {nearest(name, [*TILTS, *known])}")
+    for name in extra_names:
+        if name not in columns_by_name:
+            raise InputError(f"{where}: {path}, line 1: {name!r}: {nearest(name, [*TILTS, *columns_by_name])}")
     rows: list[Row] = []
     for number, text in enumerate(lines, 2):
         values = _numbers(text)
@@ -62,8 +62,8 @@ def read(path: Path, where: str) -> tuple[list[Row], tuple[Column, ...]]:
                 break
             raise InputError(f"{where}: {path}, line {number}: must be {len(names)} finite numbers")
         tilt = (values[jets], values[jets + 1]) if servo else (0.0, 0.0)
-        rows.append((tuple(values[:jets]), tilt, tuple(values[len(names) - len(rest) :])))
-    return rows, tuple([known[name] for name in rest])
+        rows.append((tuple(values[:jets]), tilt, tuple(values[len(names) - len(extra_names) :])))
+    return rows, tuple([columns_by_name[name] for name in extra_names])
 
 
 def _numbers(text: str) -> list[float]:
@@ -75,7 +75,7 @@ def _numbers(text: str) -> list[float]:
     return values if all(map(isfinite, values)) else []
 
 
-class Recorded:
+class RecordedController:
     """Gives what was recorded, step by step, whatever is measured."""
 
     level = "controller"

@@ -300,7 +300,7 @@ def _of_fmu(controller: str, path: Path) -> Source:
 def _of_record(controller: str, path: Path) -> Source:
     rows, columns = recorded.read(path, f"controller {label_of(controller)}")
     source = Source(
-        controller, "controller", lambda: recorded.Recorded(rows, columns), {path.name: path}, columns=columns
+        controller, "controller", lambda: recorded.RecordedController(rows, columns), {path.name: path}, columns=columns
     )
     source.hashes  # noqa: B018  of what was read just now
     return source

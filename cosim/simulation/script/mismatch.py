@@ -28,28 +28,28 @@ def as_flown(vehicle: Vehicle, mismatch: Mismatch) -> Vehicle:
             f"{fuel.mass_kg:g} kg of fuel in them"
         )
 
-    def seen(place: Vector3) -> Vector3:
+    def shift(place: Vector3) -> Vector3:
         x, y, z = mismatch.centre_m
         return (place[0] - x, place[1] - y, place[2] - z)
 
     return vehicle.model_copy(
         update={
             "mass_kg": mass,
-            "jets": [jet.model_copy(update={"position_m": seen(jet.position_m)}) for jet in vehicle.jets],
+            "jets": [jet.model_copy(update={"position_m": shift(jet.position_m)}) for jet in vehicle.jets],
             "hinges": [
                 hinge.model_copy(
                     update={
-                        "position_m": seen(hinge.position_m),
-                        "centre_m": None if hinge.centre_m is None else seen(hinge.centre_m),
+                        "position_m": shift(hinge.position_m),
+                        "centre_m": None if hinge.centre_m is None else shift(hinge.centre_m),
                     }
                 )
                 for hinge in vehicle.hinges
             ],
             "contacts": [
-                contact.model_copy(update={"position_m": seen(contact.position_m)}) for contact in vehicle.contacts
+                contact.model_copy(update={"position_m": shift(contact.position_m)}) for contact in vehicle.contacts
             ],
-            "aero": vehicle.aero.model_copy(update={"centre_m": seen(vehicle.aero.centre_m)}),
-            "fuel": fuel and fuel.model_copy(update={"position_m": seen(fuel.position_m)}),
+            "aero": vehicle.aero.model_copy(update={"centre_m": shift(vehicle.aero.centre_m)}),
+            "fuel": fuel and fuel.model_copy(update={"position_m": shift(fuel.position_m)}),
         }
     )
 
@@ -59,10 +59,10 @@ def engines_as_flown(mismatch: Mismatch, jets: int) -> tuple[PerJet | None, int]
 
     Raises InputError for a factor of a jet that the vehicle has not.
     """
-    single = mismatch.single_factors
-    for number, factor in enumerate(single[jets:], jets + 1):
+    factors_by_jet = mismatch.single_factors
+    for number, factor in enumerate(factors_by_jet[jets:], jets + 1):
         if factor != 1.0:
             raise InputError(f"mismatch.thrust_factor_{number} = {factor:g}: the aircraft has jets 1 to {jets}")
-    single += (1.0,) * (jets - len(single))
-    factors = tuple(mismatch.thrust_factor * factor for factor in single[:jets])
+    factors_by_jet += (1.0,) * (jets - len(factors_by_jet))
+    factors = tuple(mismatch.thrust_factor * factor for factor in factors_by_jet[:jets])
     return (None if all(factor == 1.0 for factor in factors) else factors), mismatch.delay_samples

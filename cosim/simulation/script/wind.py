@@ -14,14 +14,14 @@ class FieldWind:
     """The wind of a field over a step, held from its beginning: at the vehicle, and the difference at each engine.
 
     The airframe flies in the air at its centre of gravity; an engine's intake, and what its stream does to the
-    vehicle, in the air at its station.  ``places``: the stations [m, body], none where the wind is the same everywhere.
+    vehicle, in the air at its station.  ``positions``: the stations [m, body], none if the wind is the same everywhere.
     """
 
     def __init__(
-        self, velocity: Velocity, reset: Callable[[], None], step: float, places: Sequence[Vector3], height: float
+        self, velocity: Velocity, reset: Callable[[], None], step: float, positions: Sequence[Vector3], height: float
     ) -> None:
         self._velocity, self._reset, self._step = velocity, reset, step
-        self._places, self._height = tuple(places), height
+        self._positions, self._height = tuple(positions), height
         self.at_jets: list[Vector3] = []  # m/s NED, beyond the wind at the centre of gravity
 
     def reset(self, wind: Vector3) -> Vector3:
@@ -38,8 +38,8 @@ class FieldWind:
         height = state.altitude
         x, y, z = self._velocity(time, north, east, height)
         at_jets: list[Vector3] = []
-        for place in self._places:
-            ahead, right, below = rotate(state.attitude, place)
+        for position in self._positions:
+            ahead, right, below = rotate(state.attitude, position)
             u, v, w = self._velocity(time, north + ahead, east + right, height - below)
             at_jets.append((u - x, v - y, w - z))
         self.at_jets = at_jets
