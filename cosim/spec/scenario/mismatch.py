@@ -4,6 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from cosim.base.signals import JETS
 from cosim.base.storage.toml import Model, Vector
 
 Factor = Annotated[float, Field(gt=0.0, le=10.0)]
@@ -30,11 +31,4 @@ class Mismatch(Model):
     @property
     def single_factors(self) -> tuple[float, ...]:
         """The factors of the single jets."""
-        return (
-            self.thrust_factor_1,
-            self.thrust_factor_2,
-            self.thrust_factor_3,
-            self.thrust_factor_4,
-            self.thrust_factor_5,
-            self.thrust_factor_6,
-        )
+        return tuple(getattr(self, f"thrust_factor_{jet}") for jet in range(1, JETS + 1))

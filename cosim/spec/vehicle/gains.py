@@ -1,9 +1,10 @@
 """Gains and limits of a vehicle's controllers and autopilot."""
 
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self
+from operator import not_
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from cosim.base.storage.toml import Axis3, Model, NotNegative, Positive
 
@@ -106,12 +107,8 @@ class AllocationLimits(Model):
     # banks: of a vehicle with [servo]; rotors: of one whose jets all point straight up; effectiveness: of any.  None:
     # by what the vehicle has
     method: Literal["banks", "rotors", "effectiveness"] | None = None
-    horizontal: bool = False  # effectiveness: keep the force along x and y at zero where that costs nothing else
-
-    @model_serializer(mode="wrap")
-    def _without_the_usual(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        stated: dict[str, Any] = handler(self)
-        return {key: value for key, value in stated.items() if key != "horizontal" or value}
+    # effectiveness: keep the force along x and y at zero where that costs nothing else
+    horizontal: Annotated[bool, Field(exclude_if=not_)] = False
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -127,12 +124,8 @@ class PredictorTuning(Model):
     observer_rad_s: Positive  # state: both poles of the double-integrator observer at minus this
     model_observer_rad_s: Positive  # state-model: observer poles
     disturbance_observer_rad_s: Positive  # state-disturbance: observer poles
-    own: dict[str, dict[str, float]] = Field(default_factory=dict)  # of predictors from elsewhere, by their names
-
-    @model_serializer(mode="wrap")
-    def _without_empty_tables(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        stated: dict[str, Any] = handler(self)
-        return {key: value for key, value in stated.items() if key != "own" or value}
+    # of predictors from elsewhere, by their names
+    own: dict[str, dict[str, float]] = Field(default_factory=dict, exclude_if=not_)
 
 
 class PositionGains(Model):
@@ -212,12 +205,7 @@ class Control(Model):
     monitor: MonitorSettings | None = None
     position: PositionGains | None = None
     pilot: PilotSettings | None = None
-    wing: WingControl | None = None  # None: no speed ahead can be asked for
-
-    @model_serializer(mode="wrap")
-    def _without_a_wing(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        stated: dict[str, Any] = handler(self)
-        return {key: value for key, value in stated.items() if key != "wing" or value is not None}
+    wing: Annotated[WingControl | None, Field(exclude_if=not_)] = None  # None: no speed ahead can be commanded
 
     @model_validator(mode="after")
     def _leads_at_every_level(self) -> Self:

@@ -1,9 +1,10 @@
 """Identified rate responses of a vehicle, in its own file or in a model file."""
 
+from operator import not_
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from cosim.base.storage.toml import Model, Positive, read_toml, validate
 
@@ -23,12 +24,14 @@ class RateModel(Model):
     gain: float
     zeros: list[float]
     poles: list[Annotated[float, Field(gt=-1.0, le=1.0)]]
-    zero_pairs: list[tuple[float, Positive]] = Field(default_factory=list)  # real and imaginary part
-    pole_pairs: list[tuple[float, Positive]] = Field(default_factory=list)
+    # real and imaginary part
+    zero_pairs: list[tuple[float, Positive]] = Field(default_factory=list, exclude_if=not_)
+    pole_pairs: list[tuple[float, Positive]] = Field(default_factory=list, exclude_if=not_)
     delay_samples: Annotated[float, Field(ge=0.0, le=1000.0)]  # need not be whole
     sample_time_s: Annotated[float, Field(ge=1e-6, le=1000.0)]  # so that poles in 1/s are numbers
     source: str
-    engine_sha256: str = ""  # EngineSpec.fingerprint, of an engine that is a file; "" in older models
+    # EngineSpec.fingerprint, of an engine that is a file; "" in older models
+    engine_sha256: Annotated[str, Field(exclude_if=not_)] = ""
 
     @model_validator(mode="after")
     def _strictly_proper(self) -> Self:
@@ -47,11 +50,6 @@ class RateModel(Model):
     def all_zeros(self) -> list[float] | list[complex]:
         """All zeros: the real ones, then both of each conjugate pair."""
         return _with_pairs(self.zeros, self.zero_pairs)
-
-    @model_serializer(mode="wrap")
-    def _without_empty_pairs(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        table: dict[str, Any] = handler(self)
-        return {key: value for key, value in table.items() if value or not key.endswith(("_pairs", "_sha256"))}
 
 
 class ModelFile(Model):

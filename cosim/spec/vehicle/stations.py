@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 from math import hypot
-from typing import Annotated, Any, Literal, Self
+from operator import not_
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from cosim.base.constants import SERVOS, Side
 from cosim.base.layout import UP, Layout, Station, Turn
@@ -38,22 +39,18 @@ class Jet(Model):
     """One engine station: fixed to the body, on a tilting bank, or on hinges."""
 
     position_m: Vector  # body, from the centre of gravity of the vehicle as built
-    axis: Direction | None = None  # of the thrust on the vehicle, body, hinges at zero; None: straight up, [0, 0, -1]
+    # of the thrust on the vehicle, body, hinges at zero; None: straight up, [0, 0, -1]
+    axis: Annotated[Direction | None, Field(exclude_if=not_)] = None
     servo: Side | None = None
     # moment on the frame per thrust, against the thrust's direction: with thrust straight up positive turns the nose
     # right
     reaction_m: float = 0.0
     spin: Literal[-1, 0, 1] = 0  # sense of the rotor about the thrust, right-handed; 0: its spin is not modelled
-    engine: str | None = None  # of another kind than the scenario's; None: as that
-    airflow: Airflow | None = None  # of an engine of its own; None: that of the vehicle
-    effort: Positive = 1.0  # of allocation by effectiveness: how dear its range is beside that of the others
-
-    @model_serializer(mode="wrap")
-    def _without_the_usual(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        table: dict[str, Any] = handler(self)
-        if table.get("effort") == 1.0:
-            del table["effort"]
-        return {key: value for key, value in table.items() if value is not None or key == "servo"}
+    engine: Annotated[str | None, Field(exclude_if=not_)] = None  # of another kind than the scenario's; None: as that
+    # of an engine of its own; None: that of the vehicle
+    airflow: Annotated[Airflow | None, Field(exclude_if=not_)] = None
+    # of allocation by effectiveness: how dear its range is beside that of the others
+    effort: Annotated[Positive, Field(exclude_if=lambda effort: effort == 1.0)] = 1.0
 
 
 class Servo(Model):

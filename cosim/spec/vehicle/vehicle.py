@@ -4,10 +4,11 @@ Body frame: forward-right-down (FRD), origin at the centre of gravity of the veh
 """
 
 from collections.abc import Sequence
+from operator import not_
 from re import fullmatch
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from cosim.base.constants import SERVOS
 from cosim.base.layout import UP, Layout
@@ -53,11 +54,12 @@ class Vehicle(Model):
     step_s: Step | None = None  # control step where a scenario states none; None: see control_step
     mass_kg: Positive
     inertia_kg_m2: tuple[Positive, Positive, Positive]
-    products_kg_m2: Vector = (0.0, 0.0, 0.0)  # of inertia: integral of x y, x z and y z over the mass, body
+    # of inertia: integral of x y, x z and y z over the mass, body
+    products_kg_m2: Annotated[Vector, Field(exclude_if=lambda products: not any(products))] = (0.0, 0.0, 0.0)
     jets: Annotated[list[Jet], Field(min_length=1, max_length=MOST_JETS)]
-    hinges: Annotated[list[Hinge], Field(max_length=MOST_JETS)] = Field(default_factory=list)  # from the body outwards
-    surfaces: Annotated[list[Surface], Field(max_length=MOST_JETS)] = Field(default_factory=list)
-    panels: Annotated[list[Panel], Field(max_length=100)] = Field(default_factory=list)  # drawn; they carry no force
+    hinges: list[Hinge] = Field(max_length=MOST_JETS, default_factory=list, exclude_if=not_)  # from the body outwards
+    surfaces: list[Surface] = Field(max_length=MOST_JETS, default_factory=list, exclude_if=not_)
+    panels: list[Panel] = Field(max_length=100, default_factory=list, exclude_if=not_)  # drawn; they carry no force
     contacts: Annotated[list[Contact], Field(min_length=1)]
     servo: Servo | None = None
     fuel: Fuel | None = None
@@ -231,16 +233,6 @@ class Vehicle(Model):
                     f"{list(self.inertia_kg_m2)} has them: too large, or in another unit"
                 )
         return self
-
-    @model_serializer(mode="wrap")
-    def _without_what_is_not_there(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        table: dict[str, Any] = handler(self)
-        for key in ("hinges", "surfaces", "panels"):
-            if not table.get(key, True):
-                del table[key]
-        if not any(self.products_kg_m2):
-            table.pop("products_kg_m2", None)
-        return table
 
     @model_validator(mode="after")
     def _banks_are_a_part(self) -> Self:
