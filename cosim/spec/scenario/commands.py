@@ -7,6 +7,8 @@ from pydantic import Field
 from cosim.base.storage.toml import Duration, Model, Positive, Seconds
 
 Amplitude = Annotated[float, Field(ge=-1e6, le=1e6)]
+Height = Annotated[float, Field(ge=0.0, le=20000.0)]  # m, above the ground
+Heading = Annotated[float, Field(ge=-360.0, le=360.0)]  # deg, from north
 Signal = Literal[
     "roll_deg",
     "pitch_deg",
@@ -21,42 +23,39 @@ Signal = Literal[
 SIGNALS: tuple[str, ...] = get_args(Signal)
 
 
-class StepCommand(Model):
+class SignalCommand(Model):
+    """A command of one signal from ``start_s`` on."""
+
+    kind: str
+    signal: Signal
+    start_s: Seconds
+    amplitude: Amplitude
+
+
+class StepCommand(SignalCommand):
     """``amplitude`` from ``start_s`` on."""
 
     kind: Literal["step"]
-    signal: Signal
-    start_s: Seconds
-    amplitude: Amplitude
 
 
-class DoubletCommand(Model):
+class DoubletCommand(SignalCommand):
     """``amplitude`` for ``width_s``, then its opposite for as long."""
 
     kind: Literal["doublet"]
-    signal: Signal
-    start_s: Seconds
-    amplitude: Amplitude
     width_s: Duration
 
 
-class RampCommand(Model):
+class RampCommand(SignalCommand):
     """From nothing at ``start_s`` to ``amplitude`` after ``duration_s``, held from then on."""
 
     kind: Literal["ramp"]
-    signal: Signal
-    start_s: Seconds
-    amplitude: Amplitude
     duration_s: Duration
 
 
-class SweepCommand(Model):
+class SweepCommand(SignalCommand):
     """A sine whose frequency grows exponentially from ``from_hz`` to ``to_hz`` over ``duration_s``."""
 
     kind: Literal["sweep"]
-    signal: Signal
-    start_s: Seconds
-    amplitude: Amplitude
     from_hz: Positive
     to_hz: Positive
     duration_s: Duration
@@ -96,8 +95,8 @@ class PlaceCommand(Model):
     start_s: Seconds = 0.0
     north_m: Amplitude | None = None
     east_m: Amplitude | None = None
-    altitude_m: Annotated[float, Field(ge=0.0, le=20000.0)] | None = None
-    yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None  # from north, the short way round
+    altitude_m: Height | None = None
+    yaw_deg: Heading | None = None  # from north, the short way round
     speed_m_s: Positive | None = None  # at most on the way; not stated: the vehicle's [control.pilot]
 
 
@@ -112,7 +111,7 @@ class VelocityCommand(Model):
     north_m_s: Amplitude = 0.0
     east_m_s: Amplitude = 0.0
     climb_m_s: Amplitude | None = None  # no faster than the autopilot climbs and sinks; ends above the ground
-    yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None  # from north, the short way round
+    yaw_deg: Heading | None = None  # from north, the short way round
 
 
 class Waypoint(Model):
@@ -120,8 +119,8 @@ class Waypoint(Model):
 
     north_m: Amplitude
     east_m: Amplitude
-    altitude_m: Annotated[float, Field(ge=0.0, le=20000.0)] | None = None
-    yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None
+    altitude_m: Height | None = None
+    yaw_deg: Heading | None = None
     speed_m_s: Positive | None = None
     hold_s: Seconds | None = None
 

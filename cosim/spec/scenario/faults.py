@@ -30,71 +30,66 @@ JetNumber = Annotated[int, Field(ge=1, le=MOST_JETS)]
 Jets = Annotated[list[JetNumber], Field(min_length=1), BeforeValidator(_as_list), AfterValidator(_once_each)]
 
 
-class FlameOut(Model):
+class TimedFault(Model):
+    """A fault that acts from ``start_s`` on, for ``duration_s`` or to the end."""
+
+    kind: str
+    start_s: Seconds
+    duration_s: Duration | None = None
+
+
+class JetFault(TimedFault):
+    """A fault of the engines at ``jet``."""
+
+    jet: Jets
+
+
+class FlameOut(JetFault):
     """The engine flames out at the start and is relit at the end."""
 
     kind: Literal["flame_out"]
-    start_s: Seconds
-    duration_s: Duration | None = None
-    jet: Jets
 
 
-class StuckThrottle(Model):
+class StuckThrottle(JetFault):
     """The engine stays at the throttle it has at the start, or at ``throttle``."""
 
     kind: Literal["stuck_throttle"]
-    start_s: Seconds
-    duration_s: Duration | None = None
-    jet: Jets
     throttle: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
 
 
-class ThrustLoss(Model):
+class ThrustLoss(JetFault):
     """The engine loses the fraction ``share`` of its thrust."""
 
     kind: Literal["thrust_loss"]
-    start_s: Seconds
-    duration_s: Duration | None = None
-    jet: Jets
     share: Annotated[float, Field(gt=0.0, le=1.0)]
 
 
-class SlowSpool(Model):
+class SlowSpool(JetFault):
     """An additional first-order lag before the engine."""
 
     kind: Literal["slow_spool"]
-    start_s: Seconds
-    duration_s: Duration | None = None
-    jet: Jets
     lag_s: Annotated[float, Field(gt=0.0, le=100.0)]
 
 
-class DelayGrowth(Model):
+class DelayGrowth(JetFault):
     """An additional delay before the engine; at its end the commands still in the delay are dropped."""
 
     kind: Literal["delay_growth"]
-    start_s: Seconds
-    duration_s: Duration | None = None
-    jet: Jets
     delay_s: Annotated[float, Field(gt=0.0, le=10.0)]
 
 
-class ServoJam(Model):
+class ServoJam(TimedFault):
     """A tilt servo stops at its angle, or moves to ``angle_deg`` and stays there."""
 
     kind: Literal["servo_jam"]
-    start_s: Seconds
-    duration_s: Duration | None = None
     servo: str  # left or right of two banks, else the name of a hinge or a surface
     angle_deg: Annotated[float, Field(ge=-180.0, le=180.0)] | None = None
 
 
-class SensorBias(Model):
+class SensorBias(TimedFault):
     """An addition to a sensor's output: rad/s (gyro), rad about the body axes (attitude), m (gnss, NED; barometer)."""
 
     kind: Literal["sensor_bias"]
-    start_s: Seconds
-    duration_s: Duration | None = None
     sensor: Sensor
     bias: list[float] = [0.0, 0.0, 0.0]  # one number for the barometer, else three
     velocity_bias: Vector = (0.0, 0.0, 0.0)  # m/s, NED, of the gnss alone
@@ -117,12 +112,10 @@ class SensorBias(Model):
         return (x, y, z)
 
 
-class SensorDropout(Model):
+class SensorDropout(TimedFault):
     """A sensor repeats its last output before the start."""
 
     kind: Literal["sensor_dropout"]
-    start_s: Seconds
-    duration_s: Duration | None = None
     sensor: Sensor
 
 
