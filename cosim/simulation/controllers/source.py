@@ -103,15 +103,15 @@ class Source:
 
     def values(self, stated: Mapping[str, float], where: str) -> dict[str, float]:
         """Return its parameters' values.  Raises InputError: one line with the key and what is allowed."""
-        known = {parameter.name: parameter for parameter in self.parameters}
+        parameters = {parameter.name: parameter for parameter in self.parameters}
         for name, value in stated.items():
-            if name not in known:
-                allowed = nearest(name, known) if known else f"controller {self.label} has none"
+            if name not in parameters:
+                allowed = nearest(name, parameters) if parameters else f"controller {self.label} has none"
                 raise InputError(f"{where}.{name}: unknown parameter; {allowed}")
-            if not known[name].least <= value <= known[name].most:
-                least, most, unit = known[name].least, known[name].most, known[name].unit
+            _, _, unit, _, least, most = parameters[name]
+            if not least <= value <= most:
                 raise InputError(f"{where}.{name} = {value:g}: must be from {least:g} to {most:g} {unit}".rstrip())
-        return {name: stated.get(name, parameter.default) for name, parameter in known.items()}
+        return {name: stated.get(name, parameter.default) for name, parameter in parameters.items()}
 
     def expect(self, sha256: str | None, where: str) -> None:
         """Refuse another file than the one that flew.  Raises InputError with the difference."""
@@ -133,8 +133,8 @@ def find(controller: str, folder: Path, complaint: str) -> Source | None:
         if not path.is_file():
             raise InputError(f"controller {controller}: {path}: no such file")
         if named.before:
-            return _of_process(controller, path, named.after)
-        return _of_record(controller, path) if path.suffix.lower() == ".csv" else _of_fmu(controller, path)
+            return _from_process(controller, path, named.after)
+        return _from_record(controller, path) if path.suffix.lower() == ".csv" else _from_fmu(controller, path)
     if named is None and controller in PREDICTORS:
         return None
     if controller.startswith(OBJECT):
@@ -159,9 +159,9 @@ def find_python(kind: str, name: str, folder: Path) -> Source | None:
         module_name, _, attribute = name.partition(":")
         module, path, files = imported(module_name, where)
         block = _attribute(module, attribute, kind, where, path)
-        return _from_statements(kind, name, block, None, files, version_of(module_name), copied=False)
+        return _from_attributes(kind, name, block, None, files, version_of(module_name), copied=False)
     entry = find_entries(kind).get(name)
-    return None if entry is None else _of_entry(kind, name, entry)
+    return None if entry is None else _from_entry(kind, name, entry)
 
 
 def names() -> Iterator[tuple[str, str]]:
@@ -171,82 +171,82 @@ def names() -> Iterator[tuple[str, str]]:
     """
     for name, entry in find_entries("controller").items():
         try:
-            level = _of_entry("controller", name, entry).level
+            level = _from_entry("controller", name, entry).level
         except CodeRefusedError:
             yield name, f"{entry.value} (not where packages are installed, and not run to look at it)"
             continue
-        said = (entry.load().__doc__ or "").strip().partition("\n")[0].rstrip(".")
-        yield name, f"{said or entry.value} ({level})"
+        description = (entry.load().__doc__ or "").strip().partition("\n")[0].rstrip(".")
+        yield name, f"{description or entry.value} ({level})"
 
 
-def from_object(given: Any) -> Source:
+def from_object(value: Any) -> Source:
     """Return the source of a class or an object of a program.  Raises InputError for one that is no controller.
 
     A class of a file flies again from that file, and so does an object that is as its class makes it without being told
     anything.  Of one of a notebook's cell the text is hashed, where it is to be had.
     """
-    made = given if isinstance(given, type) else type(given)
-    label = f"{made.__module__}.{made.__qualname__}"
-    path = file_of(made)
+    cls = value if isinstance(value, type) else type(value)
+    label = f"{cls.__module__}.{cls.__qualname__}"
+    path = file_of(cls)
     files = {} if path is None else {path.name: path}
-    make = None if isinstance(given, type) else _copies(given)
-    again = path is not None and path.suffix == ".py" and made.__qualname__.isidentifier()
-    if again and (isinstance(given, type) or _as_made(given, made)):
-        return _from_statements("controller", f"{path}:{made.__name__}", given, make, files)
-    source = _from_statements("controller", f"{OBJECT}{label}", given, make, files, copied=False)
-    return source if files else replace(source, text=_text_of(made))
+    make = None if isinstance(value, type) else _copier(value)
+    is_repeatable = path is not None and path.suffix == ".py" and cls.__qualname__.isidentifier()
+    if is_repeatable and (isinstance(value, type) or _is_default(value, cls)):
+        return _from_attributes("controller", f"{path}:{cls.__name__}", value, make, files)
+    source = _from_attributes("controller", f"{OBJECT}{label}", value, make, files, copied=False)
+    return source if files else replace(source, text=_source_text(cls))
 
 
-def _always(made: Any) -> Callable[[], Any]:
-    return lambda: made
+def _constant(value: Any) -> Callable[[], Any]:
+    return lambda: value
 
 
-def _copies(given: Any) -> Callable[[], Any]:
-    return lambda: copy.deepcopy(given)
+def _copier(value: Any) -> Callable[[], Any]:
+    return lambda: copy.deepcopy(value)
 
 
-def _as_made(given: Any, made: type) -> bool:
+def _is_default(value: Any, cls: type) -> bool:
     try:
-        return pickle.dumps(vars(made())) == pickle.dumps(vars(given))
-    except Exception:  # it cannot be told, so it is not said
+        return pickle.dumps(vars(cls())) == pickle.dumps(vars(value))
+    except Exception:  # then it counts as changed
         return False
 
 
-def file_of(made: Any) -> Path | None:
+def file_of(cls: Any) -> Path | None:
     """Return the file that a class or a function is in, unless its text was executed into that file's module."""
     try:
-        found = inspect.getsourcefile(made)
+        source_file = inspect.getsourcefile(cls)
     except (TypeError, OSError):
         return None
-    path = None if found is None else Path(found)
+    path = None if source_file is None else Path(source_file)
     if path is None or not path.is_file():
         return None
-    codes = _codes(made)
+    codes = _code_objects(cls)
     return path if not codes or any(Path(code.co_filename) == path for code in codes) else None
 
 
-def _codes(made: type) -> list[CodeType]:
+def _code_objects(cls: type) -> list[CodeType]:
     """Return the code objects of the functions that its own text defines."""
-    return [inspect.unwrap(function).__code__ for function in vars(made).values() if inspect.isfunction(function)]
+    return [inspect.unwrap(function).__code__ for function in vars(cls).values() if inspect.isfunction(function)]
 
 
-def _text_of(made: type) -> str:
+def _source_text(cls: type) -> str:
     """Return the text of a class that no file holds, from the line cache that a notebook fills; empty if not there."""
-    for code in _codes(made):
+    for code in _code_objects(cls):
         text = "".join(linecache.getlines(code.co_filename))
         try:
             tree = ast.parse(text)
         except SyntaxError:  # a cell with commands of the notebook's own
             continue
         for node in ast.walk(tree):
-            if not isinstance(node, ast.ClassDef) or node.name != made.__name__:
+            if not isinstance(node, ast.ClassDef) or node.name != cls.__name__:
                 continue
             if node.lineno <= code.co_firstlineno <= (node.end_lineno or 0):
                 return ast.get_source_segment(text, node) or ""
     return ""
 
 
-_known: Memory[Source] = Memory(32)
+_sources: Memory[Source] = Memory(32)
 
 
 def _from_file(kind: str, name: str, path: Path, attribute: str) -> Source:
@@ -254,35 +254,35 @@ def _from_file(kind: str, name: str, path: Path, attribute: str) -> Source:
     where = f"{kind} {name}"
     if not path.is_file():
         raise InputError(f"{where}: {path}: no such file")
-    held = [(file, _sha256(file)) for file in _last_files.get(path, [path]) if file.is_file()]
-    if path in _last_files:  # else it is run now, and what it imports is not known before
-        need_trust([Code(file, sha256, (path,)) for file, sha256 in held], where)
+    file_hashes = [(file, _sha256(file)) for file in _files_by_path.get(path, [path]) if file.is_file()]
+    if path in _files_by_path:  # else it is run now, which shows what it imports
+        need_trust([Code(file, sha256, (path,)) for file, sha256 in file_hashes], where)
 
     def load() -> Source:
         module, neighbours = executed(path, where)
-        _last_files[path] = [path, *neighbours]
+        _files_by_path[path] = [path, *neighbours]
         files = {file.name: file for file in (path, *neighbours)}
-        return _from_statements(kind, name, _attribute(module, attribute, kind, where, path), None, files)
+        return _from_attributes(kind, name, _attribute(module, attribute, kind, where, path), None, files)
 
-    return _known.get((kind, name, str(path), tuple(held)), load)
-
-
-_last_files: dict[Path, list[Path]] = {}  # by path what it was made of when it was last read
+    return _sources.get((kind, name, str(path), tuple(file_hashes)), load)
 
 
-def _of_process(controller: str, path: Path, arguments: str) -> Source:
+_files_by_path: dict[Path, list[Path]] = {}  # the files that a file was made of when it was last read
+
+
+def _from_process(controller: str, path: Path, arguments: str) -> Source:
     need_trust(program_code(path, arguments), f"controller {label_of(controller)}")
     command = program(path, arguments)
     key = (controller, str(path), _sha256(path))
 
-    def ask() -> Source:
+    def load() -> Source:
         description = describe(command, path.parent, label_of(controller))
         return _from_description(controller, description, {path.name: path}, command, path.parent)
 
-    return _known.get(key, ask)
+    return _sources.get(key, load)
 
 
-def _of_fmu(controller: str, path: Path) -> Source:
+def _from_fmu(controller: str, path: Path) -> Source:
     from cosim.engine.make.controller_fmu import command, describe_controller, read_controller_fmu
 
     try:
@@ -291,13 +291,14 @@ def _of_fmu(controller: str, path: Path) -> Source:
         raise InputError(f"controller {controller}: {error}") from error
     need_trust([code_of(fmu.path, path, fmu.path)], f"controller {label_of(controller)}")
     key = (controller, str(path), *[_sha256(file) for file in fmu.files.values()])
-    run = command(path)
-    return _known.get(
-        key, lambda: _from_description(controller, describe_controller(fmu), fmu.files, lambda: run, path.parent)
+    command_line = command(path)
+    return _sources.get(
+        key,
+        lambda: _from_description(controller, describe_controller(fmu), fmu.files, lambda: command_line, path.parent),
     )
 
 
-def _of_record(controller: str, path: Path) -> Source:
+def _from_record(controller: str, path: Path) -> Source:
     rows, columns = recorded.read(path, f"controller {label_of(controller)}")
     source = Source(
         controller, "controller", lambda: recorded.RecordedController(rows, columns), {path.name: path}, columns=columns
@@ -307,19 +308,19 @@ def _of_record(controller: str, path: Path) -> Source:
 
 
 def _from_description(
-    controller: str, said: Mapping[str, Any], files: Mapping[str, Path], command: Command, folder: Path
+    controller: str, description: Mapping[str, Any], files: Mapping[str, Path], command: Command, folder: Path
 ) -> Source:
     """Return the source of a process or an FMU from its description.  Raises InputError for what does not fit."""
     label = label_of(controller)
     where = f"controller {label}"
-    known = ("level", "predictor", "extras", "parameters", "columns")
-    for key in said:
-        if key not in known:
-            raise InputError(f"{where}: its first line: {key!r}: {nearest(key, known)}")
-    level, predictor, columns, parameters = _read_statements(
-        SimpleNamespace(**said), where, "[name, unit, frame, meaning]"
+    keys = ("level", "predictor", "extras", "parameters", "columns")
+    for key in description:
+        if key not in keys:
+            raise InputError(f"{where}: its first line: {key!r}: {nearest(key, keys)}")
+    level, predictor, columns, parameters = _read_attributes(
+        SimpleNamespace(**description), where, "[name, unit, frame, meaning]"
     )
-    extras = said.get("extras", ())
+    extras = description.get("extras", ())
     if not isinstance(extras, (list, tuple)):
         raise InputError(f"{where}: extras = {extras!r}: must be a list")
     for extra in extras:
@@ -341,12 +342,12 @@ def _from_description(
     return source
 
 
-def _of_entry(kind: str, name: str, entry: EntryPoint) -> Source:
+def _from_entry(kind: str, name: str, entry: EntryPoint) -> Source:
     if kind == "controller" and name in PREDICTORS:
         raise InputError(f"{describe_entry(entry)}: there is a predictor of this name already")
     member, package = load_entry(entry)
     path = file_of(member)
-    return _from_statements(kind, name, member, None, {} if path is None else {path.name: path}, package, copied=False)
+    return _from_attributes(kind, name, member, None, {} if path is None else {path.name: path}, package, copied=False)
 
 
 def version_of(module: str) -> str:
@@ -362,19 +363,19 @@ def version_of(module: str) -> str:
 
 def _attribute(module: ModuleType, name: str, kind: str, where: str, path: Path) -> Any:
     """Return what a module has by a name: a class of a controller, anything of another kind.  Raises InputError."""
-    member, every = getattr(module, name, None), vars(module).items()
+    member, members = getattr(module, name, None), vars(module).items()
     if kind != "controller":
         if member is None:
-            there = [other for other, value in every if callable(value) and not other.startswith("_")]
-            raise InputError(f"{where}: {path.name} has no {name!r}; {nearest(name, there)}")
+            alternatives = [other for other, value in members if callable(value) and not other.startswith("_")]
+            raise InputError(f"{where}: {path.name} has no {name!r}; {nearest(name, alternatives)}")
     elif not isinstance(member, type):
-        there = [other for other, value in every if isinstance(value, type) and hasattr(value, "level")]
-        said = nearest(name, there) if there else "there is no class with a level in it"
-        raise InputError(f"{where}: {path.name} has no class {name!r}; {said}")
+        alternatives = [other for other, value in members if isinstance(value, type) and hasattr(value, "level")]
+        hint = nearest(name, alternatives) if alternatives else "there is no class with a level in it"
+        raise InputError(f"{where}: {path.name} has no class {name!r}; {hint}")
     return member
 
 
-def _from_statements(
+def _from_attributes(
     kind: str,
     name: str,
     block: Any,
@@ -386,7 +387,7 @@ def _from_statements(
     """Return the source of a block, with what it states of itself.  Raises InputError for what does not fit."""
     if kind == "controller":
         where = f"controller {label_of(name)}"
-        level, predictor, columns, parameters = _read_statements(block, where, "Column(name, unit, frame, meaning)")
+        level, predictor, columns, parameters = _read_attributes(block, where, "Column(name, unit, frame, meaning)")
         methods: Any = [("reset", ()), ("update", LEVELS[level])]
         methods += [("prepare", ("belief",))] if hasattr(block, "prepare") else []
         make = make or _maker(block, where)
@@ -394,17 +395,17 @@ def _from_statements(
     else:
         where, methods = f"{kind} {name}", METHODS[kind]
         if kind == "metric" and callable(block) and not isinstance(block, type):
-            make, block = _always(block), SimpleNamespace(__call__=block)
+            make, block = _constant(block), SimpleNamespace(__call__=block)
         elif not isinstance(block, type):
             raise InputError(f"{where}: must be a class{' or a function' if kind == 'metric' else ''}")
         source = Source(name, kind, make or _maker(block, where), files, package, copied=copied)
-    for method, told in methods:
-        check_method(block, method, told, where)
+    for method, arguments in methods:
+        check_method(block, method, arguments, where)
     source.hashes  # noqa: B018  of what was read just now
     return source
 
 
-def _read_statements(block: Any, where: str, column: str) -> tuple[str, str, tuple[Column, ...], tuple[Parameter, ...]]:
+def _read_attributes(block: Any, where: str, column: str) -> tuple[str, str, tuple[Column, ...], tuple[Parameter, ...]]:
     """Return level, predictor, columns and parameters that a block states; ``column``: how it writes one.
 
     Raises InputError for what does not fit.
@@ -422,29 +423,29 @@ def _read_statements(block: Any, where: str, column: str) -> tuple[str, str, tup
     return level, predictor, columns, parameters_of(block, where)
 
 
-def _maker(made: Callable[[], Any], where: str) -> Callable[[], Any]:
+def _maker(make_block: Callable[[], Any], where: str) -> Callable[[], Any]:
     def make() -> Any:
         try:
-            return made()
+            return make_block()
         except Exception as error:
             raise InputError(f"{where}: cannot be made without arguments: {describe_error(error)}") from error
 
     return make
 
 
-def check_method(block: Any, method: str, told: Sequence[str], where: str) -> None:
+def check_method(block: Any, method: str, arguments: Sequence[str], where: str) -> None:
     """Refuse a block without a method, or with one that takes something else.  Raises InputError."""
     function = getattr(block, method, None)
     if not callable(function):
-        raise InputError(f"{where}: has no {method}({', '.join(told)})")
+        raise InputError(f"{where}: has no {method}({', '.join(arguments)})")
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):
         return  # it does not say
     try:
-        signature.bind(*([None] if isinstance(block, type) else []), *told)
+        signature.bind(*([None] if isinstance(block, type) else []), *arguments)
     except TypeError as error:
-        raise InputError(f"{where}: {method}{signature}: must take ({', '.join(told)})") from error
+        raise InputError(f"{where}: {method}{signature}: must take ({', '.join(arguments)})") from error
 
 
 def parameters_of(block: Any, where: str) -> tuple[Parameter, ...]:
@@ -455,17 +456,21 @@ def parameters_of(block: Any, where: str) -> tuple[Parameter, ...]:
         raise InputError(f"{where}: parameters = {stated!r}: must be a list of Parameter(name, default, ...)")
     for item in stated:
         try:
-            one = Parameter(*item)
-            numbers = float(one.default), float(one.least), float(one.most)
+            parameter = Parameter(*item)
+            limits = float(parameter.default), float(parameter.least), float(parameter.most)
         except (TypeError, ValueError) as error:
             raise InputError(
                 f"{where}: parameters: {item!r}: must be Parameter(name, default, ...): {error}"
             ) from error
-        if not NAME.fullmatch(str(one.name)):
-            raise InputError(f"{where}: parameter {one.name!r}: a name is of letters, digits and _, no digit first")
-        if not isfinite(numbers[0]) or not numbers[1] <= numbers[0] <= numbers[2]:
-            raise InputError(f"{where}: parameter {one.name}: default = {one.default}: must be from least to most")
-        if one.name in [other.name for other in parameters]:
-            raise InputError(f"{where}: parameter {one.name}: is there twice")
-        parameters.append(one._replace(default=numbers[0]))
+        if not NAME.fullmatch(str(parameter.name)):
+            raise InputError(
+                f"{where}: parameter {parameter.name!r}: a name is of letters, digits and _, no digit first"
+            )
+        if not isfinite(limits[0]) or not limits[1] <= limits[0] <= limits[2]:
+            raise InputError(
+                f"{where}: parameter {parameter.name}: default = {parameter.default}: must be from least to most"
+            )
+        if parameter.name in [other.name for other in parameters]:
+            raise InputError(f"{where}: parameter {parameter.name}: is there twice")
+        parameters.append(parameter._replace(default=limits[0]))
     return tuple(parameters)
