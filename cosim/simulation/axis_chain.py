@@ -75,11 +75,11 @@ def axis_shares(vehicle: Vehicle, allocator: Allocator, index: int) -> AxisShare
     if not by_throttle(vehicle, index):
         return AxisShares([0.0] * jets, [1.0 / len(SERVOS)] * len(SERVOS), [])
     arms = levers(vehicle, index)
-    whole = sum(abs(arm) for arm in arms)
-    if not whole:
+    total = sum(abs(arm) for arm in arms)
+    if not total:
         return AxisShares([0.0] * jets, [0.0] * len(servos_of(vehicle)), [])
     moves = [] if vehicle.servo else thrust_moves(vehicle, index)
-    return AxisShares([abs(arm) / whole for arm in arms], [0.0] * len(servos_of(vehicle)), moves)
+    return AxisShares([abs(arm) / total for arm in arms], [0.0] * len(servos_of(vehicle)), moves)
 
 
 def thrust_moves(vehicle: Vehicle, index: int) -> list[float]:
@@ -181,8 +181,8 @@ def hinged_parts(
 
     parts = [part(range(jets), ())]
     for lag in dict.fromkeys(hinge.lag_s for hinge in vehicle.hinges):
-        alike = [k for k, hinge in enumerate(vehicle.hinges) if hinge.lag_s == lag]
-        parts.append(part([jets + k for k in alike], tuple([vehicle.hinges[k] for k in alike])))
+        with_lag = [k for k, hinge in enumerate(vehicle.hinges) if hinge.lag_s == lag]
+        parts.append(part([jets + k for k in with_lag], tuple([vehicle.hinges[k] for k in with_lag])))
     return parts
 
 
@@ -216,11 +216,11 @@ def rotor_lead(
         else None
         for engine, thrust in zip(engines, thrusts, strict=True)
     ]
-    speeds = [0.0 if each is None else each.speed for each in around]
-    grown = [0.0 if each is None else each.speed_per_n for each in around]
+    speeds = [0.0 if around_one is None else around_one.speed for around_one in around]
+    speed_per_newton = [0.0 if around_one is None else around_one.speed_per_n for around_one in around]
     small = [SMALL * move for move in moves]
     rotors.reset(tuple(speeds))
-    faster = tuple([speed + slope * move for speed, slope, move in zip(speeds, grown, small, strict=False)])
+    faster = tuple([speed + slope * move for speed, slope, move in zip(speeds, speed_per_newton, small, strict=False)])
     rest = [hinge.rest_rad for hinge in vehicle.hinges]
     tilt = tuple([angle + move for angle, move in zip(rest, small[len(engines) :], strict=False)]) or (0.0, 0.0)
     x, y, z = np.linalg.solve(np.array(vehicle.tensor), np.array(rotors.update(faster, tilt)))
@@ -235,8 +235,8 @@ def hinge_kicks(vehicle: Vehicle, step: float) -> Array:
         reactions.reset()
         angles = [hinge.rest_rad + small * (k == number) for k, hinge in enumerate(vehicle.hinges)]
         push, moment = reactions.reaction(tuple(angles), ZERO3)
-        whole = np.array(moment) + np.cross(vehicle.jets[0].position_m, push)
-        rows.append(np.linalg.solve(np.array(vehicle.tensor), whole) / (small / step**2))
+        total = np.array(moment) + np.cross(vehicle.jets[0].position_m, push)
+        rows.append(np.linalg.solve(np.array(vehicle.tensor), total) / (small / step**2))
     return np.array(rows).reshape(-1, 3)
 
 
@@ -276,5 +276,5 @@ def filter_pole(filter_s: float, step: float) -> float:
 
 def measuring(z: Complex, pole: float, latency: int, hold: int = 1) -> Complex:
     """Return the response of measured rate to rate: low-pass, latency, and the mean effect of a kept measurement."""
-    kept = (1.0 - z**-hold) / (hold * (1.0 - 1.0 / z)) if hold > 1 else 1.0
-    return np.asarray((1.0 - pole) * z / (z - pole) * z**-latency * kept)
+    hold_response = (1.0 - z**-hold) / (hold * (1.0 - 1.0 / z)) if hold > 1 else 1.0
+    return np.asarray((1.0 - pole) * z / (z - pole) * z**-latency * hold_response)

@@ -38,7 +38,7 @@ _KEYS = {"observer": 2, "sensors": 3, "wind": 4}  # of the random numbers of eac
 
 @dataclass(frozen=True)
 class BlockInfo:
-    """The scenario's facts for a plug-in's ``prepare``, where it has one; nothing in it is of the controller."""
+    """What a plug-in's ``prepare`` is given, where it has one; nothing in it is of the controller."""
 
     step_s: float
     vehicle: Vehicle  # as stated
@@ -69,15 +69,15 @@ class CustomMetric:
             raise FlightError(f"{where}: {error}") from error
         except Exception as error:
             raise FlightError(f"{where}: raised {describe_error(error)}") from error
-        own = [name.removeprefix(PREFIX) for name in self.names]
+        names = [name.removeprefix(PREFIX) for name in self.names]
         if not isinstance(answer, Mapping):
-            if len(own) != 1:
-                raise FlightError(f"{where}: gave {answer!r}: must be a mapping with {', '.join(own)}")
-            answer = {own[0]: answer}
-        if set(answer) != set(own):
-            raise FlightError(f"{where}: gave {', '.join(map(str, answer))}: must be {', '.join(own)}")
+            if len(names) != 1:
+                raise FlightError(f"{where}: gave {answer!r}: must be a mapping with {', '.join(names)}")
+            answer = {names[0]: answer}
+        if set(answer) != set(names):
+            raise FlightError(f"{where}: gave {', '.join(map(str, answer))}: must be {', '.join(names)}")
         values: dict[str, float | None] = {}
-        for name in own:
+        for name in names:
             value = answer[name]
             try:
                 number = None if value is None else float(value)
@@ -120,29 +120,36 @@ def load_plugins(scenario: Scenario) -> Plugins:
 
     Raises InputError for a name, a file or a table that does not do, and for another file than the one that flew.
     """
-    asked = {"metrics": scenario.metrics, "observers": scenario.observers}
-    asked |= {key: [name] for key, name in (("sensors", scenario.sensor_plugin), ("wind", scenario.wind)) if name}
+    names_by_key = {"metrics": scenario.metrics, "observers": scenario.observers}
+    names_by_key |= {
+        key: [name] for key, name in (("sensors", scenario.sensor_plugin), ("wind", scenario.wind)) if name
+    }
     kinds = {"metrics": "metric", "observers": "observer"}
     sources = {
-        key: [_source(kinds.get(key, key), name, scenario) for name in names] for key, names in asked.items() if names
+        key: [_source(kinds.get(key, key), name, scenario) for name in names]
+        for key, names in names_by_key.items()
+        if names
     }
     vehicle = scenario.resolved_vehicle()[0] if sources else None
     plugins: dict[str, Any] = {}
     if vehicle is not None:
-        taken: set[str] = set()
+        names_taken: set[str] = set()
         metrics = []
         for source in sources.get("metrics", []):
             metrics.append(read_metric(source))
             for each in metrics[-1].names:
-                if each in taken:
+                if each in names_taken:
                     raise InputError(f"metric {source.label}: {each} is said by another one already")
-                taken.add(each)
+                names_taken.add(each)
         plugins["metrics"] = tuple(metrics)
         plugins["observers"] = tuple(
-            [GuardedObserver(s, _made(s, scenario, vehicle, n)) for n, s in enumerate(sources.get("observers", []))]
+            [
+                GuardedObserver(s, _make_block(s, scenario, vehicle, n))
+                for n, s in enumerate(sources.get("observers", []))
+            ]
         )
         for source in sources.get("sensors", []):
-            block = _made(source, scenario, vehicle, 0)
+            block = _make_block(source, scenario, vehicle, 0)
             plugins["sensors"] = lambda inner: GuardedSensors(source, block, inner)  # noqa: B023  there is one
         for source in sources.get("wind", []):
             plugins["wind"] = _wind(source, scenario, vehicle)
@@ -158,11 +165,11 @@ def _source(kind: str, name: str, scenario: Scenario) -> Source:
         source = Source(name, kind, lambda: table, {path.name: path})
     else:
         source = find_block(kind, name, scenario.folder)
-    then = scenario.own_sha256.get(name)
-    if then is not None and then != source.sha256:
+    flown_sha256 = scenario.own_sha256.get(name)
+    if flown_sha256 is not None and flown_sha256 != source.sha256:
         raise InputError(
             f"scenario {scenario.name}: {kind} {source.label} is not the one that was flown: its sha256 is "
-            f"{source.sha256[:12]}, then it was {then[:12]}; leave out own_sha256 to fly what is there now"
+            f"{source.sha256[:12]}, then it was {flown_sha256[:12]}; leave out own_sha256 to fly what is there now"
         )
     return source
 
@@ -170,8 +177,8 @@ def _source(kind: str, name: str, scenario: Scenario) -> Source:
 def read_metric(source: Source) -> CustomMetric:
     """Return a metric with the names and columns that it states.  Raises InputError."""
     where, block = f"metric {source.label}", source.make()
-    plain = getattr(block, "__name__", type(block).__name__).lower()
-    names = getattr(block, "names", (plain,))
+    default_name = getattr(block, "__name__", type(block).__name__).lower()
+    names = getattr(block, "names", (default_name,))
     if isinstance(names, str) or not names or not all(isinstance(n, str) and NAME.fullmatch(n) for n in names):
         raise InputError(f"{where}: names = {names!r}: must be names of letters, digits and _, no digit first")
     if len({*names}) < len(names):
@@ -196,20 +203,20 @@ def metrics_of(scenario: Scenario) -> list[CustomMetric]:
     return [read_metric(_source("metric", name, scenario)) for name in scenario.metrics]
 
 
-def _made(source: Source, scenario: Scenario, vehicle: Vehicle, number: int) -> Any:
+def _make_block(source: Source, scenario: Scenario, vehicle: Vehicle, number: int) -> Any:
     block = source.make()
     if hasattr(block, "prepare"):
         check_method(block, "prepare", ("told",), f"{source.level} {source.label}")
-        told = BlockInfo(scenario.step_s, vehicle, scenario.seed, (_KEYS[source.level], number))
+        info = BlockInfo(scenario.step_s, vehicle, scenario.seed, (_KEYS[source.level], number))
         try:
-            _called(source, "prepare", block.prepare, told)
+            _call(source, "prepare", block.prepare, info)
         except FlightError as error:
             raise InputError(str(error)) from error
     return block
 
 
-def _called(source: Source, what: str, method: Callable[..., Any], *told: Any) -> Any:
-    return CallGuard(source.label, kind=source.level).call(what, method, *told)
+def _call(source: Source, what: str, method: Callable[..., Any], *arguments: Any) -> Any:
+    return CallGuard(source.label, kind=source.level).call(what, method, *arguments)
 
 
 class GuardedObserver:
@@ -219,16 +226,16 @@ class GuardedObserver:
         self._source, self._block = source, block
 
     def observe(self, sample: Sample) -> None:
-        _called(self._source, "observe", self._block.observe, sample)
+        _call(self._source, "observe", self._block.observe, sample)
 
     def close(self) -> None:
         """Tell the block that the flight is over, and the log complete."""
         if hasattr(self._block, "close"):
-            _called(self._source, "close", self._block.close)
+            _call(self._source, "close", self._block.close)
 
 
 class GuardedSensors:
-    """Sensors of the user's behind the built-in ones: told the truth and what these say, they say what is measured."""
+    """Sensors of the user's behind the built-in ones: they get the true state and the built-in measurement."""
 
     def __init__(self, source: Source, block: Any, inner: Sensors) -> None:
         self._source, self._block, self._inner = source, block, inner
@@ -241,7 +248,7 @@ class GuardedSensors:
         return self._answer("sample", self._block.sample, state, self._inner.sample(state))
 
     def _answer(self, what: str, method: Callable[..., Any], state: State, measured: Measured) -> Measured:
-        answer = _called(self._source, what, method, state, measured)
+        answer = _call(self._source, what, method, state, measured)
         where = f"sensors {self._source.label}"
         if not isinstance(answer, Measured):
             raise FlightError(f"{where}: {what} gave {type(answer).__name__}: must be a Measured")
@@ -265,21 +272,21 @@ class GuardedSensors:
 
     @property
     def shown(self) -> tuple[float, ...]:
-        return tuple([float(value) for value in _called(self._source, "shown", lambda: self._block.shown)])
+        return tuple([float(value) for value in _call(self._source, "shown", lambda: self._block.shown)])
 
 
 # ---- wind
 
 
 def _wind(source: Source, scenario: Scenario, vehicle: Vehicle) -> Callable[[Vehicle, float, float], FieldWind]:
-    block = _made(source, scenario, vehicle, 0)
+    block = _make_block(source, scenario, vehicle, 0)
 
     def reset() -> None:
         if hasattr(block, "reset"):
-            _called(source, "reset", block.reset)
+            _call(source, "reset", block.reset)
 
     def velocity(time: float, north: float, east: float, height: float) -> Vector3:
-        answer = _called(source, "velocity", block.velocity, time, north, east, height)
+        answer = _call(source, "velocity", block.velocity, time, north, east, height)
         try:
             x, y, z = [float(value) for value in answer]
         except (TypeError, ValueError):
@@ -288,9 +295,9 @@ def _wind(source: Source, scenario: Scenario, vehicle: Vehicle) -> Callable[[Veh
             raise FlightError(f"wind {source.label}: velocity gave {(x, y, z)}: must be finite")
         return (x, y, z)
 
-    places = () if isinstance(block, WindTable) else tuple(jet.position_m for jet in vehicle.jets)
+    stations = () if isinstance(block, WindTable) else tuple(jet.position_m for jet in vehicle.jets)
     return lambda flown, step, height: FieldWind(
-        velocity, reset, step, () if not places else tuple(jet.position_m for jet in flown.jets), height
+        velocity, reset, step, () if not stations else tuple(jet.position_m for jet in flown.jets), height
     )
 
 

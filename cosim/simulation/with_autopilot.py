@@ -37,21 +37,21 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
     program flies in place of the controller.
     """
     scenario, vehicle, engine = simulation.scenario, simulation.vehicle, simulation.engine
-    cascade, own = simulation.replaced_cascade or simulation.cascade, simulation.controller_source
+    cascade, source = simulation.replaced_cascade or simulation.cascade, simulation.controller_source
     roll = vehicle.identified.get(engine.family, {}).get("roll")
     delay = None if roll is None else roll.delay_samples + scenario.added_delay_samples
 
-    def make(controller: str, samples: float, tuning: PredictorTuning) -> list[Predictor]:
+    def make_predictors(controller: str, samples: float, tuning: PredictorTuning) -> list[Predictor]:
         models = dict(vehicle.identified.get(engine.family, {}))
         if "roll" in models:
             models["roll"] = models["roll"].model_copy(update={"delay_samples": samples})
         control = vehicle.control.model_copy(update={"predictor": tuning})
-        changed = vehicle.model_copy(
+        tuned_vehicle = vehicle.model_copy(
             update={"control": control, "identified": {**vehicle.identified, engine.family: models}}
         )
         # the delay that the controller adds is in `samples` already
         flown = scenario.model_copy(update={"controller": controller, "added_delay_samples": 0})
-        return predictors(flown, changed, engine)
+        return predictors(flown, tuned_vehicle, engine)
 
     references = [engine_reference(spec, scenario.step_s) for spec in simulation.stations]
     pilot = Autopilot(
@@ -69,22 +69,22 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
             cascade.attitude,
             cascade.altitude,
             cascade.rate,
-            make,
-            scenario.controller if own is None else own.predictor if own.level == "attitude" else own.label,
+            make_predictors,
+            scenario.controller if source is None else source.predictor if source.level == "attitude" else source.label,
             delay,
-            "" if own is None else own.level,
+            "" if source is None else source.level,
         ),
         FaultCommands(lambda request: simulation.inject(fault_from(request)), simulation.clear_faults),
         EngineState.FLY if airborne else EngineState(scenario.initial.engines),
         scenario.sensor_noise,
     )
-    pilot.energy.hover_burn = _burn_in_hover(simulation)
+    pilot.energy.hover_burn = _hover_burn_rate(simulation)
     pilot.reset(simulation.measured)
     simulation.pilot = pilot
     return pilot
 
 
-def _burn_in_hover(simulation: Simulation) -> float | None:
+def _hover_burn_rate(simulation: Simulation) -> float | None:
     """Return the share of a full tank that the engines take in a second of hover; None: no tank, or nobody says."""
     tank, cascade = simulation.propulsion.tank, simulation.replaced_cascade or simulation.cascade
     if tank is None:
@@ -101,18 +101,18 @@ def fault_from(request: InjectFault) -> Fault:
     kind = _FAULTS.get(request.fault)
     if kind is None:
         raise InputError(f"fault {request.fault!r}: must be one of {', '.join(sorted(_FAULTS))}")
-    stated: dict[str, Any] = {"kind": request.fault, "start_s": 0.0}
+    table: dict[str, Any] = {"kind": request.fault, "start_s": 0.0}
     if request.jets:
-        stated["jet"] = list(request.jets)
+        table["jet"] = list(request.jets)
     for key in ("servo", "sensor", "duration_s"):
         if getattr(request, key) is not None:
-            stated[key] = getattr(request, key)
+            table[key] = getattr(request, key)
     if request.amount is not None:
         name = _AMOUNT.get(request.fault)
         if name is None:
             raise InputError(f"fault {request.fault}: it has no amount")
-        stated[name] = [request.amount] if name == "bias" else request.amount
+        table[name] = [request.amount] if name == "bias" else request.amount
     if request.vector is not None:
-        stated["bias"] = list(request.vector)
-    fault: Fault = validate(kind, stated, f"fault {request.fault}")
+        table["bias"] = list(request.vector)
+    fault: Fault = validate(kind, table, f"fault {request.fault}")
     return fault

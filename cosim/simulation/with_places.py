@@ -64,18 +64,18 @@ class PlacePilot:
         self._commander = commander
         self._speed = settings.speed_m_s
         self._step = scenario.step_s
-        self._aims: list[tuple[int, GuidedCommand, Drawn | None]] = []
+        self._guided: list[tuple[int, GuidedCommand, SplineTrack | None]] = []
         for index, entry in enumerate(scenario.command):
             if isinstance(entry, GuidedCommand):
                 start = scenario.count(entry.start_s, f"command.{index}.start_s")
                 drawn = None
                 if isinstance(entry, TrackCommand):
                     most = GRAVITY * tan(gains.lean_rad)
-                    drawn = Drawn(scenario, entry, f"{where}.{index}.file", most)
-                self._aims.append((start, entry, drawn))
-        self._aims.sort(key=lambda aim: aim[0])
-        self._starts = [start for start, _, _ in self._aims]
-        self._refuse(where)
+                    drawn = SplineTrack(scenario, entry, f"{where}.{index}.file", most)
+                self._guided.append((start, entry, drawn))
+        self._guided.sort(key=lambda aim: aim[0])
+        self._starts = [start for start, _, _ in self._guided]
+        self._check_commands(where)
         self._estimator = Estimator(gains, vehicle.sensors.gnss, scenario.step_s)
         self._tracker = Tracker(settings.acceleration_m_s2, settings.jerk_m_s3, scenario.step_s)
         self._law = PositionController(gains, scenario.step_s)
@@ -85,7 +85,7 @@ class PlacePilot:
         self._limits = height_limits(altitude.position_1_s, altitude.velocity_1_s, max(self._rates), *margins)
         self._height = Tracker(self._limits.acceleration, self._limits.jerk, scenario.step_s)
         self._turn = settings.yaw_rate_rad_s * scenario.step_s
-        self._points = sum(len(aim.waypoint) for _, aim, _ in self._aims if isinstance(aim, WaypointsCommand))
+        self._points = sum(len(aim.waypoint) for _, aim, _ in self._guided if isinstance(aim, WaypointsCommand))
         self._begin_flight()
 
     @property
@@ -115,13 +115,13 @@ class PlacePilot:
         number = bisect_right(self._starts, k) - 1
         if number < 0:
             return command
-        start, aim, drawn = self._aims[number]
+        start, aim, drawn = self._guided[number]
         if number != self._number:
             self._begin(number, aim, command, fix)
         if isinstance(aim, WaypointsCommand):
-            self._go_on(k, aim, command, fix, measured.altitude)
+            self._advance_waypoints(k, aim, command, fix, measured.altitude)
         if drawn is not None:
-            track = self._along(drawn, (k - start) * self._step)
+            track = self._follow(drawn, (k - start) * self._step)
         elif isinstance(aim, VelocityCommand):
             track = self._tracker.at_velocity((aim.north_m_s, aim.east_m_s))
         else:
@@ -131,7 +131,7 @@ class PlacePilot:
         heading, altitude = self._heading(command.attitude[2]), self._altitude(command.altitude)
         return Command((roll, pitch, heading), altitude, None, command.collective, track.position)
 
-    def _refuse(self, where: str) -> None:
+    def _check_commands(self, where: str) -> None:
         """Raise InputError for guided commands that do not go together, or with the script's others."""
         asked = self._commander.signals
         leaning = [signal for signal in asked if signal in LEANING]
@@ -139,7 +139,7 @@ class PlacePilot:
             raise InputError(f"{where}: {', '.join(leaning)}: a place needs the lean to itself")
         for key, others in (("altitude_m", ("altitude_m", "collective")), ("yaw_deg", ("yaw_deg",))):
             beside = [signal for signal in asked if signal in others]
-            stated = next((name for _, aim, drawn in self._aims if (name := _describe_target(aim, drawn, key))), None)
+            stated = next((name for _, aim, drawn in self._guided if (name := _describe_target(aim, drawn, key))), None)
             if beside and stated:
                 raise InputError(f"{where}: {beside[0]}: a {stated}; one of them can ask for it")
         if len(set(self._starts)) < len(self._starts):
@@ -153,20 +153,20 @@ class PlacePilot:
         self._climb: float | None = None
         self._to_yaw: float | None = None
         self._yaw = 0.0
-        self._drawn: tuple[Track, Pair | None] | None = None  # of a track; from there another goes on
+        self._last_point: tuple[Track, Pair | None] | None = None  # of a track; from there another goes on
         self._left = self._points
         self._point = 0  # of the waypoints that are flown, the one flown to
         self._reached: int | None = None  # the step at which it was
 
     def _begin(self, number: int, aim: GuidedCommand, command: Command, fix: Fix) -> None:
         """Begin another command; what it leaves open goes on as it is."""
-        if self._drawn is not None:
-            track, height = self._drawn
+        if self._last_point is not None:
+            track, height = self._last_point
             self._tracker.start(track.position, track.velocity)
             if height is not None:
                 self._height.start((height[0], 0.0), (height[1], 0.0))
                 self._to_altitude = self._height.stop_position[0]
-            self._drawn = None
+            self._last_point = None
         elif self._number < 0:
             self._tracker.start(fix.position, fix.velocity)
         self._number = number
@@ -191,17 +191,17 @@ class PlacePilot:
         self._most = point.speed_m_s or aim.speed_m_s or self._speed
         self._rise_and_turn(point.altitude_m, point.yaw_deg, command)
 
-    def _go_on(self, k: int, aim: WaypointsCommand, command: Command, fix: Fix, height: float) -> None:
+    def _advance_waypoints(self, k: int, aim: WaypointsCommand, command: Command, fix: Fix, height: float) -> None:
         """Go on to the next waypoint once one is reached and has been held for its time."""
         while self._point < len(aim.waypoint):
             point = aim.waypoint[self._point]
             if self._reached is None:
                 north, east = fix.position
-                off = max(
+                distance = max(
                     hypot(point.north_m - north, point.east_m - east),
                     0.0 if point.altitude_m is None else abs(point.altitude_m - height),
                 )
-                if off > aim.radius_m:
+                if distance > aim.radius_m:
                     return
                 self._reached = k
                 self._left -= 1
@@ -213,10 +213,10 @@ class PlacePilot:
                 self._reached = None
                 self._aim_at(aim, aim.waypoint[self._point], command)
 
-    def _along(self, drawn: Drawn, t: float) -> Track:
+    def _follow(self, drawn: SplineTrack, t: float) -> Track:
         """Return a track's set-points at ``t`` [s] from its start."""
         track, height, yaw = drawn.at(t)
-        self._drawn = (track, height)
+        self._last_point = (track, height)
         if height is not None:
             self._to_altitude = height[0]
         if yaw is not None:
@@ -238,7 +238,7 @@ class PlacePilot:
         """Return the commanded height, m: on its way to the target, and no faster than what stops above the ground."""
         if self._to_altitude is None:
             return scripted
-        if self._drawn is not None and self._drawn[1] is not None:
+        if self._last_point is not None and self._last_point[1] is not None:
             return self._to_altitude
         here, (up, down) = self._height.track.position[0], self._rates
         sink = min(down, descent_rate(here, self._limits.braking, self._limits.late))
@@ -254,8 +254,8 @@ class PlacePilot:
         return self._yaw
 
 
-class Drawn:
-    """A track: cubic splines through the rows of a file, at rest at both ends; the heading in straight lines.
+class SplineTrack:
+    """A track of a file: cubic splines through its rows, at rest at both ends; the heading is linear between rows.
 
     ``most``: the acceleration [m/s^2] that the law may lean for.  Raises InputError as the commands' other files, where
     a column of the place is missing, and where the track asks for more.
@@ -315,7 +315,7 @@ def _piece(cubic: Cubic, u: float, resting: bool) -> tuple[float, float, float]:
     return (value, 0.0, 0.0) if resting else (value, (3.0 * a * u + 2.0 * b) * u + c, 6.0 * a * u + 2.0 * b)
 
 
-def _describe_target(aim: GuidedCommand, drawn: Drawn | None, key: str) -> str:
+def _describe_target(aim: GuidedCommand, drawn: SplineTrack | None, key: str) -> str:
     """Describe what of a guided command states the height (``altitude_m``) or the heading (``yaw_deg``); or nothing."""
     if drawn is not None:
         return f"track states {key}" if key in drawn.states else ""

@@ -53,7 +53,7 @@ class Commander:
                 self._waves += _sticks(entry, scenario, start, where)
             else:
                 signal = SIGNALS.index(entry.signal)
-                wave = _shape(entry, scenario, start, where)
+                wave = _waveform(entry, scenario, start, where)
                 self._waves.append((signal, _scaled(wave, radians(1.0)) if signal in _IN_DEGREES else wave))
             if any(signal == _COLLECTIVE for signal, _ in self._waves[before:]):
                 collective.append(start)
@@ -79,14 +79,14 @@ class Commander:
         values = self._base.copy()
         for signal, wave in self._waves:
             values[signal] += wave(k)
-        begun = self._collective_from is not None and k >= self._collective_from
-        if values != self._last_values or begun != (self._last.collective is not None):
+        has_begun = self._collective_from is not None and k >= self._collective_from
+        if values != self._last_values or has_begun != (self._last.collective is not None):
             self._last_values = values
             self._last = Command(
                 (values[_ROLL], values[_PITCH], values[_YAW]),
                 values[_ALTITUDE],
                 (values[_P], values[_Q], values[_R]) if self._rate_mode else None,
-                values[_COLLECTIVE] if begun else None,
+                values[_COLLECTIVE] if has_begun else None,
                 None,
                 values[_AHEAD] if self._ahead else None,
             )
@@ -131,7 +131,7 @@ def pulse(start: int, end: int | None, amplitude: float) -> Waveform:
     return wave
 
 
-def _shape(
+def _waveform(
     entry: StepCommand | DoubletCommand | RampCommand | SweepCommand, scenario: Scenario, start: int, where: str
 ) -> Waveform:
     if isinstance(entry, StepCommand):
@@ -162,9 +162,11 @@ def _table(entry: TableCommand, scenario: Scenario, start: int, where: str) -> l
     return waves
 
 
-def _interpolated(times: Sequence[float], values: Sequence[float], how: str, step: float, start: int) -> Waveform:
+def _interpolated(
+    times: Sequence[float], values: Sequence[float], interpolation: str, step: float, start: int
+) -> Waveform:
     """Return the waveform of rows: 0 before the first, the last one's value after it."""
-    linear = how == "linear"
+    linear = interpolation == "linear"
 
     def wave(k: int) -> float:
         # half a billionth of a step of slack, so that a row on the grid counts from its own step on
@@ -174,8 +176,8 @@ def _interpolated(times: Sequence[float], values: Sequence[float], how: str, ste
             return 0.0
         if not linear or i + 1 == len(times):
             return values[i]
-        share = (t - times[i]) / (times[i + 1] - times[i])
-        return values[i] + share * (values[i + 1] - values[i])
+        fraction = (t - times[i]) / (times[i + 1] - times[i])
+        return values[i] + fraction * (values[i + 1] - values[i])
 
     return wave
 
@@ -189,8 +191,8 @@ def _sticks(entry: SticksCommand, scenario: Scenario, start: int, where: str) ->
             raise InputError(f"{path}: column {name} holds {worst:g}; sticks go from -1 to 1")
     step = scenario.step_s
     tilt = radians(entry.tilt_deg)
-    none = [0.0] * len(times)
-    position = {name: _interpolated(times, columns.get(name, none), "linear", step, start) for name in STICKS}
+    zeros = [0.0] * len(times)
+    position = {name: _interpolated(times, columns.get(name, zeros), "linear", step, start) for name in STICKS}
     end = min(start + int(min(times[-1], scenario.duration_s) / step) + 1, scenario.steps)
     return [
         (_ROLL, _scaled(position["roll"], tilt)),

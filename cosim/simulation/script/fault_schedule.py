@@ -42,10 +42,10 @@ class FaultSchedule:
         self._scenario = scenario
         self._engines, self._servos, self._sensors = engines, list(servos), sensors
         self._laws = list(laws)
-        self._names = list(names)  # of the servos, as the log has columns
-        self._surfaces = self._names[len(self._names) - surfaces :]  # which are the last
+        self._servo_names = list(names)  # of the servos, as the log has columns
+        self._surfaces = self._servo_names[len(self._servo_names) - surfaces :]  # which are the last
         self._jets = max(len(self._laws), JETS)  # as the log has columns
-        self._none = (0.0,) * (self._jets + len(self._names) + len(SENSORS))
+        self._no_flags = (0.0,) * (self._jets + len(self._servo_names) + len(SENSORS))
         self.reset()
 
     def reset(self) -> None:
@@ -53,14 +53,14 @@ class FaultSchedule:
         self._spans: list[tuple[int, int, Fault]] = []
         self._acting: list[Fault] = []
         self._jams: list[ServoJam | None] = [None] * len(self._servos)
-        self.flags = self._none
+        self.flags = self._no_flags
         self.commanded = False
         self.next = NEVER
         for index, fault in enumerate(self._scenario.fault):
             self._add(fault, f"fault.{index}")
 
     def _add(self, fault: Fault, where: str) -> None:
-        self._check(fault, where)
+        self._check_fault(fault, where)
         scenario = self._scenario
         start = scenario.count(fault.start_s, f"{where}.start_s")
         end = NEVER
@@ -69,13 +69,13 @@ class FaultSchedule:
         self._spans.append((start, end, fault))
         self.next = min(self.next, start)
 
-    def _check(self, fault: Fault, where: str) -> None:
+    def _check_fault(self, fault: Fault, where: str) -> None:
         name = f"scenario {self._scenario.name}: {where}"
         if isinstance(fault, ServoJam):
             if not self._servos:
                 raise InputError(f"{name}.servo: {self._scenario.aircraft_name} has no tilt servos")
-            if fault.servo not in self._names:
-                known = ", ".join(self._names)
+            if fault.servo not in self._servo_names:
+                known = ", ".join(self._servo_names)
                 raise InputError(
                     f"{name}.servo = {fault.servo!r}: {self._scenario.aircraft_name} has the servos {known}"
                 )
@@ -86,11 +86,11 @@ class FaultSchedule:
                 f"{name}.jet = {max(fault.jet)}: {self._scenario.aircraft_name} has jets 1 to {len(self._laws)}"
             )
         if isinstance(fault, FlameOut):
-            unknown = [jet for jet in fault.jet if self._laws[jet - 1] is None]
-            if unknown:
+            without_law = [jet for jet in fault.jet if self._laws[jet - 1] is None]
+            if without_law:
                 raise InputError(
-                    f"{name}: the engine at jet {unknown[0]} has no port run and states no [flame_out]: nobody knows "
-                    "what it gives without fire; map run, or state [flame_out] in its mapping file"
+                    f"{name}: the engine at jet {without_law[0]} has no port run and states no [flame_out]: "
+                    "nobody knows what it gives without fire; map run, or state [flame_out] in its mapping file"
                 )
         if isinstance(fault, DelayGrowth):
             self._scenario.count(fault.delay_s, f"{where}.delay_s")
@@ -129,8 +129,8 @@ class FaultSchedule:
             if not any(fault is other for other in self._acting):
                 self._begin(fault, measured)
         self._acting = due
-        self._jam()
-        self.flags = self._flagged(due) if due else self._none
+        self._update_jams()
+        self.flags = self._flags_of(due) if due else self._no_flags
         times = [time for start, end, _ in self._spans for time in (start, end) if time > k]
         self.next = min(times, default=NEVER)
 
@@ -146,10 +146,12 @@ class FaultSchedule:
         elif not isinstance(fault, ServoJam):
             self._engines.end(fault)
 
-    def _jam(self) -> None:
+    def _update_jams(self) -> None:
         """Jam the servos that are to be, by the first fault that acts, and free the others where they stand."""
         for i, servo in enumerate(self._servos):
-            jams = [fault for fault in self._acting if isinstance(fault, ServoJam) and fault.servo == self._names[i]]
+            jams = [
+                fault for fault in self._acting if isinstance(fault, ServoJam) and fault.servo == self._servo_names[i]
+            ]
             jam = jams[0] if jams else None
             if jam is self._jams[i]:
                 continue
@@ -159,14 +161,14 @@ class FaultSchedule:
                 servo.jam(None if jam.angle_deg is None else radians(jam.angle_deg))
             self._jams[i] = jam
 
-    def _flagged(self, acting: Sequence[Fault]) -> tuple[float, ...]:
+    def _flags_of(self, acting: Sequence[Fault]) -> tuple[float, ...]:
         """Return 1 for every jet, servo and sensor that a fault acts on, in the order of the log's columns."""
-        flags = list(self._none)
+        flags = list(self._no_flags)
         for fault in acting:
             if isinstance(fault, ServoJam):
-                flags[self._jets + self._names.index(fault.servo)] = 1.0
+                flags[self._jets + self._servo_names.index(fault.servo)] = 1.0
             elif isinstance(fault, (SensorBias, SensorDropout)):
-                flags[self._jets + len(self._names) + SENSORS.index(fault.sensor)] = 1.0
+                flags[self._jets + len(self._servo_names) + SENSORS.index(fault.sensor)] = 1.0
             else:
                 for jet in fault.jet:
                     flags[jet - 1] = 1.0

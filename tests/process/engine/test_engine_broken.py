@@ -180,7 +180,7 @@ def test_the_command_line_says_it_in_one_line(
 def sound(kit: Kit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The same library without a fault; nothing is remembered of it."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(check, "_fit", set())
+    monkeypatch.setattr(check, "_fit_engines", set())
     path = tmp_path / "sound.fmu"
     path.write_bytes(packed(kit.contents()))
     return path
@@ -197,7 +197,7 @@ def test_without_a_fault_it_is_fit(sound: Path) -> None:
 def test_it_is_tried_once(sound: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     tried = []
     run_in_child = check.run_in_child
-    monkeypatch.setattr(check, "run_apart", lambda *task: tried.append(1) or run_in_child(*task))
+    monkeypatch.setattr(check, "run_in_child", lambda *task: tried.append(1) or run_in_child(*task))
     first = load_engine(str(sound), {}, STEP)
     count = len(tried)
     assert count > 0
@@ -213,11 +213,11 @@ def test_it_is_tried_once(sound: Path, monkeypatch: pytest.MonkeyPatch, tmp_path
 def test_in_another_air_it_is_only_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A height costs a measurement and not another trial; it is remembered by its air, and is that of the library."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(check, "_fit", set())
+    monkeypatch.setattr(check, "_fit_engines", set())
     asked = []
     run_in_child = check.run_in_child
     monkeypatch.setattr(
-        check, "run_apart", lambda task, limits: asked.append(task["parts"]) or run_in_child(task, limits)
+        check, "run_in_child", lambda task, limits: asked.append(task["parts"]) or run_in_child(task, limits)
     )
     build_engines(["turbine-20"])
     path = tmp_path / "foreign.fmu"

@@ -62,7 +62,7 @@ def test_a_flight_is_the_same_with_its_engines_apart() -> None:
     assert log_digest(one.log) == log_digest(other.log)
 
 
-LITTLE = isolated._SERVE.replace("serve(*", "import cosim.engine.isolated as it; it.MOST_MB = 150.0; serve(*")
+LITTLE = isolated._SERVE.replace("serve(*", "import cosim.engine.isolated as it; it.MAX_MEGABYTES = 150.0; serve(*")
 
 
 @pytest.mark.parametrize(
@@ -186,7 +186,7 @@ def test_a_hang_is_the_engines_only_where_the_engine_was_called(
     """A machine that is busy may take as long to start a process."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     ended = ChildResult(end=f"hangs {moment}", hung=True, moment=moment)
-    monkeypatch.setattr(check, "run_apart", lambda task, limits: ended)
+    monkeypatch.setattr(check, "run_in_child", lambda task, limits: ended)
     report, _ = check._check(str(foreign(tmp_path, "stays", "lag=0.1")), STEP, {}, check.LIMITS)
     assert check.misbehaves(report.sha256) == (f"hangs {moment}" if remembered else "")
 

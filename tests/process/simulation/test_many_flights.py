@@ -241,7 +241,7 @@ def test_a_foreign_engine_is_tried_once_and_then_measured(tmp_path: Path, monkey
     asked: list[Any] = []
     run_in_child = check.run_in_child
     monkeypatch.setattr(
-        check, "run_apart", lambda task, limits: asked.append(task["parts"]) or run_in_child(task, limits)
+        check, "run_in_child", lambda task, limits: asked.append(task["parts"]) or run_in_child(task, limits)
     )
     monkeypatch.setattr(check, "_fit", set())
     load_engine(str(path), {"delay_samples": 3.0}, STEP)

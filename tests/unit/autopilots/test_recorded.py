@@ -10,7 +10,7 @@ import pytest
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Applied
 from cosim.base.signals import Command, EngineOutput, Measured
-from cosim.simulation.controllers.recorded import COLUMNS, Recorded, header, line, read
+from cosim.simulation.controllers.recorded import COLUMNS, RecordedController, header, line, read
 from cosim.simulation.controllers.source import find
 
 ROWS = [
@@ -48,7 +48,7 @@ def test_it_gives_its_rows_in_order_and_says_where_they_end(tmp_path: Path) -> N
     assert source is not None
     assert (source.level, tuple(source.columns), list(source.hashes)) == ("controller", COLUMNS, ["a.csv"])
     block = source.make()
-    assert isinstance(block, Recorded)
+    assert isinstance(block, RecordedController)
     for throttle, tilt, shown in ROWS:
         given = block.update(*TOLD)
         assert (given.throttle, given.tilt, block.shown) == (throttle, tilt, shown)
