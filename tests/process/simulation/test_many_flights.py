@@ -243,7 +243,7 @@ def test_a_foreign_engine_is_tried_once_and_then_measured(tmp_path: Path, monkey
     monkeypatch.setattr(
         check, "run_in_child", lambda task, limits: asked.append(task["parts"]) or run_in_child(task, limits)
     )
-    monkeypatch.setattr(check, "_fit", set())
+    monkeypatch.setattr(check, "_fit_engines", set())
     load_engine(str(path), {"delay_samples": 3.0}, STEP)
     assert asked == [list(check.PARTS), ["run"]]  # the run once more in another process
     many = [load_engine(str(path), {"delay_samples": float(k), "gain": 0.1 + 0.01 * k}, STEP) for k in range(4, 9)]
@@ -267,7 +267,7 @@ def test_what_is_measured_here_is_judged_as_in_a_trial(tmp_path: Path, monkeypat
     known = load_engine("edf-as-flown", {"delay_samples": 7.0}, STEP)
     falling = known.curve._replace(thrust=tuple(reversed(known.curve.thrust)))
     source = check.find_source(str(path))
-    monkeypatch.setattr(check, "_fit", {(source.archive.sha256, source.mapping.model_dump_json(), STEP)})
+    monkeypatch.setattr(check, "_fit_engines", {(source.archive.sha256, source.mapping.model_dump_json(), STEP)})
     measured = Measured(falling, Response(7, 0.1, 0.0, 20.0), None, NO_CHANGE)
     monkeypatch.setattr(check, "measure_once", lambda *_: measured)
     with pytest.raises(InputError, match=r"theirs.fmu: is not fit to fly: its thrust does not rise with the throttle"):
