@@ -1,4 +1,4 @@
-"""The paper beside ours: rows, claims and the series of its figures, from one or two fidelities.
+"""The paper beside ours: rows and claims, from one or two fidelities.
 
 :func:`linear_part` is everything that the linear plant has to say; the six-degree-of-freedom runs join as a second
 :class:`hexjet_paper.claims.Evidence`.
@@ -13,14 +13,13 @@ from math import log, radians
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict
 
 from cosim.loops import margins
 from hexjet_paper import extensions, numbers
 from hexjet_paper.claims import ClaimRow, Evidence
 from hexjet_paper.conditions import Condition, conditions
-from hexjet_paper.experiments import COMPARED, Experiment, Metrics, Result, experiments, hexjet_ratios, quadrotor_axis
+from hexjet_paper.experiments import COMPARED, Metrics, Result, experiments, hexjet_ratios, quadrotor_axis
 from hexjet_paper.experiments import linear as on_linear_plant
 from hexjet_paper.frozen import Frozen, load
 from hexjet_paper.linear import STATE_AS_PRINTED
@@ -280,79 +279,6 @@ def write_csv(rows: list[Row], path: Path) -> None:
 
 def _text(value: float | None) -> str:
     return "" if value is None else f"{value:.6g}"
-
-
-# --- the paper's figures, redrawn -------------------------------------------------------------------------------------
-
-
-class Line(BaseModel):
-    """One line of a figure."""
-
-    model_config = ConfigDict(frozen=True)
-
-    name: str
-    x: list[float]
-    y: list[float]
-
-
-class Figure(BaseModel):
-    """A figure of the paper from our data, with its axes."""
-
-    model_config = ConfigDict(frozen=True)
-
-    key: str
-    title: str
-    x_title: str
-    y_title: str
-    x_log: bool
-    lines: list[Line]
-
-
-def figures(results: Mapping[str, Result], sweeps: Mapping[str, Sweep]) -> list[Figure]:
-    """Return the paper's figures that hold data, of any fidelity, without the experiments that it has not flown.
-
-    The two Bode diagrams show the computed or measured points of ``sweeps``.
-    """
-    sections = [
-        _angles(f"step-{n}", f"Step response, {n} samples of added delay", results, [f"step-{n}.{c}" for c in COMPARED])
-        for n in (5, 10, 25)
-    ]
-    for controller in ("smith", "state", STATE_AS_PRINTED):
-        for n in (5, 10):
-            names = [f"step-{n}.{controller}", f"step-{n}-payload.{controller}"]
-            title = f"With and without payload, {TITLES[controller]}, {n} samples"
-            sections.append(_angles(f"payload-{controller}-{n}", title, results, names))
-    for condition, title in (("", "gains of vehicle.toml"), ("-calibrated", "calibrated gains")):
-        names = [f"hexjet-doublet{condition}.{c}" for c in ("baseline", "smith")]
-        sections.append(_angles(f"hexjet-doublet{condition}", f"Hex-Jet roll doublet, {title}", results, names))
-    for key, title, unit in (("gain", "Open loop C G*, gain", "dB"), ("phase", "Open loop C G*, phase", "deg")):
-        sections.append(
-            Figure(
-                key=f"bode-{key}",
-                title=f"{title}, 5 samples of added delay",
-                x_title="frequency [Hz]",
-                y_title=f"{key} [{unit}]",
-                x_log=True,
-                lines=[Line(name=TITLES[c], x=s.frequency, y=getattr(s, key)) for c, s in sweeps.items()],
-            )
-        )
-    return [figure for figure in sections if figure.lines]
-
-
-def _angles(key: str, title: str, results: Mapping[str, Result], names: list[str]) -> Figure:
-    present = [results[name] for name in names if name in results]
-    lines = [_line(_called(r.experiment), r.time, r.angle) for r in present]
-    if present:
-        lines.insert(0, _line("set-point", present[0].time, present[0].setpoint))
-    return Figure(key=key, title=title, x_title="time [s]", y_title="roll [deg]", x_log=False, lines=lines)
-
-
-def _called(experiment: Experiment) -> str:
-    return TITLES.get(experiment.controller, experiment.controller) + (", payload" if experiment.payload else "")
-
-
-def _line(name: str, time: list[float], angle: list[float]) -> Line:
-    return Line(name=name, x=[round(t, 6) for t in time], y=np.degrees(angle).tolist())
 
 
 def as_data(part: LinearPart, rows: list[Row], judged: list[ClaimRow]) -> dict[str, Any]:

@@ -411,13 +411,6 @@ def _sort_columns(path: Path, table: pa.Table) -> Sorted:
     return result
 
 
-def read_table_note(path: Path) -> dict[str, str]:
-    """Return the ``note`` that :func:`write_table` put into a file.  Raises InputError if it cannot be read."""
-    with _parquet(path) as file:
-        metadata = file.schema_arrow.metadata or {}
-    return {str(key, "utf-8"): str(value, "utf-8") for key, value in metadata.items()}
-
-
 def _array(name: str, values: Sequence[Value], expected: type[Value] | None) -> pa.Array:
     import pyarrow as pa
 

@@ -30,7 +30,6 @@ from hexjet_paper.claims import (
 from hexjet_paper.comparison import (
     Row,
     comparison_rows,
-    figures,
     write_csv,
 )
 from hexjet_paper.conditions import conditions
@@ -537,16 +536,6 @@ def test_the_table_is_the_same_on_every_run(evidence: Evidence, results: dict[st
     row = next(r for r in table if r["key"] == "step-25.smith.rmse")
     assert float(row["paper"]) == 0.0787
     assert float(row["linear"]) == pytest.approx(results["step-25.smith"].metrics.rmse, rel=1e-5)
-
-
-def test_the_figures_of_the_paper_are_redrawn(results: dict[str, Result]) -> None:
-    made = {f.key: f for f in figures(results, {"baseline": sweep(quadrotor_axis(FOUND, "baseline", 5))})}
-    assert {"step-5", "step-10", "step-25", "payload-smith-5", "payload-state-10", "hexjet-doublet"} <= made.keys()
-    step = made["step-5"]
-    assert [line.name for line in step.lines][:3] == ["set-point", "baseline", "Smith predictor"]
-    assert step.lines[0].x[-1] == pytest.approx(2.0 - 0.0025)
-    assert max(step.lines[0].y) == pytest.approx(15.0)
-    assert not figures({}, {})
 
 
 # --- past the paper -------------------------------------------------------------------------------------------------
