@@ -101,26 +101,26 @@ class Archive:
 
     path: Path
     sha256: str
-    equations_sha256: str | None  # see equations_of; None if not of the library
     fmi: int  # 2 or 3
     version: str  # of FMI, as the description says
     model: str
-    identifier: str
-    token: str
     engines: tuple[Mapping[str, Port], ...]  # the ports of each engine in it
     port_notes: tuple[str, ...]  # what was assumed about the ports
     blemishes: tuple[str, ...]  # violations of FMI that stepping does not depend on
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     parameters: tuple[Variable, ...]
-    internal_step: float | None  # s, where the description states it
     once_per_process: bool
-    event_mode: bool  # FMI 3.0: it has one, and no input needs it to be set
-    returns_early: bool  # FMI 3.0: it may return from a step before its end
     saves_state: bool
     serializes_state: bool
     starting: Starting = field(default_factory=Starting)  # what an instance goes through before it gives thrust
-    system: System | None = field(default=None, repr=False)  # None: one FMU
+    system: System | None = field(default=None, repr=False)  # None: one FMU, of which the rest says more
+    equations_sha256: str | None = None  # see equations_of; None if not of the library
+    identifier: str = ""
+    token: str = ""
+    internal_step: float | None = None  # s, where the description states it
+    event_mode: bool = False  # FMI 3.0: it has one, and no input needs it to be set
+    returns_early: bool = False  # FMI 3.0: it may return from a step before its end
     clocks: tuple[InputClock, ...] = ()  # that are ticked; first that of its clocked ports, if any
 
     def substeps(self, step: float) -> int:

@@ -5,24 +5,18 @@ Files there may be deleted at any time; an unreadable one counts as missing.
 
 from __future__ import annotations
 
-import os
-import tempfile
 from contextlib import suppress
 from pathlib import Path
 
+from cosim.base.storage.files import write_whole
 from cosim.base.storage.user import cache_folder
 
 
 def write(path: Path, text: str) -> None:
     """Write a file atomically; do nothing if the folder cannot be written to."""
-    try:
+    with suppress(OSError):  # the next process checks the engine again
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent)
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
-        os.replace(name, path)
-    except OSError:
-        pass  # The next process checks the engine again.
+        write_whole(path, text)
 
 
 def misbehaves(sha256: str) -> str:

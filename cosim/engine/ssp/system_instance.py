@@ -6,8 +6,8 @@ source's value at the beginning of the step; every other one the value at the en
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Sequence
+from ctypes import CFUNCTYPE, POINTER, byref, c_bool, c_double, c_int, c_size_t, c_uint, c_void_p
 from math import floor
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,34 +19,12 @@ from cosim.engine.fmu.variables import INTEGERS, Variable
 
 _OK, _WARNING, _ERROR = 0, 1, 3
 _DOUBLES = ("Real", "Float64")
-_DO_STEP = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
-_REALS = ctypes.CFUNCTYPE(
-    ctypes.c_int,
-    ctypes.c_void_p,
-    ctypes.POINTER(ctypes.c_uint),
-    ctypes.c_size_t,
-    ctypes.POINTER(ctypes.c_double),
-)
-_FLOATS = ctypes.CFUNCTYPE(
-    ctypes.c_int,
-    ctypes.c_void_p,
-    ctypes.POINTER(ctypes.c_uint),
-    ctypes.c_size_t,
-    ctypes.POINTER(ctypes.c_double),
-    ctypes.c_size_t,
-)
-_DO_STEP_3 = ctypes.CFUNCTYPE(
-    ctypes.c_int,
-    ctypes.c_void_p,
-    ctypes.c_double,
-    ctypes.c_double,
-    ctypes.c_bool,
-    ctypes.POINTER(ctypes.c_bool),
-    ctypes.POINTER(ctypes.c_bool),
-    ctypes.POINTER(ctypes.c_bool),
-    ctypes.POINTER(ctypes.c_double),
-)
-_ONE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
+_DO_STEP = CFUNCTYPE(c_int, c_void_p, c_double, c_double, c_int)
+_REALS = CFUNCTYPE(c_int, c_void_p, POINTER(c_uint), c_size_t, POINTER(c_double))
+_FLOATS = CFUNCTYPE(c_int, c_void_p, POINTER(c_uint), c_size_t, POINTER(c_double), c_size_t)
+_STEP_OUTPUTS = POINTER(c_bool), POINTER(c_bool), POINTER(c_bool), POINTER(c_double)
+_DO_STEP_3 = CFUNCTYPE(c_int, c_void_p, c_double, c_double, c_bool, *_STEP_OUTPUTS)
+_ONE = CFUNCTYPE(c_int, c_void_p)
 
 
 def make_instance(archive: Archive, folder: Path, name: str) -> FmuInstance:
@@ -191,29 +169,26 @@ class _SystemSlave:
                 values.append(target.factor * one.get()[0] + target.offset)
         return values
 
+    def _call_each(self, function: str, arguments: Sequence[Any]) -> list[Any]:
+        """Call a function of each component with its own argument."""
+        pairs = zip(self._components, arguments, strict=True)
+        return [component.call(function, argument) for component, argument in pairs]
+
     def getFMUState(self) -> list[Any]:
         return [component.call("getFMUState") for component in self._components]
 
     def setFMUState(self, states: Sequence[Any]) -> None:
-        for component, state in zip(self._components, states, strict=True):
-            component.call("setFMUState", state)
+        self._call_each("setFMUState", states)
         self._read_outputs()
 
     def freeFMUState(self, states: Sequence[Any]) -> None:
-        for component, state in zip(self._components, states, strict=True):
-            component.call("freeFMUState", state)
+        self._call_each("freeFMUState", states)
 
     def serializeFMUState(self, states: Sequence[Any]) -> list[Any]:
-        return [
-            component.call("serializeFMUState", state)
-            for component, state in zip(self._components, states, strict=True)
-        ]
+        return self._call_each("serializeFMUState", states)
 
     def deserializeFMUState(self, data: Sequence[Any]) -> list[Any]:
-        return [
-            component.call("deserializeFMUState", serialized)
-            for component, serialized in zip(self._components, data, strict=True)
-        ]
+        return self._call_each("deserializeFMUState", data)
 
     def freeInstance(self) -> None:
         while self._components:
@@ -266,9 +241,9 @@ class _Values:
         self._component, self._variables = component, list(variables)
         self._fast = all(v.type in _DOUBLES and not v.is_array for v in variables)
         count = self._count = len(variables)
-        self._references = (ctypes.c_uint * count)(*(v.reference for v in variables))
-        self._numbers = (ctypes.c_double * count)()
-        self._instance = ctypes.c_void_p(component.fmu.component)
+        self._references = (c_uint * count)(*(v.reference for v in variables))
+        self._numbers = (c_double * count)()
+        self._instance = c_void_p(component.fmu.component)
         kind = "Real" if component.archive.fmi == 2 else "Float64"
         self._names = [f"fmi{component.archive.fmi}{way}{kind}" for way in ("Get", "Set")]
         prototype = _REALS if component.archive.fmi == 2 else _FLOATS
@@ -298,13 +273,13 @@ class _Stepper:
     """The FMI function that steps one component, with its arguments."""
 
     def __init__(self, component: FmuInstance) -> None:
-        self._component, self._instance = component, ctypes.c_void_p(component.fmu.component)
+        self._component, self._instance = component, c_void_p(component.fmu.component)
         prototype = _DO_STEP if component.archive.fmi == 2 else _DO_STEP_3
         self._call = prototype(component._address(f"fmi{component.archive.fmi}DoStep"))
-        self._event, self._terminate, self._early = (ctypes.c_bool() for _ in range(3))
-        self._last = ctypes.c_double()
+        self._event, self._terminate, self._early = (c_bool() for _ in range(3))
+        self._last = c_double()
         outputs = (self._event, self._terminate, self._early, self._last)
-        self._more = () if component.archive.fmi == 2 else tuple(ctypes.byref(output) for output in outputs)
+        self._more = () if component.archive.fmi == 2 else tuple(byref(output) for output in outputs)
 
     def step(self, time: float, step: float) -> None:
         """Step the component from ``time`` by ``step`` seconds; raise InstanceError on failure."""
