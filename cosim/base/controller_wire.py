@@ -27,12 +27,12 @@ _RATE_SETPOINTS = ("roll_rate_setpoint", "pitch_rate_setpoint", "yaw_rate_setpoi
 _ANGLES = ("roll_setpoint", "pitch_setpoint", "yaw_setpoint")
 _APPLIED = ("roll_applied", "pitch_applied", "yaw_applied")
 # Of a whole controller, before what is per jet; commanded: 1 where the numbers behind it are asked for, else 0.
-_WHOLE = (
+_CONTROLLER_INPUTS = (
     *_ANGLES, "altitude_setpoint", "rates_commanded", *_RATE_SETPOINTS, "collective_commanded", "collective_setpoint",
     *_RATES, *_ATTITUDE, "position_north", "position_east", "position_down", "velocity_north", "velocity_east",
     "velocity_down", "altitude", "specific_force_x", "specific_force_y", "specific_force_z", "fuel_burnt", "engines",
 )  # fmt: skip
-_AHEAD = ("ahead_commanded", "ahead_setpoint")  # m/s, along the heading over the ground
+_AHEAD_INPUTS = ("ahead_commanded", "ahead_setpoint")  # m/s, along the heading over the ground
 _PER_JET = ("throttle_applied", "spool_speed", "exhaust_temperature", "fuel_flow")
 # What a whole controller may answer beside throttles and tilts: what it could not give, which jets it has shut off, and
 # what it shows of a cascade.
@@ -51,9 +51,9 @@ def input_names(level: str, jets: int, servos: Sequence[str] = SERVOS, ahead: bo
         return (*_RATE_SETPOINTS, *_RATES, *_APPLIED)
     if level == "attitude":
         return (*_ANGLES, *_ATTITUDE)
-    numbered = [f"{name}_{number}" for name in _PER_JET for number in range(1, jets + 1)]
+    per_jet = [f"{name}_{number}" for name in _PER_JET for number in range(1, jets + 1)]
     tilts = [f"{_tilt(name)}_applied" for name in servos]
-    return (*_WHOLE, *numbered, *tilts, *(_AHEAD if ahead else ()))
+    return (*_CONTROLLER_INPUTS, *per_jet, *tilts, *(_AHEAD_INPUTS if ahead else ()))
 
 
 def _tilt(servo: str) -> str:
@@ -79,7 +79,7 @@ def output_names(level: str, jets: int, servos: Sequence[str], extras: Sequence[
     return tuple(names)
 
 
-def answer_whole(values: Sequence[float], jets: int, servos: int, extras: Sequence[str]) -> WholeAnswer:
+def parse_answer(values: Sequence[float], jets: int, servos: int, extras: Sequence[str]) -> WholeAnswer:
     """Return the actuation and signals that the numbers of :func:`output_names` stand for."""
     throttle, end = tuple(values[:jets]), jets + servos
     tilt = tuple(values[jets:end]) or (0.0, 0.0)
@@ -97,7 +97,7 @@ def answer_whole(values: Sequence[float], jets: int, servos: int, extras: Sequen
     return actuation, ControlSignals((a, b, c), (d, e, f), (g, h, i), commanded, allocated)
 
 
-def whole_numbers(ahead: bool, command: Command, measured: Measured, applied: Any) -> tuple[float, ...]:
+def controller_numbers(ahead: bool, command: Command, measured: Measured, applied: Any) -> tuple[float, ...]:
     """Return the numbers of :func:`input_names` for a whole controller."""
     rate: Vector3 = command.rate or (0.0, 0.0, 0.0)
     engines = applied.engines
@@ -133,7 +133,7 @@ def frame(count: int) -> struct.Struct:
 def numbers(arguments: Sequence[Any], level: str, ahead: bool = False) -> tuple[float, ...]:
     """Return the arguments of ``update`` as the numbers of a frame; ``ahead`` as for :func:`input_names`."""
     if level == "controller":
-        return whole_numbers(ahead, *arguments)
+        return controller_numbers(ahead, *arguments)
     if level == "attitude":
         command, measured = arguments
         return (*command.attitude, *measured.attitude)

@@ -24,9 +24,9 @@ UP: Vector3 = (0.0, 0.0, -1.0)  # body: thrust straight up
 
 
 class Station(NamedTuple):
-    """A jet: where it stands, which way it pushes, and its moment about that per thrust, right-handed [m]."""
+    """A jet: its position, its thrust axis, and its moment about that axis per thrust, right-handed [m]."""
 
-    place: Vector3
+    position: Vector3
     axis: Vector3
     twist: float = 0.0
 
@@ -41,7 +41,7 @@ class Turn(NamedTuple):
     effect: float = 1.0  # angle of the thrust over that of the hinge, of what it deflects
 
 
-def turned(axis: Vector3, angle: float, vector: Vector3) -> Vector3:
+def rotate_about(axis: Vector3, angle: float, vector: Vector3) -> Vector3:
     """Return ``vector`` turned about the unit vector ``axis`` by ``angle`` rad, right-handed: Rodrigues' formula."""
     x, y, z = axis
     vx, vy, vz = vector
@@ -64,7 +64,7 @@ class Layout:
 
     def __init__(self, stations: Sequence[Station], turns: Sequence[Turn] = ()) -> None:
         self.stations, self.turns = tuple(stations), tuple(turns)
-        self.places: list[Vector3] = [station.place for station in stations]  # with all hinges at zero
+        self.rest_positions: list[Vector3] = [station.position for station in stations]  # with all hinges at zero
         chains: list[list[tuple[int, float]]] = []  # of each jet: hinges from the body outwards, and their effect on it
         self._carriers: list[list[int]] = []
         for jet in range(len(stations)):
@@ -103,16 +103,16 @@ class Layout:
         """Return the unit thrust, body, of one group, as :meth:`axes` of all."""
         axis = self._still[group]
         for about, number, effect in self._turning[group]:
-            axis = turned(about, effect * angles[number], axis)
+            axis = rotate_about(about, effect * angles[number], axis)
         return axis
 
     def frames(self, angles: Sequence[float]) -> list[tuple[Vector3, Vector3, Vector3]]:
         """Return thrust, forward and right of each group, body: the body's axes turned with the thrust.
 
-        From straight up to the axis as stated by the least turn (half a turn about y where it points straight down),
+        From straight up to the nominal axis by the least turn (half a turn about y where it points straight down),
         then by the hinges.
         """
-        answer: list[tuple[Vector3, Vector3, Vector3]] = []
+        result: list[tuple[Vector3, Vector3, Vector3]] = []
         for axis, chain in self._kinds:
             x, y, z = axis
             forward: Vector3 = (1.0, 0.0, 0.0)
@@ -121,58 +121,59 @@ class Layout:
             if sine > 1e-12:
                 # the turn from -z to the axis is about (-z) x axis
                 about, angle = (y / sine, -x / sine, 0.0), atan2(sine, -z)
-                forward, right = turned(about, angle, forward), turned(about, angle, right)
+                forward, right = rotate_about(about, angle, forward), rotate_about(about, angle, right)
             elif z > 0.0:
                 forward = (-1.0, 0.0, 0.0)
             for number, effect in reversed(chain):
                 hinge, angle = self.turns[number].axis, effect * angles[number]
                 axis, forward, right = (
-                    turned(hinge, angle, axis),
-                    turned(hinge, angle, forward),
-                    turned(hinge, angle, right),
+                    rotate_about(hinge, angle, axis),
+                    rotate_about(hinge, angle, forward),
+                    rotate_about(hinge, angle, right),
                 )
-            answer.append((axis, forward, right))
-        return answer
+            result.append((axis, forward, right))
+        return result
 
-    def standing(self, angles: Sequence[float]) -> list[Vector3]:
+    def positions(self, angles: Sequence[float]) -> list[Vector3]:
         """Return the position of each jet [m, body]."""
         if not self.moves:
-            return self.places
-        answer: list[Vector3] = []
-        for place, carriers in zip(self.places, self._carriers, strict=True):
+            return self.rest_positions
+        result: list[Vector3] = []
+        for position, carriers in zip(self.rest_positions, self._carriers, strict=True):
             for number in reversed(carriers):
                 turn = self.turns[number]
                 px, py, pz = turn.point
-                x, y, z = turned(turn.axis, angles[number], (place[0] - px, place[1] - py, place[2] - pz))
-                place = (px + x, py + y, pz + z)
-            answer.append(place)
-        return answer
+                arm = (position[0] - px, position[1] - py, position[2] - pz)
+                x, y, z = rotate_about(turn.axis, angles[number], arm)
+                position = (px + x, py + y, pz + z)
+            result.append(position)
+        return result
 
     def hinge_axes(self, angles: Sequence[float], jet: int) -> list[tuple[int, float, bool, Vector3, Vector3]]:
         """Return the hinges of a jet at ``angles`` rad: number, effect, whether it carries, axis and point of each."""
         chain, carriers = self.chains[jet], self._carriers[jet]
-        answer = []
-        for at, (number, effect) in enumerate(chain):
+        result = []
+        for index, (number, effect) in enumerate(chain):
             axis, point = self.turns[number].axis, self.turns[number].point
-            for outer, share in reversed(chain[:at]):
-                axis = turned(self.turns[outer].axis, share * angles[outer], axis)
+            for outer, outer_effect in reversed(chain[:index]):
+                axis = rotate_about(self.turns[outer].axis, outer_effect * angles[outer], axis)
                 if outer in carriers:
                     other = self.turns[outer]
                     px, py, pz = other.point
-                    x, y, z = turned(other.axis, angles[outer], (point[0] - px, point[1] - py, point[2] - pz))
+                    x, y, z = rotate_about(other.axis, angles[outer], (point[0] - px, point[1] - py, point[2] - pz))
                     point = (px + x, py + y, pz + z)
-            answer.append((number, effect, number in carriers, axis, point))
-        return answer
+            result.append((number, effect, number in carriers, axis, point))
+        return result
 
     def wrench(self, thrust: Sequence[float], angles: Sequence[float]) -> tuple[Vector3, Vector3]:
         """Return force [N] and moment [N m] of all jets on the body, about the origin of their positions."""
-        axes, places = self.axes(angles), self.standing(angles)
+        axes, positions = self.axes(angles), self.positions(angles)
         fx = fy = fz = mx = my = mz = 0.0
         for jet, newton in enumerate(thrust):
             ex, ey, ez = axes[self.groups[jet]]
             twist = self.stations[jet].twist
             x, y, z = newton * ex, newton * ey, newton * ez
-            lx, ly, lz = cross(places[jet], (x, y, z))
+            lx, ly, lz = cross(positions[jet], (x, y, z))
             fx, fy, fz = fx + x, fy + y, fz + z
             mx, my, mz = mx + lx + twist * x, my + ly + twist * y, mz + lz + twist * z
         return (fx, fy, fz), (mx, my, mz)

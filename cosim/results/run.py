@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from cosim.base.errors import FlightError, InputError
 from cosim.base.outcomes import Outcome
 from cosim.base.protocols import Column
-from cosim.base.storage.files import locked, read_text, write_whole
+from cosim.base.storage.files import lock_file, read_text, write_whole
 from cosim.base.storage.toml import toml_text
 from cosim.results.log.arrow import ParquetLog, StreamSink, read_note, stream_to_parquet
 from cosim.results.log.columns import COLUMNS
@@ -305,7 +305,7 @@ def _settle(
 def _recover(folder: Path) -> None:
     """Finish a run whose process did not."""
     stream = folder / STREAM
-    with locked(stream, f"{folder}: a run is still being recorded here; wait until it ends"):
+    with lock_file(stream, f"{folder}: a run is still being recorded here; wait until it ends"):
         if not (folder / SUMMARY).is_file():
             note = read_note(stream)
             if note is None:

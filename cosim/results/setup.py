@@ -80,7 +80,7 @@ def setup_of(simulation: Simulation, resolved: Scenario, notes: bool = True) -> 
         expectation=expectation(scenario),
         notes=_notes(simulation, files) if notes else [],
         versions=versions(),
-        blas_kernels=kernels.loaded(),
+        blas_kernels=kernels.find_kernels(),
         sha256={
             model: simulation.airframe.file_sha256,
             f"{model} as flown": simulation.airframe.sha256,

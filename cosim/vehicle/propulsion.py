@@ -177,7 +177,7 @@ class Propulsion:
         wx, wy, wz = wind
         u, v, w = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
         kinds: list[tuple[float, Vector3]] = []
-        axes, groups, standing = self._layout.axes(self.tilt), self._layout.groups, self._layout.standing(self.tilt)
+        axes, groups, standing = self._layout.axes(self.tilt), self._layout.groups, self._layout.positions(self.tilt)
         for axis in axes:
             x, y, z = axis
             kinds.append((u * x + v * y + w * z, cross(axis, state.rate)))

@@ -1,6 +1,6 @@
-"""The user's Python, executed: the one place where a file or a module of his becomes code that runs.
+"""Execution of the user's Python: here alone a file or a module of the user becomes code that runs.
 
-A file is run from the bytes that were looked at, never from a compiled copy that lies beside it, and so is whatever it
+A file is run from the bytes that were checked, never from a compiled copy that lies beside it, and so is whatever it
 imports from beside it; each of these needs the user's trust (:mod:`cosim.base.trust`).
 """
 
@@ -28,16 +28,16 @@ from cosim.base.compiled import PACKAGE
 from cosim.base.errors import InputError, describe_error
 from cosim.base.trust import Code, CodeRefusedError, code_of, is_looking, need_trust, process_name
 
-_OURS = "hexjet_controller_"  # modules that were made of files here
+_PREFIX = "hexjet_controller_"  # modules that were made of files here
 _RUNNABLE = tuple(all_suffixes())
 
 
-def executed(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
+def execute_file(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
     """Execute a Python file; return its module and the files beside it that it imports.  Raises InputError."""
     folder = path.resolve().parent
     text = path.read_bytes()
     need_trust([Code(path, hashlib.sha256(text).hexdigest()), *_imports(path, path)], where)
-    module = ModuleType(f"{_OURS}{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}")
+    module = ModuleType(f"{_PREFIX}{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module
     try:
@@ -58,7 +58,7 @@ def executed(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
 
 
 def python_code(path: Path) -> list[Code]:
-    """Return a file of Python and what it is seen to import from beside it, as code.  Raises OSError."""
+    """Return a file of Python and the files beside it that it imports, as code.  Raises OSError."""
     return [code_of(path), *_imports(path, path)]
 
 
@@ -72,9 +72,9 @@ def program_code(path: Path, arguments: str) -> list[Code]:
     beside = [file for word in arguments.split() if (file := path.parent / word).is_file()]
     code = [code_of(path, name, arguments=arguments), *(code_of(file, name) for file in beside)]
     for script in [file for file in (path, *beside) if file.suffix == ".py"]:
-        for each in _imports(script, name):
-            compiled = Path(cache_from_source(str(each.path)))
-            code += [each, *([code_of(compiled, name)] if compiled.is_file() else [])]
+        for file_code in _imports(script, name):
+            compiled = Path(cache_from_source(str(file_code.path)))
+            code += [file_code, *([code_of(compiled, name)] if compiled.is_file() else [])]
     return code
 
 
@@ -133,13 +133,13 @@ class _Neighbours:
     def __init__(self, first: Path, where: str) -> None:
         self._first, self._where = first, where
         self._folder = str(first.resolve().parent)
-        self._found: set[str] = set()
+        self._names: set[str] = set()
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """Find a module of the folder, or one in a package of it; return None for any other."""
-        if path is not None and fullname.rpartition(".")[0] not in self._found:
+        if path is not None and fullname.rpartition(".")[0] not in self._names:
             return None
         spec = PathFinder.find_spec(fullname, [self._folder] if path is None else path)
         if spec is not None and spec.origin is None:  # a folder without __init__.py: a package elsewhere goes first
@@ -148,7 +148,7 @@ class _Neighbours:
                 return None
         if spec is None:
             return None
-        self._found.add(fullname)
+        self._names.add(fullname)
         if isinstance(spec.loader, SourceFileLoader):
             spec.loader = _TrustedSource(fullname, spec.loader.path, self._first, self._where)
             spec.cached = None
@@ -168,9 +168,9 @@ def _importing_from(folder: Path, finder: _Neighbours) -> Iterator[list[Path]]:
     def neighbours() -> dict[str, ModuleType]:
         modules = {}
         for name, module in list(sys.modules.items()):
-            stated = getattr(module, "__file__", None)
-            path = Path(stated).resolve() if stated else None
-            if path is None or path.suffix != ".py" or name.startswith(_OURS) or not path.is_relative_to(folder):
+            file = getattr(module, "__file__", None)
+            path = Path(file).resolve() if file else None
+            if path is None or path.suffix != ".py" or name.startswith(_PREFIX) or not path.is_relative_to(folder):
                 continue
             inner = path.relative_to(folder).parts
             if len(inner) == 1 or not (anywhere or {"site-packages", "lib"} & set(inner)):
@@ -198,7 +198,7 @@ def _importing_from(folder: Path, finder: _Neighbours) -> Iterator[list[Path]]:
         sys.modules.update(outside)
 
 
-def imported(module_name: str, where: str) -> tuple[ModuleType, Path, dict[str, Path]]:
+def import_installed(module_name: str, where: str) -> tuple[ModuleType, Path, dict[str, Path]]:
     """Import an installed module; return it, its path, and its file by name where it has one.  Raises InputError."""
     if is_looking():
         raise CodeRefusedError(f"{where}: {module_name} is code, and nothing is run to look at something")
@@ -222,9 +222,9 @@ def import_trusted(module_name: str, where: str, *names: str) -> None:
     parts = module_name.split(".")
     for name in (".".join(parts[:count]) for count in range(1, len(parts) + 1)):
         spec = None if name in sys.modules else find_spec(name)
-        strange = spec is not None and not _is_python_itself(spec) and _need_trust_of(spec, where, module_name, *names)
+        is_local = spec is not None and not _is_python_itself(spec) and _need_trust_of(spec, where, module_name, *names)
         written = sys.dont_write_bytecode
-        sys.dont_write_bytecode = written or strange  # a compiled copy beside it would be another file to ask for
+        sys.dont_write_bytecode = written or is_local  # a compiled copy beside it would be another file to ask for
         try:
             importlib.import_module(name)
         finally:
@@ -245,7 +245,7 @@ def _need_trust_of(spec: ModuleSpec, where: str, *names: str) -> bool:
     top = spec.name.partition(".")[0]
     if origin is not None and _is_installed(origin, top):
         return False
-    folders = [Path(place) for place in spec.submodule_search_locations or ()]
+    folders = [Path(folder) for folder in spec.submodule_search_locations or ()]
     files = {file for folder in folders if not _is_installed(folder, top) for file in _runnable(folder)}
     files |= {origin} if origin is not None and origin.is_file() else set()
     code = [code_of(file, *names) for file in sorted(files)]
@@ -260,50 +260,49 @@ def _need_trust_of(spec: ModuleSpec, where: str, *names: str) -> bool:
 
 def _runnable(folder: Path) -> Iterator[Path]:
     """Yield the files below a folder that Python may import, compiled copies too, and through links."""
-    seen = set[str]()
-    for place, inner, names in os.walk(folder, followlinks=True):
-        real = os.path.realpath(place)
-        if real in seen:
+    visited = set[str]()
+    for current, inner, names in os.walk(folder, followlinks=True):
+        real = os.path.realpath(current)
+        if real in visited:
             inner.clear()
             continue
-        seen.add(real)
-        yield from (file for name in names if name.endswith(_RUNNABLE) and (file := Path(place, name)).is_file())
+        visited.add(real)
+        yield from (file for name in names if name.endswith(_RUNNABLE) and (file := Path(current, name)).is_file())
 
 
 def _is_installed(path: Path, top: str) -> bool:
     """Return whether a path belongs to Python, to us, or to what is installed; ``top``: the package that it is in.
 
-    What says of itself that it is installed, by metadata that lie beside it, is not believed.
+    Metadata beside a file that call it installed are not trusted.
     """
-    whole = Path(os.path.abspath(path))
-    if any(
-        each.is_relative_to(place) for each in (whole, whole.resolve()) for place in (*_installed_places(), PACKAGE)
-    ):
+    absolute = Path(os.path.abspath(path))
+    paths = absolute, absolute.resolve()
+    if any(candidate.is_relative_to(folder) for candidate in paths for folder in (*_installed_folders(), PACKAGE)):
         return True
-    starts = [place / inner / top for place in _editable_places(top) for inner in ("", "src")]
-    return any(whole.resolve().is_relative_to(start) or whole.resolve() == start.with_suffix(".py") for start in starts)
+    starts = [folder / inner / top for folder in _editable_folders(top) for inner in ("", "src")]
+    return any(paths[1].is_relative_to(start) or paths[1] == start.with_suffix(".py") for start in starts)
 
 
 @cache
-def _installed_places() -> frozenset[Path]:
+def _installed_folders() -> frozenset[Path]:
     """Return the folders where Python and its packages are installed."""
-    stated = get_paths()
+    paths = get_paths()
     user = [site.getusersitepackages()] if site.ENABLE_USER_SITE else []
-    names = [*(stated[name] for name in ("stdlib", "platstdlib", "purelib", "platlib")), *site.getsitepackages(), *user]
-    return frozenset(each for name in names for each in (Path(name), Path(name).resolve()))
+    names = [*(paths[name] for name in ("stdlib", "platstdlib", "purelib", "platlib")), *site.getsitepackages(), *user]
+    return frozenset(candidate for name in names for candidate in (Path(name), Path(name).resolve()))
 
 
 @cache
-def _editable_places(top: str) -> list[Path]:
+def _editable_folders(top: str) -> list[Path]:
     """Return where the distributions are developed that are installed in place and have a package of this name."""
     from urllib.parse import urlsplit
     from urllib.request import url2pathname
 
-    places = []
-    for distribution in distributions(path=[str(place) for place in _installed_places()]):
+    folders = []
+    for distribution in distributions(path=[str(folder) for folder in _installed_folders()]):
         with suppress(ValueError, LookupError, TypeError, AttributeError):  # metadata that say something else
-            said = json.loads(distribution.read_text("direct_url.json") or "{}")
+            origin = json.loads(distribution.read_text("direct_url.json") or "{}")
             tops = (distribution.read_text("top_level.txt") or re.sub(r"[-.]+", "_", distribution.name)).split()
-            if top in tops and said["dir_info"]["editable"] is True and said["url"].startswith("file:"):
-                places.append(Path(url2pathname(urlsplit(said["url"]).path)).resolve())
-    return places
+            if top in tops and origin["dir_info"]["editable"] is True and origin["url"].startswith("file:"):
+                folders.append(Path(url2pathname(urlsplit(origin["url"]).path)).resolve())
+    return folders

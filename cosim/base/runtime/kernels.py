@@ -22,7 +22,7 @@ VARIABLE, REFERENCE = "OPENBLAS_CORETYPE", "Haswell"
 _NEEDED = {b"avx2", b"fma"}  # by those kernels; x86 processors have had both since 2013
 _ENOUGH = 8192  # bytes, with all of the first processor
 _MAPS = "/proc/self/maps"
-_warned: list[str] = []  # what was warned of in this process
+_warnings: list[str] = []  # what was warned of in this process
 _NAMES = ("scipy_openblas_get_corename64_", "scipy_openblas_get_corename", "openblas_get_corename")
 
 
@@ -58,9 +58,9 @@ def set_for_command() -> None:
         os.environ.setdefault(VARIABLE, REFERENCE)
 
 
-def loaded() -> dict[str, str]:
+def find_kernels() -> dict[str, str]:
     """Return the kernels of the OpenBLAS of numpy and scipy, by the package; empty where they cannot be asked."""
-    return dict(_loaded("scipy.linalg" in sys.modules))
+    return dict(_find_kernels("scipy.linalg" in sys.modules))
 
 
 def warn_of_others() -> None:
@@ -68,14 +68,14 @@ def warn_of_others() -> None:
 
     Where the environment names those kernels it is what was asked for, and nothing is said.
     """
-    asked = os.environ.get(VARIABLE, REFERENCE).lower()
+    requested = os.environ.get(VARIABLE, REFERENCE).lower()
     others = [
         f"{package} computes with {kernel}"
-        for package, kernel in loaded().items()
-        if kernel.lower() not in (REFERENCE.lower(), asked)
+        for package, kernel in find_kernels().items()
+        if kernel.lower() not in (REFERENCE.lower(), requested)
     ]
-    if others and not _warned and can_use_reference():
-        _warned.append(others[0])
+    if others and not _warnings and can_use_reference():
+        _warnings.append(others[0])
         warnings.warn(
             f"{' and '.join(others)} instead of {REFERENCE}: flights may end in other last digits than those of the "
             f"command hexjet; import cosim before numpy, or set {VARIABLE}={REFERENCE}",
@@ -85,7 +85,7 @@ def warn_of_others() -> None:
 
 
 @cache
-def _loaded(with_scipy: bool) -> tuple[tuple[str, str], ...]:
+def _find_kernels(with_scipy: bool) -> tuple[tuple[str, str], ...]:
     """Ask each OpenBLAS that is loaded; asked again once scipy has brought its own."""
     try:
         with open(_MAPS, encoding="utf-8", errors="replace") as file:
@@ -120,7 +120,7 @@ class _WithReference:
         load = loader.exec_module
 
         def load_with(module: ModuleType) -> None:
-            with _asked_for():
+            with _reference_environment():
                 load(module)
 
         loader.exec_module = load_with  # type: ignore[method-assign]
@@ -128,7 +128,7 @@ class _WithReference:
 
 
 @contextmanager
-def _asked_for() -> Iterator[None]:
+def _reference_environment() -> Iterator[None]:
     before = os.environ.get(VARIABLE)
     os.environ[VARIABLE] = before or REFERENCE
     try:

@@ -10,23 +10,23 @@ T = TypeVar("T")
 
 
 class Memory(Generic[T]):
-    """The ``most`` results that were asked for last, each under a key that holds everything that it depends on.
+    """The ``capacity`` results that were asked for last, each under a key that holds everything that it depends on.
 
     Of a file that is its contents, never its name or date alone.  A result is given out again and again: whoever gets
     it must not change it.
     """
 
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._known: OrderedDict[Hashable, T] = OrderedDict()
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._values: OrderedDict[Hashable, T] = OrderedDict()
 
     def get(self, key: Hashable, make: Callable[[], T]) -> T:
         """Return the value under ``key``, or else store what ``make`` returns; what it raises is not remembered."""
         try:
-            value = self._known.pop(key)
+            value = self._values.pop(key)
         except KeyError:
             value = make()
-        self._known[key] = value  # now the youngest
-        while len(self._known) > self._most:
-            self._known.popitem(last=False)
+        self._values[key] = value  # now the youngest
+        while len(self._values) > self._capacity:
+            self._values.popitem(last=False)
         return value

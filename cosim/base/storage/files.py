@@ -90,7 +90,7 @@ def finite(record: Any) -> dict[str, Any]:
 
 
 @contextmanager
-def locked(path: Path, busy: str) -> Iterator[None]:
+def lock_file(path: Path, busy: str) -> Iterator[None]:
     """Hold the lock of a file.  Raises InputError: ``busy`` if another process has it."""
     try:
         file = os.open(path, os.O_RDWR)

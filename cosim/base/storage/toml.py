@@ -43,8 +43,8 @@ class Model(BaseModel):
         if not isinstance(data, dict):
             return data
         lists = _lists(cls)
-        placed = {name: data[name] for name in lists if isinstance(data.get(name), Mapping)}
-        return {**data, **merge({name: lists[name] for name in placed}, placed)} if placed else data
+        by_index = {name: data[name] for name in lists if isinstance(data.get(name), Mapping)}
+        return {**data, **merge({name: lists[name] for name in by_index}, by_index)} if by_index else data
 
 
 @cache
@@ -74,7 +74,7 @@ Axis3 = tuple[NotNegative, NotNegative, NotNegative]
 
 M = TypeVar("M", bound=BaseModel)
 
-_OWN_NAMES = re.compile(
+_DOTTED_NAMES = re.compile(
     r"(?P<head>engine_parameters|stations\.[^.]+\.parameters)\.(?P<name>.+)"
     r"|(?P<file>vehicle\.identified)\.(?P<family>.+)\.(?P<axis>roll|pitch|yaw)\.(?P<rest>.+)"
 )
@@ -120,29 +120,29 @@ def validate(model: type[M], data: Mapping[str, Any], where: str) -> M:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise InputError(f"{where}: {_first_complaint(model, error)}") from error
+        raise InputError(f"{where}: {_describe_error(model, error)}") from error
 
 
-def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Return ``base`` with the leaves of ``over`` written over it; neither is changed.
+def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ``base`` with the leaves of ``changes`` written over it; neither is changed.
 
     A table whose keys are all places in a list, counted from 0, is written over those entries of it.
     """
     merged = dict(base)
-    for key, value in over.items():
+    for key, value in changes.items():
         old = merged.get(key)
         if isinstance(value, Mapping) and isinstance(old, Mapping):
             merged[key] = merge(old, value)
-        elif isinstance(value, Mapping) and isinstance(old, list) and _places(value, old):
-            entries = {str(place): entry for place, entry in enumerate(old)}
+        elif isinstance(value, Mapping) and isinstance(old, list) and _are_indices(value, old):
+            entries = {str(index): entry for index, entry in enumerate(old)}
             merged[key] = list(merge(entries, value).values())
         else:
             merged[key] = value
     return merged
 
 
-def _places(over: Mapping[str, Any], entries: list[Any]) -> bool:
-    return bool(over) and all(key in map(str, range(len(entries))) for key in over)
+def _are_indices(changes: Mapping[str, Any], entries: list[Any]) -> bool:
+    return bool(changes) and all(key in map(str, range(len(entries))) for key in changes)
 
 
 def parse_setting(text: str) -> tuple[list[str], Any]:
@@ -165,7 +165,7 @@ def split_key(key: str) -> list[str]:
 
     The name of an engine's parameter and that of an engine's file may have dots of their own: they stay whole.
     """
-    match = _OWN_NAMES.fullmatch(key)
+    match = _DOTTED_NAMES.fullmatch(key)
     if not match:
         return key.split(".")
     if match["head"]:
@@ -217,15 +217,15 @@ def set_path(data: dict[str, Any], path: list[str], value: Any, where: str) -> N
 _OTHERS = 5  # keys that a line names beside the first that is wrong
 
 
-def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
-    complaints = error.errors()
-    if not _is_off(complaints[0]):
+def _describe_error(model: type[BaseModel], error: ValidationError) -> str:
+    errors = error.errors()
+    if not _is_not_false(errors[0]):
         # a table that may also be false: nobody who states one means that
-        complaints = [complaint for complaint in complaints if not _is_off(complaint)]
-    first = complaints[0]
+        errors = [item for item in errors if not _is_not_false(item)]
+    first = errors[0]
     key = ".".join(_path(model, first["loc"]))
     kind, value = first["type"], first["input"]
-    others = [".".join(_path(model, complaint["loc"])) for complaint in complaints[1:]]
+    others = [".".join(_path(model, item["loc"])) for item in errors[1:]]
     others = [other for other in dict.fromkeys(others) if other not in ("", key)]
     rest = f"; wrong too: {', '.join(others[:_OTHERS])}{', ...' if len(others) > _OTHERS else ''}" if others else ""
     if kind == "extra_forbidden":
@@ -250,9 +250,9 @@ def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
     return f"{key}{shown}: {message}{rest}" if key else f"{message}{rest}"
 
 
-def _is_off(complaint: ErrorDetails) -> bool:
+def _is_not_false(item: ErrorDetails) -> bool:
     """Return whether it is the complaint that a value is not false."""
-    return complaint["loc"][-1:] == ("literal[False]",)
+    return item["loc"][-1:] == ("literal[False]",)
 
 
 def _path(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
@@ -289,14 +289,14 @@ def _allowed_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> li
     """Return the keys that the table holding ``location`` may have."""
     models: list[type[BaseModel]] = [model]
     for part in location[:-1]:
-        stepped: list[type[BaseModel]] = []
+        submodels: list[type[BaseModel]] = []
         for candidate in models:
             if part in candidate.model_fields:
-                stepped += _models_in(candidate.model_fields[str(part)].annotation)
+                submodels += _models_in(candidate.model_fields[str(part)].annotation)
             elif _tag(candidate) == part:
-                stepped.append(candidate)
+                submodels.append(candidate)
         # an index into a list, or a key of a mapping, stays at the same models
-        models = stepped or models
+        models = submodels or models
     return sorted({name for candidate in models for name in candidate.model_fields})
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import locked, map_os_errors, write_whole
+from cosim.base.storage.files import lock_file, map_os_errors, write_whole
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.campaign.folder import Frozen, freeze
 from cosim.campaign.folder import load as load_study
@@ -139,7 +139,7 @@ def run_search(
     with map_os_errors(FlightError, out):
         if not _holds_search(out, frozen, plan, resume):
             _begin(out, frozen, plan)
-        with locked(out / JOURNAL, f"{out}: another search is at work there"):
+        with lock_file(out / JOURNAL, f"{out}: another search is at work there"):
             prober = Prober(load_study(out / STUDY), plan.seeds, plan.share, workers, Journal(out / JOURNAL), progress)
             result = search(plan, prober)
             shutil.rmtree(out / CASES, ignore_errors=True)  # of a search that was stopped while it flew them

@@ -165,7 +165,7 @@ def _wrenches(layout: Layout, jet: int, turned: dict[int, Array], count: int) ->
     import numpy as np
 
     station = layout.stations[jet]
-    position = np.array(station.place)
+    position = np.array(station.position)
     force = np.tile(np.array(station.axis, float), (count, 1))
     moment = np.cross(position, force) + station.twist * force
     for number, _ in reversed(layout.chains[jet]):

@@ -265,7 +265,7 @@ class Reach:
         import numpy as np
 
         layout, angles = self._layout, [float(angle) for angle in at]
-        axes, positions = layout.axes(angles), layout.standing(angles)
+        axes, positions = layout.axes(angles), layout.positions(angles)
         columns, turns = [], np.zeros((6, len(angles)))
         for jet, group in enumerate(layout.groups):
             axis, twist = axes[group], layout.stations[jet].twist

@@ -291,7 +291,7 @@ class EffectivenessAllocator:
 
         ``balanced``: the fraction of the equal parts' pitching moment that is taken out."""
         jets = self._jets
-        axes, places = self._layout.axes(self._stand), self._layout.standing(self._stand)
+        axes, places = self._layout.axes(self._stand), self._layout.positions(self._stand)
         arms = []
         for jet in range(jets):
             (ex, _, ez), (px, _, pz) = axes[self._layout.groups[jet]], places[jet]
@@ -360,7 +360,7 @@ def _solver(effectors: Effectors, scales: list[float], norms: tuple[float, ...])
     layout, movers = effectors.layout, effectors.movers
     stations = [
         (
-            station.place,
+            station.position,
             station.axis,
             station.twist,
             [(n, effect, jet in layout.turns[n].carries) for n, effect in chain],

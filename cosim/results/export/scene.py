@@ -99,7 +99,7 @@ class Scene:
         add("ned", "body", _position(block, row), q[row])
         if self._layout is not None:
             angles = [float(block[name][row]) for name in self._angles]
-            axes, positions = self._layout.axes(angles), self._layout.standing(angles)
+            axes, positions = self._layout.axes(angles), self._layout.positions(angles)
             for number, (position, group) in enumerate(zip(positions, self._layout.groups, strict=True), 1):
                 add("body", f"jet_{number}", position, _upwards_to(axes[group]))
         return frames

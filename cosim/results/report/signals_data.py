@@ -220,7 +220,7 @@ def shape(vehicle: Vehicle) -> dict[str, Any]:
     angles = [f"tilt_{name}_rad" for name in vehicle.actuators[: len(layout.turns)]]
     jets = [
         {
-            "position": station.place,
+            "position": station.position,
             "axis": station.axis,
             "turns": [
                 {

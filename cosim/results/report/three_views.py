@@ -127,12 +127,12 @@ def _one(view: _Projection, vehicle: Vehicle, reach: float) -> None:
         for number, _ in layout.chains[jet]:
             ways += [("reach", [*rest[:number], end, *rest[number + 1 :]]) for end in vehicle.turns[number]]
         for kind, angles in ways:
-            start, axis = layout.standing(angles)[jet], layout.axes(angles)[layout.groups[jet]]
+            start, axis = layout.positions(angles)[jet], layout.axes(angles)[layout.groups[jet]]
             end = _along(start, axis, 0.45 * reach)
             (a, b), (c, d) = view.at(start), view.at(end)
             if hypot(c - a, d - b) > 3.0:
                 view.line(kind, start, end)
-        point = layout.standing(rest)[jet]
+        point = layout.positions(rest)[jet]
         view.circle("jet", point, 9.0)
         named.setdefault(view.at(point), []).append(str(jet + 1))
     for (x, y), numbers in named.items():

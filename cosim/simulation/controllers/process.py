@@ -217,7 +217,7 @@ class ProcessBlock:
             return values[0]
         if self._level != "controller":
             return values
-        actuation, self.signals = wire.answer_whole(values, self._jets, self._servos, self._extras)
+        actuation, self.signals = wire.parse_answer(values, self._jets, self._servos, self._extras)
         return actuation
 
     def _exchange(self, connection: Connection, frame: bytes, k: int) -> bytes:

@@ -26,7 +26,7 @@ from typing import Any
 from cosim.base.controller_wire import EXTRAS
 from cosim.base.errors import InputError, describe_error, nearest
 from cosim.base.plugins.entry_points import describe_entry, find_entries, load_entry
-from cosim.base.plugins.execute import executed, imported, program_code
+from cosim.base.plugins.execute import execute_file, import_installed, program_code
 from cosim.base.protocols import Column, Parameter
 from cosim.base.storage.cache import Memory
 from cosim.base.trust import Code, CodeRefusedError, code_of, need_trust
@@ -157,7 +157,7 @@ def find_python(kind: str, name: str, folder: Path) -> Source | None:
         return _from_file(kind, name, Path(named.seen_from(folder).file), named.after[1:])
     if named is None and _MODULE.fullmatch(name):
         module_name, _, attribute = name.partition(":")
-        module, path, files = imported(module_name, where)
+        module, path, files = import_installed(module_name, where)
         block = _attribute(module, attribute, kind, where, path)
         return _from_attributes(kind, name, block, None, files, version_of(module_name), copied=False)
     entry = find_entries(kind).get(name)
@@ -259,7 +259,7 @@ def _from_file(kind: str, name: str, path: Path, attribute: str) -> Source:
         need_trust([Code(file, sha256, (path,)) for file, sha256 in file_hashes], where)
 
     def load() -> Source:
-        module, neighbours = executed(path, where)
+        module, neighbours = execute_file(path, where)
         _files_by_path[path] = [path, *neighbours]
         files = {file.name: file for file in (path, *neighbours)}
         return _from_attributes(kind, name, _attribute(module, attribute, kind, where, path), None, files)

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cosim.base.frames import cross
-from cosim.base.layout import turned
+from cosim.base.layout import rotate_about
 from cosim.base.signals import ZERO3, PerServo, Vector3
 from cosim.spec.vehicle import Hinge, Jet, layout_of
 from cosim.vehicle.effects.effect import Effect, Load, plus
@@ -91,11 +91,11 @@ class HingeReactions(Effect):
                 continue
             mass = self._mass[number]
             axis, foot = self._axes[number], self._feet[number]
-            arm = turned(axis, now, self._arms[number])
+            arm = rotate_about(axis, now, self._arms[number])
             for outer in reversed(self._outer[number]):
                 about, point, angle = self._axes[outer], self._points[outer], tilt[outer]
-                axis, arm = turned(about, angle, axis), turned(about, angle, arm)
-                x, y, z = turned(about, angle, (foot[0] - point[0], foot[1] - point[1], foot[2] - point[2]))
+                axis, arm = rotate_about(about, angle, axis), rotate_about(about, angle, arm)
+                x, y, z = rotate_about(about, angle, (foot[0] - point[0], foot[1] - point[1], foot[2] - point[2]))
                 foot = (point[0] + x, point[1] + y, point[2] + z)
             x, y, z = axis
             momentum = inertia * speed

@@ -37,7 +37,7 @@ class IntakeDrag(Effect):
         wx, wy, wz = state.wind
         through_air = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
         axes, groups = self._layout.axes(tilt), self._layout.groups
-        moves, standing = self._layout.moves, self._layout.standing(tilt)
+        moves, standing = self._layout.moves, self._layout.positions(tilt)
         total: list[Vector3] = []
         moment_x = moment_y = moment_z = 0.0
         for i, newton in enumerate(load.output.thrust):

@@ -94,7 +94,7 @@ class CarriedJets(Effect):
         self._layout = layout
 
     def act(self, load: Load) -> None:
-        standing, places = self._layout.standing(load.tilt), self._layout.places
+        standing, places = self._layout.positions(load.tilt), self._layout.rest_positions
         moment = ZERO3
         for jet, push in enumerate(load.pushes):
             x, y, z = standing[jet]

@@ -16,7 +16,7 @@ from cosim.base import trust
 from cosim.base.errors import InputError
 from cosim.base.plugins import execute
 from cosim.base.plugins.entry_points import load_entry
-from cosim.base.plugins.execute import imported
+from cosim.base.plugins.execute import import_installed
 from cosim.base.storage.user import settings_folder
 from cosim.simulation.controllers.source import find, names
 
@@ -56,7 +56,7 @@ def write(path: str, mark: Path) -> Path:
 
 def refused(module: str, *files: Path) -> None:
     with pytest.raises(trust.CodeRefusedError, match=REFUSED) as error:
-        imported(module, "test")
+        import_installed(module, "test")
     for file in files:
         assert str(file) in str(error.value)
 
@@ -67,8 +67,8 @@ def test_a_folder_without_init_is_asked_for(mark: Path) -> None:
     refused("box.deep.other", evil, other)
     assert not mark.exists()
     trust.trust("box")
-    assert imported("box.evil", "test")[1] == evil
-    assert imported("box.deep.other", "test")[1] == other
+    assert import_installed("box.evil", "test")[1] == evil
+    assert import_installed("box.deep.other", "test")[1] == other
     known = (settings_folder() / trust.REMEMBERED).read_text()
     assert str(evil) in known
     assert mark.read_text() == "ran ran "
@@ -117,7 +117,7 @@ def test_what_has_no_file_to_look_at_is_refused(mark: Path, tmp_path: Path, monk
         archive.writestr("packed.py", write("source.py", mark).read_text())
     monkeypatch.syspath_prepend(str(tmp_path / "packed.zip"))
     with pytest.raises(InputError, match="test: packed: is not installed, and no file of it can be looked at"):
-        imported("packed", "test")
+        import_installed("packed", "test")
     assert not mark.exists()
 
 
@@ -153,15 +153,15 @@ def test_what_it_imports_from_beside_it_counts_and_so_do_links(mark: Path, tmp_p
 
 def test_installed_modules_run_and_so_do_named_ones(mark: Path) -> None:
     for name in ("sys", "xml.dom.minidom", "zipapp", "cosim.control.predictors.registry"):
-        assert imported(name, "test")[0].__name__ == name
+        assert import_installed(name, "test")[0].__name__ == name
     assert not settings_folder().exists()
     write("law/__init__.py", mark)
     with trust.at_a_command(None, ["fly", "hover", "--controller", "law:Mine"]):
-        imported("law", "test")
+        import_installed("law", "test")
     assert mark.exists()
     assert not Path("law/__pycache__").exists()
     del sys.modules["law"]
-    imported("law", "test")  # the same bytes are remembered
+    import_installed("law", "test")  # the same bytes are remembered
 
 
 def test_a_package_that_is_developed_in_place_is_installed(
@@ -173,14 +173,14 @@ def test_a_package_that_is_developed_in_place_is_installed(
     (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: developed\nVersion: 1\n")
     place = {"url": Path().absolute().as_uri(), "dir_info": {"editable": True}}
     (facts / "direct_url.json").write_text(json.dumps(place))
-    monkeypatch.setattr(execute, "_installed_places", lambda: frozenset([tmp_path / "site"]))
-    execute._editable_places.cache_clear()
+    monkeypatch.setattr(execute, "_installed_folders", lambda: frozenset([tmp_path / "site"]))
+    execute._editable_folders.cache_clear()
     try:
         write("developed/__init__.py", mark)
         refused("download.developed", write("download/developed.py", mark))
         refused("other", write("other.py", mark))
         assert not mark.exists()
-        imported("developed", "test")
+        import_installed("developed", "test")
         assert mark.exists()
     finally:
-        execute._editable_places.cache_clear()
+        execute._editable_folders.cache_clear()

@@ -71,7 +71,7 @@ def test_an_import_leaves_the_environment_as_it_was(first: str) -> None:
     code = (
         f"import os; before = dict(os.environ)\n{first}\nassert os.environ == before\n"
         "import numpy, scipy.linalg\nassert os.environ == before\n"
-        "from cosim.base.runtime.kernels import loaded; print(loaded())"
+        "from cosim.base.runtime.kernels import find_kernels; print(find_kernels())"
     )
     assert ran(code).stdout.strip() == str({"numpy": REFERENCE, "scipy": REFERENCE})
 

@@ -67,7 +67,7 @@ def test_no_thrusts_and_angles_give_more_than_the_hull(seed: int) -> None:
 def banks(most: float, reach: float) -> Reach:
     """Two jets at y = -0.5 and 0.5 that tilt about y, up to ``reach``."""
     stations = [Station((0.0, y, 0.0), UP) for y in (-0.5, 0.5)]
-    turns = [Turn(station.place, (0.0, -1.0, 0.0), deflects=(n,)) for n, station in enumerate(stations)]
+    turns = [Turn(station.position, (0.0, -1.0, 0.0), deflects=(n,)) for n, station in enumerate(stations)]
     return Reach(Layout(stations, turns), [0.0] * 2, [most] * 2, [(-reach, reach)] * 2, [0.0] * 2, WEIGHT)
 
 
@@ -114,8 +114,8 @@ def test_a_balance_that_is_not_there_is_certain_and_one_that_was_not_found_is_no
 def test_what_has_no_bound_is_at_least_what_a_search_attains() -> None:
     """A nozzle further out than what carries the engine: its lever turns with the thrust, and no hull is known."""
     stations = [Station((0.0, y, 0.0), UP) for y in (-0.5, 0.5)]
-    turns = [Turn(station.place, (0.0, -1.0, 0.0), deflects=(n,)) for n, station in enumerate(stations)]
-    turns += [Turn(station.place, (0.0, -1.0, 0.0), carries=(n,)) for n, station in enumerate(stations)]
+    turns = [Turn(station.position, (0.0, -1.0, 0.0), deflects=(n,)) for n, station in enumerate(stations)]
+    turns += [Turn(station.position, (0.0, -1.0, 0.0), carries=(n,)) for n, station in enumerate(stations)]
     reach = Reach(Layout(stations, turns), [0.0] * 2, [50.0] * 2, [(-0.15, 0.15)] * 4, [0.0] * 4, WEIGHT)
     assert not reach.is_bounded
     found = reach.moment((0.0, 0.0, 1.0))

@@ -37,7 +37,7 @@ def jetwing(*surfaces: Mover) -> tuple[HingedCatch, Layout, list[tuple[float, fl
 
 def wrench(layout: Layout, thrust: list[float], angles: list[float]) -> tuple[np.ndarray, np.ndarray]:
     """Force and moment, body."""
-    axes, places = layout.axes(angles), layout.standing(angles)
+    axes, places = layout.axes(angles), layout.positions(angles)
     force, moment = np.zeros(3), np.zeros(3)
     for jet, newton in enumerate(thrust):
         push = newton * np.array(axes[layout.groups[jet]])
@@ -146,7 +146,7 @@ def test_without_an_engine_hinges_turn_it_and_late_throttles_are_not_asked_to() 
     """Four gimballed jets below the centre: asked for attitude, throttles answered too late and pumped the swing."""
     stations = [Station((x, y, 0.2), UP, 0.0) for x in (0.2, -0.2) for y in (0.2, -0.2)]
     turns = [
-        Turn(station.place, axis, (), (jet,), 1.0)
+        Turn(station.position, axis, (), (jet,), 1.0)
         for jet, station in enumerate(stations)
         for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     ]
