@@ -19,14 +19,13 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from cosim.loops import Margins
 from hexjet_paper import numbers
 from hexjet_paper.experiments import Metrics, hexjet_ratios
 from hexjet_paper.linear import STATE_AS_PRINTED
 from hexjet_paper.loops import LOW_END_HZ
-from hexjet_paper.numbers import Basis
+from hexjet_paper.numbers import Basis, Record
 
 Verdict = Literal["holds", "under a condition", "by construction", "does not hold", "not flown"]
 NO_EVIDENCE: tuple[Basis, ...] = ("calibrated", "chosen by us")
@@ -78,10 +77,8 @@ class Evidence:
         return self.metrics[name].max
 
 
-class Judgement(BaseModel):
+class Judgement(Record):
     """One answer: does it follow, and the numbers that say so."""
-
-    model_config = ConfigDict(frozen=True)
 
     verdict: Verdict
     evidence: str
@@ -89,10 +86,8 @@ class Judgement(BaseModel):
     basis: Basis = "predicted"
 
 
-class ClaimRow(BaseModel):
+class ClaimRow(Record):
     """A row of the claims table."""
-
-    model_config = ConfigDict(frozen=True)
 
     key: str
     claim: str

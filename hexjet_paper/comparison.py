@@ -13,7 +13,7 @@ from math import log, radians
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict
+from pydantic import BeforeValidator
 
 from cosim.loops import margins
 from hexjet_paper import extensions, numbers
@@ -24,7 +24,7 @@ from hexjet_paper.experiments import linear as on_linear_plant
 from hexjet_paper.frozen import Frozen, load
 from hexjet_paper.linear import STATE_AS_PRINTED
 from hexjet_paper.loops import LOW_END_HZ, Sweep, gain_at, open_loop, sweep
-from hexjet_paper.numbers import Basis
+from hexjet_paper.numbers import Basis, Record
 
 Origin = Basis | Literal["given", "derived"]
 TITLES = {
@@ -36,14 +36,12 @@ TITLES = {
 FREQUENCY_DELAY = 5
 
 
-class Row(BaseModel):
+class Row(Record):
     """One quantity: the paper's number and ours.
 
     ``origin``: what ours rests on (:data:`hexjet_paper.numbers.Basis`); or the number is an input of the experiments
     (given), or derived from other printed numbers alone.  A deviation is ours over the paper's, less one, in percent.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     key: str
     quantity: str

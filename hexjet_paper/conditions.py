@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from cosim.loops import Margins, margins
 from hexjet_paper import numbers
@@ -15,12 +14,11 @@ from hexjet_paper.experiments import Experiment, Fidelity, flight_payload_gain, 
 from hexjet_paper.frozen import Calibration
 from hexjet_paper.linear import STATE_AS_PRINTED, Plant, doublet, simulate
 from hexjet_paper.loops import LoopMap, open_loop, predictor_response, unstable_poles
+from hexjet_paper.numbers import Record
 
 
-class Condition(BaseModel):
+class Condition(Record):
     """A condition, found by search, under which printed numbers follow, and their values under it."""
-
-    model_config = ConfigDict(frozen=True)
 
     key: str
     question: str

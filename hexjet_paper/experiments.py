@@ -13,13 +13,13 @@ from math import inf, isfinite, radians
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from cosim import load_vehicle
 from cosim.loops import PredictorTuning, RateGains, overshoot, settling_time
 from hexjet_paper import numbers
 from hexjet_paper.frozen import Calibration
 from hexjet_paper.linear import STATE_AS_PRINTED, Array, Axis, Plant, Signal, doublet, nothing, simulate
+from hexjet_paper.numbers import Record
 
 Kind = Literal["step", "disturbance", "hexjet-doublet"]
 Gains = Literal["calibrated", "vehicle"]
@@ -94,10 +94,8 @@ class Experiment:
         return doublet(self.amplitude, self.start, self.half_length(calibration), self.step)
 
 
-class Metrics(BaseModel):
+class Metrics(Record):
     """What is read from a record: of the angle for commanded doublets, of the rate for disturbances."""
-
-    model_config = ConfigDict(frozen=True)
 
     stable: bool
     rmse: float  # rad or rad/s, over the record; of an unstable loop it says how far the limits let it swing

@@ -10,7 +10,6 @@ from dataclasses import replace
 from math import exp, inf, log, pi
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from cosim.loops import PredictorTuning, RateModel, grid, model_response
 from hexjet_paper import numbers
@@ -18,18 +17,13 @@ from hexjet_paper.experiments import hexjet_axis, quadrotor_axis
 from hexjet_paper.frozen import Calibration
 from hexjet_paper.linear import STATE_AS_PRINTED, Axis, Complex, Plant, doublet, predictor, simulate
 from hexjet_paper.loops import LoopMap, controllers_response, predictor_response
+from hexjet_paper.numbers import Record
 
 QUADROTOR = ("baseline", "smith", "filtered-smith", "state", STATE_AS_PRINTED, "state-model", "state-disturbance")
 HEXJET = ("baseline", "smith", "filtered-smith", "state", "state-model", "state-disturbance")
 QUADROTOR_DELAY = 10  # where the paper's controllers part
 ROBUST = 1.7  # peak sensitivity that a careful designer allows
 _POINTS = 1200  # of the unit circle
-
-
-class Record(BaseModel):
-    """A record whose fields cannot be changed."""
-
-    model_config = ConfigDict(frozen=True)
 
 
 class RobustnessMap(Record):

@@ -14,7 +14,6 @@ from dataclasses import replace
 from math import cos, inf, pi
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from cosim import InputError
 from cosim.loops import (
@@ -29,6 +28,7 @@ from cosim.loops import (
     zeros_outside,
 )
 from hexjet_paper.linear import Array, Axis, Complex, Pair, PairResponse, Plant, Response, predictor, simulate
+from hexjet_paper.numbers import Record
 
 BY_IMPULSE = ("state-model", "state-disturbance")  # found as the paper's own, not by their closed form
 LOW_END_HZ = 1.0  # taken for the low end of the paper's Bode diagrams: with an integral there is no gain at 0 Hz
@@ -66,10 +66,8 @@ def open_loop(axis: Axis, answer: PairResponse | None = None) -> Response:
     return response
 
 
-class Sweep(BaseModel):
+class Sweep(Record):
     """A measured open loop."""
-
-    model_config = ConfigDict(frozen=True)
 
     frequency: list[float]  # Hz
     gain: list[float]  # dB

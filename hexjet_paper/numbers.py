@@ -9,6 +9,8 @@ from __future__ import annotations
 from math import sqrt
 from typing import Literal, NamedTuple
 
+from pydantic import BaseModel, ConfigDict
+
 from cosim.loops import RateModel
 
 SOURCE = (
@@ -21,6 +23,12 @@ SOURCE = (
 # calibrated: the printed number itself was fitted; chosen by us: we chose what decides it; follows from a choice: it is
 # computed from something that the paper does not print and we chose; predicted: neither.
 Basis = Literal["calibrated", "chosen by us", "follows from a choice", "predicted"]
+
+
+class Record(BaseModel):
+    """A record whose fields cannot be changed."""
+
+    model_config = ConfigDict(frozen=True)
 
 
 class Printed(NamedTuple):

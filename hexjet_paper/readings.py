@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict
 from scipy import constants
 
 from cosim import Scenario, fly, load_vehicle
@@ -25,6 +24,7 @@ from hexjet_paper.flight import read, scenario
 from hexjet_paper.frozen import Calibration, load
 from hexjet_paper.linear import Axis, Plant
 from hexjet_paper.loops import unstable_poles
+from hexjet_paper.numbers import Record
 
 # chosen by us: raised gains over the fitted ones, 8 % past the baseline's limit, as vehicle.toml's are on "delay only"
 ABOVE = 1.35
@@ -111,10 +111,8 @@ READINGS: dict[str, Reading] = {
 }
 
 
-class Gains(BaseModel):
+class Gains(Record):
     """A pair of gains that a reading is flown with."""
-
-    model_config = ConfigDict(frozen=True)
 
     name: str  # shipped, fitted, raised
     p: float  # command per rad/s
@@ -188,10 +186,8 @@ def reading_scenario(
     )
 
 
-class Trial(BaseModel):
+class Trial(Record):
     """One doublet of a reading, in both fidelities."""
-
-    model_config = ConfigDict(frozen=True)
 
     gains: Gains
     controller: str
@@ -201,10 +197,8 @@ class Trial(BaseModel):
     lost_s: float | None  # when the flight ended before its time
 
 
-class ReadingResult(BaseModel):
+class ReadingResult(Record):
     """The flights of a reading and the vehicle that it makes."""
-
-    model_config = ConfigDict(frozen=True)
 
     key: str
     title: str
@@ -265,10 +259,8 @@ def _loss_time(result: Result) -> float | None:
 DELAY_ERRORS, GAIN_FACTORS = (-10, 0, 10), (0.7, 1.0, 1.3)  # samples; of the printed gain
 
 
-class ModelError(BaseModel):
+class ModelError(Record):
     """The roll doublet with a predictor whose model is off the printed G(z), to which the vehicle is fitted."""
-
-    model_config = ConfigDict(frozen=True)
 
     delay_error: int  # samples, of the model's 25
     gain_factor: float  # of the model's gain

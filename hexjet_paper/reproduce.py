@@ -55,6 +55,7 @@ SCENARIOS = "scenarios"
 WORKERS = 2
 
 Say = Callable[[str, int, int], None]  # what is done, how much of it, of how much
+Task = tuple[Callable[..., Any], tuple[Any, ...]]  # a function that another process can run, and its arguments
 
 
 def reproduce(folder: Path, say: Say = lambda what, done, of: None, workers: int = WORKERS) -> Reproduction:
@@ -93,9 +94,9 @@ def _flight_data(reproduction: Reproduction) -> dict[str, Any]:
 # --- the parts ------------------------------------------------------------------------------------------------------
 
 
-def _tasks() -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
+def _tasks() -> dict[str, Task]:
     """Return every part by name, the longest first: a function that another process can run, and its arguments."""
-    tasks: dict[str, tuple[Callable[..., Any], tuple[Any, ...]]] = {"linear": (linear_part, ())}
+    tasks: dict[str, Task] = {"linear": (linear_part, ())}
     for controller in FLIGHT_LOOPS:
         tasks[f"loop.{controller}"] = (fly_sweep, (controller,))
     tasks["identification"] = (identify, ())
@@ -114,7 +115,7 @@ def flight_experiments() -> list[Experiment]:
     return [e for e in experiments() if e.controller != STATE_AS_PRINTED]
 
 
-def _turbojet_tasks(parts: Mapping[str, Any]) -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
+def _turbojet_tasks(parts: Mapping[str, Any]) -> dict[str, Task]:
     """Return the parts that can be flown only when the linear plant has given their gains."""
     linear: LinearPart | None = parts.get("linear")
     return {
@@ -190,16 +191,16 @@ def fly_sweep(controller: str) -> Sweep:
 def fly_manual() -> Manual:
     """Fly the Hex-Jet's manual flight: tracking on three axes, and every tenth sample for the figure."""
     run = fly(Scenario.load("manual"))
-    correlations: dict[str, float] = {}
+    tracking: dict[str, float] = {}
     angle, rate = {}, {}
     for (axis, metrics), letter in zip(run.metrics.items(), "pqr", strict=True):
         assert metrics.rmse_rad is not None
         assert metrics.rate_rmse_rad_s is not None
-        correlations[f"hexjet-manual.{axis}.rmse"] = metrics.rmse_rad
-        correlations[f"hexjet-manual.{axis}.rate_rmse"] = metrics.rate_rmse_rad_s
+        tracking[f"hexjet-manual.{axis}.rmse"] = metrics.rmse_rad
+        tracking[f"hexjet-manual.{axis}.rate_rmse"] = metrics.rate_rmse_rad_s
         angle[axis] = _thin(run, f"{axis}_setpoint_rad", f"{axis}_rad")
         rate[axis] = _thin(run, f"rate_{letter}_setpoint_rad_s", f"rate_{letter}_measured_rad_s")
-    return Manual(correlations, run.log["time_s"][::10].tolist(), angle, rate)
+    return Manual(tracking, run.log["time_s"][::10].tolist(), angle, rate)
 
 
 def _thin(run: Run, *names: str) -> tuple[list[float], list[float]]:
@@ -261,9 +262,7 @@ def _response(measured: FrequencyResponse, unit: float) -> Response:
 # --- running and keeping them ---------------------------------------------------------------------------------------
 
 
-def _run(
-    tasks: Mapping[str, tuple[Callable[..., Any], tuple[Any, ...]]], folder: Path, say: Say, workers: int
-) -> dict[str, Any]:
+def _run(tasks: Mapping[str, Task], folder: Path, say: Say, workers: int) -> dict[str, Any]:
     fingerprint = _fingerprint()
     files = {name: folder / f"{name}-{fingerprint}.json" for name in tasks}
     kinds = {name: TypeAdapter(get_type_hints(function)["return"]) for name, (function, _) in tasks.items()}
@@ -284,7 +283,7 @@ def _run(
     return {name: parts[name] for name in tasks}
 
 
-def _do(task: tuple[Callable[..., Any], tuple[Any, ...]]) -> Any:
+def _do(task: Task) -> Any:
     function, arguments = task
     return function(*arguments)
 
