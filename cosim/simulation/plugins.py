@@ -7,11 +7,9 @@ error is the metric's, the flight is over by then.
 
 from __future__ import annotations
 
-import csv
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from io import StringIO
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,9 +18,9 @@ from cosim.base.errors import FlightError, InputError, describe_error, nearest
 from cosim.base.plugins.entry_points import GROUPS, find_entries
 from cosim.base.protocols import Column, Columns, Sensors
 from cosim.base.signals import Measured, Sample, State, Vector3
-from cosim.base.storage.files import read_text
 from cosim.simulation.controllers.guard import CallGuard, columns_from
 from cosim.simulation.controllers.source import NAME, Source, check_method, find_python
+from cosim.simulation.script.commander import read_columns
 from cosim.simulation.script.wind import FieldWind
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
@@ -313,27 +311,9 @@ class WindTable:
     @classmethod
     def read(cls, path: Path) -> WindTable:
         """Read a file with a line of :data:`TABLE` above its rows.  Raises InputError: file, line, what is allowed."""
-        lines = list(csv.reader(StringIO(read_text(path, "utf-8-sig"))))
-        if not lines or tuple(cell.strip() for cell in lines[0]) != TABLE:
-            raise InputError(f"{path}: line 1: must be {','.join(TABLE)}")
-        times: list[float] = []
-        velocities: list[Vector3] = []
-        for number, line in enumerate(lines[1:], 2):
-            if not line:
-                continue
-            try:
-                time, north, east, down = (float(cell) for cell in line)
-            except ValueError:
-                raise InputError(f"{path}: line {number}: must be {len(TABLE)} numbers") from None
-            if not all(isfinite(number) for number in (time, north, east, down)):
-                raise InputError(f"{path}: line {number}: must be finite")
-            if times and time <= times[-1]:
-                raise InputError(f"{path}: line {number}: time_s = {time:g}: must be later than the row before")
-            times.append(time)
-            velocities.append((north, east, down))
-        if not times:
-            raise InputError(f"{path}: holds no row")
-        return cls(times, velocities)
+        times, columns = read_columns(path, TABLE[1:], f"wind {path.name}", all_of_them=True)
+        north, east, down = columns.values()
+        return cls(times, list(zip(north, east, down, strict=True)))
 
     def velocity(self, time: float, north: float, east: float, height: float) -> Vector3:
         """Return the velocity of the air at that time, wherever."""

@@ -211,9 +211,12 @@ def _running_sum(wave: Waveform, factor: float, start: int, end: int) -> Wavefor
     return lambda k: sums[min(max(k - start, 0), len(sums) - 1)]
 
 
-def read_columns(path: Path, allowed: Sequence[str], where: str) -> tuple[list[float], dict[str, list[float]]]:
+def read_columns(
+    path: Path, allowed: Sequence[str], where: str, all_of_them: bool = False
+) -> tuple[list[float], dict[str, list[float]]]:
     """Read times and named columns of a CSV with a header line ``time_s,...``.
 
+    ``all_of_them``: every allowed column must be there, in this order; times may then begin below 0.
     Raises InputError that names the file and the line: unknown column, a cell that is no finite number, times that
     do not grow, no rows.
     """
@@ -223,6 +226,8 @@ def read_columns(path: Path, allowed: Sequence[str], where: str) -> tuple[list[f
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{where}: {path}: {getattr(error, 'strerror', None) or error}") from error
     header = _read_header(rows, path, allowed)
+    if all_of_them and header[1:] != list(allowed):
+        raise InputError(f"{path}: line 1: must be {','.join(('time_s', *allowed))}")
     table: list[list[float]] = []
     for number, row in enumerate(rows[1:], 2):
         if not row:
@@ -236,7 +241,7 @@ def read_columns(path: Path, allowed: Sequence[str], where: str) -> tuple[list[f
             )
     if not table or len(header) < 2:
         raise InputError(f"{path}: no rows of data")
-    if table[0][0] < 0.0:
+    if table[0][0] < 0.0 and not all_of_them:
         raise InputError(f"{path}: line 2: time_s starts below 0")
     times, *columns = (list(column) for column in zip(*table, strict=True))
     return times, dict(zip(header[1:], columns, strict=True))

@@ -112,11 +112,12 @@ def test_a_table_is_straight_between_its_rows_and_held_at_its_ends(tmp_path: Pat
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("time,north\n", "line 1: must be time_s,north_m_s,east_m_s,down_m_s"),
-        ("time_s,north_m_s,east_m_s,down_m_s\n", "holds no row"),
-        ("time_s,north_m_s,east_m_s,down_m_s\n0,1,2\n", "line 2: must be 4 numbers"),
-        ("time_s,north_m_s,east_m_s,down_m_s\n0,1,2,nan\n", "line 2: must be finite"),
-        ("time_s,north_m_s,east_m_s,down_m_s\n1,0,0,0\n1,0,0,0\n", "line 3: time_s = 1: must be later"),
+        ("time,north\n", "line 1: the first column must be time_s"),
+        ("time_s,north_m_s\n", "line 1: must be time_s,north_m_s,east_m_s,down_m_s"),
+        ("time_s,north_m_s,east_m_s,down_m_s\n", "no rows of data"),
+        ("time_s,north_m_s,east_m_s,down_m_s\n0,1,2\n", "line 2: 3 cells, the header has 4"),
+        ("time_s,north_m_s,east_m_s,down_m_s\n0,1,2,nan\n", "line 2: 'nan' is not a finite number"),
+        ("time_s,north_m_s,east_m_s,down_m_s\n1,0,0,0\n1,0,0,0\n", "line 3: time_s does not grow"),
     ],
 )
 def test_a_table_that_does_not_do_is_one_line(tmp_path: Path, text: str, message: str) -> None:
