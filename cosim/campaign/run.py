@@ -14,12 +14,7 @@ from cosim.autopilots.prepare import require_program
 from cosim.base.errors import FlightError, InputError
 from cosim.base.trust import need_trust
 from cosim.campaign.folder import is_campaign
-from cosim.campaign.store import (
-    Campaign,
-    Store,
-    Tally,
-    open_campaign,
-)
+from cosim.campaign.store import Campaign, Store, Tally, open_campaign
 from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import Flight, scenario_of
@@ -95,9 +90,9 @@ def resolve_campaign(name: str, out: Path | None, resume: bool, **options: Any) 
     if not is_shipped and is_campaign(Path(name)):
         if not resume:
             raise InputError(f"{name}: already holds a campaign; --resume goes on with it")
-        named = next((option for option, value in options.items() if value not in (None, (), [])), None)
-        if named is not None or out is not None:
-            flag = {None: "out", "controllers": "controller", "settings": "set"}.get(named, named)
+        refused = next((option for option, value in options.items() if value not in (None, (), [])), None)
+        if refused is not None or out is not None:
+            flag = {None: "out", "controllers": "controller", "settings": "set"}.get(refused, refused)
             raise InputError(f"{name}: is a campaign and goes on as it began; leave out --{flag}")
         return None, Path(name)
     if resume and out is None:

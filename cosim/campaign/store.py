@@ -36,12 +36,7 @@ from cosim.campaign.folder import (
 )
 from cosim.campaign.study.plan import flight_count, flights
 from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import (
-    Kinds,
-    Row,
-    Value,
-    kinds,
-)
+from cosim.campaign.workers.flight_row import Kinds, Row, Value, kinds
 from cosim.results.log.arrow import read_table, write_table
 
 PART_ROWS = 4096  # 2 MB

@@ -39,7 +39,7 @@ class Entry(NamedTuple):
 
     name: str
     kind: str
-    facts: dict[str, str]  # such as its scenario; empty where nothing says it
+    details: dict[str, str]  # such as its scenario; empty where nothing says it
     metrics: dict[str, float]  # SI, by the names of docs/metrics.md
     tags: list[str]
     page: str  # the file to look at; empty: none
@@ -157,7 +157,7 @@ def read_entry(folder: Path) -> Entry:
     with suppress(OSError, ValueError):
         summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
         if isinstance(summary, dict):
-            return Entry(folder.name, RUN, _summary_facts(summary), flatten_metrics(summary), tags, page)
+            return Entry(folder.name, RUN, _summary_details(summary), flatten_metrics(summary), tags, page)
     began = {"started": datetime.fromtimestamp(folder.stat().st_mtime, UTC).isoformat(timespec="seconds")}
     if (folder / STUDY).is_file() and (folder / FLIGHTS).is_dir():
         return Entry(folder.name, CAMPAIGN, _study(folder / STUDY) | began, {}, tags, page)
@@ -165,27 +165,27 @@ def read_entry(folder: Path) -> Entry:
     return Entry(folder.name, kind, began, {}, tags, page)
 
 
-def _summary_facts(summary: Mapping[str, Any]) -> dict[str, str]:
-    facts = {name: str(summary[name]) for name in SUMMARY_KEYS if isinstance(summary.get(name), str)}
-    if "verdict" in facts:
-        facts["verdict"] = read_verdict(facts["verdict"], summary.get("expectations_met"))
+def _summary_details(summary: Mapping[str, Any]) -> dict[str, str]:
+    details = {name: str(summary[name]) for name in SUMMARY_KEYS if isinstance(summary.get(name), str)}
+    if "verdict" in details:
+        details["verdict"] = read_verdict(details["verdict"], summary.get("expectations_met"))
     with suppress(KeyError, TypeError, ValueError):  # an older summary, or not quite one of ours
         digest = (summary.get("own_controller") or {}).get("sha256") or ""
         files = [ParametersRecord.model_validate(entry) for entry in summary.get("parameter_files") or ()]
-        facts["controller"] = controller_words(facts["controller"], digest, files)
-    return facts
+        details["controller"] = controller_words(details["controller"], digest, files)
+    return details
 
 
 def _study(path: Path) -> dict[str, str]:
     """Return title and scenario of a campaign; for a scenario file in its own folder, the name that the file states."""
-    facts = _read_head(path, "title", "scenario")
-    if facts.get("scenario") == SCENARIO:
+    details = _read_head(path, "title", "scenario")
+    if details.get("scenario") == SCENARIO:
         scenario = _read_head(path.parent / SCENARIO, "title", "name")
         if _is_changed(path.parent / SCENARIO):
             scenario.pop("title", None)
-        facts = scenario | facts | {"scenario": scenario.pop("name", SCENARIO)}
-        facts.pop("name", None)
-    return facts
+        details = scenario | details | {"scenario": scenario.pop("name", SCENARIO)}
+        details.pop("name", None)
+    return details
 
 
 def _is_changed(path: Path) -> bool:

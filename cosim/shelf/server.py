@@ -126,12 +126,12 @@ class ShelfServer:
                 "form-action 'none'; frame-ancestors 'none'"
             )
             return response(HTTPStatus.OK, self._page(), TYPES["html"], policy)
-        runs, _, place = path.removeprefix("/").partition("/")
-        key, _, name = place.partition("/")
+        runs, _, rest = path.removeprefix("/").partition("/")
+        key, _, name = rest.partition("/")
         if runs != "run" or not is_token(key, self._key):
             return refuse_without_token()
-        asked = request.headers.get("Sec-Fetch-Dest", "iframe" if query == FRAMED else "document")
-        return self._file(unquote(name), asked == "document")
+        destination = request.headers.get("Sec-Fetch-Dest", "iframe" if query == FRAMED else "document")
+        return self._file(unquote(name), destination == "document")
 
     def _page(self) -> bytes:
         page = (files("cosim.shelf") / "templates" / "shelf.html").read_text(encoding="utf-8")
@@ -203,24 +203,24 @@ class ShelfServer:
         entries = self._shelf.entries()
         names = sorted({name for entry in entries for name in entry.metrics})
         rows = [
-            [entry.name, entry.kind, entry.facts, entry.tags, entry.page, [entry.metrics.get(name) for name in names]]
+            [entry.name, entry.kind, entry.details, entry.tags, entry.page, [entry.metrics.get(name) for name in names]]
             for entry in entries
         ]
         return json.dumps({"metrics": names, "rows": rows})
 
-    def _do(self, asked: dict[str, Any]) -> str:
+    def _do(self, request: dict[str, Any]) -> str:
         """Execute a request of the page, and return as JSON the message that it shows."""
-        what, names = asked.get("do"), asked.get("names")
+        action, names = request.get("do"), request.get("names")
         chosen = [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
         try:
-            if what == "delete":
+            if action == "delete":
                 for name in chosen:
                     self._shelf.delete(name)
                 return json.dumps({"said": f"{len(chosen)} deleted"})
-            if what == "tag":
-                self._shelf.tag(chosen, _texts(asked.get("add")), _texts(asked.get("remove")))
+            if action == "tag":
+                self._shelf.tag(chosen, _texts(request.get("add")), _texts(request.get("remove")))
                 return json.dumps({"said": f"{len(chosen)} tagged"})
-            if what == "compare":
+            if action == "compare":
                 page = self._compare([self._shelf.path(name) for name in chosen])
                 place = page.resolve().relative_to(self._shelf.folder.resolve()).as_posix()
                 return json.dumps({"said": f"written: {page}", "open": f"/run/{self._key}/{quote(place)}"})

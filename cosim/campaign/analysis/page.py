@@ -27,13 +27,7 @@ from cosim.campaign.analysis.summary import (
     spread,
     success_fractions,
 )
-from cosim.campaign.analysis.table import (
-    KINDS,
-    FlightTable,
-    KeyColumn,
-    describe_criterion,
-    read,
-)
+from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn, describe_criterion, read
 from cosim.campaign.analysis.worst_cases import case_rows
 from cosim.campaign.folder import REPORT
 from cosim.results.report.page import render

@@ -24,13 +24,7 @@ from cosim.campaign.analysis.statistics import (
     pairs,
     proportion,
 )
-from cosim.campaign.analysis.table import (
-    KINDS,
-    FlightTable,
-    Mask,
-    describe_criterion,
-    read,
-)
+from cosim.campaign.analysis.table import KINDS, FlightTable, Mask, describe_criterion, read
 from cosim.results.wording import metric
 
 if TYPE_CHECKING:

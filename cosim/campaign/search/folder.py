@@ -22,15 +22,7 @@ from cosim.campaign.folder import load as load_study
 from cosim.campaign.search.page import write_page
 from cosim.campaign.search.probe import Journal, Point, Prober
 from cosim.campaign.search.result import Case, SavedSearch, question
-from cosim.campaign.search.search import (
-    Edge,
-    Joint,
-    Plan,
-    SearchResult,
-    SecondKey,
-    describe_flight,
-    search,
-)
+from cosim.campaign.search.search import Edge, Joint, Plan, SearchResult, SecondKey, describe_flight, search
 from cosim.campaign.search.span import span
 from cosim.campaign.study.distributions import Vary, first_repeated, parse_number, parse_vary
 from cosim.campaign.study.options import open_study

@@ -6,16 +6,11 @@ import os
 import shlex
 from math import cos, log10, pi, sin
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from cosim.campaign.search.probe import Point
 from cosim.campaign.search.result import SavedSearch
-from cosim.campaign.search.search import (
-    Edge,
-    Joint,
-    Plan,
-    SearchResult,
-)
+from cosim.campaign.search.search import Edge, Joint, Plan, SearchResult
 from cosim.campaign.search.span import Span
 from cosim.campaign.study.key import Value
 from cosim.results.report.page import render
@@ -30,19 +25,6 @@ TEMPLATE = Path(__file__).parent / "templates" / "search.html"
 
 ROW_PX = 44
 MAX_POINTS = 1500  # of a controller, in a figure
-
-
-class Row(NamedTuple):
-    """An edge as a row of a table."""
-
-    controller: str
-    what: str
-    level: str
-    start: str
-    holds: str
-    breaks: str
-    change: str
-    then: str
 
 
 COLUMNS = ("controller", "key", "at", "from", "holds to", "breaks at", "change", "then")
@@ -97,16 +79,17 @@ def table(result: SearchResult) -> tuple[list[str], list[list[str]]]:
     return [titles[k] for k in columns], [[_row(result, edge)[k] for k in columns] for edge in result.edges]
 
 
-def _row(result: SearchResult, edge: Edge) -> Row:
+def _row(result: SearchResult, edge: Edge) -> tuple[str, ...]:
+    """Return the cells of an edge, in the order of ``COLUMNS``."""
     over = result.plan.over
     level = text(edge.level, over.key.unit) if over else ""
     common = short_name(edge.controller), edge.key, level, text(edge.start, edge.unit)
     if edge.start_breaks:
         holds_to = "nowhere" if edge.holds is None else f"again at {text(edge.holds)}"
-        return Row(*common, holds_to, text(edge.breaks), "none", _describe_break(edge))
+        return *common, holds_to, text(edge.breaks), "none", _describe_break(edge)
     if edge.breaks is None:
-        return Row(*common, f"{text(edge.end)}, the end", "-", "-", "")
-    return Row(*common, text(edge.holds), text(edge.breaks), _change(edge), _describe_break(edge))
+        return *common, f"{text(edge.end)}, the end", "-", "-", ""
+    return *common, text(edge.holds), text(edge.breaks), _change(edge), _describe_break(edge)
 
 
 def _change(edge: Edge) -> str:

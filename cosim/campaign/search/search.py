@@ -16,18 +16,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.campaign.search.line_search import (
-    Between,
-    Scan,
-    run_walks,
-    scan_outward,
-)
-from cosim.campaign.search.probe import (
-    Point,
-    Prober,
-    SpentError,
-    count_needed,
-)
+from cosim.campaign.search.line_search import Between, Scan, run_walks, scan_outward
+from cosim.campaign.search.probe import Point, Prober, SpentError, count_needed
 from cosim.campaign.search.span import Span
 from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.study import Study

@@ -13,12 +13,7 @@ from cosim.base.errors import InputError
 from cosim.campaign.search.line_search import Between
 from cosim.campaign.study.distributions import Vary
 from cosim.campaign.study.key import Key, Value
-from cosim.campaign.study.values import (
-    absolute_support,
-    check_vary,
-    quantum,
-    whole_bounds,
-)
+from cosim.campaign.study.values import absolute_support, check_vary, quantum, whole_bounds
 
 SCAN_POINTS = 21  # of a scan over the whole range where nobody says how many; chosen by us
 RESOLUTION = 200  # parts of the range to which is bisected where nobody says how far; chosen by us

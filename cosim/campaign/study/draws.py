@@ -23,13 +23,7 @@ from cosim.base.arrays import Array
 from cosim.campaign.study.distributions import Normal, Vary
 from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.study import Study
-from cosim.campaign.study.values import (
-    absolute_support,
-    levels,
-    quantum,
-    round_to_steps,
-    whole_bounds,
-)
+from cosim.campaign.study.values import absolute_support, levels, quantum, round_to_steps, whole_bounds
 
 BLOCK = 1024  # draws made at a time: a power of two, for Sobol's sake
 POINTS, SEEDS = 0, 1  # what a study's seed is split into

@@ -30,7 +30,7 @@ from cosim.engine import engine_names
 from cosim.engine.fmu.variables import INTEGERS
 from cosim.engine.spec import find_source
 from cosim.simulation.controllers.source import find
-from cosim.simulation.controllers.source import names as own_controllers
+from cosim.simulation.controllers.source import names as custom_controllers
 from cosim.spec.controller_name import is_design
 from cosim.spec.scenario import Scenario, parameter_files
 from cosim.spec.vehicle import PredictorTuning, aircraft_names, engine_of, is_file
@@ -247,7 +247,7 @@ def _scenario_keys(scenario: Scenario, name: str, field: FieldInfo) -> Iterator[
 def _names(name: str) -> list[str]:
 
     if name == "controller":
-        return [*PREDICTORS, *(own for own, _ in own_controllers())]
+        return [*PREDICTORS, *(name for name, _ in custom_controllers())]
     return aircraft_names() if name == "aircraft" else engine_names()
 
 

@@ -51,8 +51,8 @@ class Case(NamedTuple):
     """One failsafe: requests from the beginning of the flight on, and those with which it is called."""
 
     name: str
-    before: tuple[Request, ...]
-    calls: tuple[Request, ...]
+    first_requests: tuple[Request, ...]
+    failing_requests: tuple[Request, ...]
     holds: bool = False  # it ends in HOLD, not on the ground
     moving: bool = False  # flown without a position from then on, so it also begins moving
     waits: bool = False  # nothing is called: the fuel runs down until the autopilot acts
@@ -123,10 +123,10 @@ def fly_case(task: Task) -> FailsafeFlight:
         if task.number:
             if not flight.take_off():
                 return flight.fail()
-            flight.ask(task.case.before)
+            flight.ask(task.case.first_requests)
             flight.fly(task.hover, lambda: task.case.waits and bool(flight.pilot.failsafe))
         else:
-            flight.ask(task.case.before)
+            flight.ask(task.case.first_requests)
             flight.settle()
         if task.start.speed:
             # whatever it was on its way to; further than it comes, so that it does not brake
@@ -199,7 +199,7 @@ class _Flight:
         task, simulation, pilot, case = self.task, self.simulation, self.pilot, self.task.case
         dt, begin = simulation.dt, simulation.k
         target, failed_at = HoldTarget(pilot, simulation, task.start.speed), simulation.state.position
-        self.ask(case.calls)
+        self.ask(case.failing_requests)
         self._touchdown = self._sideways = self._touched = nan
         self._acted = pilot.failsafe if case.waits else ""
         last = begin + round((LONGEST_HOLD_S if case.holds else LONGEST_S + PER_METRE_S * task.start.height) / dt)
@@ -236,12 +236,12 @@ class _Flight:
         return FailsafeFlight(row, scenario, tuple(self._entries))
 
     def _step(self) -> Sample:
-        simulation, before = self.simulation, self.simulation.state
+        simulation, previous = self.simulation, self.simulation.state
         sample = simulation.step()
         self._recorder.observe(sample)
         k, state = simulation.k, simulation.state
-        if state.on_ground and not before.on_ground:
-            north, east, down = before.velocity
+        if state.on_ground and not previous.on_ground:
+            north, east, down = previous.velocity
             self._touchdown = max(down, 0.0 if isnan(self._touchdown) else self._touchdown)
             self._sideways = max(hypot(north, east), 0.0 if isnan(self._sideways) else self._sideways)
             self._touched = k if isnan(self._touched) else self._touched
@@ -276,22 +276,24 @@ class HoldTarget:
         a, j = pilot.parameters["HJ_ACC_HOR"], pilot.parameters["HJ_JERK_HOR"]
         speed = max(speed, 0.0 if status.mode is Mode.HOLD else hypot(*velocity[:2]))
         self._pilot, self._simulation = pilot, simulation
-        self._place = status.track or (north, east)
+        self._position = status.track or (north, east)
         self._height = status.altitude
         self._within = HOLD_RADIUS_M + speed**2 / (2.0 * a) + speed * a / (2.0 * j)
 
     def deviation(self) -> tuple[float, float]:
         """Return how far the vehicle is from the place and above the height, m."""
         state = self._simulation.state
-        north, east = self._place
+        north, east = self._position
         return hypot(state.position[0] - north, state.position[1] - east), state.altitude - self._height
 
     def is_held(self) -> bool:
         """Return whether it is slow in HOLD, near that place, at that height."""
-        away, above = self.deviation()
+        distance, height_error = self.deviation()
         north, east, down = self._simulation.state.velocity
-        slow = hypot(north, east) < SLOW_M_S and abs(down) < SLOW_M_S
-        return self._pilot.mode is Mode.HOLD and away < self._within and abs(above) < HOLD_HEIGHT_M and slow
+        is_slow = hypot(north, east) < SLOW_M_S and abs(down) < SLOW_M_S
+        return (
+            self._pilot.mode is Mode.HOLD and distance < self._within and abs(height_error) < HOLD_HEIGHT_M and is_slow
+        )
 
 
 def _last(messages: Any) -> str:

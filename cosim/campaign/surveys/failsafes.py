@@ -229,7 +229,7 @@ def draw_flight(task: Task, vehicle: Vehicle, energy: Energy, seed: int) -> Task
         reserve = energy.floor
         if vehicle.fuel is None:
             endurance = max(hover / (1.0 - reserve), hover + seconds)
-            case = case._replace(before=(SetParameter("HJ_ENDURANCE", float(round(endurance))),))
+            case = case._replace(first_requests=(SetParameter("HJ_ENDURANCE", float(round(endurance))),))
         else:
             up = energy.burn * (energy.climb_time(start.height) + hover)
             initial["fuel"] = min(1.0, round(up + max(reserve, energy.burn * seconds), 3))

@@ -38,13 +38,13 @@ def write(result: Survival, folder: Path) -> dict[str, Path]:
         controllers, lines = summary(result)
         named = [label(name) for name in controllers]
         render(TEMPLATE, paths["report"], {}, result=result, controllers=named, table=lines, where=folder.name)
-        files: dict[str, Path | bytes] = {}
-        for own in result.own:
-            copy_controller(own, files)
-        files |= {Path(name).name: Path(name) for name in controllers if is_design(name)}
-        for name, source in files.items():
-            assert isinstance(source, Path)
-            shutil.copyfile(source, folder / name)
+        copies: dict[str, Path | bytes] = {}
+        for source in result.custom_controllers:
+            copy_controller(source, copies)
+        copies |= {Path(name).name: Path(name) for name in controllers if is_design(name)}
+        for name, path in copies.items():
+            assert isinstance(path, Path)
+            shutil.copyfile(path, folder / name)
     except FlightError as error:
         raise InputError(str(error)) from error
     except OSError as error:
@@ -52,11 +52,11 @@ def write(result: Survival, folder: Path) -> dict[str, Path]:
     return paths
 
 
-def _case_name(number: str, row: Row) -> str:
-    return "-".join([number, *re.findall(r"\w+", f"{row.kind} {row.place} {row.start}")])
+def _case_name(prefix: str, row: Row) -> str:
+    return "-".join([prefix, *re.findall(r"\w+", f"{row.kind} {row.place} {row.start}")])
 
 
-PARTS = ("faults", "faults-attainable", "faults-moments", "faults-limits")  # the marks of docs/faults.md
+MARKS = ("faults", "faults-attainable", "faults-moments", "faults-limits")  # the marks of docs/faults.md
 
 
 def write_page(result: Survival, path: Path) -> None:
@@ -71,14 +71,14 @@ def page_parts(result: Survival) -> dict[str, str]:
         (kind, start, *map(_cell_text, cells), _times(_select_predicting(controllers, cells)))
         for kind, start, cells in outcomes
     ]
-    growing = ("what grows", "controller", *(f"from {start}" for start in STARTS))
+    scan_titles = ("what grows", "controller", *(f"from {start}" for start in STARTS))
     return {
         "faults": table(("fault", "from", *controllers, "detected after"), lines, left=2),
         "faults-attainable": table(
             ("lost jets", "thrust over weight", "roll moment left in hover"), _authority_lines(result)
         ),
         "faults-moments": "" if result.moments is None else f"{_moments_in_words(result.moments)}\n",
-        "faults-limits": table(growing, _scan_lines(result), 4),
+        "faults-limits": table(scan_titles, _scan_lines(result), 4),
     }
 
 

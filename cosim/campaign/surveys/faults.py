@@ -15,15 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from cosim.base.constants import GRAVITY
 from cosim.base.outcomes import Verdict
 from cosim.base.storage.toml import merge
-from cosim.campaign.surveys.survey import (
-    Say,
-    Subject,
-    choose,
-    fly_all,
-    measure_flight,
-    subject_of,
-    verdict_of,
-)
+from cosim.campaign.surveys.survey import Say, Subject, choose, fly_all, measure_flight, subject_of, verdict_of
 from cosim.control.allocation.reallocation import Attainable, attainable_sets
 from cosim.control.predictors.registry import BASELINE
 from cosim.flight import fly
@@ -109,14 +101,18 @@ class Survival:
     attainable: list[Attainable]
     moments: Moments | None  # of a vehicle whose engines have a known delay
     limits: list[Limit]  # empty if they were not asked for
-    own: tuple[Source, ...] = ()  # the controllers from outside
+    custom_controllers: tuple[Source, ...] = ()  # the controllers from outside
     warnings: tuple[str, ...] = ()  # where a design is not flown as what it was made for
     scenarios: tuple[Scenario, ...] = ()  # of the rows
 
     @property
     def unwatched(self) -> list[str]:
         """The controllers with which no monitor watches the engines: they have to see to it themselves."""
-        return [own.label for own in self.own if own.level == WHOLE_CONTROLLER]
+        return [
+            custom_controllers.label
+            for custom_controllers in self.custom_controllers
+            if custom_controllers.level == WHOLE_CONTROLLER
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the table for JSON."""
@@ -125,9 +121,13 @@ class Survival:
             "engine": self.engine,
             "warnings": list(self.warnings),
             "own_controllers": [
-                {"name": own.name, "level": own.level, "sha256": own.sha256}
-                | {"engine_monitor": own.level != WHOLE_CONTROLLER}
-                for own in self.own
+                {
+                    "name": custom_controllers.name,
+                    "level": custom_controllers.level,
+                    "sha256": custom_controllers.sha256,
+                }
+                | {"engine_monitor": custom_controllers.level != WHOLE_CONTROLLER}
+                for custom_controllers in self.custom_controllers
             ],
             "rows": [asdict(row) for row in self.rows],
             "attainable": [attainable._asdict() for attainable in self.attainable],
@@ -139,8 +139,8 @@ class Survival:
 def cases(vehicle: Vehicle) -> list[Case]:
     """Return every single fault at every place; its size is chosen by us: large enough to matter, not hopeless."""
     jets = [f"jet {jet}" for jet in range(1, len(vehicle.jets) + 1)]
-    turning = vehicle.actuators[: len(vehicle.actuators) - len(vehicle.surfaces)]
-    servos = (vehicle.actuators, turning) if vehicle.ranges else ((), ())
+    bank_servos = vehicle.actuators[: len(vehicle.actuators) - len(vehicle.surfaces)]
+    servos = (vehicle.actuators, bank_servos) if vehicle.ranges else ((), ())
     kinds: list[tuple[str, Sequence[str], dict[str, Any]]] = [
         ("flame-out", jets, {"kind": "flame_out"}),
         ("stuck where it is", jets, {"kind": "stuck_throttle"}),
@@ -301,14 +301,16 @@ def _scan(task: tuple[Subject, str, str, str]) -> Limit:
 
 
 def _moments(vehicle: Vehicle, delay: float | None) -> Moments | None:
-    settings = vehicle.control.monitor
-    if delay is None or settings is None:
+    monitor = vehicle.control.monitor
+    if delay is None or monitor is None:
         return None
     thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
     moment = thrust * max(abs(jet.position_m[1]) for jet in vehicle.jets)
     acceleration = moment / vehicle.inertia_kg_m2[0]
-    late = settings.confirm_s + delay
-    return Moments(thrust, moment, acceleration, late, acceleration * late, 0.5 * acceleration * late**2)
+    reaction_s = monitor.confirm_s + delay
+    return Moments(
+        thrust, moment, acceleration, reaction_s, acceleration * reaction_s, 0.5 * acceleration * reaction_s**2
+    )
 
 
 @dataclass(frozen=True)

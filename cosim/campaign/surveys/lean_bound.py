@@ -49,7 +49,7 @@ class ThrustCourses:
 
     def __init__(self, spec: EngineSpec, hover: float, lowest: float, highest: float, steps: int) -> None:
         """``hover``, ``least``, ``most``: throttles."""
-        self._spec, self._hover, self._least = spec, hover, lowest
+        self._spec, self._hover, self._lowest = spec, hover, lowest
         self._steps = steps
         self.up = self._run(lambda k: highest)
         self.down = self._run(lambda k: lowest)
@@ -59,7 +59,7 @@ class ThrustCourses:
     def shut(self, at: int) -> list[float]:
         """Return the course at least throttle from the start and shut off from step ``at`` on."""
         if at not in self._shut:
-            self._shut[at] = self._run(lambda k: self._least, shut_at=at)
+            self._shut[at] = self._run(lambda k: self._lowest, shut_at=at)
         return self._shut[at]
 
     def _run(self, throttle: Callable[[int], float], out_at: int = -1, shut_at: int = -1) -> list[float]:
@@ -102,7 +102,7 @@ class RollAxis:
         ``shut_at``: the opposite engine is shut off from that step on.
         """
         vehicle, courses = self.vehicle, self.courses
-        side = 1.0 if vehicle.jets[jet - 1].position_m[1] > 0.0 else -1.0
+        sign = 1.0 if vehicle.jets[jet - 1].position_m[1] > 0.0 else -1.0
         opposite = opposite_of(vehicle, jet) if shut_at is not None else 0
         before = [self.hover] * after
         shut_course = courses.shut(shut_at) if shut_at is not None else []
@@ -118,11 +118,11 @@ class RollAxis:
                     thrust = courses.out[k]
                 elif number == opposite:
                     thrust = shut_course[k] * value_at(upright, k)
-                elif lever * side > 0.0:
+                elif lever * sign > 0.0:
                     thrust = before[k] if k < after else courses.up[k - after]
                 else:
                     thrust = (before[k] if k < after else courses.down[k - after]) * value_at(upright, k)
-                moment -= side * lever * thrust
+                moment -= sign * lever * thrust
             rate_before = p
             p = decay * p + STEP_S * moment / inertia
             if p <= 0.0:

@@ -194,8 +194,8 @@ def _plugin_hashes(run: Run) -> str:
 def _kind(study: Study, key: str) -> type[Value]:
     if key.startswith(CUSTOM_PARAMETERS):
         return float
-    found = study.key(key)
-    return type(found.choices[0]) if found.kind == "choice" and found.choices else _KINDS[found.kind]
+    varied = study.key(key)
+    return type(varied.choices[0]) if varied.kind == "choice" and varied.choices else _KINDS[varied.kind]
 
 
 def _machine_trouble(error: BaseException | None) -> OSError | None:

@@ -33,13 +33,7 @@ from cosim.base.runtime.threads import ONE_THREAD
 from cosim.base.storage.scratch import scratch
 from cosim.base.trust import decision, inherit
 from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
-from cosim.campaign.workers.protocol import (
-    LOSSES,
-    describe_loss,
-    describe_timeout,
-    time_limit,
-    update_mean,
-)
+from cosim.campaign.workers.protocol import LOSSES, describe_loss, describe_timeout, time_limit, update_mean
 
 if TYPE_CHECKING:
     from cosim.campaign.study.plan import Flight

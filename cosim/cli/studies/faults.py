@@ -59,7 +59,7 @@ def faults(options: Faults) -> int:
 
     Leaves survival.csv and survival.html in DIR; with --engine-out, engine-out.csv.
     """
-    from cosim.campaign.surveys.fault_page import PARTS, write, write_page
+    from cosim.campaign.surveys.fault_page import MARKS, write, write_page
     from cosim.campaign.surveys.faults import survival
     from cosim.results.report.marks import check_marks
     from cosim.spec.controller_name import seen_from
@@ -72,7 +72,7 @@ def faults(options: Faults) -> int:
     if page is not None:
         why = "the page holds every fault of the default vehicle with every controller; leave it out with --docs"
         refuse_others(why, "docs", "limits", "workers", "out", "as_json")
-        check_marks(page, PARTS)
+        check_marks(page, MARKS)
 
     limits = options.limits or page is not None
     with output_to_stderr(options.as_json), part_progress("faults", quiet=options.as_json) as tell:

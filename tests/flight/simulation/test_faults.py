@@ -20,7 +20,7 @@ from stated_figures import stated
 from cosim import flight
 from cosim.base.errors import InputError
 from cosim.base.signals import EngineOutput, PerJet, Sample
-from cosim.campaign.surveys.fault_page import PARTS, write, write_page
+from cosim.campaign.surveys.fault_page import MARKS, write, write_page
 from cosim.campaign.surveys.faults import LOSS, Case, Limit, cases, scenario_of, summary, survival
 from cosim.campaign.surveys.survey import measure_flight, subject_of
 from cosim.control.allocation.engine_monitor import EngineMonitor, EngineReference
@@ -813,7 +813,7 @@ def test_a_small_table(tmp_path: Path) -> None:
     assert found.moments is not None
     assert found.moments.moment == pytest.approx(5.525 * 9.80665 / 6 * 0.15)
     page = tmp_path / "page.md"
-    marks = "".join(f"<!-- measured: {name} -->\n<!-- end -->\n" for name in PARTS)
+    marks = "".join(f"<!-- measured: {name} -->\n<!-- end -->\n" for name in MARKS)
     page.write_text(f"# Before\n{marks}after\n", encoding="utf-8")
     scanned = [
         Limit(LOSS, "hover", "smith", [0.2, 0.3, 0.5], [0.1, 0.4], None),

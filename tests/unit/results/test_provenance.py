@@ -44,7 +44,7 @@ def test_a_run_names_its_design_everywhere_and_flies_again_alone(design: Path, t
     assert f"controller {name}" in " ".join(said.output.split())
     assert given.sha256 in (out / "scenario.toml").read_text()
     assert given.sha256 in (out / "report.html").read_text()
-    assert read_entry(out).facts["controller"] == name
+    assert read_entry(out).details["controller"] == name
     compare_report([run, run], tmp_path / "comparison.html")
     assert name in (tmp_path / "comparison.html").read_text()
     design.unlink()

@@ -49,7 +49,7 @@ def test_what_a_folder_holds(runs: Path) -> None:
         "flying": UNFINISHED,
     }
     third = found["run-00003"]
-    assert third.facts["controller"] == "smith"
+    assert third.details["controller"] == "smith"
     assert third.metrics == {"roll.rmse_rad": 0.003, "position.drift_m": 4.0, "own.jerk": 2.0, "duration_s": 20.0}
     assert (third.page, found["drawn"].page) == ("report.html", "drawing.html")
 
@@ -78,7 +78,7 @@ def test_a_real_run_and_a_real_campaign() -> None:
     run, campaign = index.read_entry(folder / "run"), index.read_entry(folder / "campaign")
     assert (run.kind, campaign.kind) == (RUN, CAMPAIGN)
     assert {"roll.rmse_rad", "altitude.rmse_m", "effort.saturated_percent"} <= set(run.metrics)
-    assert run.facts["verdict"] == "completed, nothing checked"  # recorded as planned, and nothing was expected
+    assert run.details["verdict"] == "completed, nothing checked"  # recorded as planned, and nothing was expected
 
 
 def test_a_campaign_has_the_name_of_the_scenario_that_lies_beside_it(tmp_path: Path) -> None:
@@ -86,10 +86,10 @@ def test_a_campaign_has_the_name_of_the_scenario_that_lies_beside_it(tmp_path: P
     (tmp_path / "study.toml").write_text(
         'name = "mine"\nscenario = "scenario.toml"\n\n[[vary]]\nkey = "x"\ntitle = "no"\n'
     )
-    facts = index.read_entry(tmp_path).facts
+    facts = index.read_entry(tmp_path).details
     assert (facts["scenario"], facts.get("title")) == ("scenario.toml", None)  # it is not there
     (tmp_path / "scenario.toml").write_text('name = "roll-doublet"\ntitle = "A doublet"\n')
-    facts = index.read_entry(tmp_path).facts
+    facts = index.read_entry(tmp_path).details
     assert (facts["scenario"], facts["title"], "name" in facts) == ("roll-doublet", "A doublet", False)
 
 
@@ -104,7 +104,7 @@ def test_what_has_not_changed_is_not_read_again(runs: Path, monkeypatch: pytest.
     (runs / "run-00002" / "summary.json").unlink()
     (runs / "run-00002" / "summary.json").write_text(json.dumps(changed | {"controller": "state"}))
     later = {entry.name: entry for entry in Shelf(runs).entries()}
-    assert later["run-00002"].facts["controller"] == "state"
+    assert later["run-00002"].details["controller"] == "state"
     assert sorted(read) == ["other", "other", "run-00002"]
 
 
