@@ -63,6 +63,7 @@ class Cascade:
         self._every_jet = frozenset(range(self._jets))
         self._throttle: PerJet = ()
         self._predictor_columns: list[tuple[str, Predictor, tuple[Column, ...]]] = []  # of predictors that log some
+        self._shown_blocks = self._find_shown_blocks()
         self._clear(0.0)
 
     @property
@@ -107,6 +108,7 @@ class Cascade:
             for axis, predictor in zip(AXES, loops.rate.predictors, strict=True)
         ]
         self._predictor_columns = [] if loops.custom_rate is not None else [entry for entry in columns if entry[2]]
+        self._shown_blocks = self._find_shown_blocks()
         loops.allocator.reset()
         loops.reset()
         hover = loops.allocator.hover
@@ -220,7 +222,7 @@ class Cascade:
     @property
     def columns(self) -> tuple[Column, ...]:
         """The columns of predictors, their axis first, then of user's loops and laws: see :class:`Shows`."""
-        others = [column for block in self._custom_blocks for column in columns_of(block)]
+        others = [column for block in self._shown_blocks for column in columns_of(block)]
         return tuple(
             [
                 column._replace(name=f"{axis}_{column.name}")
@@ -237,12 +239,11 @@ class Cascade:
         for axis, predictor, columns in self._predictor_columns:
             is_active = self.loops.rate.predictors[AXES.index(axis)] is predictor
             values += cast(Shows, predictor).shown if is_active else (nan,) * len(columns)
-        for block in self._custom_blocks:
-            if columns_of(block):
-                values += cast(Shows, block).shown
+        for block in self._shown_blocks:
+            values += block.shown
         return tuple(values)
 
-    @property
-    def _custom_blocks(self) -> list[object]:
-        """Blocks beside the predictors that may log numbers of their own."""
-        return [self.loops.custom_attitude, self.loops.custom_rate, *self.selector.laws]
+    def _find_shown_blocks(self) -> list[Shows]:
+        """Return the blocks beside the predictors that log numbers of their own."""
+        blocks: list[object] = [self.loops.custom_attitude, self.loops.custom_rate, *self.selector.laws]
+        return [cast(Shows, block) for block in blocks if columns_of(block)]

@@ -47,14 +47,14 @@ class Propulsion:
         self._hot_gas, self._air = hot_gas, air
         self._layout = layout_of(jets, hinges)
         self._jets = len(self._layout.stations)
-        self._load = Load()
+        self._load = Load(self._layout)
         self._rest = tuple([servo.angle for servo in servos]) or (0.0, 0.0)
         self._wind = ZERO3
         self.gusts: list[Vector3] = []  # m/s NED, of the wind at each jet beyond that at the vehicle; none: it is one
         self._clear()
 
     def _clear(self) -> None:
-        self.tilt = self._rest  # where the servos stand
+        self.tilt = self._rest
         self.output = NO_OUTPUT
         self.fuel = nan  # kg on board at the step's beginning
         self._load.clear()
@@ -64,6 +64,15 @@ class Propulsion:
     def wants_ambient(self) -> bool:
         """The air around the engines changes what they give: :meth:`reset` is to be told where the vehicle stands."""
         return self.engines.wants_ambient
+
+    @property
+    def tilt(self) -> PerServo:
+        """Where the servos stand, rad."""
+        return self._load.tilt
+
+    @tilt.setter
+    def tilt(self, angles: PerServo) -> None:
+        self._load.place(angles)
 
     @property
     def momentum(self) -> Vector3:
@@ -105,7 +114,7 @@ class Propulsion:
             self._off = frozenset(range(self._jets))
             self.output = self.engines.stop()
         load = self._load
-        load.begin(self.output, self.tilt, self.forces(self.output.thrust, self.tilt))
+        load.begin(self.output, load.along_axes(self.output.thrust))
         for effect in self.effects:
             effect.start(load)
         return load.forces
@@ -126,15 +135,16 @@ class Propulsion:
             self._burn(self.tank, output.fuel_flow)
         load = self._load
         load.state, load.gusts = state, self.gusts
-        load.begin(output, self.tilt, self.forces(output.thrust, self.tilt))
+        load.begin(output, load.along_axes(output.thrust))
         for effect in self.effects:
             effect.act(load)
         return load.forces, load.moment
 
     def standing(self, thrust: PerJet, tilt: PerServo) -> tuple[list[Vector3], Vector3]:
         """Return a force at each jet's station and the further moment of thrusts with the servos at rest."""
-        load = Load()
-        load.begin(EngineOutput(thrust, (), (), ()), tilt, self.forces(thrust, tilt))
+        load = Load(self._layout)
+        load.place(tilt)
+        load.begin(EngineOutput(thrust, (), (), ()), load.along_axes(thrust))
         for effect in self.effects:
             if effect.steady:
                 effect.act(load)
@@ -156,17 +166,6 @@ class Propulsion:
             for jet in range(self._jets):
                 self.engines.switch(jet, False)
 
-    def forces(self, thrust: PerJet, tilt: PerServo) -> list[Vector3]:
-        """Return each jet's thrust along its own turned axis: N, body."""
-        layout = self._layout
-        forces = [ZERO3] * self._jets
-        for group, jets in enumerate(layout.members):
-            x, y, z = layout.axis(group, tilt)
-            for jet in jets:
-                newton = thrust[jet]
-                forces[jet] = (newton * x, newton * y, newton * z)
-        return forces
-
     def ambient(self, state: State, wind: Vector3) -> Ambient:
         """Return the air at the engines: the vehicle's, and what blows into each intake along its jet as it stands.
 
@@ -177,7 +176,7 @@ class Propulsion:
         wx, wy, wz = wind
         u, v, w = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
         kinds: list[tuple[float, Vector3]] = []
-        axes, groups, standing = self._layout.axes(self.tilt), self._layout.groups, self._layout.positions(self.tilt)
+        axes, groups, positions = self._load.axes, self._layout.groups, self._load.positions
         for axis in axes:
             x, y, z = axis
             kinds.append((u * x + v * y + w * z, cross(axis, state.rate)))
@@ -185,7 +184,7 @@ class Propulsion:
         for jet, group in enumerate(groups):
             # (velocity + rate x place) . axis = velocity . axis + place . (axis x rate)
             along, (by_x, by_y, by_z) = kinds[group]
-            x, y, z = standing[jet]
+            x, y, z = positions[jet]
             speeds.append(along + by_x * x + by_y * y + by_z * z)
         if self.gusts:
             back = conjugate(state.attitude)

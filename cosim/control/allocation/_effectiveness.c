@@ -16,6 +16,7 @@ typedef double Real;
 enum { MOST_JETS = 16, MOST_MOVERS = 32, MOST_LINKS = 16 }; /* as cosim.spec.vehicle allows */
 #define RANK 1e-20
 #define DONE 1e-13
+#define LET_GO 1e-9
 #define SETTLED 1e-9
 #include "effectiveness.h"
 
@@ -72,7 +73,7 @@ static bool limits_of(PyObject *given, Py_ssize_t count, double *low, double *hi
 }
 
 /* Levels of one row or two, each row once; their number, or -1. */
-static int levels_of(PyObject *given, Level *levels, int rows)
+static int levels_of(PyObject *given, RowLevel *levels, int rows)
 {
     bool taken[ROWS] = {false};
     if (!PyList_Check(given) && !PyTuple_Check(given)) {
@@ -122,6 +123,7 @@ static PyObject *list_of(const double *values, Py_ssize_t count)
 typedef struct {
     PyObject_HEAD
     Effectors known;
+    Tangent tangent; /* where the last problem ended: it saves work and changes no bit */
 } Solver;
 
 static bool vector_of(PyObject *given, Vector *to, const char *name)
@@ -240,7 +242,7 @@ static PyObject *solver_solve(Solver *self, PyObject *const *args, Py_ssize_t gi
         !limits_of(args[10], e->movers, p.reach_low, p.reach_high, "reach") ||
         !numbers_of(args[11], e->movers, p.stand, true, "stand"))
         return NULL;
-    solve_wrench(e, &p, found, missing);
+    solve_wrench(e, &self->tangent, &p, found, missing);
     PyObject *const first = list_of(found, count), *const second = first ? list_of(missing, ROWS) : NULL;
     PyObject *const made = second ? PyTuple_Pack(2, first, second) : NULL;
     Py_XDECREF(first);
@@ -272,7 +274,7 @@ static PyObject *solver_linear(Solver *self, PyObject *const *args, Py_ssize_t g
         return PyErr_Format(PyExc_TypeError, "linear: takes at and pressure");
     if (!numbers_of(args[0], count, at, true, "at") || !number_of(args[1], &pressure, true, "pressure"))
         return NULL;
-    linearise(e, pressure, at, total, rows);
+    linearise(e, &self->tangent, pressure, at, total, rows);
     PyObject *const first = list_of(total, ROWS), *const second = first ? lists_of(rows, count) : NULL;
     PyObject *const made = second ? PyTuple_Pack(2, first, second) : NULL;
     Py_XDECREF(first);
@@ -287,7 +289,7 @@ static PyObject *prioritise_rows(PyObject *module, PyObject *const *args, Py_ssi
 {
     (void)module;
     Bounded b;
-    Level levels[ROWS];
+    RowLevel levels[ROWS];
     double wanted[ROWS], start[MOST_EFFECTORS];
     if (given < 6 || given > 7)
         return PyErr_Format(PyExc_TypeError, "prioritise: takes rows, wanted, levels, start, low, high, along_first");

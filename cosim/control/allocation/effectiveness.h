@@ -7,6 +7,7 @@
  *     MOST_JETS, MOST_MOVERS, MOST_LINKS     jets, hinges with surfaces, and hinges of one jet, at most, each 1 or more;
  *     RANK     the square of what a row has of its own, over the row's, below which it has nothing;
  *     DONE     what is missing of a scaled row less than this is not missing;
+ *     LET_GO   of a row: an effector that would move it by less stays at its limit;
  *     SETTLED  of a hinge's range: it goes nowhere any more.
  *
  * Compile with -ffp-contract=off and without -ffast-math: then every processor gives the same bits.
@@ -37,10 +38,11 @@
 #ifndef EFFECTIVENESS_H
 #define EFFECTIVENESS_H
 
+#include <math.h>
 #include <stdbool.h>
 
-enum { ROLL_ROW, PITCH_ROW, LIFT_ROW, YAW_ROW, AHEAD_ROW, RIGHT_ROW, ROWS };
-enum { MOST_EFFECTORS = MOST_JETS + MOST_MOVERS, MOST_HELD = ROWS + 1 };
+#define ROWS 6 /* roll, pitch, lift, yaw, ahead, right */
+#define MOST_EFFECTORS (MOST_JETS + MOST_MOVERS)
 
 typedef struct {
     Real x, y, z; /* body: forward, right, down */
@@ -70,6 +72,12 @@ typedef struct {
     Real lead; /* by how much more where it is in a hurry */
 } ServoMover;
 
+/* Rows that are of equal importance. */
+typedef struct {
+    int rows; /* 1 or 2 */
+    int row[2];
+} RowLevel;
+
 /* What is known of a vehicle. Effectors are its jets, its hinges, then its surfaces. */
 typedef struct {
     int jets, hinges, movers; /* movers: hinges and surfaces */
@@ -81,10 +89,10 @@ typedef struct {
     Real given;  /* of a scaled row: what is missing less is rounding */
 } Effectors;
 
-typedef struct {
-    int rows; /* 1 or 2 */
-    int row[2];
-} Level;
+/* --- functions, and what they alone know --- */
+
+enum { ROLL_ROW, PITCH_ROW, LIFT_ROW, YAW_ROW, AHEAD_ROW, RIGHT_ROW };
+enum { MOST_HELD = ROWS + 1 };
 
 /* One problem. */
 typedef struct {
@@ -98,7 +106,7 @@ typedef struct {
     Real thrust_low[MOST_JETS], thrust_high[MOST_JETS], preferred[MOST_JETS];       /* N */
     Real reach_low[MOST_MOVERS], reach_high[MOST_MOVERS], stand[MOST_MOVERS]; /* rad */
     int levels;
-    Level level[ROWS];
+    RowLevel level[ROWS];
 } Problem;
 
 /* A linear problem: rows of the scaled effectors within their limits; and which are free to move. */
@@ -108,6 +116,14 @@ typedef struct {
     Real low[MOST_EFFECTORS], high[MOST_EFFECTORS], x[MOST_EFFECTORS];
     bool movable[MOST_EFFECTORS];
 } Bounded;
+
+/* The wrench and its change at one place, but for surfaces: where a problem ended the next one begins. */
+typedef struct {
+    bool known;
+    Real at[MOST_EFFECTORS];
+    Real total[ROWS];
+    Real row[ROWS][MOST_EFFECTORS];
+} Tangent;
 
 /* --- bounded effectors by priority --- */
 
@@ -135,7 +151,7 @@ static Real free_square(const Real row[], const bool movable[], int count)
 /* Take from a row its part along each of an orthonormal basis; twice, which is enough for rounding. */
 static void remove_parts(Real part[], Real basis[][MOST_EFFECTORS], int units, const bool movable[], int count)
 {
-    for (int round = 0; round < 2; round++) {
+    for (int turn = 0; turn < 2; turn++) {
         for (int unit = 0; unit < units; unit++) {
             Real along = R(0.0);
             for (int i = 0; i < count; i++) {
@@ -252,7 +268,7 @@ static Real raise_row(Bounded *b, const Real row[], Real amount, const Real *con
         const Real size = free_square(along, b->movable, count);
         if (size <= (RANK * whole)) {
             /* nothing that is free moves it: what stands at a limit, and would, comes free again */
-            if (!release(b, along, R(1e-9) * SQRT(whole))) {
+            if (!release(b, along, LET_GO * SQRT(whole))) {
                 return raised;
             }
             continue;
@@ -295,7 +311,7 @@ static void raise_alone(Bounded *b, const Real row[], Real wanted, const Real *c
 }
 
 /* Two rows of one level: along what is missing of both, then each alone or what is left of both. */
-static void raise_pair(Bounded *b, const Level *level, const Real wanted[], const Real *held[], int rows, bool along_first)
+static void raise_pair(Bounded *b, const RowLevel *level, const Real wanted[], const Real *held[], int rows, bool along_first)
 {
     const int count = b->count;
     const Real *const first = b->row[level->row[0]];
@@ -333,7 +349,7 @@ static void raise_pair(Bounded *b, const Level *level, const Real wanted[], cons
 }
 
 /* From x = start: the wanted rows by priority within the limits. A row that is in no level is ignored. */
-static void prioritise(Bounded *b, const Real start[], const Real wanted[], const Level levels[], int count, bool along_first)
+static void prioritise(Bounded *b, const Real start[], const Real wanted[], const RowLevel levels[], int count, bool along_first)
 {
     const Real *held[MOST_HELD];
     int rows = 0;
@@ -341,7 +357,7 @@ static void prioritise(Bounded *b, const Real start[], const Real wanted[], cons
         b->x[i] = limited(start[i], b->low[i], b->high[i]);
     }
     for (int number = 0; number < count; number++) {
-        const Level *const level = &levels[number];
+        const RowLevel *const level = &levels[number];
         if (level->rows == 1) {
             raise_alone(b, b->row[level->row[0]], wanted[level->row[0]], held, rows);
         } else {
@@ -439,8 +455,8 @@ static void hinge_rows(const Effectors *e, const JetStation *jet, const Turned t
     rows_of(moment, force, row);
 }
 
-/* The wrench at `at`, in the order of the rows, and its scaled change by each effector. */
-static void linearise(const Effectors *e, Real pressure, const Real at[], Real total[ROWS], Real rows[][MOST_EFFECTORS])
+/* The wrench of the jets at `at`, in the order of the rows, and its scaled change by each effector. */
+static void linearise_jets(const Effectors *e, const Real at[], Real total[ROWS], Real rows[][MOST_EFFECTORS])
 {
     const int jets = e->jets;
     Turned whole[MOST_MOVERS]; /* by the hinge's own angle */
@@ -488,9 +504,14 @@ static void linearise(const Effectors *e, Real pressure, const Real at[], Real t
             }
         }
     }
+}
+
+/* What surfaces add to it. */
+static void add_surfaces(const Effectors *e, Real pressure, const Real at[], Real total[ROWS], Real rows[][MOST_EFFECTORS])
+{
     for (int number = e->hinges; number < e->movers; number++) {
         const Real *const surface = e->mover[number].wrench;
-        const int j = jets + number;
+        const int j = e->jets + number;
         const Real size = pressure * e->scale[j];
         const Real deflected = pressure * at[j];
         for (int row = 0; row < ROWS; row++) {
@@ -498,6 +519,31 @@ static void linearise(const Effectors *e, Real pressure, const Real at[], Real t
             rows[row][j] = surface[row] * size * e->norm[row];
         }
     }
+}
+
+/* Both; what the jets do is computed once at one place. */
+static void linearise(const Effectors *e, Tangent *t, Real pressure, const Real at[], Real total[ROWS],
+    Real rows[][MOST_EFFECTORS])
+{
+    const int count = e->jets + e->movers;
+    bool same = t->known;
+    for (int j = 0; j < count; j++) {
+        same = same && (t->at[j] == at[j]) && (!signbit(t->at[j]) == !signbit(at[j]));
+    }
+    if (!same) {
+        linearise_jets(e, at, t->total, t->row);
+        t->known = true;
+        for (int j = 0; j < count; j++) {
+            t->at[j] = at[j];
+        }
+    }
+    for (int row = 0; row < ROWS; row++) {
+        total[row] = t->total[row];
+        for (int j = 0; j < count; j++) {
+            rows[row][j] = t->row[row][j];
+        }
+    }
+    add_surfaces(e, pressure, at, total, rows);
 }
 
 /* --- Newton's method --- */
@@ -576,7 +622,7 @@ static Real way_of(const Effectors *e, const Real here[], const Real moved[])
 }
 
 /* Thrusts [N] and angles for a wrench, and what is missing of it [N m, N]. */
-static void solve_wrench(const Effectors *e, const Problem *p, Real found[], Real missing[ROWS])
+static void solve_wrench(const Effectors *e, Tangent *t, const Problem *p, Real found[], Real missing[ROWS])
 {
     Bounded b;
     Real start[MOST_EFFECTORS];
@@ -587,7 +633,7 @@ static void solve_wrench(const Effectors *e, const Problem *p, Real found[], Rea
     for (int j = 0; j < b.count; j++) {
         here[j] = p->last[j];
     }
-    linearise(e, p->pressure, here, given, b.row);
+    linearise(e, t, p->pressure, here, given, b.row);
     for (int pass = 0; pass < p->passes; pass++) {
         Real targets[ROWS];
         Real moved[MOST_EFFECTORS];
@@ -607,7 +653,7 @@ static void solve_wrench(const Effectors *e, const Problem *p, Real found[], Rea
         for (int j = 0; j < b.count; j++) {
             moved[j] = b.x[j] * e->scale[j];
         }
-        linearise(e, p->pressure, moved, now, change);
+        linearise(e, t, p->pressure, moved, now, change);
         const Real off = linear_error(e, &b, here, given, now);
         const Real far = way_of(e, here, moved);
         for (int j = 0; j < b.count; j++) {

@@ -83,6 +83,37 @@ class Effectors(NamedTuple):
     horizontal: bool = False
 
 
+StationOf = tuple[Vector3, Vector3, float, list[tuple[int, float, bool]]]
+HingeOf = tuple[Vector3, Vector3, float, float, float, float]
+SurfaceOf = tuple[tuple[float, ...], float, float, float, float]
+
+
+class Constants(NamedTuple):
+    """The numbers that allocation computes with while all engines run, for another implementation of it.
+
+    ``stations``, ``hinges``, ``surfaces``, ``scales``, ``norms`` and ``weight`` as
+    :class:`._effectiveness.Solver` takes them; ``ends`` of the thrusts and where they are left, ``preferred`` [N];
+    ``reach`` of hinges and surfaces, and where they are left, ``stand``.
+    """
+
+    stations: list[StationOf]
+    hinges: list[HingeOf]
+    surfaces: list[SurfaceOf]
+    scales: list[float]
+    norms: tuple[float, ...]
+    weight: float
+    tensor: tuple[Vector3, Vector3, Vector3]
+    inverse: tuple[Vector3, Vector3, Vector3]
+    low: float
+    span: float
+    shares: list[tuple[float, float]]
+    ends: list[tuple[float, float]]
+    preferred: list[float]
+    levels: list[tuple[int, ...]]
+    reach: list[tuple[float, float]]
+    stand: list[float]
+
+
 class EffectivenessAllocator:
     """Throttles and servo angles of a vehicle of any layout.
 
@@ -107,7 +138,8 @@ class EffectivenessAllocator:
         self._scales = [
             (most - least) * span / effort for (least, most), effort in zip(shares, efforts, strict=True)
         ] + [(mover.most - mover.least) / mover.effort for mover in movers]
-        self._solver = _solver(effectors, self._scales, self._norms)
+        self._described = _describe_effectors(effectors)
+        self._solver = Solver(*self._described, self._scales, self._norms, self._weight, GIVEN)
         self.rest: PerServo = tuple([mover.rest for mover in movers]) or (0.0, 0.0)
         self.pressure = 0.0  # Pa, dynamic: what surfaces work with
         self._reach = [(mover.least, mover.most) for mover in movers]
@@ -175,6 +207,29 @@ class EffectivenessAllocator:
         wanted = [0.0, 0.0, self._jets * (self._low + self._span * collective), 0.0, 0.0, 0.0]
         found, _ = self._solve(wanted, wanted[LIFT], FIRST_PASSES, False)
         return self._shares(found)
+
+    @property
+    def constants(self) -> Constants:
+        """The numbers that it computes with, as they are in this state of the engines."""
+        stations, hinges, surfaces = self._described
+        return Constants(
+            stations,
+            hinges,
+            surfaces,
+            self._scales,
+            self._norms,
+            self._weight,
+            self._tensor,
+            self._inverse,
+            self._low,
+            self._span,
+            self._limits,
+            self._ends,
+            self._preferred,
+            self._levels,
+            self._reach,
+            self._stand,
+        )
 
     # ---- what a design asks
 
@@ -355,27 +410,22 @@ class EffectivenessAllocator:
         )
 
 
-def _solver(effectors: Effectors, scales: list[float], norms: tuple[float, ...]) -> Solver:
-    """Return what solves for a vehicle, which has its constants as they are."""
+def _describe_effectors(effectors: Effectors) -> tuple[list[StationOf], list[HingeOf], list[SurfaceOf]]:
+    """Return jets, hinges and surfaces as :class:`._effectiveness.Solver` takes them."""
     layout, movers = effectors.layout, effectors.movers
-    stations = [
-        (
-            station.position,
-            station.axis,
-            station.twist,
-            [(n, effect, jet in layout.turns[n].carries) for n, effect in chain],
-        )
-        for jet, (station, chain) in enumerate(zip(layout.stations, layout.chains, strict=True))
-    ]
-    hinges = [
+    stations: list[StationOf] = []
+    for jet, (station, chain) in enumerate(zip(layout.stations, layout.chains, strict=True)):
+        links = [(number, effect, jet in layout.turns[number].carries) for number, effect in chain]
+        stations.append((station.position, station.axis, station.twist, links))
+    hinges: list[HingeOf] = [
         (turn.point, turn.axis, mover.least, mover.most, mover.step, mover.lead)
         for turn, mover in zip(layout.turns, movers, strict=False)
     ]
-    surfaces: list[tuple[tuple[float, ...], float, float, float, float]] = []
+    surfaces: list[SurfaceOf] = []
     for mover in movers[len(hinges) :]:
         fx, fy, fz, mx, my, mz = mover.wrench
         surfaces.append(((mx, my, -fz, mz, fx, fy), mover.least, mover.most, mover.step, mover.lead))
-    return Solver(stations, hinges, surfaces, scales, norms, effectors.mass * GRAVITY, GIVEN)
+    return stations, hinges, surfaces
 
 
 def _describe(missing: Sequence[float], norms: Sequence[float]) -> str:

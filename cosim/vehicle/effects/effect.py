@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from cosim.base.signals import UNKNOWN3, ZERO3, EngineOutput, PerServo, State, Vector3
+from cosim.base.layout import Layout
+from cosim.base.signals import UNKNOWN3, ZERO3, EngineOutput, PerJet, PerServo, State, Vector3
 
 NO_OUTPUT = EngineOutput((), (), (), ())
 _STILL = State(ZERO3, ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, ZERO3, 0.0, ZERO3, 0.0, False, False)
@@ -21,11 +22,16 @@ class Load:
 
     ``forces`` [N, body] are handed over at the jets' stations with the hinges at zero, ``moment`` [N m, body] acts
     beside them; effects add to both.  ``pushes`` are what the engines themselves push with, whatever acts beside.
+    ``axes`` of the thrust, one a group of the ``layout``, and ``positions``, one a jet [m], are those with the
+    servos at ``tilt``, computed once a step.
     ``momentum`` [kg m^2/s, body] is that of the rotors at the step's end, ``spool_moment`` [N m, body] what they act
     on the airframe with, kept as the object that goes into the log.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+        self.axes: list[Vector3] = []
+        self.positions: list[Vector3] = []
         self.output = NO_OUTPUT  # of the engines, at the step's end
         self.tilt: PerServo = ()  # where the servos stand at the step's end, rad
         self.state = _STILL  # of the airframe, at the step's beginning
@@ -37,9 +43,23 @@ class Load:
         self.momentum = ZERO3
         self.spool_moment: Any = UNKNOWN3
 
-    def begin(self, output: EngineOutput, tilt: PerServo, pushes: list[Vector3]) -> None:
-        """Begin a step with the thrust of each jet and no moment."""
-        self.output, self.tilt = output, tilt
+    def place(self, tilt: PerServo) -> None:
+        """Turn the hinges to where the servos stand at the step's end, rad."""
+        self.tilt = tilt
+        self.axes, self.positions = self.layout.axes(tilt), self.layout.positions(tilt)
+
+    def along_axes(self, thrust: PerJet) -> list[Vector3]:
+        """Return each jet's thrust along its own turned axis: N, body."""
+        axes = self.axes
+        answer: list[Vector3] = []
+        for jet, group in enumerate(self.layout.groups):
+            newton, (x, y, z) = thrust[jet], axes[group]
+            answer.append((newton * x, newton * y, newton * z))
+        return answer
+
+    def begin(self, output: EngineOutput, pushes: list[Vector3]) -> None:
+        """Begin a step with the thrust of each jet and no moment, servos where they were placed."""
+        self.output = output
         self.pushes = self.forces = pushes
         self.moment = ZERO3
 

@@ -32,12 +32,12 @@ class IntakeDrag(Effect):
 
     def act(self, load: Load) -> None:
         """Add the streams' forces at the stations, and what these have in moment beyond r x F."""
-        state, tilt, gusts, forces = load.state, load.tilt, load.gusts, load.forces
+        state, gusts, forces = load.state, load.gusts, load.forces
         vx, vy, vz = state.velocity
         wx, wy, wz = state.wind
         through_air = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
-        axes, groups = self._layout.axes(tilt), self._layout.groups
-        moves, standing = self._layout.moves, self._layout.positions(tilt)
+        axes, groups = load.axes, self._layout.groups
+        moves, positions = self._layout.moves, load.positions
         total: list[Vector3] = []
         moment_x = moment_y = moment_z = 0.0
         for i, newton in enumerate(load.output.thrust):
@@ -46,7 +46,7 @@ class IntakeDrag(Effect):
                 total.append(forces[i])
                 continue
             fx, fy, fz = forces[i]
-            x, y, z = standing[i]
+            x, y, z = positions[i]
             e = axes[groups[i]]
             a, b = airflow.intake_m, airflow.exhaust_m
             flow = airflow.kg_s * pow(newton / airflow.at_thrust_n, airflow.exponent) if newton > 0.0 else 0.0

@@ -29,7 +29,7 @@ class JetReactions(Effect):
         if self._straight_up:
             load.turn((0.0, 0.0, sum(map(mul, self._reactions, thrust))))
             return
-        axes, groups = self._layout.axes(load.tilt), self._layout.groups
+        axes, groups = load.axes, self._layout.groups
         mx = my = mz = 0.0
         for jet, reaction in enumerate(self._reactions):
             x, y, z = axes[groups[jet]]
@@ -49,7 +49,7 @@ class EngineTorques(Effect):
         self._give = [jet for jet, ports in enumerate(outputs) if "torque" in ports]
 
     def act(self, load: Load) -> None:
-        axes, groups, torques = self._layout.axes(load.tilt), self._layout.groups, load.output.torque
+        axes, groups, torques = load.axes, self._layout.groups, load.output.torque
         moment = ZERO3
         for jet in self._give:
             x, y, z = axes[groups[jet]]
@@ -94,10 +94,10 @@ class CarriedJets(Effect):
         self._layout = layout
 
     def act(self, load: Load) -> None:
-        standing, places = self._layout.positions(load.tilt), self._layout.rest_positions
+        positions, places = load.positions, self._layout.rest_positions
         moment = ZERO3
         for jet, push in enumerate(load.pushes):
-            x, y, z = standing[jet]
+            x, y, z = positions[jet]
             at_x, at_y, at_z = places[jet]
             moment = plus(moment, cross((x - at_x, y - at_y, z - at_z), push))
         load.turn(moment)

@@ -54,19 +54,23 @@ class RotorDynamics(Effect):
 
     def act(self, load: Load) -> None:
         """Add ``-dH/dt``; momentum and whole moment are the airframe's and the log's."""
-        change = self.update(load.output.spool_speed, load.tilt)
+        change = self._change(load.output.spool_speed, load.axes)
         load.momentum = self.momentum
         load.spool_moment = self.moment(change, load.state.rate)
         load.turn(change)
 
     def reset(self, speeds: PerJet) -> None:
         """Start with the rotors turning at ``speeds`` [rad/s], hinges at rest."""
-        self.momentum = self._sum(speeds, self._rest)
+        self.momentum = self._sum(speeds, self._layout.axes(self._rest))
 
     def update(self, speeds: PerJet, tilt: PerServo) -> Vector3:
         """``-dH/dt`` [N m], body, for the speeds [rad/s] and tilts [rad] at the end of the step."""
+        return self._change(speeds, self._layout.axes(tilt))
+
+    def _change(self, speeds: PerJet, axes: Sequence[Vector3]) -> Vector3:
+        """As :meth:`update`, by the axes of the thrust."""
         x, y, z = self.momentum
-        self.momentum = a, b, c = self._sum(speeds, tilt)
+        self.momentum = a, b, c = self._sum(speeds, axes)
         step = self._step
         return ((x - a) / step, (y - b) / step, (z - c) / step)
 
@@ -75,8 +79,7 @@ class RotorDynamics(Effect):
         x, y, z = cross(rate, self.momentum)
         return (reaction[0] - x, reaction[1] - y, reaction[2] - z)
 
-    def _sum(self, speeds: PerJet, tilt: PerServo) -> Vector3:
-        axes = self._layout.axes(tilt)
+    def _sum(self, speeds: PerJet, axes: Sequence[Vector3]) -> Vector3:
         x = y = z = 0.0
         for group, rotors in self._groups:
             momentum = 0.0
