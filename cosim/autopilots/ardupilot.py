@@ -29,9 +29,9 @@ from cosim.autopilots.lockstep import (
     ActuatorOutputs,
     AnswerTimer,
     Handling,
-    LockstepCounts,
     Program,
     SensorFrame,
+    Sitl,
     StickPositions,
     describe_unknown,
     listen,
@@ -102,7 +102,7 @@ class Launch:
     station: int | None = None  # UDP port of this machine, to which it talks MAVLink; None: it talks to none
 
 
-class ArduPilot:
+class ArduPilot(Sitl):
     """One ArduPilot SITL, started here or by hand.  Raises InputError for a step that its clock does not follow."""
 
     def __init__(
@@ -110,16 +110,12 @@ class ArduPilot:
     ) -> None:
         if step >= _LONGEST_STEP_S:
             raise InputError(f"ardupilot: step_s = {step:g}: its clock is moved by steps below {_LONGEST_STEP_S:g} s")
-        self.counts = LockstepCounts()
-        self.limit = launch.limit_s
+        super().__init__(binary, folder, vehicle, step, launch.limit_s)
         self.repeat_delay = _REPEAT_S
-        self._binary, self._folder, self._step, self._place, self._launch = binary, folder, step, place, launch
-        self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
+        self._place, self._launch = place, launch
         self._transmitter = Transmitter(launch.parameters, launch.channels, step)
         self._socket: socket.socket | None = None
-        self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._out.bind((LOCAL, 0))
-        self._program: Program | None = None
+        self._out = self._open_sender()
         self._peer: tuple[str, int] | None = None
         self._pulses: list[int] = []
         self._sticks_every = max(1, round(STICKS_S / step))
@@ -136,7 +132,7 @@ class ArduPilot:
         """Listen, start it, and wait for its first packet.  Raises InputError or FlightError."""
         port = PORT + PORT_SPACING * self._launch.instance
         self._folder.mkdir(parents=True, exist_ok=True)
-        self._socket = listen(socket.SOCK_DGRAM, port, "ardupilot")
+        self._socket = self._own(listen(socket.SOCK_DGRAM, port, "ardupilot"))
         self._earlier_logs = self._logs()
         if self._binary is not None:
             self._program = Program(self._command(), self._folder, self._folder / "ardupilot.log", {})
@@ -204,8 +200,7 @@ class ArduPilot:
             if count != self._count + 1:
                 raise FlightError(f"ardupilot went on from frame {self._count} to {count}: frames between were lost")
             self._count, self._is_restarted = count, False
-            counts.answers += 1
-            counts.longest_s = max(counts.longest_s, timer.elapsed)
+            self._count_answer(timer)
             self._check_rate(servos[1])
             return self._answer(servos[3:])
 
@@ -260,14 +255,6 @@ class ArduPilot:
 
     def _logs(self) -> set[Path]:
         return set((self._folder / "logs").glob("*.BIN"))
-
-    def close(self) -> None:
-        """End it; may be called twice."""
-        if self._program is not None:
-            self._program.close()
-        if self._socket is not None:
-            self._socket.close()
-        self._out.close()
 
 
 class Transmitter:

@@ -26,9 +26,9 @@ from cosim.autopilots.lockstep import (
     ActuatorOutputs,
     AnswerTimer,
     Handling,
-    LockstepCounts,
     Program,
     SensorFrame,
+    Sitl,
     drain,
     find_configured_program,
     listen,
@@ -155,7 +155,7 @@ def base_settings(vehicle: Vehicle) -> list[str]:
     ]
 
 
-class Betaflight:
+class Betaflight(Sitl):
     """One Betaflight SITL in a folder of its own, for one flight.
 
     ``settings``: console lines beside those that make it fit the vehicle, in order, the last word.  ``boot``: s that it
@@ -173,10 +173,8 @@ class Betaflight:
         limit: float = 5.0,
         ground: float = 0.0,
     ) -> None:
-        self.counts = LockstepCounts()
-        self._binary, self._folder, self._step, self._port = binary, folder, step, port
-        self.limit = limit  # s of the clock, for an answer
-        self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
+        super().__init__(binary, folder, vehicle, step, limit)
+        self._port = port
         self._motors = self._jets + (2 if self._range else 0)
         if self._motors > MOST_MOTORS:
             raise InputError(
@@ -186,15 +184,13 @@ class Betaflight:
         self._ground = ground
         self.idle = vehicle.control.allocation.throttle_min
         self.settings = [*mixer_settings(vehicle, self.idle), *base_settings(vehicle), *settings]
-        self._program: Program | None = None
         self._in: socket.socket | None = None
-        self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._out.bind((LOCAL, 0))
+        self._out = self._open_sender()
 
     def start(self) -> None:
         """Configure it through its console in a first life, and start the second under the flight's clock."""
         self._folder.mkdir(parents=True, exist_ok=True)
-        self._in = listen(socket.SOCK_DGRAM, self._port, "betaflight")
+        self._in = self._own(listen(socket.SOCK_DGRAM, self._port, "betaflight"))
         shim = str(build_clock())
         ports = {"LD_PRELOAD": shim, "HEXJET_PORT": str(self._port)}
         log = self._folder / "betaflight.log"
@@ -243,8 +239,7 @@ class Betaflight:
             return ActuatorOutputs((0.0,) * self._jets, (0.0, 0.0), False)
         while len(packet := self._packet(timer)) != _RAW.size:
             counts.foreign += 1
-        counts.answers += 1
-        counts.longest_s = max(counts.longest_s, timer.elapsed)
+        self._count_answer(timer)
         motors, *raw = _RAW.unpack(packet)
         if motors != self._motors:
             raise FlightError(f"betaflight drives {motors} motors, and was told of {self._motors}")
@@ -275,18 +270,6 @@ class Betaflight:
             if sender[0] == LOCAL:
                 return packet
             self.counts.foreign += 1
-
-    def check_parameters(self) -> str:
-        """Return nothing: what its console refuses ends the flight before it begins."""
-        return ""
-
-    def close(self) -> None:
-        """End it; may be called twice."""
-        if self._program is not None:
-            self._program.close()
-        if self._in is not None:
-            self._in.close()
-        self._out.close()
 
 
 def build_clock() -> Path:

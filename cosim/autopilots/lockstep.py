@@ -20,6 +20,7 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.limits import clamp
 from cosim.base.runtime.processes import Child
 from cosim.base.signals import PerJet, Quaternion, State, Vector3
+from cosim.spec.vehicle import Vehicle
 
 LOCAL = "127.0.0.1"
 _TIMEVAL = Struct("@ll")  # seconds and microseconds
@@ -236,6 +237,44 @@ def set_receive_timeout(sock: socket.socket) -> socket.socket:
     sock.setblocking(True)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(int(CHECK_S), round(1e6 * (CHECK_S % 1.0))))
     return sock
+
+
+class Sitl:
+    """Common state of the autopilots that run as programs: counts, program, sockets, and the vehicle's outputs."""
+
+    def __init__(self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, limit: float) -> None:
+        self.counts = LockstepCounts()
+        self.limit = limit  # s of the clock, for an answer
+        self._binary, self._folder, self._step = binary, folder, step
+        self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
+        self._program: Program | None = None
+        self._sockets: list[socket.socket] = []
+
+    def check_parameters(self) -> str:
+        """Return nothing: an autopilot that refuses a parameter ends the flight before it begins."""
+        return ""
+
+    def close(self) -> None:
+        """End it; may be called twice."""
+        if self._program is not None:
+            self._program.close()
+        for sock in reversed(self._sockets):
+            sock.close()
+
+    def _own(self, sock: socket.socket) -> socket.socket:
+        """Return a socket that is closed with the autopilot."""
+        self._sockets.append(sock)
+        return sock
+
+    def _open_sender(self) -> socket.socket:
+        """Return a socket for datagrams to the autopilot."""
+        sock = self._own(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        sock.bind((LOCAL, 0))
+        return sock
+
+    def _count_answer(self, timer: AnswerTimer) -> None:
+        self.counts.answers += 1
+        self.counts.longest_s = max(self.counts.longest_s, timer.elapsed)
 
 
 def drain(sock: socket.socket) -> None:

@@ -23,9 +23,9 @@ from cosim.autopilots.lockstep import (
     ActuatorOutputs,
     AnswerTimer,
     Handling,
-    LockstepCounts,
     Program,
     SensorFrame,
+    Sitl,
     StickPositions,
     describe_unknown,
     listen,
@@ -89,18 +89,15 @@ class Launch:
     magnetic_field: Vector3 | None = None  # gauss, NED; None: the Earth's at the place
 
 
-class Px4:
+class Px4(Sitl):
     """One PX4 SITL, started here or by hand."""
 
     def __init__(
         self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, launch: Launch
     ) -> None:
-        self.counts = LockstepCounts()
-        self.limit = launch.limit_s
+        super().__init__(binary, folder, vehicle, step, launch.limit_s)
         self.field = launch.magnetic_field or earth_field(place.latitude_deg, place.longitude_deg)
-        self._binary, self._folder, self._step, self._place = binary, folder, step, place
-        self._instance, self._parameters = launch.instance, launch.parameters
-        self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
+        self._place, self._instance, self._parameters = place, launch.instance, launch.parameters
         self._fix_every = vehicle.sensors.gnss.period_samples
         self._accuracy = max(1, round(100.0 * max(vehicle.sensors.gnss.position_noise_m, 0.3)))  # cm
         self._mag_every = max(1, round(_MAG_EVERY / step))
@@ -109,14 +106,13 @@ class Px4:
         self._writer, self._reader = hil.FrameWriter(), hil.FrameReader()
         self._server: socket.socket | None = None
         self._link: socket.socket | None = None
-        self._program: Program | None = None
 
     def start(self) -> None:
         """Listen, start it, and wait until it connects.  Raises InputError or FlightError."""
         port = PORT + self._instance
         self._folder.mkdir(parents=True, exist_ok=True)
         log = self._folder / "px4.log"
-        self._server = listen(socket.SOCK_STREAM, port, "px4")
+        self._server = self._own(listen(socket.SOCK_STREAM, port, "px4"))
         if self._binary is not None:
             environment = {"PX4_SYS_AUTOSTART": "10016", "PX4_SIM_MODEL": "none_iris", "HEADLESS": "1"}
             # nine digits, as many as its single precision tells apart
@@ -130,7 +126,7 @@ class Px4:
         while self._link is None:
             self._server.settimeout(timer.remaining())
             with suppress(TimeoutError):
-                self._link, _ = self._server.accept()
+                self._link = self._own(self._server.accept()[0])
         if self._program is not None:
             refuse_unknown(log, self._parameters)  # its parameters are set before it connects
         self._server.setblocking(False)
@@ -165,8 +161,7 @@ class Px4:
                 else:
                     answer = self._answer(values)
             if answer is not None:
-                counts.answers += 1
-                counts.longest_s = max(counts.longest_s, timer.elapsed)
+                self._count_answer(timer)
                 return answer
 
     @property
@@ -298,15 +293,3 @@ class Px4:
             hil.HIL_STATE_QUATERNION, now, *state.attitude, *state.rate, round(1e7 * latitude), round(1e7 * longitude),
             round(1e3 * height), *cm, air_speed, air_speed, *mg,
         )  # fmt: skip
-
-    def check_parameters(self) -> str:
-        """Return nothing: the names are checked before the flight, by :func:`refuse_unknown`."""
-        return ""
-
-    def close(self) -> None:
-        """End it; may be called twice."""
-        if self._program is not None:
-            self._program.close()
-        for connection in (self._link, self._server):
-            if connection is not None:
-                connection.close()

@@ -36,7 +36,9 @@ def adapter_texts(form: Form, labels: Labels, autopilot: str, torque_scale: Vect
     if autopilot not in _ADAPTERS:
         raise InputError(f"autopilot {autopilot!r}: allowed: {', '.join(AUTOPILOTS)}")
     thrust = form["thrust"]
-    curve = None if thrust["identity"] else _curve(thrust)
+    curve: int | None = None
+    if not thrust["identity"]:  # it inverts a throttle: the reference's curve, or the first station's
+        curve = thrust["mapped"][0]["curve"] if thrust["reference"] is None else thrust["reference"]
     values = common_values(form, labels) | {
         "autopilot": _TITLES[autopilot],
         "tilts": form["allocation"]["kind"] == "tilt",
@@ -63,11 +65,6 @@ def adapter_texts(form: Form, labels: Labels, autopilot: str, torque_scale: Vect
 def _as_program(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a template is told of a file that is a part of the autopilot's program."""
     return dict(values) | {"licence": stamp(values["program_licence"])}
-
-
-def _curve(thrust: Mapping[str, Any]) -> int:
-    """Return the index of the thrust curve that inverts a throttle: the reference's, or the first station's."""
-    return int(thrust["mapped"][0]["curve"] if thrust["reference"] is None else thrust["reference"])
 
 
 def _betaflight(n: str, controller_files: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:

@@ -187,31 +187,19 @@ def _discrete(model: DiscreteModel) -> Form:
 
 
 def _delayed(model: DelayedModel) -> Form:
-    return {"line": model.line.samples, "model": _discrete(model.model)}
+    return {"line": model.line.samples, "then": _discrete(model.model)}
 
 
 def _smith(predictor: SmithPredictor) -> Form:
     then = predictor.then
-    if isinstance(then, DelayLine):
-        return {"kind": "early-late", "now": _discrete(predictor.now), "line": then.samples, "then": None}
-    return {
-        "kind": "early-late",
-        "now": _discrete(predictor.now),
-        "then": _discrete(then.model),
-        "line": then.line.samples,
-    }
+    delayed = {"line": then.samples, "then": None} if isinstance(then, DelayLine) else _delayed(then)
+    return {"kind": "early-late", "now": _discrete(predictor.now), **delayed}
 
 
 def _filtered(predictor: FilteredSmithPredictor) -> Form:
-    delayed = _delayed(predictor.then)
-    return {
-        "kind": "early-late-filtered",
-        "now": _discrete(predictor.now),
-        "then": delayed["model"],
-        "line": delayed["line"],
-        "through": predictor.through,
-        "rest": _discrete(predictor.rest) if predictor.rest else None,
-    }
+    rest = _discrete(predictor.rest) if predictor.rest else None
+    smith = {"kind": "early-late-filtered", "now": _discrete(predictor.now), **_delayed(predictor.then)}
+    return smith | {"through": predictor.through, "rest": rest}
 
 
 def _state(predictor: StatePredictor) -> Form:

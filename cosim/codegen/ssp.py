@@ -33,7 +33,8 @@ def write_ssp(flight: ExportedFlight, vehicle: Path, target: Path, fmi: int, sec
     stations = flight.simulation.stations
     for jet, spec in enumerate(stations, 1):
         _check_engine(jet, spec)
-    root = _element("ssd:SystemStructureDescription", name=target.stem, version="1.0", generationTool="hexjet-cosim")
+    attributes = {"name": target.stem, "version": "1.0", "generationTool": "hexjet-cosim"}
+    root = ElementTree.Element(_name("ssd:SystemStructureDescription"), attributes)
     system = _sub(root, "ssd:System", name=target.stem)
     elements, connections = _sub(system, "ssd:Elements"), _sub(system, "ssd:Connections")
     contents = {f"resources/{vehicle.name}": vehicle.read_bytes()}
@@ -122,10 +123,6 @@ def _component(
 def _name(tag: str) -> str:
     prefix, _, local = tag.partition(":")
     return f"{{{NAMESPACES[prefix]}}}{local}"
-
-
-def _element(tag: str, **attributes: str) -> ElementTree.Element:
-    return ElementTree.Element(_name(tag), attributes)
 
 
 def _sub(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:

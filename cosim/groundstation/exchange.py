@@ -68,10 +68,6 @@ def ignore_answer(answer: Answer) -> None:
     """Ignore an answer, for senders that need none."""
 
 
-def _accept() -> bool:
-    return True
-
-
 class FlightInfo(NamedTuple):
     """Constant data of one flight."""
 
@@ -156,7 +152,7 @@ class Exchange:
         done: AnswerCallback = ignore_answer,
         sender: str = "",
         until: float = inf,
-        claim: Claim = _accept,
+        claim: Claim = lambda: True,
     ) -> None:
         """Queue a request for the vehicle, which handles it before the next step.
 
@@ -167,21 +163,19 @@ class Exchange:
         waiting = PendingRequest(sender, request, done, until)
         dropped: PendingRequest | None = None
         with self._lock:
-            queue = self._queues.get(sender)
-            full = queue is None and len(self._queues) >= SENDERS
-            if queue is None and not full:
-                queue = self._queues[sender] = deque()
-            if queue is not None:
-                if isinstance(request, _STREAMS) and queue and type(queue[-1][0].request) is type(request):
-                    dropped, _ = queue.pop()
-                full = len(queue) >= WAITING_PER_SENDER
-                if not full:
-                    queue.append((waiting, claim))
-            if full:
+            queue = self._queues.get(sender, deque())
+            if isinstance(request, _STREAMS) and queue and type(queue[-1][0].request) is type(request):
+                dropped, _ = queue.pop()
+            is_new = sender not in self._queues
+            is_full = len(queue) >= WAITING_PER_SENDER or (is_new and len(self._queues) >= SENDERS)
+            if is_full:
                 self.turned_away += 1
+            else:
+                queue.append((waiting, claim))
+                self._queues[sender] = queue
         if dropped is not None:
             dropped.answer(Answer(True, Result.ACCEPTED, "followed by a newer one"))
-        if full:
+        if is_full:
             waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "too many requests"))
 
     # --- for the flight ------------------------------------------------------------------------------------------

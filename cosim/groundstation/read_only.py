@@ -67,31 +67,29 @@ class _ReadOnlyFeed:
 
 def scripted_status(simulation: Simulation, sample: Sample) -> Status:
     """Return the status of a flight without an autopilot: armed, and holding what the script commands."""
-    north, east, _ = simulation.measured.position
-    fix = Fix((north, east), simulation.measured.velocity[:2], (0.0, 0.0))
-    on_ground = simulation.state.on_ground
+    measured, command = simulation.measured, sample.command
     return Status(
-        simulation.k,
-        Mode.HOLD,
-        True,
-        LandedState.ON_GROUND if on_ground else LandedState.IN_AIR,
-        EngineState.FLY,
-        True,
-        (),
-        Home(0.0, 0.0, 0.0),
-        fix,
-        None,
-        None,
-        sample.command.altitude,
-        sample.command.attitude[2],
-        0,
-        0,
-        -1,
-        False,
-        "",
-        None,
-        False,
-        False,
+        k=simulation.k,
+        mode=Mode.HOLD,
+        armed=True,
+        landed=LandedState.ON_GROUND if simulation.state.on_ground else LandedState.IN_AIR,
+        engines=EngineState.FLY,
+        ready=True,
+        refusals=(),
+        home=Home(0.0, 0.0, 0.0),
+        fix=Fix(measured.position[:2], measured.velocity[:2], (0.0, 0.0)),
+        target=None,
+        track=None,
+        altitude=command.altitude,
+        yaw=command.attitude[2],
+        mission_count=0,
+        mission_current=0,
+        mission_reached=-1,
+        mission_done=False,
+        failsafe="",
+        remaining=None,
+        sticks_fresh=False,
+        link_lost=False,
     )
 
 

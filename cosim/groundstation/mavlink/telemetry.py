@@ -94,7 +94,7 @@ def gps_raw_int(v: TelemetryState) -> list[Message]:
     lat, lon, metres = vehicle.geodesy.to_geodetic(north, east, -down)
     fixed = v.status.positioned
     speed = to_field(hypot(vn, ve) * 100.0, 0, U16 - 1) if fixed else U16
-    course = to_field(degrees(_heading(vn, ve)) * 100.0, 0, 35999) if fixed else U16
+    course = to_field(degrees(atan2(ve, vn) % (2.0 * pi)) * 100.0, 0, 35999) if fixed else U16
     height = mm(metres)
     return [
         mav.MAVLink_gps_raw_int_message(
@@ -103,11 +103,6 @@ def gps_raw_int(v: TelemetryState) -> list[Message]:
             to_field(vehicle.velocity_noise * 1e3, 0, I32), 0, 0,
         )
     ]  # fmt: skip
-
-
-def _heading(north: float, east: float) -> float:
-    """Return a course from 0 to 2 pi [rad]."""
-    return atan2(east, north) % (2.0 * pi)
 
 
 def attitude(v: TelemetryState) -> list[Message]:

@@ -310,7 +310,7 @@ class MavlinkVehicle:
         if state is None:
             return
         try:
-            self.port.ask(_pilot_request(message, state), None, client.text)
+            self.port.ask(_SETPOINTS[message.msgname](message, state), None, client.text)
         except InputError as error:
             self._report_unusable(str(error), client.peer)
 
@@ -352,28 +352,18 @@ class MavlinkVehicle:
         """Ignore a message that has no effect here, as rates are set message by message."""
 
 
-def _pilot_request(message: Message, state: TelemetryState) -> Request:
-    name = message.msgname
-    if name == "MANUAL_CONTROL":
-        return setpoints.parse_sticks(message)
-    if name == "SET_ATTITUDE_TARGET":
-        return setpoints.parse_attitude(message)
-    return (
-        setpoints.parse_local(message, state)
-        if name == "SET_POSITION_TARGET_LOCAL_NED"
-        else setpoints.parse_global(message, state)
-    )
-
-
+_SETPOINTS: dict[str, Callable[[Message, TelemetryState], Request]] = {
+    "MANUAL_CONTROL": lambda message, state: setpoints.parse_sticks(message),
+    "SET_ATTITUDE_TARGET": lambda message, state: setpoints.parse_attitude(message),
+    "SET_POSITION_TARGET_LOCAL_NED": setpoints.parse_local,
+    "SET_POSITION_TARGET_GLOBAL_INT": setpoints.parse_global,
+}
 _HANDLERS: dict[str, Callable[[MavlinkVehicle, Message, Client], None]] = {
     "HEARTBEAT": MavlinkVehicle._heartbeat,
     "COMMAND_LONG": MavlinkVehicle._command,
     "COMMAND_INT": MavlinkVehicle._command,
     "SET_MODE": MavlinkVehicle._set_mode,
-    "MANUAL_CONTROL": MavlinkVehicle._setpoint,
-    "SET_ATTITUDE_TARGET": MavlinkVehicle._setpoint,
-    "SET_POSITION_TARGET_LOCAL_NED": MavlinkVehicle._setpoint,
-    "SET_POSITION_TARGET_GLOBAL_INT": MavlinkVehicle._setpoint,
+    **dict.fromkeys(_SETPOINTS, MavlinkVehicle._setpoint),
     "PING": MavlinkVehicle._ping,
     "TIMESYNC": MavlinkVehicle._timesync,
     "SET_GPS_GLOBAL_ORIGIN": MavlinkVehicle._origin,

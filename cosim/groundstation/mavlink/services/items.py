@@ -16,11 +16,8 @@ WRONG_FRAME, UNSUPPORTED = wire.MAV_MISSION_UNSUPPORTED_FRAME, wire.MAV_MISSION_
 NO_SPACE, INVALID = wire.MAV_MISSION_NO_SPACE, wire.MAV_MISSION_INVALID
 PARAM1, PARAM2 = wire.MAV_MISSION_INVALID_PARAM1, wire.MAV_MISSION_INVALID_PARAM2
 PARAM3, PARAM4 = wire.MAV_MISSION_INVALID_PARAM3, wire.MAV_MISSION_INVALID_PARAM4
-PARAM5, PARAM6, PARAM7 = (
-    wire.MAV_MISSION_INVALID_PARAM5_X,
-    wire.MAV_MISSION_INVALID_PARAM6_Y,
-    wire.MAV_MISSION_INVALID_PARAM7,
-)
+PARAM5, PARAM6 = wire.MAV_MISSION_INVALID_PARAM5_X, wire.MAV_MISSION_INVALID_PARAM6_Y
+PARAM7 = wire.MAV_MISSION_INVALID_PARAM7
 SEQUENCE, DENIED = wire.MAV_MISSION_INVALID_SEQUENCE, wire.MAV_MISSION_DENIED
 CANCELLED = wire.MAV_MISSION_OPERATION_CANCELLED
 
@@ -172,15 +169,9 @@ def _waypoint(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem
     north, east = local_position(item, geodesy, altitude)
     if item.command == LOITER_TIME:  # its other parameters are of circles
         radius = 0.0
-    return MissionItem(
-        ItemKind.WAYPOINT,
-        north,
-        east,
-        altitude,
-        _yaw(yaw),
-        _number(hold, PARAM1, "time to hold", 0.0, 0.0),
-        _number(radius, PARAM2, "radius", 0.0, 0.0),
-    )
+    hold_s = _number(hold, PARAM1, "time to hold", 0.0, 0.0)
+    acceptance_m = _number(radius, PARAM2, "radius", 0.0, 0.0)
+    return MissionItem(ItemKind.WAYPOINT, north, east, altitude, _yaw(yaw), hold_s, acceptance_m)
 
 
 def _loiter(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
@@ -264,17 +255,13 @@ def _whole(value: float, code: int, what: str, besides: str = "") -> int:
 
 
 _FIELDS: dict[str, int] = {
+    **dict.fromkeys(("hold_s", "target", "turns"), PARAM1),
+    **dict.fromkeys(("acceptance_m", "speed", "repeat"), PARAM2),
+    "radius": PARAM3,
+    "yaw": PARAM4,
     "north": PARAM5,
     "east": PARAM6,
     "altitude": PARAM7,
-    "hold_s": PARAM1,
-    "acceptance_m": PARAM2,
-    "speed": PARAM2,
-    "target": PARAM1,
-    "repeat": PARAM2,
-    "radius": PARAM3,
-    "turns": PARAM1,
-    "yaw": PARAM4,
 }
 
 

@@ -73,9 +73,9 @@ class LogEntry:
 class LogStore:
     """Store of the finished runs' logs, which converts them to ULog one after the other.
 
-    ``runs``: the folders of every finished run, oldest first.  It reads a file of each, so it is called in a thread of
-    its own, and again when somebody asks after a while or after :meth:`renew`.  A log's number stays its own: runs that
-    come later get the next ones.
+    ``runs``: returns the folders of every finished run, oldest first.  It reads a file of each, so it is called in a
+    thread of its own, and again on a request after :data:`SEARCH_INTERVAL` or :meth:`mark_outdated`.  A log keeps its
+    number: later runs get the next ones.
     """
 
     def __init__(self, runs: Callable[[], Sequence[Path]]) -> None:
@@ -83,11 +83,11 @@ class LogStore:
         self._folder = Path(tempfile.mkdtemp(prefix="logs-", dir=scratch()))
         self._seen_runs: set[Path] = set()
         self._conversion: tuple[Child, LogEntry, float] | None = None
-        self._converted_count = 0  # how many of them are done with
+        self._converted_count = 0  # of the logs, those that failed included
         self._search: Thread | None = None
         self._found_runs: Sequence[Path] = ()
         self._last_search = -inf
-        self._is_outdated = True  # a run has been finished since the last search began
+        self._is_outdated = True  # a run was finished after the last search began
         self._now = 0.0
         self.logs: list[LogEntry] = []
 
@@ -108,7 +108,7 @@ class LogStore:
         return self._search is not None
 
     def _run_search(self) -> None:
-        with suppress(OSError):  # a folder that may not be read: as it was
+        with suppress(OSError):  # a folder that may not be read: the list stays
             self._found_runs = self._runs()
 
     def _list_found(self, now: float) -> None:
@@ -174,7 +174,7 @@ class LogStore:
 
 
 class LogService(Service):
-    """LogEntry service: LOG_REQUEST_LIST, _DATA and _END in, LOG_ENTRY and LOG_DATA out.  Logs are never erased."""
+    """Log service: LOG_REQUEST_LIST, _DATA and _END in, LOG_ENTRY and LOG_DATA out.  Logs are never erased."""
 
     handles = frozenset({"LOG_REQUEST_LIST", "LOG_REQUEST_DATA", "LOG_REQUEST_END", "LOG_ERASE"})
 
@@ -235,17 +235,15 @@ class LogService(Service):
     def _entry(self, number: int) -> Message | None:
         """Return a log's entry; None while it is not converted."""
         logs = self._store.logs
-        log = logs[number]
-        if log.file is None:
+        file = logs[number].file
+        if file is None:
             return None
-        size = min(log.file.size, 2**32 - 1)
-        return wire.MAVLink_log_entry_message(number, len(logs), len(logs) - 1, log.time_utc, size)
+        size = min(file.size, 2**32 - 1)
+        return wire.MAVLink_log_entry_message(number, len(logs), len(logs) - 1, logs[number].time_utc, size)
 
     def _begin(self, message: Message, client: Client) -> list[Message]:
         logs = self._store.logs
-        if message.id >= len(logs):
-            return []
-        file = logs[message.id].file
+        file = logs[message.id].file if message.id < len(logs) else None
         if file is None:
             return []
         if message.ofs >= file.size or message.count == 0:

@@ -64,6 +64,10 @@ _KINDS = (MISSION, FENCE, RALLY)
 
 
 _NAMES = {MISSION: "mission", FENCE: "fence", RALLY: "rally"}
+_LEGACY_FRAMES = {
+    wire.MAV_FRAME_GLOBAL_INT: wire.MAV_FRAME_GLOBAL,
+    wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+}
 _CLEARING: dict[int, Request] = {MISSION: MissionClear(), FENCE: FenceUpload(()), RALLY: RallyUpload(())}
 
 
@@ -134,7 +138,7 @@ class MissionService(Service):
             return []
         mission_type = message.mission_type
         if kind == "MISSION_CLEAR_ALL" and mission_type == ALL:
-            return self._clear_all(client)
+            return self._clear(client, ALL)
         if mission_type not in _KINDS:
             return [_ack(client, UNSUPPORTED, mission_type)]
         if kind == "MISSION_REQUEST_LIST":
@@ -185,38 +189,21 @@ class MissionService(Service):
         return from_rally(status.rally, self._geodesy)
 
     def _make_item(self, index: int, client: Client, is_legacy: bool, mission_type: int) -> Message:
-        """Return an item; ``old``: in degrees as 32-bit floats (half a metre), as such a request expects it."""
+        """Return an item; ``is_legacy``: in degrees as 32-bit floats (half a metre), as such a request expects it."""
         items = self._list(mission_type)
         if not 0 <= index < len(items):
             return _ack(client, SEQUENCE, mission_type)
         item, status = items[index], self._status()
         current = int(mission_type == MISSION and status is not None and status.mission_current == index)
-        if not is_legacy:
-            position: tuple[float, float] = (item.x, item.y)
-            make, frame = wire.MAVLink_mission_item_int_message, item.frame
-        else:
-            position = (
-                nan if item.x == NO_POSITION else item.x * 1e-7,
-                nan if item.y == NO_POSITION else item.y * 1e-7,
-            )
-            old_frames = {
-                wire.MAV_FRAME_GLOBAL_INT: wire.MAV_FRAME_GLOBAL,
-                wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
-            }
-            make, frame = wire.MAVLink_mission_item_message, old_frames.get(item.frame, item.frame)
+        make, frame = wire.MAVLink_mission_item_int_message, item.frame
+        position: list[float] = [item.x, item.y]
+        if is_legacy:
+            make, frame = wire.MAVLink_mission_item_message, _LEGACY_FRAMES.get(item.frame, item.frame)
+            position = [nan if value == NO_POSITION else value * 1e-7 for value in position]
         return make(
-            client.system,
-            client.component,
-            index,
-            frame,
-            item.command,
-            current,
-            item.autocontinue,
-            *item.params,
-            *position,
-            item.z,
-            mission_type,
-        )
+            client.system, client.component, index, frame, item.command, current, item.autocontinue,
+            *item.params, *position, item.z, mission_type,
+        )  # fmt: skip
 
     def _list_mission(self) -> list[Item]:
         """Return the autopilot's mission as items: those that were uploaded, if it is that one."""
@@ -317,13 +304,8 @@ class MissionService(Service):
     # ---- the rest
 
     def _clear(self, client: Client, mission_type: int) -> list[Message]:
-        return self._ask_to_clear(client, [_CLEARING[mission_type]], mission_type)
-
-    def _clear_all(self, client: Client) -> list[Message]:
-        return self._ask_to_clear(client, list(_CLEARING.values()), ALL)
-
-    def _ask_to_clear(self, client: Client, requests: list[Request], mission_type: int) -> list[Message]:
-        """Request to clear, with one acknowledgement when every request is answered."""
+        """Request to clear one type or all, with one acknowledgement when every request is answered."""
+        requests = list(_CLEARING.values()) if mission_type == ALL else [_CLEARING[mission_type]]
         refused: list[str] = []
         remaining = len(requests)
 

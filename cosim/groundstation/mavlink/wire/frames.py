@@ -59,8 +59,7 @@ class Parser:
                 if not self._is_datagram:
                     break
                 self._refused["truncated"] += 1
-                at += 1
-                at = _next_magic(buffer, at)
+                at = _next_magic(buffer, at + 1)
                 continue
             raw = buffer[at : at + length]
             reason, frame = self._read(raw)
