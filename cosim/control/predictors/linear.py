@@ -1,4 +1,4 @@
-"""The predictors as linear systems, for those who design with them: frequency response, and state space.
+"""The predictors as linear systems, for the design of loops: frequency response and state space.
 
 ``z`` are points on the upper half of the unit circle or outside it; ``y`` is the measured rate, ``u`` the command,
 ``y^ = P_y y + P_u u`` the predicted rate, all of the instant ``t_k``.
@@ -41,18 +41,18 @@ def delayed_response(model: RateModel, z: Complex) -> Complex:
     for i, pole in enumerate(poles):
         others = poles[:i] + poles[i + 1 :]
         residue = model.gain * prod(pole - zero for zero in model.all_zeros) / prod(pole - other for other in others)
-        share = 1.0 - f if pole == 1.0 else (pole ** (1.0 - f) - 1.0) / (pole - 1.0)
-        total += residue * (share + (1.0 - share) / z) / (z - pole)
+        weight = 1.0 - f if pole == 1.0 else (pole ** (1.0 - f) - 1.0) / (pole - 1.0)
+        total += residue * (weight + (1.0 - weight) / z) / (z - pole)
     return np.asarray(total * z**-n)
 
 
 def no_response(z: Complex) -> Pair:
-    """``P_y`` and ``P_u`` of the measurement itself."""
+    """Return ``P_y`` and ``P_u`` of the measurement itself."""
     return np.ones_like(z), np.zeros_like(z)
 
 
 def smith_response(model: RateModel, filter_s: float | None = None) -> PairResponse:
-    """``P_y`` and ``P_u`` of Smith's predictor; with the time constant of its robustness filter of the filtered one."""
+    """Return ``P_y`` and ``P_u`` of Smith's predictor, filtered where ``filter_s`` is not None."""
     numerator, denominator = ([1.0], [1.0]) if filter_s is None else robustness_filter(model, filter_s)
 
     def response(z: Complex) -> Pair:
@@ -63,13 +63,14 @@ def smith_response(model: RateModel, filter_s: float | None = None) -> PairRespo
 
 
 def observer_response(model: RateModel, bandwidth: float, disturbance: bool) -> PairResponse:
-    """``P_y`` and ``P_u`` of a predictor with a :class:`~cosim.control.predictors.state.ModelObserver`, in closed form.
+    """Return ``P_y`` and ``P_u`` of a predictor with an observer, in closed form.
 
-    With ``x`` the observer's state, ``M = (I - L C) F`` and ``v`` what each state is worth when the delay is over,
+    The observer is a :class:`~cosim.control.predictors.state.ModelObserver`.  With ``x`` its state,
+    ``M = (I - L C) F`` and ``v`` the contribution of each state to the rate after the delay,
 
         P_y = v z (z I - M)^-1 L,   P_u = sum_i c_i (1 - p_i^h D_i) / (z - p_i) + v (z I - M)^-1 (I - L C) D,
 
-    ``D_i = z^-n (s_i + (1 - s_i) / z)`` the way from a command to mode ``i``; ``det(z I - M) = (z - q)^n``, and the
+    ``D_i = z^-n (s_i + (1 - s_i) / z)`` the delay from a command to mode ``i``; ``det(z I - M) = (z - q)^n``, and the
     numerators come from Faddeev's recursion.
     """
     modes = Modes(model)
@@ -94,14 +95,14 @@ def observer_response(model: RateModel, bandwidth: float, disturbance: bool) -> 
     of_mode = [[row @ correct[:, i] for row in rows] for i in range(order)]
 
     def response(z: Complex) -> Pair:
-        under = np.polyval(denominator, z)
+        denominator_at = np.polyval(denominator, z)
         command = np.zeros_like(z)
-        late = z**-modes.whole
+        delay = z**-modes.whole
         for c_i, p, s, numerator in zip(modes.residues, modes.poles, modes.shares, of_mode, strict=True):
-            arrives = late if s == 1.0 else late * (s + (1.0 - s) / z)
-            command += c_i * (1.0 - p**modes.delay * arrives) / (z - p)
-            command += np.polyval(numerator, z) / under * arrives
-        return np.asarray(z * np.polyval(of_rate, z) / under), command
+            input_delay = delay if s == 1.0 else delay * (s + (1.0 - s) / z)
+            command += c_i * (1.0 - p**modes.delay * input_delay) / (z - p)
+            command += np.polyval(numerator, z) / denominator_at * input_delay
+        return np.asarray(z * np.polyval(of_rate, z) / denominator_at), command
 
     return response
 
@@ -121,30 +122,30 @@ class Part:
 
 def part(model: RateModel) -> Part:
     """Return a sampled response with its delay; mode by mode where the delay is not whole."""
-    whole = int(model.delay_samples)
-    if model.delay_samples == whole:
+    samples = int(model.delay_samples)
+    if model.delay_samples == samples:
         A, B, C = cascade(model)
-        return Part(A, B[:, None], C, whole)
+        return Part(A, B[:, None], C, samples)
     modes = Modes(model)
-    shares = np.array(modes.shares)
-    A, B, C = real_form(np.diag(modes.poles), np.stack([shares, 1.0 - shares], axis=1), np.array(modes.residues))
-    return Part(A, B, C, whole)
+    weights = np.array(modes.shares)
+    A, B, C = real_form(np.diag(modes.poles), np.stack([weights, 1.0 - weights], axis=1), np.array(modes.residues))
+    return Part(A, B, C, samples)
 
 
 def cascade(model: RateModel) -> tuple[Array, Array, Array]:
-    """``x_k+1 = A x_k + B u_k``, ``y_k = C x_k`` of a response without its delay: poles and zeros in a row.
+    """Return ``x_k+1 = A x_k + B u_k``, ``y_k = C x_k`` of a response without its delay, as a cascade of sections.
 
-    One polynomial of six poles that are all but 1 would lose most digits.
+    One polynomial of six poles near 1 would lose most digits.
     """
     zeros, sections = [*model.all_zeros], []
     for pole in sorted((complex(p) for p in model.all_poles), key=abs):
         if pole.imag < 0.0:
             continue
         order = 2 if pole.imag else 1
-        taken = [zeros.pop() for _ in range(min(order, len(zeros)))]
-        if len(taken) == 1 and isinstance(taken[0], complex) and taken[0].imag:
-            zeros.append(taken.pop())  # its other half would be left alone
-        sections.append(_section(pole, np.real(np.poly(taken)) if taken else np.array([1.0])))
+        section_zeros = [zeros.pop() for _ in range(min(order, len(zeros)))]
+        if len(section_zeros) == 1 and isinstance(section_zeros[0], complex) and section_zeros[0].imag:
+            zeros.append(section_zeros.pop())  # its conjugate would remain
+        sections.append(_section(pole, np.real(np.poly(section_zeros)) if section_zeros else np.array([1.0])))
     if zeros:
         raise InputError(f"identified model: more pairs of zeros ({model.zero_pairs}) than pairs of poles take")
     A, B, C, D = sections[0]
@@ -154,44 +155,44 @@ def cascade(model: RateModel) -> tuple[Array, Array, Array]:
     return A, B, model.gain * C
 
 
-def _section(pole: complex, over: Array) -> tuple[Array, Array, Array, float]:
+def _section(pole: complex, numerator: Array) -> tuple[Array, Array, Array, float]:
     """Return the section of a real pole, or of a conjugate pair, below a polynomial of at most its order."""
     re, im = pole.real, pole.imag
-    size = abs(1.0 - pole) or 1.0  # the state is then as large as what comes in
+    size = abs(1.0 - pole) or 1.0  # scales the state to the size of the input
     if not im:
-        through = over[0] if len(over) == 2 else 0.0
-        rest = over[-1] + through * re
-        return np.array([[re]]), np.array([size]), np.array([rest / size]), float(through)
-    under = np.array([1.0, -2.0 * re, re * re + im * im])
-    over = np.concatenate([np.zeros(3 - len(over)), over])
-    through = over[0]
-    one, nought = over[1:] - through * under[1:]
-    C = np.array([(nought + one * re) / im, one]) / size
-    return np.array([[re, im], [-im, re]]), np.array([0.0, size]), C, float(through)
+        feedthrough = numerator[0] if len(numerator) == 2 else 0.0
+        rest = numerator[-1] + feedthrough * re
+        return np.array([[re]]), np.array([size]), np.array([rest / size]), float(feedthrough)
+    denominator = np.array([1.0, -2.0 * re, re * re + im * im])
+    numerator = np.concatenate([np.zeros(3 - len(numerator)), numerator])
+    feedthrough = numerator[0]
+    linear, constant = numerator[1:] - feedthrough * denominator[1:]
+    C = np.array([(constant + linear * re) / im, linear]) / size
+    return np.array([[re, im], [-im, re]]), np.array([0.0, size]), C, float(feedthrough)
 
 
-def companion(over: Array, under: Array) -> tuple[Array, Array, Array]:
+def companion(numerator: Array, denominator: Array) -> tuple[Array, Array, Array]:
     """Return the companion form (A, B, C) of a strictly proper fraction of low order."""
-    n = len(under) - 1
+    n = len(denominator) - 1
     A = np.eye(n, k=-1)
-    A[0] = -under[1:]
+    A[0] = -denominator[1:]
     C = np.zeros(n)
-    C[n - len(over) :] = over
+    C[n - len(numerator) :] = numerator
     return A, np.eye(n)[:, 0], C
 
 
 def real_form(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
-    """Real and imaginary part in place of two conjugate states that follow each other."""
+    """Replace adjacent conjugate states by their real and imaginary parts."""
     n = len(A)
-    change = np.eye(n, dtype=complex)
+    transform = np.eye(n, dtype=complex)
     i = 0
     while i < n:
         if i + 1 < n and A[i, i].imag:
-            change[i : i + 2, i : i + 2] = [[0.5, 0.5], [-0.5j, 0.5j]]
+            transform[i : i + 2, i : i + 2] = [[0.5, 0.5], [-0.5j, 0.5j]]
             i += 1
         i += 1
-    back = np.linalg.inv(change)
-    return np.real(change @ A @ back), np.real(change @ B), np.real(C @ back)
+    inverse = np.linalg.inv(transform)
+    return np.real(transform @ A @ inverse), np.real(transform @ B), np.real(C @ inverse)
 
 
 Rows = Mapping[str, Array]
@@ -206,16 +207,16 @@ class PredictorSpace(Protocol):
 
     @property
     def reads(self) -> int:
-        """How many past commands it reads."""
+        """The number of past commands that it reads."""
 
     @property
     def states(self) -> Mapping[str, int]:
-        """What it remembers, by name, and how many numbers that is."""
+        """Its states by name, with their sizes."""
 
     def predicted(self, measured: Array, x: Rows, keep: Keep) -> Array:
         """Return the predicted rate, once a step, before the command of the step is known.
 
-        ``x["sent"]`` are the past commands, the last first; ``keep`` says what a state becomes.
+        ``x["sent"]`` are the past commands, the last first; ``keep`` stores the next value of a state.
         """
 
     def believe(self, command: Array, x: Rows, keep: Keep) -> None:
@@ -223,7 +224,7 @@ class PredictorSpace(Protocol):
 
 
 class NoSpace:
-    """The measurement itself."""
+    """The measurement itself, without prediction."""
 
     reads = 1
     states: Mapping[str, int] = {}
@@ -232,7 +233,7 @@ class NoSpace:
         return measured
 
     def believe(self, command: Array, x: Rows, keep: Keep) -> None:
-        """Nothing."""
+        """Do nothing."""
 
 
 class SmithSpace:
@@ -244,19 +245,19 @@ class SmithSpace:
         self.states = {"now": len(self._now[0]), "then": len(self._then.A)}
         self._filter: tuple[Array, Array] | None = None
         if filter_s is not None:
-            over, under = robustness_filter(model, filter_s)
-            self._filter = (np.array(over), np.array(under))
-            self.states["filter"] = len(under) - 1
+            numerator, denominator = robustness_filter(model, filter_s)
+            self._filter = (np.array(numerator), np.array(denominator))
+            self.states["filter"] = len(denominator) - 1
 
     def predicted(self, measured: Array, x: Rows, keep: Keep) -> Array:
         now = self._now[2] @ x["now"]
-        off = measured - self._then.C @ x["then"]
+        error = measured - self._then.C @ x["then"]
         if self._filter is not None:
-            over, under = self._filter
-            A, B, C = companion(over[1:] - over[0] * under[1:], under)
-            keep("filter", A @ x["filter"] + np.outer(B, off))
-            off = C @ x["filter"] + over[0] * off
-        return np.asarray(now + off)
+            numerator, denominator = self._filter
+            A, B, C = companion(numerator[1:] - numerator[0] * denominator[1:], denominator)
+            keep("filter", A @ x["filter"] + np.outer(B, error))
+            error = C @ x["filter"] + numerator[0] * error
+        return np.asarray(now + error)
 
     def believe(self, command: Array, x: Rows, keep: Keep) -> None:
         A, B, _ = self._now
@@ -267,7 +268,7 @@ class SmithSpace:
 
 
 class ObserverSpace:
-    """An observer of the identified model, and the model run ahead over the delay."""
+    """An observer of the identified model, and the model predicted over the delay."""
 
     def __init__(self, model: RateModel, bandwidth: float, disturbance: bool) -> None:
         self.reads = int(model.delay_samples) + 2
@@ -275,32 +276,32 @@ class ObserverSpace:
         F, gain = modal_observer(modes, bandwidth, model.sample_time_s, disturbance)
         n = len(modes.poles)
         size = n + 1 if disturbance else n
-        shares = np.zeros((size, 2), complex)
-        shares[:n, 0] = modes.shares
-        shares[:n, 1] = 1.0 - shares[:n, 0]
-        seen, ahead = np.zeros(size, complex), np.zeros(size, complex)
-        seen[:n], ahead[:n] = modes.residues, modes.ahead()
+        weights = np.zeros((size, 2), complex)
+        weights[:n, 0] = modes.shares
+        weights[:n, 1] = 1.0 - weights[:n, 0]
+        output, prediction = np.zeros(size, complex), np.zeros(size, complex)
+        output[:n], prediction[:n] = modes.residues, modes.ahead()
         if disturbance:
-            ahead[n] = modes.gathered()
-        entering = np.concatenate([shares, np.asarray(gain)[:, None]], axis=1)
-        A, B, C = real_form(F, entering, np.vstack([seen, ahead]))
+            prediction[n] = modes.gathered()
+        entering = np.concatenate([weights, np.asarray(gain)[:, None]], axis=1)
+        A, B, C = real_form(F, entering, np.vstack([output, prediction]))
         self._observer = (A, B[:, :2], B[:, 2], C[0], C[1])
-        whole, f = modes.whole, modes.delay - modes.whole
+        samples, f = modes.whole, modes.delay - modes.whole
         poles, residues = np.array(modes.poles), np.array(modes.residues)
         # newest first: one a whole step, then over the fraction
-        on_the_way = [np.sum(residues * poles**j).real for j in range(whole)]
+        on_the_way = [np.sum(residues * poles**j).real for j in range(samples)]
         part_of = np.array([f if p == 1.0 else (p**f - 1.0) / (p - 1.0) for p in modes.poles])
-        on_the_way.append(np.sum(residues * poles**whole * part_of).real)
+        on_the_way.append(np.sum(residues * poles**samples * part_of).real)
         self._on_the_way = np.array(on_the_way)
         self.states = {"observer": size}
 
     def predicted(self, measured: Array, x: Rows, keep: Keep) -> Array:
-        A, B, gain, seen, ahead = self._observer
-        sent, whole = x["sent"], len(self._on_the_way) - 1
-        state = A @ x["observer"] + B @ sent[whole : whole + 2]
-        state = state + np.outer(gain, measured - seen @ state)
+        A, B, gain, output, prediction = self._observer
+        sent, samples = x["sent"], len(self._on_the_way) - 1
+        state = A @ x["observer"] + B @ sent[samples : samples + 2]
+        state = state + np.outer(gain, measured - output @ state)
         keep("observer", state)
-        return np.asarray(ahead @ state + self._on_the_way @ sent[: whole + 1])
+        return np.asarray(prediction @ state + self._on_the_way @ sent[: samples + 1])
 
     def believe(self, command: Array, x: Rows, keep: Keep) -> None:
-        """Nothing: it reads the past commands."""
+        """Do nothing: it reads the past commands."""

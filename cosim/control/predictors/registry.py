@@ -26,7 +26,7 @@ from cosim.spec.vehicle import PredictorTuning, RateModel
 if TYPE_CHECKING:
     from cosim.control.predictors.linear import PairResponse, PredictorSpace
 
-OTHERS, PLACES = 1000, 60000  # numbers of predictors that state none begin here, and so many there are
+OTHERS, NUMBERS = 1000, 60000  # numbers of predictors that state none begin here, and so many there are
 _NAME = re.compile(r"[a-z][a-z0-9-]*")
 _MAVLINK = re.compile(r"HJ_PRED_[A-Z0-9_]{1,8}")
 
@@ -106,7 +106,7 @@ class PredictorSpec:
 
 def number_of(name: str) -> int:
     """Return the number over MAVLink of a predictor that specifies none."""
-    return OTHERS + crc32(name.encode()) % PLACES
+    return OTHERS + crc32(name.encode()) % NUMBERS
 
 
 _FIELDS = frozenset(PredictorTuning.model_fields) - {"own"}
@@ -170,19 +170,18 @@ class Registry(Mapping[str, PredictorSpec]):
         Raises InputError: one line with the key, the value and what is allowed.
         """
         for name, values in tuning.own.items():
-            known = {
+            parameters = {
                 parameter.name: parameter
                 for parameter in self.find(name, f"{where}.own.{name}: unknown predictor").parameters
             }
             for key, value in values.items():
-                if key not in known or key in _FIELDS:
-                    allowed = nearest(key, set(known) - _FIELDS) if set(known) - _FIELDS else "there are none"
-                    raise InputError(f"{where}.own.{name}.{key}: unknown parameter; {allowed}")
-                least, most = known[key].least, known[key].most
+                if key not in parameters or key in _FIELDS:
+                    names = set(parameters) - _FIELDS
+                    suggestion = nearest(key, names) if names else "there are none"
+                    raise InputError(f"{where}.own.{name}.{key}: unknown parameter; {suggestion}")
+                least, most, unit = parameters[key].least, parameters[key].most, parameters[key].unit
                 if not least <= value <= most:
-                    raise InputError(
-                        f"{where}.own.{name}.{key} = {value:g}: must be from {least:g} to {most:g} {known[key].unit}"
-                    )
+                    raise InputError(f"{where}.own.{name}.{key} = {value:g}: must be from {least:g} to {most:g} {unit}")
 
     def __getitem__(self, name: str) -> PredictorSpec:
         if name not in self._specs:

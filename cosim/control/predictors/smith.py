@@ -18,14 +18,14 @@ class NoPredictor:
     """The baseline: the measurement itself."""
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Do nothing: it has no state."""
 
     def update(self, measured: float, applied: float) -> float:
         return measured
 
 
 class DelayLine:
-    """``z^-n``: what went in ``samples`` updates ago, 0 before that."""
+    """``z^-n``: the input of ``samples`` updates ago, 0 before that."""
 
     def __init__(self, samples: int) -> None:
         self.samples = samples
@@ -59,12 +59,12 @@ class DiscreteModel:
         self.reset()
 
     def reset(self) -> None:
-        """At rest."""
+        """Return to rest."""
         self._past = [0.0] * len(self.a)
 
     def update(self, applied: float) -> float:
-        """Output at ``t_k`` from the input held over ``[t_k-1, t_k)``."""
-        # transposed direct form: past[i] holds what is known by now of the output i steps ahead
+        """Return the output at ``t_k`` from the input held over ``[t_k-1, t_k)``."""
+        # transposed direct form: past[i] is the part of the output i steps ahead that is known now
         past = self._past
         value = past[0] + self.b[0] * applied
         last = len(past) - 1
@@ -76,8 +76,8 @@ class DiscreteModel:
 
 def rate_model(model: RateModel) -> DiscreteModel:
     """Return the identified response without its delay."""
-    over, under = polynomial(model.zeros, model.zero_pairs), polynomial(model.poles, model.pole_pairs)
-    return DiscreteModel([model.gain * c for c in over], under)
+    numerator, denominator = polynomial(model.zeros, model.zero_pairs), polynomial(model.poles, model.pole_pairs)
+    return DiscreteModel([model.gain * c for c in numerator], denominator)
 
 
 class DelayedModel:
@@ -90,18 +90,18 @@ class DelayedModel:
     """
 
     def __init__(self, model: RateModel) -> None:
-        whole = int(model.delay_samples)
-        fraction = model.delay_samples - whole
-        self.line = DelayLine(whole)
+        samples = int(model.delay_samples)
+        fraction = model.delay_samples - samples
+        self.line = DelayLine(samples)
         self.model = _fractional(model, fraction) if fraction else rate_model(model)
 
     def reset(self) -> None:
-        """At rest."""
+        """Return to rest."""
         self.line.reset()
         self.model.reset()
 
     def update(self, applied: float) -> float:
-        """Output at ``t_k`` from the inputs up to the one held over ``[t_k-1, t_k)``."""
+        """Return the output at ``t_k`` from the inputs up to the one held over ``[t_k-1, t_k)``."""
         return self.line.update(self.model.update(applied))
 
 
@@ -115,7 +115,7 @@ class SmithPredictor:
 
     def __init__(self, model: RateModel) -> None:
         self.now = rate_model(model)
-        # over whole samples the late output is the early one, kept
+        # Over whole samples the delayed output is the undelayed one, stored.
         self.whole = model.delay_samples == int(model.delay_samples)
         self.then: DelayLine | DelayedModel
         self.then = DelayLine(int(model.delay_samples)) if self.whole else DelayedModel(model)
@@ -123,7 +123,7 @@ class SmithPredictor:
         self.diagnostics: Diagnostics = (0.0, 0.0, self._delay)
 
     def reset(self) -> None:
-        """Model and delay at rest."""
+        """Return model and delay to rest."""
         self.now.reset()
         self.then.reset()
         self.diagnostics = (0.0, 0.0, self._delay)
@@ -145,7 +145,7 @@ class FilteredSmithPredictor:
     def __init__(self, model: RateModel, numerator: Sequence[float], denominator: Sequence[float]) -> None:
         self.now = rate_model(model)
         self.then = DelayedModel(model)
-        # a filter in z^-1 of which today's input already moves today's output: feed-through and a strictly proper rest
+        # A filter in z^-1 with feed-through: the feed-through and a strictly proper rest.
         self.through = numerator[0]
         rest = [b - self.through * a for b, a in zip(numerator[1:], denominator[1:], strict=True)]
         self.rest = DiscreteModel(rest, denominator) if rest else None
@@ -154,7 +154,7 @@ class FilteredSmithPredictor:
         self.reset()
 
     def reset(self) -> None:
-        """Models and filter at rest."""
+        """Return models and filter to rest."""
         self.now.reset()
         self.then.reset()
         if self.rest:
@@ -169,14 +169,14 @@ class FilteredSmithPredictor:
         if self.rest:
             filtered += self.rest.update(self._before)
         self._before = difference
-        # written as Smith's answer and what the filter changes of it, so that F = 1 is Smith's bit for bit
+        # Written as Smith's output plus the filter's change, so that F = 1 is Smith's predictor bit for bit.
         now = self.now.update(applied)
         self.diagnostics = (now, then, self._delay)
         return measured + (now - then) + (filtered - difference)
 
 
 def robustness_filter(model: RateModel, time_constant: float) -> tuple[list[float], list[float]]:
-    """Numerator and denominator (highest power of z first) of the filter of a :class:`FilteredSmithPredictor`.
+    """Return numerator and denominator (highest power of z first) of the filter of a :class:`FilteredSmithPredictor`.
 
     ``F = (b_0 z^2 + b_1 z) / (z - a)^2``, ``a = exp(-T / time_constant)``, with ``F(1) = 1`` (no offset of the
     prediction at rest) and ``F(p) = p^h`` at the model's slowest pole ``p`` (its mode leaves the answer to a
@@ -207,27 +207,27 @@ def _fractional(model: RateModel, fraction: float) -> DiscreteModel:
     for i, pole in enumerate(poles):
         others = poles[:i] + poles[i + 1 :]
         residue = model.gain * prod(pole - zero for zero in model.zeros) / prod(pole - other for other in others)
-        share = 1.0 - fraction if pole == 1.0 else (pole ** (1.0 - fraction) - 1.0) / (pole - 1.0)
+        weight = 1.0 - fraction if pole == 1.0 else (pole ** (1.0 - fraction) - 1.0) / (pole - 1.0)
         # (share z + 1 - share) prod (z - other), over z prod (z - pole)
         rest = polynomial(others)
         for power, c in enumerate(rest):
-            numerator[power] += residue * share * c
-            numerator[power + 1] += residue * (1.0 - share) * c
+            numerator[power] += residue * weight * c
+            numerator[power + 1] += residue * (1.0 - weight) * c
     return DiscreteModel(numerator, polynomial([0.0, *poles]))
 
 
 def polynomial(roots: Sequence[float], pairs: Sequence[tuple[float, float]] = ()) -> list[float]:
-    """Coefficients, highest power first, of ``prod (z - root)``; ``pairs`` of roots by real and imaginary part."""
+    """Return the coefficients, highest power first, of ``prod (z - root)``; ``pairs`` by real and imaginary part."""
     coefficients = [1.0]
     for root in roots:
-        shifted = [*coefficients, 0.0]
+        product = [*coefficients, 0.0]
         for i, c in enumerate(coefficients):
-            shifted[i + 1] -= root * c
-        coefficients = shifted
+            product[i + 1] -= root * c
+        coefficients = product
     for re, im in pairs:
-        shifted = [*coefficients, 0.0, 0.0]
+        product = [*coefficients, 0.0, 0.0]
         for i, c in enumerate(coefficients):
-            shifted[i + 1] -= 2.0 * re * c
-            shifted[i + 2] += (re * re + im * im) * c
-        coefficients = shifted
+            product[i + 1] -= 2.0 * re * c
+            product[i + 2] += (re * re + im * im) * c
+        coefficients = product
     return coefficients

@@ -1,4 +1,4 @@
-"""d-step ahead state predictors: an observer for the state now, and the model run ahead over the delay.
+"""d-step ahead state predictors: an observer of the present state, and the model predicted over the delay.
 
 ``x_p(k + d) = A^d x_k + A^(d-1) B u_k-d + ... + B u_k-1`` (the paper's equation; Lozano et al. 2004), in the
 coordinates ``x = (rate, its slope)`` of a second-order model.
@@ -44,7 +44,7 @@ class StateModel:
         self._continuous = (float(l1), float(l2))
 
     def fraction(self, f: float) -> tuple[Matrix, Matrix]:
-        """State transition over ``f`` of a step, and what a command held over it adds."""
+        """Return the state transition over ``f`` of a step, and what a command held over it adds."""
         l1, l2 = self._continuous
         whole = _integral(l1, l2, self.step)
         return _exponential(l1, l2, f * self.step), _integral(l1, l2, f * self.step) @ np.linalg.solve(whole, self.B)
@@ -54,10 +54,10 @@ class Observer(Protocol):
     """Estimates the state at ``t_k``."""
 
     def reset(self) -> None:
-        """At rest."""
+        """Return to rest."""
 
     def update(self, measured: float, late: float, push: Pair) -> tuple[Pair, float]:
-        """State at ``t_k`` and the input disturbance, from the rate there and what acted in the step before.
+        """Return the state at ``t_k`` and the input disturbance, from the rate there and what acted in the step before.
 
         ``late`` is the command that arrived then, given ``d`` samples earlier (the mean of two where that is not a
         whole number), ``push`` what it adds to the state over the step.
@@ -133,7 +133,7 @@ class ModelObserver:
 
 
 class StatePredictor:
-    """Observer, then the model over the delay with the commands that are on their way.
+    """Observer, then the model over the delay with the commands in transport.
 
     A delay of ``n + f`` samples is run through exactly: ``f`` of a step with the oldest of ``n + 1`` commands, then
     ``n`` whole steps.  An estimated input disturbance is taken to last (the idea of Sanz et al. 2016).
@@ -160,7 +160,7 @@ class StatePredictor:
         self.reset()
 
     def reset(self) -> None:
-        """At rest, nothing on its way."""
+        """Return to rest, with no command in transport."""
         self.observer.reset()
         self._sent = [0.0] * len(self.weights)
 
@@ -203,11 +203,11 @@ class Modes:
         self.shares: list[complex] = [1.0 - f if p == 1.0 else (p ** (1.0 - f) - 1.0) / (p - 1.0) for p in self.poles]
 
     def ahead(self) -> list[complex]:
-        """Return what each mode's present state adds to the rate when the delay has gone by."""
+        """Return the contribution of each mode's present state to the rate after the delay."""
         return [c * p**self.delay for c, p in zip(self.residues, self.poles, strict=True)]
 
     def gathered(self) -> float:
-        """Return what a lasting command of 1 adds to the rate over the delay."""
+        """Return the contribution of a constant command of 1 to the rate over the delay."""
         total: complex = 0.0
         for c, p in zip(self.residues, self.poles, strict=True):
             total += c * (self.delay if p == 1.0 else (p**self.delay - 1.0) / (p - 1.0))
@@ -215,7 +215,7 @@ class Modes:
 
 
 def modal_observer(modes: Modes, bandwidth: float, step: float, disturbance: bool) -> tuple[Matrix, Matrix]:
-    """Transition ``F`` (the input disturbance as its last state) and the gain of a correction at the same instant.
+    """Return the transition ``F`` (the input disturbance as its last state) and the gain of the correction.
 
     All poles of the observer at ``exp(-bandwidth T)``, by Ackermann's formula.
     """
@@ -263,7 +263,7 @@ class ModalPredictor:
         self.reset()
 
     def reset(self) -> None:
-        """At rest, nothing on its way."""
+        """Return to rest, with no command in transport."""
         self._x: list[complex] = [0.0] * len(self.poles)
         self._d = 0.0
         self._sent = [0.0] * len(self.weights)
@@ -283,7 +283,7 @@ class ModalPredictor:
 
 
 def _dot(a: list[float], b: list[float]) -> float:
-    """Scalar product, summed in order."""
+    """Return the scalar product, summed in order."""
     total = 0.0
     for i, x in enumerate(a):
         total += x * b[i]
