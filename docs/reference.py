@@ -463,7 +463,10 @@ def comments(model: type[BaseModel]) -> dict[str, str]:
     """What the comments of a model's source say of its fields: those behind a field, else those right above it."""
     found = {name: text for base in model.__mro__[1:] if base.__module__.startswith("cosim") and issubclass(base, BaseModel)
              for name, text in comments(base).items()}  # fmt: skip
-    source = textwrap.dedent(inspect.getsource(model))
+    try:
+        source = textwrap.dedent(inspect.getsource(model))
+    except (OSError, TypeError):  # a model that is made of a list of names
+        return found
     lines = source.splitlines()
     (node,) = ast.parse(source).body
     assert isinstance(node, ast.ClassDef)

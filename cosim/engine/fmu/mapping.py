@@ -34,13 +34,13 @@ Of these only ``fmu`` is needed; ports that are not stated are found (:mod:`cosi
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, create_model, model_validator
 
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import Model, NotNegative, Positive, read_toml, validate
@@ -53,67 +53,30 @@ CONDITION = re.compile(r"\s*(\S+)\s*(>=|<=|>|<)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]
 VariableName = str | list[str]  # a variable's name; several, or one with a * for a number: an engine each
 
 
-class _Ports(Model):
-    throttle: VariableName | None = None
-    thrust: VariableName | None = None
-    ambient_pressure: VariableName | None = None
-    ambient_temperature: VariableName | None = None
-    air_speed: VariableName | None = None
-    altitude: VariableName | None = None
-    mach: VariableName | None = None
-    density: VariableName | None = None
-    total_pressure: VariableName | None = None
-    total_temperature: VariableName | None = None
-    run: VariableName | None = None
-    ram_drag: VariableName | None = None
-    spool_speed: VariableName | None = None
-    exhaust_temperature: VariableName | None = None
-    fuel_flow: VariableName | None = None
-    force_forward: VariableName | None = None
-    force_right: VariableName | None = None
-    torque: VariableName | None = None
-    start: VariableName | None = None
+def _nonzero(value: float) -> float:
+    if value == 0.0 or not isfinite(value):
+        raise ValueError("must be a finite number other than 0")
+    return value
 
 
-class _Units(Model):
-    throttle: str | None = None
-    thrust: str | None = None
-    ambient_pressure: str | None = None
-    ambient_temperature: str | None = None
-    air_speed: str | None = None
-    altitude: str | None = None
-    mach: str | None = None
-    density: str | None = None
-    total_pressure: str | None = None
-    total_temperature: str | None = None
-    ram_drag: str | None = None
-    spool_speed: str | None = None
-    exhaust_temperature: str | None = None
-    fuel_flow: str | None = None
-    force_forward: str | None = None
-    force_right: str | None = None
-    torque: str | None = None
+if TYPE_CHECKING:
+    _Ports = Model
+    _Units = Model
+    _Scale = Model
+else:
 
+    def _table(name: str, ports: Iterable[str], kind: Any) -> type[Model]:
+        """Return the model of a table that may have a value for each of these ports."""
+        return create_model(name, __base__=Model, __module__=__name__, **dict.fromkeys(ports, (kind | None, None)))
 
-class _Scale(Model):
-    thrust: float | None = None
-    ambient_pressure: float | None = None
-    ambient_temperature: float | None = None
-    air_speed: float | None = None
-    altitude: float | None = None
-    ram_drag: float | None = None
-    spool_speed: float | None = None
-    fuel_flow: float | None = None
-    force_forward: float | None = None
-    force_right: float | None = None
-    torque: float | None = None
-
-    @field_validator("*")
-    @classmethod
-    def _nonzero(cls, value: float | None) -> float | None:
-        if value is not None and (value == 0.0 or not isfinite(value)):
-            raise ValueError("must be a finite number other than 0")
-        return value
+    _Ports = _table("_Ports", KINDS, VariableName)
+    _Units = _table("_Units", [port for port in KINDS if port not in ("run", "start")], str)
+    _Scale = _table(
+        "_Scale",
+        ["thrust", "ambient_pressure", "ambient_temperature", "air_speed", "altitude", "ram_drag", "spool_speed",
+         "fuel_flow", "force_forward", "force_right", "torque"],
+        Annotated[float, AfterValidator(_nonzero)],
+    )  # fmt: skip
 
 
 class _Range(Model):
