@@ -433,7 +433,7 @@ def test_files_terminal_and_json_tell_the_same(
     found: Reproduction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(reproduce, "_tasks", dict)
-    monkeypatch.setattr(reproduce, "_put_together", lambda parts: found)
+    monkeypatch.setattr(reproduce, "_assemble", lambda parts: found)
     with pytest.raises(SystemExit) as ended:
         main(["paper", "--out", str(tmp_path / "a")])
     assert ended.value.code == 0
