@@ -65,7 +65,7 @@ class Prober:
         share: float,
         workers: Workers,
         journal: Journal | None = None,
-        say: Callable[[int], None] = lambda count: None,
+        progress: Callable[[int], None] = lambda count: None,
     ) -> None:
         self.study = study
         self.seeds = tuple(seeds)
@@ -73,7 +73,7 @@ class Prober:
         self.remaining: int | None = None  # flights that are still allowed; None: as many as it takes
         self._workers = workers
         self._journal = journal
-        self._say = say
+        self._progress = progress
         self._rows: Rows = journal.read() if journal else {}
         self._requests: dict[tuple[Point, int], None] = {}  # in the order in which they were
 
@@ -124,7 +124,7 @@ class Prober:
             self._rows[key] = row
             if self._journal:
                 self._journal.add(*key, row)
-            self._say(len(self._rows))
+            self._progress(len(self._rows))
         if numbered:
             raise FlightError(f"{len(numbered)} flights were not flown")
 

@@ -21,7 +21,7 @@ from cosim.base.storage.files import finite, map_os_errors, write_files, write_r
 from cosim.base.storage.toml import toml_text
 from cosim.campaign.surveys.faults import HEIGHT_M, SETTLED_S
 from cosim.campaign.surveys.lean_bound import STEP_S, Bound, RollAxis, make_roll_axis, measure_courses
-from cosim.campaign.surveys.survey import Say, Subject, fly_all, measure_flight, verdict_of
+from cosim.campaign.surveys.survey import Progress, Subject, fly_all, measure_flight, verdict_of
 from cosim.design.controller_table import controller_table
 from cosim.design.design import design
 from cosim.engine import engine_names, load_engine
@@ -121,7 +121,7 @@ def engine_out(
     engines: Sequence[str] = (),
     designs: Path = Path("runs/engine-out-designs"),
     workers: int = 2,
-    say: Say = lambda what, done, of: None,
+    progress: Progress = lambda part, finished, total: None,
 ) -> EngineOut:
     """Fly every engine on every aircraft that it lifts, out at every station, with both means, and bound each.
 
@@ -137,7 +137,7 @@ def engine_out(
             raise InputError(f"aircraft {name}: it has no tilting banks, and no plan for an engine that is lost")
         for engine in engines or [engine for engine in engine_names() if engine not in NOT_A_JET]:
             subject = Subject(name, vehicle, engine)
-            controller = find_obstacle(subject) or _controller(subject, designs, say)
+            controller = find_obstacle(subject) or _controller(subject, designs, progress)
             if isinstance(controller, str):
                 skipped.append(SkippedFlight(name, engine, controller))
                 continue
@@ -145,7 +145,9 @@ def engine_out(
             flights = [(_scenario(subject, controller, jet, means), jet, means) for jet in jets for means in MEANS]
             tasks += flights
             levers.append(_compute_lever(flights[0][0]))
-    results = fly_all(_fly, tasks, workers, say, lambda flight: f"{flight.aircraft}, {flight.engine}, jet {flight.jet}")
+    results = fly_all(
+        _fly, tasks, workers, progress, lambda flight: f"{flight.aircraft}, {flight.engine}, jet {flight.jet}"
+    )
     return EngineOut(list(results), skipped, levers)
 
 
@@ -164,7 +166,7 @@ def find_obstacle(subject: Subject) -> str:
     return f"too strong: it would hover at {100.0 * fraction:.0f} % of its range" if fraction < MIN_HOVER else ""
 
 
-def _controller(subject: Subject, designs: Path, say: Say) -> ControllerFile | str:
+def _controller(subject: Subject, designs: Path, progress: Progress) -> ControllerFile | str:
     """Return the engine's design for the aircraft, or why there is none."""
     aircraft, _, engine = subject
     purpose = (aircraft_name(aircraft), Path(engine).name)
@@ -174,7 +176,7 @@ def _controller(subject: Subject, designs: Path, say: Say) -> ControllerFile | s
             recorded = purpose_of(candidate)
             if (recorded.aircraft, Path(recorded.engine).name) == purpose:
                 return read_controller(candidate, aircraft)
-    say(f"designing {aircraft} with {engine}", 0, 1)
+    progress(f"designing {aircraft} with {engine}", 0, 1)
     designed = design(engine, aircraft, need=Requirements())
     if not designed.ok:
         return f"no controller keeps the requirements of hexjet design: {designed.reason}"

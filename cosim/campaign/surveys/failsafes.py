@@ -28,7 +28,7 @@ from cosim.campaign.surveys.failsafe_flight import (
     Task,
     fly_case,
 )
-from cosim.campaign.surveys.survey import Say, Subject, choose, fly_all, subject_of
+from cosim.campaign.surveys.survey import Progress, Subject, choose, fly_all, subject_of
 from cosim.campaign.surveys.tipping import tip_speed
 from cosim.control.autopilot.requests import (
     Goto,
@@ -170,13 +170,13 @@ def failsafes(
     kinds: Sequence[str] = (),
     conditions: Conditions = Conditions(),
     workers: int = 2,
-    say: Say = lambda what, done, of: None,
+    progress: Progress = lambda part, finished, total: None,
 ) -> Iterator[Failsafes]:
     """Fly every failsafe in all ``conditions``, one vehicle after the other.
 
     ``kinds`` are the beginnings of those to be flown.  ``engine`` None is the one that the aircraft is made for,
-    ``controller`` None smith, or baseline where there is no model.  ``say`` is told what was flown, how many are, of
-    how many.
+    ``controller`` None smith, or baseline where there is no model.  ``progress`` is told what was flown,
+    how many flights are, and of how many.
     Raises InputError for an unknown kind, aircraft, engine or controller, and for a vehicle without an autopilot; all
     of that is found before the first flight.
     """
@@ -185,11 +185,11 @@ def failsafes(
     for name in aircraft:
         subject = subject_of(name, engine)
         plans.append((subject, *_plan(subject, controller, kinds, conditions)))
-    done, of = 0, sum(len(tasks) for *_, tasks in plans)
+    finished, total = 0, sum(len(tasks) for *_, tasks in plans)
     for subject, flown, tasks in plans:
         label = aircraft_name(subject.aircraft)
-        flights = list(fly_all(fly_case, tasks, workers, say, partial(_describe, label), done, of))
-        done += len(flights)
+        flights = list(fly_all(fly_case, tasks, workers, progress, partial(_describe, label), finished, total))
+        finished += len(flights)
         limits = subject.vehicle.limits.touchdown_m_s, tip_speed(subject.aircraft, subject.engine)
         yield Failsafes(label, subject.engine, flown, *limits, flights, conditions.airborne)
 

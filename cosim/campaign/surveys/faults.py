@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from cosim.base.constants import GRAVITY
 from cosim.base.outcomes import Verdict
 from cosim.base.storage.toml import merge
-from cosim.campaign.surveys.survey import Say, Subject, choose, fly_all, measure_flight, subject_of, verdict_of
+from cosim.campaign.surveys.survey import Progress, Subject, choose, fly_all, measure_flight, subject_of, verdict_of
 from cosim.control.allocation.reallocation import Attainable, attainable_sets
 from cosim.control.predictors.registry import BASELINE
 from cosim.flight import fly
@@ -183,13 +183,14 @@ def survival(
     controllers: Sequence[str] = (),
     kinds: Sequence[str] = (),
     workers: int = 2,
-    say: Say = lambda what, done, of: None,
+    progress: Progress = lambda part, finished, total: None,
     limits: bool = False,
 ) -> Survival:
     """Fly every case; ``kinds`` are the beginnings of those to be flown, all if there are none.
 
     ``limits`` asks for more: how large a loss of thrust, and how long a confirmation of a flame-out, may be.
-    ``engine`` None is the one that the aircraft is made for; ``say`` is told what was flown, how many are, of how many.
+    ``engine`` None is the one that the aircraft is made for.  ``progress`` is told what was flown, how many flights
+    are, and of how many.
     Raises InputError for an unknown kind, aircraft, engine or controller.
     """
     subject = subject_of(aircraft, engine)
@@ -214,9 +215,9 @@ def survival(
     with build(flights[0].scenario.replace(controller=BASELINE.name)) as simulation:
         hover, idle = simulation.cascade.allocator.hover, simulation.cascade.thrust_map.idle
         moments = _moments(vehicle, simulation.stations[0].delay)
-    rows = list(fly_all(_fly, flights, workers, say, lambda row: f"{row.kind}, {row.place}"))
+    rows = list(fly_all(_fly, flights, workers, progress, lambda row: f"{row.kind}, {row.place}"))
     scans = [(subject, name, start, controller) for name in SCANS for start in STARTS for controller in controllers]
-    reached = list(fly_all(_scan, scans, workers, say, lambda limit: limit.quantity)) if limits else []
+    reached = list(fly_all(_scan, scans, workers, progress, lambda limit: limit.quantity)) if limits else []
     sets = attainable_sets(vehicle.jets, vehicle.control.allocation, hover, idle)
     scenarios = tuple(flight.scenario for flight in flights)
     return Survival(

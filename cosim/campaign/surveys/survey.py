@@ -21,7 +21,7 @@ from cosim.results.metrics import wrap
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, load_vehicle
 
-Say = Callable[[str, int, int], None]  # is told what was flown, how many are, and of how many
+Progress = Callable[[str, int, int], None]  # is told what was flown, how many are, and of how many
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -55,12 +55,12 @@ def subject_of(aircraft: str, engine: str | None = None) -> Subject:
     return Subject(aircraft, vehicle, engine or engine_of(aircraft) or Scenario.model_fields["engine"].default)
 
 
-def choose(cases: Sequence[T], kinds: Sequence[str], what: str, name: Callable[[T], str]) -> list[T]:
+def choose(cases: Sequence[T], kinds: Sequence[str], subject: str, name_of: Callable[[T], str]) -> list[T]:
     """Return the cases that begin as one of ``kinds``, all if there are none.  Raises InputError if none does."""
-    chosen = [case for case in cases if not kinds or name(case).startswith(tuple(kinds))]
+    chosen = [case for case in cases if not kinds or name_of(case).startswith(tuple(kinds))]
     if not chosen:
-        names = ", ".join(dict.fromkeys(map(name, cases)))
-        raise InputError(f"no {what} begins with {' or '.join(map(repr, kinds))}; there are: {names}")
+        names = ", ".join(dict.fromkeys(map(name_of, cases)))
+        raise InputError(f"no {subject} begins with {' or '.join(map(repr, kinds))}; there are: {names}")
     return chosen
 
 
@@ -68,14 +68,14 @@ def fly_all(
     act: Callable[[T], R],
     tasks: Sequence[T],
     workers: int,
-    say: Say,
+    progress: Progress,
     describe: Callable[[R], str],
-    done: int = 0,
-    of: int = 0,
+    finished: int = 0,
+    total: int = 0,
 ) -> Iterator[R]:
-    """Yield the outcome of every task, in order; ``done`` of all ``of`` were flown before them."""
-    for count, result in enumerate(run_in_order(act, tasks, workers), done + 1):
-        say(describe(result), count, of or len(tasks))
+    """Yield the outcome of every task, in order; ``finished`` of ``total`` were flown before them."""
+    for count, result in enumerate(run_in_order(act, tasks, workers), finished + 1):
+        progress(describe(result), count, total or len(tasks))
         yield result
 
 
