@@ -17,7 +17,6 @@ from long_cases import long_case
 from places import DESIGNS
 from stated_figures import stated
 
-from cosim import flight
 from cosim.base.errors import InputError
 from cosim.base.signals import EngineOutput, PerJet, Sample
 from cosim.campaign.surveys.fault_page import MARKS, write, write_page
@@ -468,7 +467,7 @@ class Commander:
             self.simulation = build(scenario, own)
             return self.simulation
 
-        monkeypatch.setattr(flight, "build", keep)
+        monkeypatch.setattr("cosim.simulation.build.build", keep)
 
     def observe(self, sample: Sample) -> None:
         assert self.simulation is not None
