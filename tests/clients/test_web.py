@@ -394,7 +394,7 @@ def test_a_page_is_told_the_flight_then_its_state_in_order(flown: Flown) -> None
     times = [point[0] for point in points]
     assert times == sorted(set(times))
     # 21 frames, each with at most so many points; a flight at real time is published every step or two
-    assert 20 < len(points) <= 21 * server._POINTS
+    assert 20 < len(points) <= 21 * server._MOST_POINTS
 
 
 def test_the_rows_that_are_told_are_the_log_s(flown: Flown) -> None:
