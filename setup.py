@@ -248,6 +248,7 @@ setup(
         Extension(
             "cosim.vehicle._properties", sources=["cosim/vehicle/_properties.c"], extra_compile_args=c_flags("-O2")
         ),
+        Extension("cosim.vehicle._noise", sources=["cosim/vehicle/_noise.c"], extra_compile_args=c_flags("-O2")),
         Extension("cosim.results._rows", sources=["cosim/results/_rows.c"], extra_compile_args=c_flags("-O3")),
     ],
 )

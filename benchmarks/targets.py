@@ -15,8 +15,8 @@ from benchmarks.suite import Result
 from benchmarks.timing import Spread
 
 RUNS = "JSBSim runs"
-OUTSIDE_UNITS = 1.5  # JSBSim runs, a control step of the standard flight
-DEAREST_UNITS = 3.5  # of any other flight that is measured
+OUTSIDE_UNITS = 1.0  # JSBSim runs, a control step of the standard flight
+DEAREST_UNITS = 6.0  # of any other flight that is measured, of every vehicle
 VEHICLE_TIMES = 2.0  # a step of any vehicle by the Hex-Jet's with as many JSBSim runs
 BY_BARE = {1: 4.5, 4: 2.0}  # whole flight by bare JSBSim, by runs a step
 ENGINE_UNITS = 1.5  # JSBSim runs: six engine FMUs, a control step

@@ -27,6 +27,11 @@ FLIGHTS: dict[str, tuple[str, dict[str, Any]]] = {
     "gust": ("gust", {}),
     "full scale in a gust: P220, spinning rotors, fuel, intakes": ("full-scale-gust", {}),
     "flame-out: engine monitor, allocation planned anew": ("fault-flame-out", {}),
+    "quadrotor, hover": ("hover", {"aircraft": "quadrotor", "engine": "motor", "controller": "baseline"}),
+    "octojet, an engine out in wind": ("octojet-flame-out-in-wind", {}),
+    "trijet, yaw doublet: two nozzles beside a lift fan": ("trijet-yaw-doublet", {}),
+    "quadjet, yaw doublet: four jets on hinges of their own": ("quadjet-yaw-doublet", {}),
+    "jetwing, transition: hinges, surfaces and a wing": ("jetwing-transition", {}),
 }
 
 

@@ -35,6 +35,7 @@ from cosim.spec.vehicle import Vehicle
 # s from switching engines on to where they must run: chosen by us, longer than a jet takes to spool up to idle
 _LONGEST_START: Final = 10.0
 _FLY: Final = EngineState.FLY
+_SIGNALS: Final = ControlSignals  # compiled code finds this without looking in a dictionary
 
 
 class Cascade:
@@ -134,7 +135,7 @@ class Cascade:
             return self._idle(demand)
         loops.update(demand)
         actuation = law.update(demand)
-        self.signals = ControlSignals(
+        self.signals = _SIGNALS(
             demand.rate_setpoint, loops.predicted, demand.torque, demand.collective, demand.allocated
         )
         return self._actuate(actuation, demand.allocated)

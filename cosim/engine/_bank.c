@@ -848,19 +848,11 @@ static bool put_output(const Bank *self, PyObject *output, Py_ssize_t index, con
     return true;
 }
 
-/* The output as the record that was asked for; takes the reference to ``output``. */
+/* The output as the record that was asked for, whose fields it has; takes the reference to ``output``. */
 static PyObject *as_record(const Bank *self, PyObject *output)
 {
-    /* tuple's own constructor, because a named tuple's is a Python function */
-    const newfunc make = (newfunc)(uintptr_t)PyType_GetSlot(&PyTuple_Type, Py_tp_new);
-    PyObject *arguments = PyTuple_New(1);
-    if (!arguments) {
-        Py_DECREF(output);
-        return NULL;
-    }
-    PyTuple_SetItem(arguments, 0, output);
-    PyObject *record = make((PyTypeObject *)self->record, arguments, NULL);
-    Py_DECREF(arguments);
+    PyObject *record = PyObject_Call(self->record, output, NULL);
+    Py_DECREF(output);
     return record;
 }
 

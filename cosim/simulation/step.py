@@ -41,6 +41,7 @@ _OFF: Final = EngineState.OFF
 _IDLE: Final = EngineState.IDLE
 _START: Final = EngineState.START
 _NOTHING: Final[tuple[float, ...]] = ()
+_SAMPLE: Final = Sample  # compiled code finds this without looking in a dictionary
 
 Between = Callable[[int], Ending | None]  # gets the number of the step to come
 
@@ -200,7 +201,7 @@ class Simulation:
     ) -> Sample:
         """Return what was on the wires during step ``k``, for the observers."""
         propulsion = self.propulsion
-        return Sample(
+        return _SAMPLE(
             k,
             k * self.dt,
             command,

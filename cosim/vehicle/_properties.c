@@ -8,13 +8,26 @@
 
 /* --- one property --- */
 
+/* A bound method taken apart, to be called without making it again: JSBSim's module has functions of Cython's. */
 typedef struct {
-    PyObject *get, *set; /* bound methods */
+    PyObject *bound, *function, *self; /* the last two borrowed from the first; self is NULL where it is not bound */
+    vectorcallfunc call;
+} Method;
+
+typedef struct {
+    Method get, set;
 } Property;
+
+static PyObject *call(const Method *m, PyObject *argument)
+{
+    PyObject *given[] = {m->self, argument};
+    PyObject *const *const first = m->self ? given : given + 1;
+    return m->call(m->function, first, (m->self != NULL) + (argument != NULL), NULL);
+}
 
 static bool ask(const Property *p, double *value)
 {
-    PyObject *const answer = PyObject_CallNoArgs(p->get);
+    PyObject *const answer = call(&p->get, NULL);
     if (!answer)
         return false;
     *value = PyFloat_AsDouble(answer);
@@ -22,23 +35,28 @@ static bool ask(const Property *p, double *value)
     return *value != -1.0 || !PyErr_Occurred();
 }
 
-static bool tell(const Property *p, double value)
+static bool method(Method *m, PyObject *node, const char *name)
 {
-    PyObject *const number = PyFloat_FromDouble(value);
-    PyObject *const answer = number ? PyObject_CallOneArg(p->set, number) : NULL;
-    Py_XDECREF(number);
-    Py_XDECREF(answer);
-    return answer != NULL;
+    m->bound = PyObject_GetAttrString(node, name);
+    if (!m->bound)
+        return false;
+    const bool bound = PyMethod_Check(m->bound);
+    m->function = bound ? PyMethod_GET_FUNCTION(m->bound) : m->bound;
+    m->self = bound ? PyMethod_GET_SELF(m->bound) : NULL;
+    m->call = PyVectorcall_Function(m->function);
+    if (!m->call)
+        m->call = PyObject_Vectorcall;
+    return true;
 }
 
 static bool property(Property *p, PyObject *node)
 {
-    p->get = PyObject_GetAttrString(node, "get_double_value");
-    p->set = p->get ? PyObject_GetAttrString(node, "set_double_value") : NULL;
-    return p->set != NULL;
+    return method(&p->get, node, "get_double_value") && method(&p->set, node, "set_double_value");
 }
 
 /* --- many --- */
+
+enum { MOST_KEPT = 4 }; /* vectors of different jets, of the last of which the numbers are at hand */
 
 typedef struct {
     PyObject_HEAD
@@ -53,8 +71,8 @@ static void properties_dealloc(Properties *self)
 {
     for (Py_ssize_t i = 0; self->each && i < self->groups; i++)
         for (int axis = 0; axis < 3; axis++) {
-            Py_CLEAR(self->each[i][axis].get);
-            Py_CLEAR(self->each[i][axis].set);
+            Py_CLEAR(self->each[i][axis].get.bound);
+            Py_CLEAR(self->each[i][axis].set.bound);
         }
     PyMem_Free(self->each);
     PyMem_Free(self->unit);
@@ -161,6 +179,44 @@ static bool vectors(const Properties *self, PyObject *given)
     return false;
 }
 
+/* Whether two groups get the same objects in the same unit, and change from the same. */
+static bool alike(const Properties *self, PyObject *const *args, Py_ssize_t given, Py_ssize_t i, Py_ssize_t j)
+{
+    return self->unit[i] == self->unit[j] && PyList_GET_ITEM(args[0], i) == PyList_GET_ITEM(args[0], j) &&
+           (given == 1 || PyList_GET_ITEM(args[1], i) == PyList_GET_ITEM(args[1], j));
+}
+
+/* What is written to group ``i``, as numbers in the properties' unit. */
+static bool numbers(const Properties *self, PyObject *const *args, Py_ssize_t given, double share, Py_ssize_t i,
+                    double *value)
+{
+    double old[3];
+    if (!floats(PyList_GET_ITEM(args[0], i), value))
+        return false;
+    if (given == 3) {
+        if (!floats(PyList_GET_ITEM(args[1], i), old))
+            return false;
+        for (int axis = 0; axis < 3; axis++)
+            value[axis] += share * (value[axis] - old[axis]);
+    }
+    for (int axis = 0; axis < 3; axis++)
+        value[axis] /= self->unit[i];
+    return true;
+}
+
+/* Three parts to a group, the second only once anything has had one: jets tilt about y, so most vehicles never do. */
+static bool tell_all(Properties *self, Py_ssize_t i, PyObject *const *part)
+{
+    for (int axis = 0; axis < 3; axis++)
+        if (axis != 1 || self->sideways) {
+            PyObject *const answer = call(&self->each[i][axis].set, part[axis]);
+            if (!answer)
+                return false;
+            Py_DECREF(answer);
+        }
+    return true;
+}
+
 /* write(vectors) or write(vectors, old, share) */
 static PyObject *properties_write(Properties *self, PyObject *const *args, Py_ssize_t given)
 {
@@ -169,22 +225,38 @@ static PyObject *properties_write(Properties *self, PyObject *const *args, Py_ss
     const double share = given == 3 ? PyFloat_AsDouble(args[2]) : 0.0;
     if ((share == -1.0 && PyErr_Occurred()) || !vectors(self, args[0]) || (given == 3 && !vectors(self, args[1])))
         return NULL;
-    for (Py_ssize_t i = 0; i < self->groups; i++) {
-        double value[3], old[3];
-        if (!floats(PyList_GET_ITEM(args[0], i), value))
-            return NULL;
-        if (given == 3) {
-            if (!floats(PyList_GET_ITEM(args[1], i), old))
-                return NULL;
-            for (int axis = 0; axis < 3; axis++)
-                value[axis] += share * (value[axis] - old[axis]);
+    PyObject *part[MOST_KEPT][3]; /* of the groups so far: jets at one throttle push with one object */
+    Py_ssize_t kept = 0;
+    Py_ssize_t from[MOST_KEPT];
+    bool good = true;
+    for (Py_ssize_t i = 0; good && i < self->groups; i++) {
+        Py_ssize_t at = 0;
+        while (at < kept && !alike(self, args, given, i, from[at]))
+            at++;
+        if (at == kept) {
+            if (kept == MOST_KEPT) { /* the last makes room */
+                at = --kept;
+                for (int axis = 0; axis < 3; axis++)
+                    Py_DECREF(part[at][axis]);
+            }
+            double value[3];
+            good = numbers(self, args, given, share, i, value);
+            if (!good)
+                break;
+            self->sideways = self->sideways || value[1] != 0.0;
+            for (int axis = 0; axis < 3; axis++) {
+                part[at][axis] = PyFloat_FromDouble(value[axis]);
+                good = good && part[at][axis];
+            }
+            from[kept++] = i;
         }
-        /* jets tilt about y, so most vehicles never get there */
-        self->sideways = self->sideways || value[1] != 0.0;
-        for (int axis = 0; axis < 3; axis++)
-            if ((axis != 1 || self->sideways) && !tell(self->each[i] + axis, value[axis] / self->unit[i]))
-                return NULL;
+        good = good && tell_all(self, i, part[at]);
     }
+    while (kept-- > 0)
+        for (int axis = 0; axis < 3; axis++)
+            Py_XDECREF(part[kept][axis]);
+    if (!good)
+        return NULL;
     Py_RETURN_NONE;
 }
 

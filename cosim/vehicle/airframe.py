@@ -71,6 +71,7 @@ _POUND_SQUARE_FOOT: Final = POUND_FORCE / FOOT**2  # Pa
 _RANKINE: Final = 5.0 / 9.0  # K, exact
 _NED = ("north", "east", "down")
 _NONE: Final[Any] = ZERO3  # as one object
+_STATE: Final = State  # compiled code finds this without looking in a dictionary
 _number = itertools.count()  # of the airframes of this process
 
 Node = Callable[[str], Property]  # a property by its name
@@ -491,7 +492,7 @@ class Airframe:
         on_ground = near and any(touches() > 0.0 for touches in self._legs)
         hull_contact = near and any(touches() > 0.0 for touches in self._hull)
         self._touching = on_ground or hull_contact
-        return State(
+        return _STATE(
             (north, east, self._datum - up),
             motion[1],
             from_euler(roll, pitch, yaw),

@@ -8,7 +8,7 @@ constant biases that a flight draws from a third.
 from __future__ import annotations
 
 from math import atan2, cos, exp, floor, hypot, sin, sqrt
-from typing import Any, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from cosim.base.protocols import Sensors
 from cosim.base.signals import ZERO3, Measured, Quaternion, State, Vector3
 from cosim.spec.scenario import SensorBias, SensorDropout, SensorFault
 from cosim.spec.vehicle import Sensors as SensorSettings
+from cosim.vehicle._noise import Noise
 
 T = TypeVar("T")
 Fix = tuple[Any, Any]  # position and velocity: vectors that are handed on as they are
@@ -24,6 +25,7 @@ Fix = tuple[Any, Any]  # position and velocity: vectors that are handed on as th
 _DRAWS = 13  # standard normals a step: gyro 3, attitude 3, position 3, velocity 3, height 1
 _FORCE_DRAWS = 3  # of the accelerometer
 _BLOCK = 256  # steps drawn at once
+_MEASURED: Final = Measured  # compiled code finds this without looking in a dictionary
 _BIAS_KEY = 6  # of the random numbers that biases are drawn from; the others' are 0 and 1
 
 
@@ -119,27 +121,40 @@ class SensorSuite:
         self._height_noise = barometer.noise_m * on
         self._height_bias = barometer.bias_m * on
         self._period = gnss.period_samples
-        self._gyro_line: Latency[Vector3] = Latency(gyro.latency_samples)
-        self._attitude_line: Latency[Quaternion] = Latency(attitude.latency_samples)
-        self._gnss_line: Latency[Fix] = Latency(gnss.latency_samples)
-        self._height_line: Latency[float] = Latency(barometer.latency_samples)
+        self._gyro_line: Latency[Any] = Latency(gyro.latency_samples)
+        self._attitude_line: Latency[Any] = Latency(attitude.latency_samples)
+        self._gnss_line: Latency[Any] = Latency(gnss.latency_samples)
+        self._height_line: Latency[Any] = Latency(barometer.latency_samples)
         self._has_latency = gyro.latency_samples + attitude.latency_samples + barometer.latency_samples > 0
         accelerometer = sensors.accelerometer
         self._force_noise = accelerometer.noise_m_s2 * on
         self._force_bias = _draw_bias(accelerometer.bias_m_s2, accelerometer.bias_sigma_m_s2, drawn[3:], on)
         self._force_resolution = accelerometer.resolution_m_s2
-        self._force_line: Latency[Vector3] = Latency(accelerometer.latency_samples)
+        self._force_line: Latency[Any] = Latency(accelerometer.latency_samples)
+        plain = noisy and self._lean is None and not (self._gyro_resolution > 0.0 or self._force_resolution > 0.0)
+        self._noise = self._make_noise() if plain else None  # what does all of it at once where it can
         self._draws: list[list[float]] = []
         self._force_draws: list[list[float]] = []
+
+    def _make_noise(self) -> Any:
+        return Noise(
+            (self._gyro_noise, self._gyro_bias),
+            (self._attitude_noise, self._attitude_bias),
+            (self._position_noise, self._velocity_noise),
+            (self._height_noise, self._height_bias),
+            (self._force_noise, self._force_bias),
+            self._filter_gain,
+        )
 
     def reset(self, state: State) -> Measured:
         """Start again as if the vehicle had been in ``state`` forever; the same noise follows."""
         self._rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(0,)))
         self._force_rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(1,)))
         self._draws, self._force_draws = [], []
+        self._left = 0
         self._count = 0
-        self._rate = state.rate
-        self._fix: Fix = (state.position, state.velocity)
+        self._rate: Any = state.rate
+        self._fix: Any = (state.position, state.velocity)
         self._gyro_line.reset(state.rate)
         self._attitude_line.reset(state.attitude)
         self._gnss_line.reset(self._fix)
@@ -152,11 +167,13 @@ class SensorSuite:
 
     def sample(self, state: State) -> Measured:
         """Return the measurements at the end of a step, from the true ``state`` there."""
+        self._count += 1
+        new_fix = self._count % self._period == 0
+        if self._noise is not None:
+            return self._sample_at_once(self._noise, state, new_fix)
         p, q, r = state.rate
         attitude = state.attitude
         altitude = state.altitude
-        self._count += 1
-        new_fix = self._count % self._period == 0
         force = state.specific_force
         position, velocity = state.position, state.velocity
         gyro_error = ZERO3
@@ -194,17 +211,36 @@ class SensorSuite:
                 u, v, w = velocity
                 position = (x + s * n[6], y + s * n[7], z + s * n[8])
                 velocity = (u + t * n[9], v + t * n[10], w + t * n[11])
-        fp, fq, fr = self._rate
+        filtered: Vector3 = self._rate
+        fp, fq, fr = filtered
         gain = self._filter_gain
         self._rate = rate = (fp + gain * (p - fp), fq + gain * (q - fq), fr + gain * (r - fr))
         if new_fix:
             self._fix = (position, velocity)
+        return self._delivered(rate, attitude, altitude, force)
+
+    def _sample_at_once(self, noise: Any, state: State, new_fix: bool) -> Measured:
+        """Return the measurements of sensors that have noise and filter alone."""
+        if not self._left:
+            self._left = _BLOCK
+            noise.fill(
+                self._rng.standard_normal((_BLOCK, _DRAWS)), self._force_rng.standard_normal((_BLOCK, _FORCE_DRAWS))
+            )
+        self._left -= 1
+        answer: tuple[Any, Any, Any, Any, Any, Any] = noise.sample(state, self._rate, new_fix)
+        self._rate = answer[0]
+        if new_fix:
+            self._fix = (answer[2], answer[3])
+        return self._delivered(answer[0], answer[1], answer[4], answer[5])
+
+    def _delivered(self, rate: Any, attitude: Any, altitude: Any, force: Any) -> Measured:
+        """Return what is measured after its latencies."""
         if self._has_latency:
             rate = self._gyro_line.update(rate)
             attitude = self._attitude_line.update(attitude)
             altitude = self._height_line.update(altitude)
-        fix_position, fix_velocity = self._gnss_line.update(self._fix)
-        return Measured(rate, attitude, fix_position, fix_velocity, altitude, self._force_line.update(force))
+        fix: tuple[Any, Any] = self._gnss_line.update(self._fix)
+        return _MEASURED(rate, attitude, fix[0], fix[1], altitude, self._force_line.update(force))
 
     def _next_draws(self) -> list[float]:
         if not self._draws:

@@ -23,6 +23,9 @@ from cosim.spec.vehicle import AllocationLimits, Jet
 
 LEAST_SHARE: Final = 0.25  # of hover thrust, below which tilts are not enlarged further
 _FLAT: Final = 1e-9  # of throttle per collective: does not follow it
+# compiled code finds these without looking in a dictionary
+_ACTUATION: Final = Actuation
+_UNALLOCATED: Final = Unallocated
 
 
 class TiltAllocator:
@@ -91,8 +94,9 @@ class TiltAllocator:
         is a disturbance of the torque that the controller does not know: the residual is counted against the sum.
         """
         roll, pitch, yaw = torque
-        if added != ZERO3:
-            roll, pitch, yaw = roll + added[0], pitch + added[1], yaw + added[2]
+        x, y, z = added
+        if x != 0.0 or y != 0.0 or z != 0.0:
+            roll, pitch, yaw = roll + x, pitch + y, yaw + z
         if self._plan is not None:
             return self._allocate_plan(self._plan, collective, roll, pitch, yaw)
         low, high = self._low, self._high
@@ -120,10 +124,10 @@ class TiltAllocator:
             residual_yaw = yaw - y * thrust_ratio
 
         sides: tuple[Any, Any] = (right, left)  # an object each, not one for each jet
-        return Actuation(
+        return _ACTUATION(
             tuple([sides[1] if on_left else sides[0] for on_left in self.left]),
             (p + y, p - y),
-            Unallocated(roll - r, residual_pitch, residual_yaw, collective - c),
+            _UNALLOCATED(roll - r, residual_pitch, residual_yaw, collective - c),
             NO_JETS,
         )
 

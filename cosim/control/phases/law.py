@@ -111,14 +111,15 @@ class Loops:
     def inject(self, torque: Vector3, injected: Disturbance) -> Vector3:
         """Return the rate loop's output with what is added to it there, roll after the added delay; once a step."""
         roll, pitch, yaw = torque
-        added = injected.torque_output
-        if added != ZERO3:
-            roll, pitch, yaw = roll + added[0], pitch + added[1], yaw + added[2]
-        if injected.torque_seen != ZERO3:
+        x, y, z = injected.torque_output
+        if x != 0.0 or y != 0.0 or z != 0.0:
+            roll, pitch, yaw = roll + x, pitch + y, yaw + z
+        x, y, z = seen = injected.torque_seen
+        if x != 0.0 or y != 0.0 or z != 0.0:
             if self.custom_rate is not None:
-                self.custom_rate.add_to_command(injected.torque_seen)
+                self.custom_rate.add_to_command(seen)
             else:
-                self.rate.add_to_command(injected.torque_seen)
+                self.rate.add_to_command(seen)
         return (self._added_delay.update(roll), pitch, yaw)
 
     def follow(self, at: Scheduled) -> None:

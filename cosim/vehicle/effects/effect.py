@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from math import nan
+from typing import Any, Final
 
 from cosim.base.layout import Layout
 from cosim.base.signals import UNKNOWN3, ZERO3, EngineOutput, PerJet, PerServo, State, Vector3
 
 NO_OUTPUT = EngineOutput((), (), (), ())
+_NO_FORCE: Final[Any] = ZERO3  # as one object
 _STILL = State(ZERO3, ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, ZERO3, 0.0, ZERO3, 0.0, False, False)
 
 
@@ -50,18 +52,25 @@ class Load:
 
     def along_axes(self, thrust: PerJet) -> list[Vector3]:
         """Return each jet's thrust along its own turned axis: N, body."""
-        axes = self.axes
-        answer: list[Vector3] = []
-        for jet, group in enumerate(self.layout.groups):
-            newton, (x, y, z) = thrust[jet], axes[group]
-            answer.append((newton * x, newton * y, newton * z))
-        return answer
+        layout = self.layout
+        forces: list[Any] = [_NO_FORCE] * len(layout.groups)  # equal ones as one object
+        for group, jets in enumerate(layout.members):
+            x, y, z = self.axes[group]
+            last = nan
+            force: Any = _NO_FORCE
+            for jet in jets:
+                newton = thrust[jet]
+                if newton != last or newton == 0.0:  # zeros have signs
+                    last = newton
+                    force = (newton * x, newton * y, newton * z)
+                forces[jet] = force
+        return forces
 
     def begin(self, output: EngineOutput, pushes: list[Vector3]) -> None:
         """Begin a step with the thrust of each jet and no moment, servos where they were placed."""
         self.output = output
         self.pushes = self.forces = pushes
-        self.moment = ZERO3
+        self.moment = (0.0, 0.0, 0.0)
 
     def turn(self, moment: Vector3) -> None:
         """Add a moment."""

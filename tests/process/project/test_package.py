@@ -140,6 +140,7 @@ def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
     wanted = [
         "base/_records",
         "control/allocation/_effectiveness",
+        "vehicle/_noise",
         "vehicle/_properties",
         "results/_rows",
         "engine/_bank",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -590,6 +591,26 @@ def test_properties_in_one_call_are_the_same_bits_one_by_one() -> None:
             fx, fy, fz = [frame._node(f"external_reactions/jet1/{axis}").get_double_value() for axis in "xyz"]
             assert (fx * POUND_FORCE, fy * POUND_FORCE, fz * POUND_FORCE) == pytest.approx(forces[0], rel=1e-15)
         assert read.read() == tuple(tuple(node.get_double_value() * 0.3048 for node in group[:3]) for group in groups)
+
+
+def test_equal_forces_are_written_as_others_are() -> None:
+    def seen(forces: list[list[Vector3]]) -> list[State]:
+        with airframe() as (frame, _):
+            frame.reset(Initial(), OFF, ZERO3)
+            return [frame.step(each, CALM) for each in forces]
+
+    rng = np.random.default_rng(1)
+    numbers = [rng.uniform(-20.0, 20.0, (6, 3)).tolist() for _ in range(4)]
+    alike = [[(x, y, z) for x, y, z in each] for each in numbers]
+    for k, each in enumerate(alike):
+        for jet in range(k, 6):  # from all by one object to two by one, and five of which room is for four
+            each[jet] = each[jet % (k + 1)]
+    apart = [[(x + 0.0, y, z) for x, y, z in each] for each in alike]
+    assert all(a is not b for each in apart for a, b in itertools.combinations(each, 2))
+    assert seen(alike) == seen(apart)
+    five = [[(float(jet), 0.0, -15.0) for jet in range(6)] for _ in range(3)]
+    five[1][5] = five[1][0]
+    assert seen(five) == seen([[(x + 0.0, y, z) for x, y, z in each] for each in five])
 
 
 def test_what_is_no_property_and_forces_of_the_wrong_kind_are_refused() -> None:

@@ -10,8 +10,9 @@ from places import DOCS
 
 from cosim import Scenario, fly
 from cosim.base import frames
-from cosim.base.signals import Measured, State
+from cosim.base.signals import ZERO3, Measured, State
 from cosim.spec.vehicle import Sensors, Servo, load_vehicle
+from cosim.vehicle._noise import Noise
 from cosim.vehicle.sensors import Latency, SensorSuite
 from cosim.vehicle.servo import TiltServo
 
@@ -135,6 +136,54 @@ def test_noise_follows_the_seed_alone() -> None:
 # --- the error of an AHRS's lean ---------------------------------------------------------------------------------------
 
 G = 9.80665
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"gyro": {"bias_sigma_rad_s": 0.01, "latency_samples": 2}, "attitude": {"bias_rad": (0.01, -0.02, 0.03)}},
+        {"gnss": {"period_samples": 3, "latency_samples": 1}, "barometer": {"bias_m": 0.4, "latency_samples": 1}},
+        {"gyro": {"filter_s": 0.0}, "accelerometer": {"bias_m_s2": (0.1, 0.2, -0.3), "latency_samples": 4}},
+    ],
+)
+def test_all_at_once_is_one_after_the_other_to_the_last_bit(changes: dict[str, dict[str, object]]) -> None:
+    at_once, each = suite(noisy=True, seed=7, **changes), suite(noisy=True, seed=7, **changes)
+    assert at_once._noise is not None
+    each._noise = None
+    angles = np.random.default_rng(1).uniform(-1.0, 1.0, (600, 3)).tolist()
+    states = [
+        state(rate=roll, height=20.0 + pitch, north=yaw)._replace(attitude=frames.from_euler(roll, pitch, 3.0 * yaw))
+        for roll, pitch, yaw in angles
+    ]
+    assert record(at_once, states) == record(each, states)
+    assert record(at_once, states) == record(each, states)  # after a reset too
+
+
+@pytest.mark.parametrize(
+    "changes", [{"gyro": {"resolution_rad_s": 0.001}}, {"attitude": {"ahrs_time_constant_s": 5.0}}]
+)
+def test_sensors_with_more_than_noise_take_it_step_by_step(changes: dict[str, dict[str, object]]) -> None:
+    assert suite(noisy=True, **changes)._noise is None
+    assert suite(noisy=False)._noise is None
+
+
+def test_wrong_draws_and_states_are_refused() -> None:
+    noise = Noise((0.1, ZERO3), (0.1, ZERO3), (0.1, 0.1), (0.1, 0.0), (0.1, ZERO3), 0.5)
+    with pytest.raises(TypeError, match="while there are draws"):
+        noise.sample(state(), ZERO3, True)
+    with pytest.raises(ValueError, match="float64 of 13 columns"):
+        noise.fill(np.zeros((2, 12)), np.zeros((2, 3)))
+    with pytest.raises(ValueError, match="as many rows"):
+        noise.fill(np.zeros((2, 13)), np.zeros((3, 3)))
+    noise.fill(np.zeros((1, 13)), np.zeros((1, 3)))
+    with pytest.raises(TypeError, match="takes a state"):
+        noise.sample((1.0, 2.0), ZERO3, True)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="not 3 floats"):
+        noise.sample(state(), (0.0, 0.0), True)
+    noise.sample(state(), ZERO3, True)
+    with pytest.raises(TypeError, match="while there are draws"):
+        noise.sample(state(), ZERO3, True)
 
 
 def moving(acceleration: tuple[float, float, float], euler: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> State:
