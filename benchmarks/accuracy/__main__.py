@@ -2,6 +2,7 @@
 
     python -m benchmarks.accuracy --data FOLDER            both; FOLDER has NASA's trajectories, Atmos_02_sim_01.csv...
     python -m benchmarks.accuracy --only flights           this part alone; it needs no data, nor does "bare"
+    python -m benchmarks.accuracy --only runs              by runs a step, every shipped flight: aircraft/substeps.toml
     python -m benchmarks.accuracy --data FOLDER --page docs/accuracy.md      and write the tables into the page
 
 The status is 1 if a check case lies outside the spread of NASA's simulators.
@@ -16,13 +17,22 @@ from pathlib import Path
 from benchmarks.accuracy.bare_jsbsim import measure
 from benchmarks.accuracy.check_cases import CASES, Compared, compare, fly_case, read_simulators
 from benchmarks.accuracy.flights import CLOSED, FLOWN_RUNS, RUNS, SCHEMES, closed_loop, courses, error, exact, fly_again
+from benchmarks.accuracy.runs_a_step import RUNS as STEP_RUNS
+from benchmarks.accuracy.runs_a_step import as_toml, flight_rows, measure_flight, shipped_flights, vehicle_rows
 from cosim import InputError
 from cosim.pages import check_marks, table, write_marks
 from cosim.vehicle.executive import VERSION
 
+STEP_ERRORS = Path(__file__).resolve().parents[2] / "aircraft" / "substeps.toml"
 OTHER_FLIGHTS = (SCHEMES["flown"], SCHEMES["masses"])  # of flights that are no study of methods
 CASE_MARK, FLIGHT_MARK, CLOSED_MARK, BARE_MARK = "check cases", "flights", "closed loop", "bare JSBSim"
-MARKS_BY_PART = {"cases": [CASE_MARK], "flights": [FLIGHT_MARK, CLOSED_MARK], "bare": [BARE_MARK]}
+VEHICLE_MARK, SHIPPED_MARK = "runs by vehicle", "runs by flight"
+MARKS_BY_PART = {
+    "cases": [CASE_MARK],
+    "flights": [FLIGHT_MARK, CLOSED_MARK],
+    "runs": [VEHICLE_MARK, SHIPPED_MARK],
+    "bare": [BARE_MARK],
+}
 
 
 def case_table(folder: Path) -> tuple[str, list[Compared]]:
@@ -85,6 +95,15 @@ def closed_table() -> str:
     return table(["flight, four runs against 64", "Euler angles, deg", "place, mm"], rows)
 
 
+def runs_tables() -> tuple[str, str]:
+    """Return the tables by vehicle and by flight, and write what a scenario's ``substeps`` is resolved by."""
+    flights = [measure_flight(scenario) for scenario in shipped_flights()]
+    STEP_ERRORS.write_text(as_toml(flights), encoding="utf-8")
+    heads = [f"{runs} run{'s' if runs > 1 else ''}" for runs in STEP_RUNS]
+    by_vehicle = table(["vehicle", "flights", *heads], vehicle_rows(flights))
+    return by_vehicle, table(["vehicle", "flight", *heads], flight_rows(flights))
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Write the tables of the chosen parts and return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy", description="How exact the airframe is.")
@@ -105,6 +124,8 @@ def main(arguments: list[str] | None = None) -> int:
             outside = sum(not row.inside for row in rows)
         if "flights" in chosen:
             texts[FLIGHT_MARK], texts[CLOSED_MARK] = flight_table(), closed_table()
+        if "runs" in chosen:
+            texts[VEHICLE_MARK], texts[SHIPPED_MARK] = runs_tables()
         if "bare" in chosen:
             texts[BARE_MARK] = table([f"JSBSim {VERSION} alone", "comes to"], measure())
         if options.page:

@@ -129,6 +129,7 @@ def _scenario(
         data["vehicle"] = base.vehicle
         if "step_s" not in base.model_fields_set:
             del data["step_s"]
+        data["substeps"] = base.step_error or base.substeps
     return data
 
 

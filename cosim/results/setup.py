@@ -27,7 +27,7 @@ from cosim.results.summary import (
 from cosim.simulation.controllers.controller_file import design_notes
 from cosim.simulation.controllers.source import OBJECT
 from cosim.simulation.model_agreement import flight_notes
-from cosim.simulation.notes import idle_notes
+from cosim.simulation.notes import idle_notes, step_notes
 from cosim.simulation.step import Simulation
 from cosim.spec.controller_name import file_name, label
 from cosim.spec.scenario import FlownParameters, Scenario, flown_parameters
@@ -103,6 +103,7 @@ def _notes(simulation: Simulation, flown: Sequence[FlownParameters]) -> list[str
         *design_notes(flown, simulation.engine),
         *flight_notes(scenario, vehicle, simulation.engine),
         *idle_notes(scenario, vehicle, simulation.stations),
+        *step_notes(scenario),
     ]
 
 

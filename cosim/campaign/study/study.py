@@ -28,7 +28,7 @@ from cosim.campaign.study.values import check_vary
 from cosim.results.metrics import metric_names
 from cosim.simulation.code import aircraft_code, block_code, engine_code, scenario_code
 from cosim.simulation.controllers.source import find
-from cosim.simulation.notes import varied_turbulence_notes
+from cosim.simulation.notes import step_notes, varied_turbulence_notes
 from cosim.simulation.plugins import metrics_of
 from cosim.spec.controller_name import is_design, seen_from
 from cosim.spec.scenario import Range, Scenario, find_scenario
@@ -157,7 +157,10 @@ class Study(Model):
 
     def notes(self) -> list[str]:
         """Return notes on settings that are allowed but that a user should know of before flying."""
-        lines = varied_turbulence_notes(self.base(), [vary.key for vary in self.vary])
+        base, keys = self.base(), [vary.key for vary in self.vary]
+        lines = varied_turbulence_notes(base, keys)
+        if "substeps" not in keys and "aircraft" not in keys:
+            lines += step_notes(base)
         if self.design == "sobol" and self.draws & (self.draws - 1):
             below = 1 << (self.draws.bit_length() - 1)
             lines.append(

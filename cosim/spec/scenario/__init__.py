@@ -54,9 +54,11 @@ from cosim.spec.scenario.provenance import (
 )
 from cosim.spec.scenario.scenario import Scenario
 from cosim.spec.scenario.sections import Environment, Expectation, FlightLimits, Initial, Range, Station
+from cosim.spec.scenario.substeps import SUBSTEPS, measured_errors
 
 __all__ = [
     "SIGNALS",
+    "SUBSTEPS",
     "CommandEntry",
     "DelayGrowth",
     "DisturbanceEntry",
@@ -103,6 +105,7 @@ __all__ = [
     "copy_parameters",
     "find_scenario",
     "flown_parameters",
+    "measured_errors",
     "parameter_files",
     "scenario_names",
 ]

@@ -122,6 +122,7 @@ def _differing(scenario: Scenario, origin: Scenario, parameters: list[FlownParam
 def _comparable(scenario: Scenario) -> dict[str, Any]:
     """Return the keys that affect the flight; files as absolute paths, so that two paths to one file compare equal."""
     table = {key: value for key, value in scenario.stated("json").items() if key not in _NO_EFFECT_ON_FLIGHT}
+    table["substeps"] = scenario.substeps
     if is_own(scenario.aircraft):
         table["aircraft"] = str((scenario.folder / scenario.aircraft).resolve())
     if is_file(scenario.engine):

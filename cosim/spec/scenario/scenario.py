@@ -16,6 +16,7 @@ from cosim.spec.scenario.files import find_scenario
 from cosim.spec.scenario.mismatch import Mismatch
 from cosim.spec.scenario.parameter_file import ParameterFile
 from cosim.spec.scenario.sections import Environment, Expectation, FlightLimits, Initial, Station
+from cosim.spec.scenario.substeps import SUBSTEPS, runs_for
 from cosim.spec.vehicle import STEP_S, Step, Vehicle, is_own
 from cosim.spec.vehicle.sensor_profile import STATED, load_with_profile, profile_names, refuse_restated
 
@@ -39,7 +40,7 @@ class Scenario(Model):
     )
     duration_s: Duration
     step_s: Step = STEP_S  # not stated: the aircraft's control_step
-    substeps: Annotated[int, Field(ge=1, le=100)] = 4
+    substeps: Annotated[int, Field(ge=1, le=100)] = SUBSTEPS  # JSBSim runs in it; or an error: "0.01 deg", "campaign"
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     sensor_noise: bool = True
     added_delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # on the rate controller's roll output
@@ -69,6 +70,7 @@ class Scenario(Model):
 
     _folder: Path = PrivateAttr(default_factory=Path)
     _origin: "Scenario | None" = PrivateAttr(default=None)  # as its file states it; None: as this is
+    _step_error: str | None = PrivateAttr(default=None)  # that substeps keeps to, where a number is not stated
     _resolved: tuple[tuple[Any, ...], dict[str, Any], tuple[Vehicle, Path]] | None = PrivateAttr(default=None)
 
     @model_validator(mode="before")
@@ -150,6 +152,11 @@ class Scenario(Model):
     def aircraft_name(self) -> str:
         """Name of the aircraft, also where the scenario gives a path."""
         return self.resolved_vehicle()[0].name if is_own(self.aircraft) else self.aircraft
+
+    @property
+    def step_error(self) -> str | None:
+        """The error that ``substeps`` keeps to, as stated; None where a number is."""
+        return self._step_error
 
     @property
     def monitored(self) -> bool:
@@ -303,9 +310,13 @@ class Scenario(Model):
         InputError
             For a wrong key or value.
         """
+        error = data.get("substeps")
+        if isinstance(error, str):
+            data = data | {"substeps": runs_for(error, str(data.get("aircraft", "hexjet")), where)}
         scenario = validate(cls, data, where)
         scenario._folder = folder
         scenario._origin = origin
+        scenario._step_error = error if isinstance(error, str) else None
         return scenario if "step_s" in data else scenario._with_aircraft_step()
 
     def _with_aircraft_step(self) -> Self:
@@ -336,6 +347,8 @@ class Scenario(Model):
         data = self.model_dump(mode=mode, exclude_none=True)
         if "step_s" not in self.model_fields_set:
             del data["step_s"]
+        if self._step_error is not None:
+            data["substeps"] = self._step_error
         return data
 
     def replace(self, **changes: Any) -> Self:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
 from typing import Any
 
@@ -9,7 +10,16 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from benchmarks.accuracy.__main__ import BARE_MARK, CASE_MARK, CLOSED_MARK, FLIGHT_MARK, main
+from benchmarks.accuracy.__main__ import (
+    BARE_MARK,
+    CASE_MARK,
+    CLOSED_MARK,
+    FLIGHT_MARK,
+    SHIPPED_MARK,
+    STEP_ERRORS,
+    VEHICLE_MARK,
+    main,
+)
 from benchmarks.accuracy.bare_jsbsim import measure
 from benchmarks.accuracy.check_cases import (
     CASES,
@@ -34,6 +44,8 @@ from benchmarks.accuracy.flights import (
     fly_again,
     from_the_log,
 )
+from benchmarks.accuracy.runs_a_step import Apart, Flight, as_toml, measure_flight, vehicle_rows, worst
+from benchmarks.accuracy.runs_a_step import compare as compare_runs
 from cosim import Scenario, fly
 from cosim.results.report.marks import parts_of
 
@@ -313,3 +325,70 @@ def test_the_check_cases_need_their_data(capsys: pytest.CaptureFixture[str]) -> 
         main([])
     assert end.value.code == 2
     assert "--data FOLDER is needed" in capsys.readouterr().err
+
+
+# --- runs a step
+
+
+class Moved:
+    """A log of three rows, turned and moved by so much at the second."""
+
+    def __init__(self, yaw: float = 0.0, north: float = 0.0, rows: int = 3) -> None:
+        still = {f"{name}_rad": np.array([0.3, 0.4, 0.5]) for name in ("roll", "pitch", "yaw")}
+        still |= {f"{name}_m": np.array([1.0, 2.0, 3.0]) for name in ("north", "east", "down")}
+        still["yaw_rad"] = still["yaw_rad"] + np.array([0.0, yaw, 0.0])
+        still["north_m"] = still["north_m"] + np.array([0.0, north, 0.0])
+        self._columns = {name: values[:rows] for name, values in still.items()}
+
+    def __len__(self) -> int:
+        return len(self._columns["yaw_rad"])
+
+    def __getitem__(self, name: str) -> Array:
+        return self._columns[name]
+
+
+@pytest.mark.parametrize("turn", [1e-6, 0.01, 1.0, 3.0, 2.0 * np.pi + 0.01])
+def test_the_angle_between_attitudes_is_that_of_the_turn(turn: float) -> None:
+    apart = compare_runs(Moved(turn, 0.002), Moved())  # type: ignore[arg-type]
+    assert apart.attitude_deg == pytest.approx(np.degrees(turn % (2.0 * np.pi)), rel=1e-7)
+    assert apart.place_mm == pytest.approx(2.0)
+    assert compare_runs(Moved(turn, rows=1), Moved()) == (0.0, 0.0)  # type: ignore[arg-type]
+
+
+def test_a_vehicle_is_as_far_off_as_the_worst_of_its_flights() -> None:
+    flights = [
+        Flight("a", "one", False, {1: Apart(0.5, 1.0), 4: Apart(0.01, 0.002)}),
+        Flight("b", "three", False, {1: Apart(9.0, 9.0), 4: Apart(8.0, 8.0)}),
+        Flight("a", "two", True, {1: Apart(0.25, 3.0), 4: Apart(0.02, 0.001)}),
+    ]
+    assert worst(flights)["a"] == {1: (0.5, 3.0), 4: (0.02, 0.002)}
+    assert tomllib.loads(as_toml(flights))["a"] == {
+        "flights": 2,
+        "runs": [1, 4],
+        "attitude_deg": [0.5, 0.02],
+        "place_mm": [3.0, 0.002],
+    }
+    assert vehicle_rows(flights)[0] == ["a", "2", "0.5 deg, 3 mm", "0.02 deg, 0.002 mm"]
+
+
+def test_the_page_and_the_program_have_the_same_table() -> None:
+    rows = dict(_cells(VEHICLE_MARK))
+    for aircraft, stated in tomllib.loads(STEP_ERRORS.read_text(encoding="utf-8")).items():
+        pairs = zip(stated["attitude_deg"], stated["place_mm"], strict=True)
+        assert rows.pop(aircraft) == [str(stated["flights"]), *(f"{deg:.2g} deg, {mm:.2g} mm" for deg, mm in pairs)]
+    assert not rows
+
+
+@pytest.mark.parametrize("name", ["roll-doublet", "octojet-roll-doublet"])
+def test_a_flight_with_two_runs_is_off_as_the_page_says(name: str) -> None:
+    scenario = Scenario.load(name).replace(expect=[])
+    found = measure_flight(scenario, (2,)).apart[2]
+    (cell,) = [cells[2] for _, cells in _cells(SHIPPED_MARK) if cells[0] == name]
+    assert cell == f"{found.attitude_deg:.1e} deg, {found.place_mm:.1e} mm"
+
+
+def _cells(mark: str) -> list[tuple[str, list[str]]]:
+    """The rows of a table of the page: its first cell, and the others."""
+    lines = parts_of((ROOT / "docs" / "accuracy.md").read_text(), "accuracy.md")[mark].strip().splitlines()[2:]
+    cells = [[cell.strip() for cell in line.strip().strip("|").split("|")] for line in lines]
+    return [(first.replace("\\", ""), rest) for first, *rest in cells]

@@ -1,0 +1,141 @@
+"""By how much the shipped flights differ from themselves with more JSBSim runs a step, vehicle by vehicle.
+
+What is found goes into ``aircraft/substeps.toml``, by which a scenario's ``substeps = "0.1 deg"`` becomes a number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.accuracy.exact import Array
+from cosim import Scenario, fly
+from cosim.base.frames import from_euler
+from cosim.results.log.recorder import Log
+from cosim.spec.scenario import scenario_names
+
+RUNS = (1, 2, 3, 4, 6, 8)
+FINE = 16  # what they are compared with
+# shipped vehicles without scenarios of their own
+_ELSEWHERE: dict[str, dict[str, Any]] = {
+    "hexjet-100": {"engine": "turbine-100", "controller": "filtered-smith"},
+    "quadrotor": {"engine": "motor", "controller": "baseline"},
+}
+_THEIR_FLIGHTS = ("hover", "hover-in-wind", "roll-doublet")
+
+
+class Apart(NamedTuple):
+    """Greatest difference of a flight from the one with more runs: the angle between attitudes, and the distance."""
+
+    attitude_deg: float
+    place_mm: float
+
+
+class Flight(NamedTuple):
+    """A flight's differences by its runs a step; ``touches``: on the ground at some time."""
+
+    aircraft: str
+    name: str
+    touches: bool
+    apart: dict[int, Apart]
+
+
+def shipped_flights() -> Iterator[Scenario]:
+    """Yield every shipped scenario whose air is not turbulent, and flights of the vehicles that have none.
+
+    JSBSim draws its turbulence anew at every run: with another number of runs a flight meets other gusts, and cannot be
+    compared.
+    """
+    for name in scenario_names():
+        scenario = Scenario.load(name).replace(expect=[])
+        if not scenario.environment.turbulence_severity:
+            yield scenario
+    for aircraft, changes in _ELSEWHERE.items():
+        for name in _THEIR_FLIGHTS:
+            yield Scenario.load(name).replace(aircraft=aircraft, **changes, expect=[])
+
+
+def measure_flight(scenario: Scenario, runs: tuple[int, ...] = RUNS, fine: int = FINE) -> Flight:
+    """Fly a scenario with each number of runs a step and with ``fine`` of them, and compare."""
+    reference = fly(scenario.replace(substeps=fine)).log
+    apart = {each: compare(fly(scenario.replace(substeps=each)).log, reference) for each in runs}
+    touches = bool(np.any(reference["on_ground"] > 0.0))
+    return Flight(scenario.aircraft, scenario.name, touches, apart)
+
+
+def compare(one: Log, other: Log) -> Apart:
+    """Return the greatest differences between two logs of a flight, as far as both go."""
+    rows = min(len(one), len(other))
+    (turned, there), (reference, here) = _motion(one, rows), _motion(other, rows)
+    along = np.abs(np.sum(turned * reference, axis=1))
+    w, v, wr, vr = turned[:, :1], turned[:, 1:], reference[:, :1], reference[:, 1:]
+    across = np.linalg.norm(w * vr - wr * v - np.cross(v, vr), axis=1)
+    return Apart(
+        float(np.degrees(2.0 * np.arctan2(across, along)).max()),
+        1e3 * float(np.linalg.norm(there - here, axis=1).max()),
+    )
+
+
+def _motion(log: Log, rows: int) -> tuple[Array, Array]:
+    """Return attitudes as quaternions and places [m] of the first rows."""
+    angles = np.stack([log[f"{axis}_rad"][:rows] for axis in ("roll", "pitch", "yaw")], axis=1)
+    places = np.stack([log[f"{axis}_m"][:rows] for axis in ("north", "east", "down")], axis=1)
+    return np.array([from_euler(*map(float, row)) for row in angles]), places
+
+
+def worst(flights: list[Flight]) -> dict[str, dict[int, Apart]]:
+    """Return the greatest differences by vehicle and runs a step, with more runs never more than with fewer."""
+    answer: dict[str, dict[int, Apart]] = {}
+    for aircraft in sorted({flight.aircraft for flight in flights}):
+        own = [flight.apart for flight in flights if flight.aircraft == aircraft]
+        answer[aircraft] = {
+            runs: Apart(max(each[runs].attitude_deg for each in own), max(each[runs].place_mm for each in own))
+            for runs in own[0]
+        }
+    return answer
+
+
+def vehicle_rows(flights: list[Flight]) -> list[list[str]]:
+    """Return a row a vehicle: its flights, and the greatest differences by runs a step."""
+    return [
+        [
+            aircraft,
+            str(sum(flight.aircraft == aircraft for flight in flights)),
+            *(f"{each.attitude_deg:.2g} deg, {each.place_mm:.2g} mm" for each in by_runs.values()),
+        ]
+        for aircraft, by_runs in worst(flights).items()
+    ]
+
+
+def flight_rows(flights: list[Flight]) -> list[list[str]]:
+    """Return a row a flight, as :func:`vehicle_rows`; those that touch the ground say so."""
+    return [
+        [
+            flight.aircraft,
+            flight.name + (", on the ground too" if flight.touches else ""),
+            *(f"{each.attitude_deg:.1e} deg, {each.place_mm:.1e} mm" for each in flight.apart.values()),
+        ]
+        for flight in sorted(flights)
+    ]
+
+
+def as_toml(flights: list[Flight]) -> str:
+    """Return what ``aircraft/substeps.toml`` says."""
+    lines = [
+        "# Greatest differences of each vehicle's shipped flights, those without turbulence, from the same with",
+        f"# {FINE} JSBSim runs in a control step: the angle between attitudes, and the distance. Measured and written",
+        "# by python -m benchmarks.accuracy --only runs; docs/accuracy.md has every flight.",
+    ]
+    for aircraft, by_runs in worst(flights).items():
+        number = sum(flight.aircraft == aircraft for flight in flights)
+        lines += [
+            "",
+            f"[{aircraft}]",
+            f"flights = {number}",
+            f"runs = {list(by_runs)}",
+            f"attitude_deg = [{', '.join(f'{each.attitude_deg:.2g}' for each in by_runs.values())}]",
+            f"place_mm = [{', '.join(f'{each.place_mm:.2g}' for each in by_runs.values())}]",
+        ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,115 @@
+"""From the error that a flight may have to the number of JSBSim runs in its control step.
+
+``aircraft/substeps.toml`` has what was measured for each shipped vehicle; ``docs/accuracy.md`` says how.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from functools import cache
+from typing import Annotated
+
+from pydantic import Field
+
+from cosim.base.errors import InputError
+from cosim.base.storage.paths import data_folder
+from cosim.base.storage.toml import Model, read_toml, validate
+from cosim.spec.vehicle import is_own, load_vehicle
+
+SUBSTEPS = 4  # of who states none
+CAMPAIGN = "campaign"
+CAMPAIGN_DEG = 0.1  # over that with SUBSTEPS; chosen by us: twice the noise with which shipped vehicles see attitude
+_FORM = re.compile(r"\s*(?P<size>[0-9]+(?:\.[0-9]+)?(?:e-?[0-9]+)?)\s*(?P<unit>deg|mm)\s*")
+_POSITIVE = Annotated[float, Field(gt=0.0)]
+
+
+class StepErrors(Model):
+    """What was measured of one vehicle: the greatest differences of its shipped flights by ``runs`` a step."""
+
+    flights: int
+    runs: list[int]
+    attitude_deg: list[_POSITIVE]
+    place_mm: list[_POSITIVE]
+
+    def fewest(self, size: float, unit: str) -> int | None:
+        """Return the fewest runs from which on the error is at most ``size`` [deg or mm], or None."""
+        kept = None
+        for runs, error in reversed(list(zip(self.runs, self._errors(unit), strict=True))):
+            if error > size:
+                break
+            kept = runs
+        return kept
+
+    def for_campaigns(self) -> int:
+        """Return the fewest runs, two or more, that are off by at most CAMPAIGN_DEG more than SUBSTEPS runs are."""
+        rows = dict(zip(self.runs, self.attitude_deg, strict=True))
+        most = rows[SUBSTEPS] + CAMPAIGN_DEG
+        return min(runs for runs, error in rows.items() if runs > 1 and error <= most)
+
+    def least(self, unit: str) -> float:
+        """Return the error with the most runs that were measured."""
+        return self._errors(unit)[-1]
+
+    def at(self, runs: int) -> tuple[float, float] | None:
+        """Return the errors [deg, mm] with so many runs a step; None where that was not measured."""
+        if runs not in self.runs:
+            return None
+        place = self.runs.index(runs)
+        return self.attitude_deg[place], self.place_mm[place]
+
+    def _errors(self, unit: str) -> Sequence[float]:
+        return self.attitude_deg if unit == "deg" else self.place_mm
+
+
+@cache
+def measured_errors(aircraft: str) -> StepErrors | None:
+    """Return what was measured of a shipped vehicle; None where nothing was."""
+    path = data_folder("aircraft") / "substeps.toml"
+    table = read_toml(path).get(aircraft)
+    return None if table is None else validate(StepErrors, table, f"{path}: {aircraft}")
+
+
+def runs_for(error: str, aircraft: str, where: str) -> int:
+    """Return the fewest JSBSim runs a step with which a vehicle's shipped flights keep to an error.
+
+    Parameters
+    ----------
+    error : str
+        ``"0.01 deg"`` of attitude or ``"1 mm"`` of place; ``"campaign"``: 0.1 deg more than with :data:`SUBSTEPS`.
+    aircraft : str
+        The vehicle's name.
+    where : str
+        Name of the scenario in error messages.
+
+    Returns
+    -------
+    int
+        Runs, 1 to 8.
+
+    Raises
+    ------
+    InputError
+        For another form, a vehicle of which nothing was measured, and an error below what was.
+    """
+    form = _FORM.fullmatch(error)
+    said = f"{where}: substeps = {error!r}"
+    if error != CAMPAIGN and (form is None or not float(form["size"]) > 0.0):
+        raise InputError(f"{said}: a whole number, {CAMPAIGN!r}, or the error to keep to, such as '0.01 deg' or '1 mm'")
+    measured = measured_errors(aircraft)
+    if measured is None:
+        if not is_own(aircraft):
+            load_vehicle(aircraft)  # says which there are
+        raise InputError(
+            f"{said}: errors are measured for shipped aircraft, and not for {aircraft}; state a number, and compare a "
+            "flight with it with one with 16"
+        )
+    if form is None:
+        return measured.for_campaigns()
+    runs = measured.fewest(float(form["size"]), form["unit"])
+    if runs is None:
+        raise InputError(
+            f"{said}: {aircraft} is off by {measured.least(form['unit']):g} {form['unit']} with {measured.runs[-1]}, "
+            "the most that is measured; state a number"
+        )
+    return runs
