@@ -383,7 +383,9 @@ def test_the_page_and_the_program_have_the_same_table() -> None:
 def test_a_flight_with_two_runs_is_off_as_the_page_says(name: str) -> None:
     scenario = Scenario.load(name).replace(expect=[])
     found = measure_flight(scenario, (2,)).apart[2]
-    (cell,) = [cells[2] for _, cells in _cells(SHIPPED_MARK) if cells[0] == name]
+    (cell,) = [
+        cells[2] for aircraft, cells in _cells(SHIPPED_MARK) if (aircraft, cells[0]) == (scenario.aircraft, name)
+    ]
     assert cell == f"{found.attitude_deg:.1e} deg, {found.place_mm:.1e} mm"
 
 
