@@ -166,7 +166,8 @@ def test_the_check_tries_two_instances_of_it(place: Path) -> None:
     )
     found = {each["of"]: each for each in said if "of" in each}
     assert [each["problems"] for each in found.values()] == [[]] * 4
-    assert len(found["measure"]["found"]["measured"]["others"]) == 5  # type: ignore[index]
+    measured = check.measurement_json().validate_python(found["measure"]["found"]["measured"])  # type: ignore[index]
+    assert len(measured.others) == 5
     report, _ = check._check(str(path), STEP, {}, check.LIMITS, ("start",))
     said_of = dict(report.lines())
     assert said_of["thrust of engine 6"].startswith("F5 [N], found in the mapping file")

@@ -254,7 +254,7 @@ def test_what_a_child_answers_runs_nothing_here(head: bytes, answer: Callable[[P
             lambda: bank.reset(0.5),
             lambda: bank.run_down(1.0),
             lambda: bank.shown,
-            lambda: bank._look(True, "then"),
+            lambda: bank._update_starting(True, "then"),
         ),
     )
     for call in calls:
@@ -276,7 +276,7 @@ def test_the_bits_of_every_double_come_back(monkeypatch: pytest.MonkeyPatch) -> 
     """NaN of either sign, infinity, the smallest number and zero below zero among them."""
     values = (float("inf"), float("-inf"), 5e-324, -0.0, 0.1, *struct.unpack("<2d", bytes(6) + b"\xf8\xff" + bytes(6) + b"\xf8\x7f"))  # fmt: skip
     bank = IsolatedBank([load_engine("turbine-20", {}, STEP)], STEP)
-    monkeypatch.setattr(bank, "_exchange", lambda *_: isolated._packed(values))
+    monkeypatch.setattr(bank, "_exchange", lambda *_: isolated._double_answer(values))
     for answer in (bank.step(0, (0.5,)), bank.reset(0.5), bank.run_down(1.0)):
         got = [value for row in answer for value in row]
         assert struct.pack("<7d", *got) == struct.pack("<7d", *values)

@@ -36,7 +36,7 @@ from cosim.engine.fmu import archive, unpacked
 from cosim.engine.fmu.air import STANDARD_AIR
 from cosim.engine.fmu.archive import library_of
 from cosim.engine.fmu.unpacked import unpack
-from cosim.engine.measure import Measured
+from cosim.engine.measure import EngineMeasurement
 from cosim.engine.qualify import check
 from cosim.engine.response import NO_CHANGE, Response
 from cosim.engine.spec import find_source
@@ -268,7 +268,7 @@ def test_what_is_measured_here_is_judged_as_in_a_trial(tmp_path: Path, monkeypat
     falling = known.curve._replace(thrust=tuple(reversed(known.curve.thrust)))
     source = check.find_source(str(path))
     monkeypatch.setattr(check, "_fit_engines", {(source.archive.sha256, source.mapping.model_dump_json(), STEP)})
-    measured = Measured(falling, Response(7, 0.1, 0.0, 20.0), None, NO_CHANGE)
+    measured = EngineMeasurement(falling, Response(7, 0.1, 0.0, 20.0), None, NO_CHANGE)
     monkeypatch.setattr(check, "measure_once", lambda *_: measured)
     with pytest.raises(InputError, match=r"theirs.fmu: is not fit to fly: its thrust does not rise with the throttle"):
         check.measure_in_child(str(path), {"delay_samples": 7.0}, STEP, STANDARD_AIR)
