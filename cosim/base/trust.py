@@ -1,4 +1,4 @@
-"""Whose code is run: what the user named, accepted or has flown before, and nothing else.
+"""Trust in code: what the user named, accepted or has flown before is run, and nothing else.
 
 A scenario, a study, a campaign, a vehicle or a run names code: files of Python, FMUs, programs.  Whatever loads such a
 file says so here first (:func:`need_trust`).  It is run if the user named it himself (on the command line, in his
@@ -35,7 +35,7 @@ _BETWEEN = re.compile(r"[\s\"'\[\],=]+")  # names on a command line, also within
 
 
 class CodeRefusedError(InputError):
-    """Code was not run: nobody trusts it, or there is only somebody who looks."""
+    """Code was not run: it is not trusted, or a command only displays what names it."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Decision:
     by_program: bool = True  # a program names code when it changes a scenario; a command names it in its arguments
 
 
-_known: dict[Path, tuple[tuple[int, int], frozenset[str]]] = {}  # what is remembered, by the file's size and time
+_hashes_by_file: dict[Path, tuple[tuple[int, int], frozenset[str]]] = {}  # with size and time of the file
 _decision = Decision()
 _ask: Callable[[Sequence[Code]], bool] | None = None  # on a terminal
 _looking: ContextVar[bool] = ContextVar("looking", default=False)
@@ -87,19 +87,19 @@ def need_trust(code: Iterable[Code], what: str) -> None:
     if not files:
         return
     if _looking.get():
-        names = _listed(files)
+        names = _list_files(files)
         raise CodeRefusedError(f"{what}: {names}: is code, and nothing is run to look at something")
-    strange = {file.sha256: file for file in files if not _is_shipped(file.path)}
-    for sha256 in strange.keys() & _remembered():
-        del strange[sha256]
-    unknown = [file for file in strange.values() if not _is_accepted(file)]
-    if unknown and not _consent(unknown):
-        names = _listed(unknown)
+    unshipped = {file.sha256: file for file in files if not _is_shipped(file.path)}
+    for sha256 in unshipped.keys() & _read_remembered():
+        del unshipped[sha256]
+    unknown = [file for file in unshipped.values() if not _is_accepted(file)]
+    if unknown and not _has_consent(unknown):
+        names = _list_files(unknown)
         raise CodeRefusedError(
             f"{what}: {names}: is code that you have not flown before; look at it, then --trust (in Python: "
             "cosim.trust) runs it and remembers it"
         )
-    remember(strange.values())
+    remember(unshipped.values())
 
 
 def trust(*places: Path | str) -> None:
@@ -142,9 +142,9 @@ def _names(text: str, folder: Path) -> Iterator[Path | str]:
 
     What is data is never taken for code, whatever else names it.
     """
-    for whole in (text, text.partition("=")[2]):
-        if whole.startswith("process:"):
-            program, blank, arguments = whole.removeprefix("process:").partition(" ")
+    for setting in (text, text.partition("=")[2]):
+        if setting.startswith("process:"):
+            program, blank, arguments = setting.removeprefix("process:").partition(" ")
             yield process_name(folder / program, blank + arguments)
     for chunk in (text, text.partition("=")[2], *_BETWEEN.split(text)):
         for word in (chunk, chunk.rpartition(":")[0]):
@@ -175,19 +175,21 @@ def remember(code: Collection[Code]) -> None:
 
     What was made here is noted when it is made.
     """
-    new = {file.sha256: file for file in code}
+    new = {entry.sha256: entry for entry in code}
     if not new:
         return
     _add(hashes=frozenset(new))
-    known = _remembered()
+    known = _read_remembered()
     lines = [
-        f"{sha256}  {replace(file, path=file.path.resolve())}\n" for sha256, file in new.items() if sha256 not in known
+        f"{sha256}  {replace(entry, path=entry.path.resolve())}\n"
+        for sha256, entry in new.items()
+        if sha256 not in known
     ]
     with suppress(OSError, RuntimeError):  # a user without a home has no settings
         if lines:
-            place = settings_folder() / REMEMBERED
-            place.parent.mkdir(parents=True, exist_ok=True)
-            file = os.open(place, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+            file_path = settings_folder() / REMEMBERED
+            file_path.parent.mkdir(parents=True, exist_ok=True)
+            file = os.open(file_path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
             try:
                 os.write(file, "".join(lines).encode(errors="replace"))  # at once, beside other processes
             finally:
@@ -213,7 +215,7 @@ def is_looking() -> bool:
 def at_a_command(ask: Callable[[Sequence[Code]], bool] | None, arguments: Sequence[str]) -> Iterator[None]:
     """Decide anew for one command: what its arguments name is the user's, and ``ask`` asks him of the rest."""
     global _ask, _decision
-    before, stated = (_ask, _decision), os.environ.get(ENVIRONMENT)
+    before, previous = (_ask, _decision), os.environ.get(ENVIRONMENT)
     _ask, _decision = ask, Decision(by_program=False)
     try:
         _add(named=frozenset(_named_in(arguments)))
@@ -221,8 +223,8 @@ def at_a_command(ask: Callable[[Sequence[Code]], bool] | None, arguments: Sequen
     finally:
         _ask, _decision = before
         os.environ.pop(ENVIRONMENT, None)
-        if stated is not None:
-            os.environ[ENVIRONMENT] = stated
+        if previous is not None:
+            os.environ[ENVIRONMENT] = previous
 
 
 def trust_everything() -> None:
@@ -247,8 +249,10 @@ def _add(
     hashes: frozenset[str] = frozenset(),
 ) -> None:
     global _decision
-    known = _decision
-    _decision = replace(known, places=known.places | places, named=known.named | named, hashes=known.hashes | hashes)
+    current = _decision
+    _decision = replace(
+        current, places=current.places | places, named=current.named | named, hashes=current.hashes | hashes
+    )
 
 
 @cache
@@ -270,24 +274,24 @@ def _is_accepted(file: Code) -> bool:
     return bool(names & _decision.named) or any(place in _decision.places for place in (path, *path.parents))
 
 
-def _remembered() -> frozenset[str]:
+def _read_remembered() -> frozenset[str]:
     """Return the hashes in the user's settings; a line that is no hash is skipped."""
     try:
-        place = settings_folder() / REMEMBERED
-        found = place.stat()
-        stamp = found.st_size, found.st_mtime_ns
-        if _known.get(place, (None,))[0] != stamp:
-            lines = place.read_text(encoding="utf-8", errors="replace").splitlines()
-            _known[place] = stamp, frozenset(line[:64] for line in lines if _HASH.match(line))
+        file = settings_folder() / REMEMBERED
+        status = file.stat()
+        stamp = status.st_size, status.st_mtime_ns
+        if _hashes_by_file.get(file, (None,))[0] != stamp:
+            lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
+            _hashes_by_file[file] = stamp, frozenset(line[:64] for line in lines if _HASH.match(line))
     except (OSError, RuntimeError):
         return frozenset()
-    return _known[place][1]
+    return _hashes_by_file[file][1]
 
 
-def _consent(files: Sequence[Code]) -> bool:
+def _has_consent(files: Sequence[Code]) -> bool:
     return _ask is not None and _ask(files)
 
 
-def _listed(files: Sequence[Code]) -> str:
+def _list_files(files: Sequence[Code]) -> str:
     rest = len(files) - _MOST_NAMED
     return ", ".join(map(str, files[:_MOST_NAMED])) + (f" and {rest} more" if rest > 0 else "")
