@@ -99,7 +99,8 @@ def flight_parts(flights: Flights, path: Path, shared: Path | None) -> dict[str,
     """Return the contents of the page's script elements for ``flights``; three.js is deflated, as the data."""
     told = {"name": flights.name, "runs": [said for said, _ in flights.runs], "figures": flights.figures}
     data = [(f"data-{n}-{name}", text) for n, (_, data) in enumerate(flights.runs) for name, text in data.items()]
-    parts: dict[str, Any] = {"told": figure_json(told), "data": data, "shared": None}
+    thinned = [described["thinned"] for described, _ in flights.runs if described.get("thinned")]
+    parts: dict[str, Any] = {"thinned": thinned, "told": figure_json(told), "data": data, "shared": None}
     if shared is not None:
         folder = shared_assets(shared)
         place = Path(os.path.relpath(folder, path.resolve().parent)).as_posix()

@@ -1,4 +1,7 @@
-"""A flight as a page carries it: every sample of every column, what happened, and the vehicle to draw.
+"""A flight as a page carries it: the samples of every column, what happened, and the vehicle to draw.
+
+Of a flight of more than ``MOST_ROWS`` steps a column has the least and the greatest of each few steps, in the order in
+which they come (:func:`extremes`): no peak is lost, and an instant is off by less than those steps.
 
 A column is rounded to whole multiples of a power of two (whole numbers exactly): at most 2^-16 of the range between its
 first and last percentile or, where it is rougher than that, 2^-5 of its roughness, the first quartile of its second
@@ -12,7 +15,7 @@ from __future__ import annotations
 import base64
 import zlib
 from collections.abc import Mapping, Sequence
-from math import floor, log2
+from math import ceil, floor, log2
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -34,6 +37,7 @@ NOISE_BITS = 5  # of the roughness, chosen by us: half a step is 1/64 of it
 _MOST = 2.0**28  # steps from zero; second differences of such numbers still are 32 bits
 _TRIED = 20_000  # rows in the middle of a flight, by which the order of differences is chosen
 _LEVEL = 6  # of deflate
+MOST_ROWS = 150_000  # of a column, chosen by us: ten minutes at 250 Hz, which are some 9 MB
 MOST_BANDS = 2000  # times in saturation that are told apart, chosen by us: more than a screen has pixels for
 DERIVED = "where the engine would settle if its throttle were held; from its static curve, not in the log"
 
@@ -141,12 +145,15 @@ class FlightData(NamedTuple):
 def run_data(flight: FlightData) -> tuple[dict[str, Any], dict[str, str]]:
     """Return what a page says of a run, as JSON has it, and its columns' data by name."""
     log = flight.log
-    columns, data, empty = _pack_columns(flight)
+    group = group_of(len(log)) if flight.times is None else 1
+    columns, data, empty = _pack_columns(flight, group)
     described = {
         "label": flight.label,
         "colour": flight.colour,
-        "rows": len(log),
-        "step": flight.step_s,
+        "rows": len(log) if group == 1 else 2 * ceil(len(log) / group),
+        "step": flight.step_s if group == 1 else 0.5 * group * flight.step_s,
+        "group": group,
+        "thinned": _describe_thinning(flight.label, len(log), group, flight.step_s),
         "uniform": flight.times is None,
         "columns": columns,
         "empty": empty,
@@ -162,7 +169,36 @@ def run_data(flight: FlightData) -> tuple[dict[str, Any], dict[str, str]]:
     return described, data
 
 
-def _pack_columns(flight: FlightData) -> tuple[list[dict[str, Any]], dict[str, str], list[str]]:
+def group_of(steps: int) -> int:
+    """Return of how many steps a page has the least and the greatest; 1: it has them all."""
+    return 1 if steps <= MOST_ROWS else 2 * ceil(steps / MOST_ROWS)
+
+
+def extremes(values: Array, group: int) -> Array:
+    """Return the least and the greatest of each ``group`` rows, two values each, in the order in which they come.
+
+    What is no number is left out of a group that has one.
+    """
+    table = np.concatenate([values, np.full(-len(values) % group, values[-1])]).reshape(-1, group)
+    known = np.isfinite(table)
+    low = np.argmin(np.where(known, table, np.inf), axis=1)
+    high = np.argmax(np.where(known, table, -np.inf), axis=1)
+    rows = np.arange(len(table))
+    return np.stack([table[rows, np.minimum(low, high)], table[rows, np.maximum(low, high)]], axis=1).ravel()
+
+
+def _describe_thinning(label: str, steps: int, group: int, step_s: float) -> str:
+    """Return what a page leaves out of a flight, in words; an empty string where that is nothing."""
+    if group == 1:
+        return ""
+    return (
+        f"{label}: strips and replay have the least and the greatest of each {group} of the {steps:,} steps, so no "
+        f"peak is lost and an instant is off by less than {group * step_s:.3g} s. Metrics, events and bands are of "
+        "every step, and so is the log."
+    )
+
+
+def _pack_columns(flight: FlightData, group: int) -> tuple[list[dict[str, Any]], dict[str, str], list[str]]:
     """Return the columns' descriptions, the packed data of those that differ, and the names of empty columns."""
     columns: list[dict[str, Any]] = []
     data: dict[str, str] = {}
@@ -173,7 +209,8 @@ def _pack_columns(flight: FlightData) -> tuple[list[dict[str, Any]], dict[str, s
     for name in (*log.columns, *derived):
         if name == TIME and flight.times is None:
             continue
-        column = pack(np.asarray(derived[name] if name in derived else log[name], dtype=np.float64))
+        values = np.asarray(derived[name] if name in derived else log[name], dtype=np.float64)
+        column = pack(values if group == 1 else extremes(values, group))
         if column is None:
             empty.append(name)
             continue

@@ -37,7 +37,17 @@ from cosim.results.report.log_reader import Reader, thinned
 from cosim.results.report.page import ASSETS, SCRIPTS, STYLES, THREE, deflated, figure_json
 from cosim.results.report.panels import ATTITUDE, at_rest, jet_rows
 from cosim.results.report.plot import BLUE
-from cosim.results.report.signals_data import FlightData, Packed, pack, run_data, shape, step_of, unpack
+from cosim.results.report.signals_data import (
+    FlightData,
+    Packed,
+    extremes,
+    group_of,
+    pack,
+    run_data,
+    shape,
+    step_of,
+    unpack,
+)
 from cosim.results.report.three_views import three_views
 from cosim.results.report.time_plot import stack_panels
 from cosim.results.run import Run, begin_run
@@ -354,6 +364,44 @@ def test_a_packed_column_is_what_it_was_to_half_a_step(kind: str, rows: int) -> 
 
 def test_a_column_without_a_number_is_not_carried() -> None:
     assert pack(np.full(5, nan)) is None
+
+
+def test_the_extremes_of_a_group_come_in_their_order() -> None:
+    values = np.array([3.0, 9.0, -1.0, 4.0, 2.0, 2.0, 2.0, 2.0, nan, 5.0, nan, 4.0, nan, nan, nan, nan, 7.0, 8.0])
+    expected = [9.0, -1.0, 2.0, 2.0, 5.0, 4.0, nan, nan, 7.0, 8.0]
+    assert np.array_equal(extremes(values, 4), expected, equal_nan=True)
+
+
+@pytest.mark.parametrize(("steps", "group"), [(1, 1), (150_000, 1), (150_001, 4), (300_000, 4), (900_000, 12)])
+def test_a_page_has_at_most_so_many_rows(steps: int, group: int) -> None:
+    assert group_of(steps) == group
+    assert 2 * -(-steps // group) <= 150_000 + 1 or group == 1
+
+
+def test_a_long_flight_says_what_its_page_leaves_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No peak is lost, every instant is right to less than a group, and a flight within the bound is whole."""
+    rng = np.random.default_rng(7)
+    values = np.cumsum(rng.normal(size=1003))
+    log = MemoryLog([values[None]], ("roll_rad",))
+    whole, _ = run_data(FlightData(log, "Mine", "#2f7de1", step_s=0.004))
+    assert (whole["rows"], whole["step"], whole["group"], whole["thinned"]) == (1003, 0.004, 1, "")
+    monkeypatch.setattr(signals_data, "MOST_ROWS", 300)
+    said, data = run_data(FlightData(log, "Mine", "#2f7de1", step_s=0.004))
+    (column,) = said["columns"]
+    drawn = unpack(
+        Packed(**{key: column[key] for key in Packed._fields if key != "data"}, data=data["roll_rad"]), said["rows"]
+    )
+    assert said["group"] == 8
+    assert said["rows"] == drawn.size == 252
+    assert said["step"] == pytest.approx(0.016)
+    assert "each 8 of the 1,003 steps" in said["thinned"]
+    assert "less than 0.032 s" in said["thinned"]
+    tolerance = 0.5 * column["step"]
+    assert abs(drawn.max() - values.max()) <= tolerance
+    assert abs(drawn.min() - values.min()) <= tolerance
+    for row, value in enumerate(drawn):
+        near = values[8 * (row // 2) : 8 * (row // 2) + 8]
+        assert np.min(np.abs(near - value)) <= tolerance
     assert step_of(np.array([0.0, 2.0, 5.0]), 0.0, 5.0) == 1.0
 
 

@@ -107,7 +107,8 @@
       const item = (text, act) => element("button", { type: "button", onclick: () => { act(); box.open = false; } }, text);
       const box = element("details", { class: "strip-menu" }, element("summary", { "aria-label": "what to do with this panel", title: "save, spectrum, cross-plot" }, "⋯"),
         element("div", {},
-          item("over time", () => this.turn("time")), item("spectrum of what is seen", () => this.turn("spectrum")),
+          item("over time", () => this.turn("time")),
+          ...(flights.some((flight) => flight.group > 1) ? [] : [item("spectrum of what is seen", () => this.turn("spectrum"))]), // of every step alone
           item("cross-plot of the first two", () => this.turn("cross")),
           item("save PNG", () => hexjet.files.savePng(this)), item("save SVG", () => hexjet.files.saveSvg(this)), item("save CSV", () => hexjet.files.saveCsv(this)),
           ...(this.free ? [item("remove panel", () => this.remove())] : [])));
@@ -186,7 +187,7 @@
     about(line) {
       const { about } = line.column;
       return `${about.name}${about.unit ? ` [${about.unit}]` : ""}${about.frame ? `, ${about.frame}` : ""}: ${about.meaning}. ` +
-        `Drawn in steps of ${number(about.step)}; exact in the log.`;
+        `Drawn in steps of ${number(about.step)}${line.flight.group > 1 ? `, the least and the greatest of each ${line.flight.group} rows` : ""}; exact in the log.`;
     }
 
     build() {
