@@ -39,21 +39,25 @@ def export_controller(
     fmus: bool = True,
     source: str = "",
     inside: Mapping[str, Vector3] | None = None,
+    loops: bool = False,
 ) -> ExportedController:
     """Fly a scenario and write its controller, as C and as FMUs, with the flight as test vectors.
 
     ``name``: of files, functions and types; ``licence``: stated in every file but those of adapters that are a
     part of an autopilot's program; ``source``: the controller's file;
+    ``loops``: the loops alone, for a mixer of one's own;
     ``inside``: autopilots that get adapters, and what a torque of 1 is to each, see :func:`.adapters.adapter_texts`.
     Raises InputError for what has no C form, for a folder that is not empty, and for a flight that fails.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: is there already and not an empty folder; name another with --out")
+    if loops and inside:
+        raise InputError("--loops: not with --for, whose adapters have the allocation")
     if scenario.requests is not None:
         raise InputError(f"scenario {scenario.name}: is flown by an autopilot's requests; choose one with commands")
     labels = Labels(name, f"{scenario.aircraft_name} with {scenario.controller}", licence, ())  # before the flight
     with build(scenario) as simulation:
-        form = form_of(simulation)
+        form = form_of(simulation, loops)
         origin = _origin(scenario, source, simulation.engine.name, simulation.engine.sha256)
         vectors = record(simulation)
     labels = replace(labels, origin=origin)
@@ -110,13 +114,15 @@ def _readme(
         predictors="predictors " + ", ".join(kinds),
         leads=any(leads),
         schedule=bool(form["schedule"]),
+        loops=form["loops"],
         straight=form["thrust"]["identity"],
-        figures=figures(measurements),
+        figures=figures(measurements, form["loops"]),
     )
 
 
-def figures(measurements: Measurements | None) -> list[tuple[str, str]]:
+def figures(measurements: Measurements | None, loops: bool = False) -> list[tuple[str, str]]:
     """Return the measurements as pairs of a quantity's name and its value in words."""
+    first, second, unit = ("the collective", "torque", "") if loops else ("throttle", "tilt", " rad")
     if measurements is None:
         return [("measured", "nothing: no C compiler was found where this was made")]
     lines = [
@@ -124,8 +130,10 @@ def figures(measurements: Measurements | None) -> list[tuple[str, str]]:
         ("double", "every number of the flight to the last bit" if measurements.same else "not the bits of the flight"),
         (
             "float",
-            f"throttle within {measurements.float_throttle:.2g}, tilt within {measurements.float_tilt:.2g} rad over "
-            "the flight, " + ("" if measurements.float_passes else "not ") + "within half a step of a 12-bit command",
+            f"{first} within {measurements.float_throttle:.2g}, {second} within {measurements.float_tilt:.2g}{unit} "
+            "over the flight, "
+            + ("" if measurements.float_passes else "not ")
+            + "within half a step of a 12-bit command",
         ),
     ]
     if measurements.state is not None:

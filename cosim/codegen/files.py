@@ -13,7 +13,8 @@ from typing import Any
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.codegen.form import Form
-from cosim.codegen.vectors import INPUTS, Vectors, output_names
+from cosim.codegen.hinged import solver_texts
+from cosim.codegen.vectors import INPUTS, LOOP_INPUTS, LOOP_OUTPUTS, Vectors, loop_rows, output_names
 from cosim.control.allocation.allocation import LEAST_SHARE
 from cosim.control.altitude import LEAST_UPRIGHT
 
@@ -57,10 +58,15 @@ class Labels:
 def render_sources(form: Form, vectors: Vectors, labels: Labels) -> dict[str, str]:
     """Return the text of every C file by its name, the test and its vectors included."""
     n = labels.name
+    if form["loops"]:
+        inputs, outputs = LOOP_INPUTS, LOOP_OUTPUTS
+        rows = loop_rows(vectors, form["jets"], form["servos"])
+    else:
+        inputs, outputs, rows = INPUTS, output_names(form["jets"], form["servos"]), vectors.rows
     values = {
-        "columns": [*INPUTS, *output_names(form["jets"])],
-        "inputs": len(INPUTS),
-        "rows": [[repr(x) for x in row] for row in vectors.rows],
+        "columns": [*inputs, *outputs],
+        "inputs": len(inputs),
+        "rows": [[repr(x) for x in row] for row in rows],
         "start": [repr(x) for x in vectors.start],
         "burnt": repr(vectors.burnt),
         "on_ground": vectors.on_ground,
@@ -84,7 +90,12 @@ def stamp(licence: str | None) -> str:
 def common_values(form: Form, labels: Labels) -> dict[str, Any]:
     """Return the variables that every C template gets."""
     f = _prepare_form(form)
+    hinged = form["allocation"]["kind"] == "effectiveness"
+    types, functions = solver_texts(labels.name) if hinged else ("", "")
     return {
+        "solver_types": types,
+        "solver_functions": functions,
+        "torque_unit": "rad/s^2, angular accelerations" if form["accelerations"] else "as the vehicle's gains have it",
         "n": labels.name,
         "N": labels.name.upper(),
         "f": f,
@@ -129,7 +140,9 @@ def _environment() -> Any:
 
 
 def _c(value: Any, indent: str = "        ") -> str:
-    """Return a number, a list or a mapping as a C initializer."""
+    """Return a number, a list or a mapping as a C initializer; a string is C already."""
+    if isinstance(value, str):
+        return value
     if isinstance(value, Mapping):
         separator = f",\n{indent}" if any(isinstance(x, Sequence) for x in value.values()) else ", "
         return "{" + separator.join(f".{key} = {_c(x)}" for key, x in value.items()) + "}"
@@ -257,7 +270,9 @@ def _values(f: Form) -> list[tuple[str, Any]]:
     if allocation["kind"] == "tilt":
         values += [("idle", allocation["idle"]), ("hover_thrust", allocation["hover_thrust"])]
         values += [("tilt_range", allocation["range"]), ("pitch_sign", allocation["pitch_sign"])]
-    else:
+    elif allocation["kind"] == "effectiveness":
+        values += allocation["values"].items()
+    elif allocation["kind"] == "rotor":
         values.append(("signs", allocation["signs"]))
     values += [("thrust_low", f["thrust"]["low"]), ("thrust_span", f["thrust"]["span"])]
     for number, curve in enumerate(f["thrust"]["curves"]):

@@ -26,9 +26,11 @@ def build_fmus(
 ) -> tuple[list[str], str | None]:
     """Write the FMUs into ``folder``, and return their names and, where there are none, why in one line."""
     n, jets = labels.name, form["jets"]
+    if form["loops"]:
+        return [], "the loops alone are C for a mixer of yours"
     # a vehicle without servos has no tilts
-    tilts = form["allocation"]["kind"] == "tilt"
-    pairs = zip(output_names(jets), _expressions(jets), strict=True)
+    tilts, servos = form["allocation"]["kind"] in ("tilt", "effectiveness"), form["servos"]
+    pairs = zip(output_names(jets, servos), _expressions(jets, len(servos)), strict=True)
     expressions = {name: expression for name, expression in pairs if tilts or not name.startswith("tilt_")}
     outputs = tuple(expressions)
     with temporary("export-") as build_folder:
@@ -85,12 +87,11 @@ def _describe_output(name: str) -> Quantity:
     return Quantity(name, unit, f"{text} {rest.replace('_', ' ')}")
 
 
-def _expressions(jets: int) -> list[str]:
+def _expressions(jets: int, servos: int) -> list[str]:
     """Return the C expression of each output, in the order of :func:`output_names`."""
     return [
         *(f"output.throttle[{jet}]" for jet in range(jets)),
-        "output.tilt[0]",
-        "output.tilt[1]",
+        *(f"output.tilt[{servo}]" for servo in range(servos)),
         *(f"output.unallocated[{i}]" for i in range(4)),
         *(f"output.{name}[{i}]" for name in ("rate_setpoint", "rate_predicted", "torque") for i in range(3)),
         "output.collective",

@@ -12,7 +12,9 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
+from cosim.codegen.hinged import hinged_form
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
+from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.control.allocation.reallocation import torques
 from cosim.control.allocation.thrust_map import Inverse, ThrustMap
 from cosim.control.attitude import AttitudeController
@@ -36,8 +38,10 @@ from cosim.spec.vehicle import EngineLead, RateGains, Vehicle
 Form = dict[str, Any]
 
 
-def form_of(simulation: Simulation) -> Form:
+def form_of(simulation: Simulation, loops: bool = False) -> Form:
     """Return the constants of a simulation's cascade before its flight, block by block.
+
+    ``loops``: of the loops alone, without what allocates their outputs.
 
     Raises InputError for a controller, predictor or allocator that has no C form.
     """
@@ -84,9 +88,12 @@ def form_of(simulation: Simulation) -> Form:
             "lead": _lead(getattr(vehicle.control.lead, "altitude", None), step),
         },
         "schedule": schedule,
-        "allocation": _allocation(cascade, vehicle),
-        "thrust": _thrust(cascade.thrust_map),
-        "delay": simulation.scenario.added_delay_samples,
+        "allocation": _no_allocation(cascade, vehicle) if loops else _allocation(cascade, vehicle),
+        "servos": list(vehicle.actuators),
+        "loops": loops,
+        "accelerations": vehicle.allocation == "effectiveness",
+        "thrust": _thrust(cascade.thrust_map, loops),
+        "delay": 0 if loops else simulation.scenario.added_delay_samples,
     }
 
 
@@ -125,9 +132,13 @@ def _schedule(vehicle: Vehicle, step: float) -> Form | None:
     }
 
 
+def _no_allocation(cascade: Cascade, vehicle: Vehicle) -> Form:
+    limits = vehicle.control.allocation
+    return {"kind": "none", "low": limits.throttle_min, "high": limits.throttle_max, "hover": cascade.allocator.hover}
+
+
 def _allocation(cascade: Cascade, vehicle: Vehicle) -> Form:
-    allocator, limits = cascade.allocator, vehicle.control.allocation
-    limits_form = {"low": limits.throttle_min, "high": limits.throttle_max, "hover": allocator.hover}
+    allocator, limits_form = cascade.allocator, _no_allocation(cascade, vehicle)
     if isinstance(allocator, TiltAllocator) and vehicle.servo is not None:
         return limits_form | {
             "kind": "tilt",
@@ -141,13 +152,15 @@ def _allocation(cascade: Cascade, vehicle: Vehicle) -> Form:
     if isinstance(allocator, RotorAllocator):
         signs = [list(signs) for signs in allocator.signs]
         return limits_form | {"kind": "rotor", "signs": signs, "inverse": torques(len(vehicle.jets), allocator)}
+    if isinstance(allocator, EffectivenessAllocator):
+        return limits_form | hinged_form(allocator, vehicle)
     raise InputError(
-        f"{type(allocator).__name__}: has no C form; those of banks and rotors have (control.allocation.method); "
-        "hexjet export vehicle writes the whole vehicle as an FMU"
+        f"{type(allocator).__name__}: has no C form; those of banks, rotors and hinges have; hexjet export vehicle "
+        "writes the whole vehicle as an FMU"
     )
 
 
-def _thrust(thrust_map: ThrustMap) -> Form:
+def _thrust(thrust_map: ThrustMap, loops: bool) -> Form:
     curves: list[Inverse] = []
 
     def number(curve: Inverse | None) -> int | None:
@@ -158,7 +171,7 @@ def _thrust(thrust_map: ThrustMap) -> Form:
         return next(i for i, other in enumerate(curves) if other is curve)
 
     reference = number(thrust_map.inverse)
-    stations = [number(curve) for curve in thrust_map.stations]
+    stations = [] if loops else [number(curve) for curve in thrust_map.stations]
     return {
         "identity": thrust_map.identity,
         "low": thrust_map.low,

@@ -16,7 +16,11 @@ FLAGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wdouble-
 _LONGEST_S = 300.0  # for one run of a compiler or of the test program; chosen by us
 _NODE = re.compile(r'node: \{ title: "([^"]+)" label: "[^"]*?\\n(\d+) bytes')
 _EDGE = re.compile(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"')
-_TEST = re.compile(r"(\d+) numbers differ in their bits; greatest deviation: throttle (\S+), tilt (\S+) rad")
+_TEST = re.compile(
+    r"(\d+) numbers differ in their bits; greatest deviation: "
+    r"(?:throttle|collective) (\S+), (?:tilt|torque) (\S+)(?: rad)?$",
+    re.M,
+)
 _CYCLES = re.compile(r"worst step (\d+), mean (\d+)")
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from cosim.base.constants import SERVOS
 from cosim.base.errors import InputError
 from cosim.base.protocols import Controller, Diagnostics, EngineState
 from cosim.base.signals import (
@@ -42,12 +44,19 @@ INPUT_QUANTITIES = (
 INPUTS = tuple(quantity.name for quantity in INPUT_QUANTITIES)
 
 
-def output_names(jets: int) -> tuple[str, ...]:
+LOOP_INPUTS = (*INPUTS, *(f"unallocated_{name}" for name in (*AXES, "collective")))
+LOOP_OUTPUTS = (
+    *(f"shown_torque_{axis}" for axis in AXES),
+    "shown_collective",
+    *(f"shown_{what}_{axis}" for what in ("rate_setpoint", "predicted") for axis in AXES),
+)  # of the loops alone
+
+
+def output_names(jets: int, servos: Sequence[str] = SERVOS) -> tuple[str, ...]:
     """Return the names of the controller's outputs in the order of a row."""
     return (
         *(f"throttle_{jet}" for jet in range(1, jets + 1)),
-        "tilt_left",
-        "tilt_right",
+        *(f"tilt_{servo}" for servo in servos),
         *(f"unallocated_{name}" for name in (*AXES, "collective")),
         *(f"shown_rate_setpoint_{axis}" for axis in AXES),
         *(f"shown_predicted_{axis}" for axis in AXES),
@@ -66,6 +75,19 @@ class Vectors:
     burnt: float = 0.0  # kg
     start: PerJet = ()  # throttles before the first step
     rows: list[tuple[float, ...]] = field(default_factory=list)
+
+
+def loop_rows(vectors: Vectors, jets: int, servos: Sequence[str]) -> list[tuple[float, ...]]:
+    """Return a flight's rows as the loops alone have them: what was not given in the step before is an input."""
+    names = output_names(jets, servos)
+    left = [len(INPUTS) + names.index(name) for name in LOOP_INPUTS[len(INPUTS) :]]
+    given = [len(INPUTS) + names.index(name) for name in LOOP_OUTPUTS]
+    before = (0.0,) * len(left)
+    rows = []
+    for row in vectors.rows:
+        rows.append((*row[: len(INPUTS)], *before, *(row[place] for place in given)))
+        before = tuple(row[place] for place in left)
+    return rows
 
 
 class RecordingController:
@@ -97,6 +119,8 @@ class RecordingController:
     def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
         if (injected.torque_command, injected.torque_output) != (ZERO3, ZERO3):
             raise InputError("the flight adds a signal to the controller's own; choose a scenario without one")
+        if command.ahead is not None:
+            raise InputError("the flight asks for a speed ahead, which is the wing's law, and that is not exported")
         actuation = self._inner.update(command, measured, injected, engines)
         if self._inner.lost or (actuation.off and engines is not EngineState.OFF):
             raise InputError("the flight loses an engine, and plans around lost engines are not exported")

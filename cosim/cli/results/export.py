@@ -144,6 +144,7 @@ class ExportController(Exporting):
         "Betaflight's or ArduPilot's own code is GPL-3.0-or-later.  [default: NOASSERTION]",
     )
     no_fmu = opt.flag("--no-fmu", "The C alone.")
+    loops = opt.flag("--loops", "The attitude, rate and altitude loops alone, for a mixer of your own; no FMU.")
     inside = opt.choices(
         "--for",
         ["px4", "ardupilot", "betaflight"],
@@ -174,9 +175,11 @@ def controller(options: ExportController) -> int:
     vehicle, _ = loaded.resolved_vehicle()
     torques = {autopilot: torque_scale_of(autopilot, vehicle) for autopilot in options.inside}
     out = options.out or Path(name)
-    exported = export_controller(loaded, out, name, licence, not options.no_fmu, source, torques)
+    exported = export_controller(loaded, out, name, licence, not options.no_fmu, source, torques, options.loops)
     _warn_of_licences(licence, options.inside)
-    options.answer(lambda: asdict(exported) | {"folder": str(exported.folder)}, lambda: _print(exported), nan=True)
+    options.answer(
+        lambda: asdict(exported) | {"folder": str(exported.folder)}, lambda: _print(exported, options.loops), nan=True
+    )
     return FLIGHT_FAILED if exported.measured is not None and not exported.measured.same else DONE
 
 
@@ -240,12 +243,12 @@ def vehicle(options: ExportVehicle) -> int:
     return DONE
 
 
-def _print(exported: ExportedController) -> None:
+def _print(exported: ExportedController, loops: bool) -> None:
     from cosim.codegen.export import figures
 
     click.echo(f"{exported.folder}: {', '.join(exported.files)}")
     click.echo(f"test vectors: {exported.steps} steps")
-    for quantity, value in figures(exported.measured):
+    for quantity, value in figures(exported.measured, loops):
         click.echo(f"{quantity}: {value}")
     if exported.without_fmus is not None:
         click.echo(f"no FMUs: {exported.without_fmus}")

@@ -18,20 +18,39 @@ typedef [[ n ]]_Real Real;
 {% if f.allocation.kind == "tilt" %}
 #define LEAST_SHARE R([[ least_share ]])  /* of hover thrust, below which tilts are not enlarged further */
 {% endif %}
+{% set hinged = f.allocation.kind == "effectiveness" %}
 #ifdef [[ N ]]_FLOAT
 #define SIN sinf
 #define COS cosf
-{% if f.lead_orders %}
+{% if f.lead_orders or hinged %}
 #define SQRT sqrtf
+{% endif %}
+{% if hinged %}
+#define RANK 1e-11f /* what is less is rounding, here and below */
+#define DONE 1e-6f
+#define LET_GO 1e-5f
+#define SETTLED 1e-5f
 {% endif %}
 #else
 #define SIN sin
 #define COS cos
 {% if f.lead_orders %}
 #define EXP exp
+{% endif %}
+{% if f.lead_orders or hinged %}
 #define SQRT sqrt
 {% endif %}
+{% if hinged %}
+#define RANK 1e-20 /* what is less is rounding, here and below */
+#define DONE 1e-13
+#define LET_GO 1e-9
+#define SETTLED 1e-9
+{% endif %}
 #endif
+{% if hinged %}
+
+[[ solver_functions ]]
+{%- endif %}
 
 static Real clamp(Real value, Real most)
 {
@@ -416,7 +435,7 @@ static Real share_of(const [[ n ]]_Parameters *p, Real thrust)
         [[ f.thrust.curves[f.thrust.reference].thrust|length ]], thrust);
 {% endif %}
 }
-{% if not f.thrust.identity %}
+{% if not f.thrust.identity and not f.loops %}
 
 /* Throttles that ask each engine for its share. */
 static void throttles_of(const [[ n ]]_Parameters *p, Real throttle[ [[- N ]]_JETS])
@@ -580,7 +599,7 @@ static void allocate(const [[ n ]]_Parameters *p, Real collective, const Real to
     out->unallocated[2] = left_yaw;
     out->unallocated[3] = collective - c;
 }
-{% else %}
+{% elif f.allocation.kind == "rotor" %}
 /* All by differential throttle. Roll and pitch are kept before yaw, yaw before collective. */
 static void allocate(const [[ n ]]_Parameters *p, Real collective, const Real torque[3], [[ n ]]_Output *out)
 {
@@ -606,6 +625,109 @@ static void allocate(const [[ n ]]_Parameters *p, Real collective, const Real to
     out->unallocated[2] = torque[2] - yaw;
     out->unallocated[3] = collective - c;
 }
+{% elif hinged %}
+/* A problem of the whole vehicle: a lift [N] and moments [N m], from the commands of the step before. */
+static void begin_problem(const [[ n ]]_Parameters *p, const [[ n ]]_State *s, Real lift, const Real moment[3], Problem *q)
+{
+    q->wanted[ROLL_ROW] = moment[0];
+    q->wanted[PITCH_ROW] = moment[1];
+    q->wanted[LIFT_ROW] = lift;
+    q->wanted[YAW_ROW] = moment[2];
+    q->wanted[AHEAD_ROW] = R(0.0);
+    q->wanted[RIGHT_ROW] = R(0.0);
+    q->lift = lift;
+    q->pressure = R(0.0);
+    q->hurried = false;
+    for (int i = 0; i < [[ N ]]_EFFECTORS; i++) {
+        q->last[i] = s->last[i];
+    }
+    for (int i = 0; i < [[ N ]]_JETS; i++) {
+        q->thrust_low[i] = p->end_low[i];
+        q->thrust_high[i] = p->end_high[i];
+        q->preferred[i] = p->preferred[i];
+    }
+    for (int i = 0; i < [[ N ]]_SERVOS; i++) {
+        q->reach_low[i] = p->reach_low[i];
+        q->reach_high[i] = p->reach_high[i];
+        q->stand[i] = p->rest[i];
+    }
+    q->levels = p->levels;
+    for (int i = 0; i < p->levels; i++) {
+        q->level[i] = p->level[i];
+    }
+}
+
+static void shares_of(const [[ n ]]_Parameters *p, const Real found[], Real share[ [[- N ]]_JETS])
+{
+    const Real idle_share = p->thrust_low / p->thrust_span;
+    for (int i = 0; i < [[ N ]]_JETS; i++) {
+        share[i] = between(found[i] / p->thrust_span - idle_share, p->share_low[i], p->share_high[i]);
+    }
+}
+
+static void times_matrix(const Real m[3][3], const Real v[3], Real to[3])
+{
+    for (int i = 0; i < 3; i++) {
+        to[i] = m[i][0] * v[0] + m[i][1] * v[1] + m[i][2] * v[2];
+    }
+}
+
+/* Thrusts and hinges for a lift and angular accelerations. Roll and pitch are kept before lift, lift before yaw. */
+static void allocate(const [[ n ]]_Parameters *p, [[ n ]]_State *s, Real collective, const Real torque[3], [[ n ]]_Output *out)
+{
+    const [[ n ]]_Effectors *const e = &p->effectors;
+    const Real lift = R([[ N ]]_JETS) * (p->thrust_low + p->thrust_span * collective);
+    Problem q;
+    Tangent tangent;
+    Real moment[3];
+    Real missing[ [[- N ]]_ROWS];
+    times_matrix(p->tensor, torque, moment);
+    begin_problem(p, s, lift, moment, &q);
+    q.passes = [[ f.allocation.passes ]];
+    q.rated = true;
+    tangent.known = false;
+    solve_wrench(e, &tangent, &q, s->last, missing);
+    for (int row = 0; row < [[ N ]]_ROWS; row++) {
+        const Real scaled = missing[row] * e->norm[row];
+        if ((scaled >= -e->given) && (scaled <= e->given)) {
+            missing[row] = R(0.0);
+        }
+    }
+    for (int i = 0; i < 3; i++) {
+        out->unallocated[i] = R(0.0);
+    }
+    if ((missing[ROLL_ROW] != R(0.0)) || (missing[PITCH_ROW] != R(0.0)) || (missing[YAW_ROW] != R(0.0))) {
+        const Real left[3] = {missing[ROLL_ROW], missing[PITCH_ROW], missing[YAW_ROW]};
+        times_matrix(p->inverse, left, out->unallocated);
+    }
+    out->unallocated[3] = missing[LIFT_ROW] / (R([[ N ]]_JETS) * p->thrust_span);
+    shares_of(p, s->last, out->throttle);
+    for (int i = 0; i < [[ N ]]_SERVOS; i++) {
+        out->tilt[i] = (i < e->movers) ? s->last[ [[- N ]]_JETS + i] : p->rest[i];
+    }
+}
+
+/* The thrusts that give a collective in balance, hinges near rest; and no command was given yet. */
+static void reset_allocation(const [[ n ]]_Parameters *p, [[ n ]]_State *s, Real collective, Real share[ [[- N ]]_JETS])
+{
+    const Real none[3] = {R(0.0), R(0.0), R(0.0)};
+    Problem q;
+    Tangent tangent;
+    Real found[ [[- N ]]_EFFECTORS];
+    Real missing[ [[- N ]]_ROWS];
+    for (int i = 0; i < [[ N ]]_JETS; i++) {
+        s->last[i] = p->preferred[i];
+    }
+    for (int i = 0; i < [[ N ]]_SERVOS; i++) {
+        s->last[ [[- N ]]_JETS + i] = p->rest[i];
+    }
+    begin_problem(p, s, R([[ N ]]_JETS) * (p->thrust_low + p->thrust_span * collective), none, &q);
+    q.passes = [[ f.allocation.first_passes ]];
+    q.rated = false;
+    tangent.known = false;
+    solve_wrench(&p->effectors, &tangent, &q, found, missing);
+    shares_of(p, found, share);
+}
 {% endif %}
 
 static void reset_loops([[ n ]]_State *s)
@@ -629,10 +751,17 @@ static void reset_loops([[ n ]]_State *s)
 {% endif %}
 }
 
-/* Every engine at its least throttle, the banks upright, and loops that remember nothing when needed again. */
-static void idle(const [[ n ]]_Parameters *p, [[ n ]]_State *s, [[ n ]]_Output *out)
+/* Every engine at its least throttle, [[ "no torque" if f.loops else "hinges at rest" if hinged else "the banks upright" ]], and loops that remember nothing when needed again. */
+static void idle({% if not f.loops %}const [[ n ]]_Parameters *p, {% endif %}[[ n ]]_State *s, [[ n ]]_Output *out)
 {
     reset_loops(s);
+{% if f.loops %}
+    for (int i = 0; i < 3; i++) {
+        out->torque[i] = R(0.0);
+    }
+    out->collective = R(0.0);
+}
+{% else %}
     for (int i = 0; i < [[ N ]]_JETS; i++) {
         out->throttle[i] = p->throttle_min;
     }
@@ -640,12 +769,19 @@ static void idle(const [[ n ]]_Parameters *p, [[ n ]]_State *s, [[ n ]]_Output *
         out->torque[i] = R(0.0);
         out->unallocated[i] = R(0.0);
     }
+{% if hinged %}
+    for (int i = 0; i < [[ N ]]_SERVOS; i++) {
+        out->tilt[i] = p->rest[i];
+    }
+{% else %}
     out->tilt[0] = R(0.0);
     out->tilt[1] = R(0.0);
+{% endif %}
     out->unallocated[3] = -p->throttle_min;
     out->collective = R(0.0);
     out->allocated = p->throttle_min;
 }
+{% endif %}
 
 static void fly(const [[ n ]]_Parameters *p, [[ n ]]_State *s, const [[ n ]]_Input *in, [[ n ]]_Output *out)
 {
@@ -661,24 +797,41 @@ static void fly(const [[ n ]]_Parameters *p, [[ n ]]_State *s, const [[ n ]]_Inp
     } else {
         out->collective = altitude(p, s, in);
     }
-{% if f.delay %}
+{% set with = "p, s" if hinged else "p" %}
+{% if f.loops %}
+{% elif f.delay %}
     const Real roll = delay_line(s->added_delay, &s->added_at, [[ f.delay ]], out->torque[0]);
     const Real torque[3] = {roll, out->torque[1], out->torque[2]};
-    allocate(p, out->collective, torque, out);
+    allocate([[ with ]], out->collective, torque, out);
 {% else %}
-    allocate(p, out->collective, out->torque, out);
+    allocate([[ with ]], out->collective, out->torque, out);
 {% endif %}
+{% if not f.loops %}
     out->allocated = out->collective - out->unallocated[3];
+{% endif %}
 }
 
+{% if f.loops %}
+void [[ n ]]_reset(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, Real fuel_burnt)
+{% else %}
 void [[ n ]]_reset(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, bool on_ground, Real fuel_burnt,
     Real throttle[ [[- N ]]_JETS])
+{% endif %}
 {
     clear(state->euler, 3);
     clear(state->setpoint, 4);
     state->setpoint[0] = R(1.0);
     clear(state->unallocated, 4);
     reset_loops(state);
+{% if f.loops %}
+    state->collective = R(0.0);
+    state->begun = false;
+{% endif %}
+{% if f.loops and not f.schedule %}
+    (void)parameters;
+    (void)fuel_burnt;
+}
+{% else %}
     Real hover = parameters->hover;
     if (fuel_burnt != R(0.0)) {
         hover = share_of(parameters, (parameters->mass - fuel_burnt) * GRAVITY / R([[ N ]]_JETS));
@@ -688,17 +841,38 @@ void [[ n ]]_reset(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, b
     state->told = state->level;
     follow(parameters, state, state->level);
 {% endif %}
+{% if not f.loops %}
+{% if hinged %}
+    reset_allocation(parameters, state, hover, throttle);
+    for (int i = 0; (i < [[ N ]]_JETS) && on_ground; i++) {
+        throttle[i] = parameters->throttle_min;
+    }
+{% else %}
     for (int i = 0; i < [[ N ]]_JETS; i++) {
         throttle[i] = on_ground ? parameters->throttle_min : hover;
     }
+{% endif %}
 {% if not f.thrust.identity %}
     throttles_of(parameters, throttle);
 {% endif %}
+{% endif %}
 }
+{% endif %}
 
 void [[ n ]]_step(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, const [[ n ]]_Input *input,
     [[ n ]]_Output *output)
 {
+{% if f.loops %}
+    for (int i = 0; i < 4; i++) {
+        state->unallocated[i] = input->unallocated[i];
+    }
+{% if f.schedule %}
+    if (state->begun) {
+        schedule(parameters, state, state->collective - state->unallocated[3]);
+    }
+{% endif %}
+    state->begun = true;
+{% endif %}
     if (input->rates_commanded) {
         for (int i = 0; i < 3; i++) {
             output->rate_setpoint[i] = input->rate_setpoint[i];
@@ -707,13 +881,17 @@ void [[ n ]]_step(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, co
         attitude(parameters, state, input, output->rate_setpoint);
     }
     if (input->engines != [[ N ]]_FLY) {
-        idle(parameters, state, output);
+        idle({% if not f.loops %}parameters, {% endif %}state, output);
     } else {
         fly(parameters, state, input, output);
     }
     output->rate_predicted[0] = state->roll.predicted;
     output->rate_predicted[1] = state->pitch.predicted;
     output->rate_predicted[2] = state->yaw.predicted;
+{% if f.loops %}
+    state->collective = output->collective;
+}
+{%- else %}
     for (int i = 0; i < 4; i++) {
         state->unallocated[i] = output->unallocated[i];
     }
@@ -727,3 +905,5 @@ void [[ n ]]_step(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, co
     throttles_of(parameters, output->throttle);
 {% endif %}
 }
+{%- endif %}
+

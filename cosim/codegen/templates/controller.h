@@ -2,13 +2,23 @@
 /* [[ title ]]
  *
  * Made by hexjet export controller ([[ maker ]]); parameters and origin are in [[ n ]]_parameters.c.
+{% if f.accelerations %}
+ * Body axes are forward-right-down, angles in rad, everything else in SI units; the rate loop's output is angular
+ * accelerations, a collective a share of an engine's range of thrust, 0 to 1. Every input must be a finite number.
+{% else %}
  * Body axes are forward-right-down, angles in rad, everything else in SI units; a command of roll and a collective are
  * shares of an engine's range of thrust, 0 to 1. Every input must be a finite number.
+{% endif %}
  * Call [[ n ]]_reset once, then [[ n ]]_step every [[ step ]] s.
  *
  * Compile with -ffp-contract=off (no fused multiply-add) and without -ffast-math to get the bits of the simulation.
  * Define [[ N ]]_FLOAT for single precision. No heap, no recursion, no state but the struct that the caller keeps.
  *
+{% if f.loops %}
+ * The loops alone: torque and collective go to a mixer of your own, and what it could not give comes back with the next
+ * step, so that no integral winds up.
+ *
+{% endif %}
  * Not in it, which the simulation may fly around it: the engine monitor and the plans around lost engines, changes of
  * gains by a ground station, navigation and flight modes.
  */
@@ -33,6 +43,12 @@ typedef double [[ n ]]_Real;
 
 #define [[ N ]]_JETS [[ f.jets ]]
 #define [[ N ]]_STEP_S [[ step ]]
+{% if f.allocation.kind == "effectiveness" %}
+#define [[ N ]]_SERVOS [[ f.servos|length ]] /* [[ f.servos|join(", ")|wordwrap(90, wrapstring="\n * ") ]] */
+#define [[ N ]]_LINKS [[ f.allocation.links ]] /* hinges of one jet, at most */
+#define [[ N ]]_EFFECTORS ([[ N ]]_JETS + [[ N ]]_SERVOS)
+#define [[ N ]]_ROWS 6 /* roll, pitch, lift, yaw, ahead, right */
+{% endif %}
 
 /* What the step does with the engines. */
 typedef enum {
@@ -56,20 +72,40 @@ typedef struct {
     [[ n ]]_Real velocity_down; /* m/s */
     [[ n ]]_Real altitude;      /* m above the ground */
     [[ n ]]_Real fuel_burnt;    /* kg since the full tank, at the end of the step before */
+{% if f.loops %}
+    [[ n ]]_Real unallocated[4]; /* roll, pitch, yaw, collective: what your mixer could not give in the step before */
+{% endif %}
 } [[ n ]]_Input;
 
 typedef struct {
+{% if f.loops %}
+    [[ n ]]_Real torque[3];         /* [[ torque_unit ]], for your mixer */
+    [[ n ]]_Real collective;        /* for your mixer: the share of an engine's range of thrust, the same of all */
+{% else %}
     [[ n ]]_Real throttle[ [[- N ]]_JETS]; /* 0 to 1, jets 1 to [[ f.jets ]] */
+{% if f.allocation.kind == "effectiveness" %}
+    [[ n ]]_Real tilt[ [[- N ]]_SERVOS];   /* rad, hinges in their order */
+{% else %}
     [[ n ]]_Real tilt[2];                  /* rad, left and right servo, positive tilts the thrust forward */
+{% endif %}
     bool off[ [[- N ]]_JETS];              /* jets to be shut off on purpose */
     [[ n ]]_Real unallocated[4];           /* roll, pitch, yaw, collective: asked for, less given */
+{% endif %}
     /* to look at */
     [[ n ]]_Real rate_setpoint[3];  /* rad/s, body */
     [[ n ]]_Real rate_predicted[3]; /* rad/s, body: what the rate loop is fed with */
+{% if not f.loops %}
     [[ n ]]_Real torque[3];         /* the rate loop's output */
     [[ n ]]_Real collective;        /* asked for */
     [[ n ]]_Real allocated;         /* given */
+{% endif %}
 } [[ n ]]_Output;
+{% if f.allocation.kind == "effectiveness" %}
+
+/* What allocation knows of the vehicle; [[ n ]].c has the equations. */
+
+[[ solver_types ]]
+{%- endif %}
 
 typedef struct {
     [[ n ]]_Real p, i, d; /* i times the step */
@@ -152,7 +188,17 @@ typedef struct {
     [[ n ]]_Real hover_thrust; /* hover + idle */
     [[ n ]]_Real tilt_range;   /* rad */
     [[ n ]]_Real pitch_sign;
-{% else %}
+{% elif f.allocation.kind == "effectiveness" %}
+    [[ n ]]_Effectors effectors;
+    int levels;
+    [[ n ]]_RowLevel level[ [[- N ]]_ROWS]; /* of rows, the most important first */
+    [[ n ]]_Real tensor[3][3], inverse[3][3]; /* of inertia, kg m^2 */
+    [[ n ]]_Real share_low[ [[- N ]]_JETS], share_high[ [[- N ]]_JETS];
+    [[ n ]]_Real end_low[ [[- N ]]_JETS], end_high[ [[- N ]]_JETS];       /* N */
+    [[ n ]]_Real preferred[ [[- N ]]_JETS];                               /* N: as the thrusts carry the weight */
+    [[ n ]]_Real reach_low[ [[- N ]]_SERVOS], reach_high[ [[- N ]]_SERVOS]; /* rad */
+    [[ n ]]_Real rest[ [[- N ]]_SERVOS];                                  /* rad */
+{% elif f.allocation.kind == "rotor" %}
     [[ n ]]_Real signs[ [[- f.jets ]]][3]; /* of each rotor in roll, pitch and yaw */
 {% endif %}
     [[ n ]]_Real thrust_low, thrust_span; /* N, of an engine at rest */
@@ -195,15 +241,27 @@ typedef struct {
     [[ n ]]_Real added_delay[ [[- f.delay ]]];
     int32_t added_at;
 {% endif %}
+{% if f.allocation.kind == "effectiveness" %}
+    [[ n ]]_Real last[ [[- N ]]_EFFECTORS]; /* commands of the step before: N, rad */
+{% endif %}
+{% if f.loops %}
+    [[ n ]]_Real collective; /* asked for in the step before */
+    bool begun;
+{% endif %}
     [[ n ]]_Real unallocated[4];
 } [[ n ]]_State;
 
 /* As designed; in read-only memory. */
 extern const [[ n ]]_Parameters [[ n ]]_parameters;
 
+{% if f.loops %}
+/* A flight begins. */
+void [[ n ]]_reset(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, [[ n ]]_Real fuel_burnt);
+{% else %}
 /* A flight begins, standing or hovering; `throttle` gets those at which the engines stand before the first step. */
 void [[ n ]]_reset(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, bool on_ground,
     [[ n ]]_Real fuel_burnt, [[ n ]]_Real throttle[ [[- N ]]_JETS]);
+{% endif %}
 
 /* One control step. */
 void [[ n ]]_step(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, const [[ n ]]_Input *input,

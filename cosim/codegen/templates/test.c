@@ -17,6 +17,13 @@
 
 #define INPUTS [[ inputs ]]
 #define REPEATS 20
+{% if f.loops %}
+#define RESET(state) [[ n ]]_reset(&[[ n ]]_parameters, &(state), ([[ n ]]_Real)[[ N ]]_FUEL_BURNT_AT_START)
+{% else %}
+#define SERVOS [[ f.servos|length ]]
+#define RESET(state) \
+    [[ n ]]_reset(&[[ n ]]_parameters, &(state), [[ N ]]_STARTS_ON_GROUND, ([[ n ]]_Real)[[ N ]]_FUEL_BURNT_AT_START, throttle)
+{% endif %}
 #ifdef [[ N ]]_FLOAT
 #define FLOAT_LIMIT (0.5 / 4096.0)
 #endif
@@ -41,26 +48,44 @@ static void read_input(const double row[], [[ n ]]_Input *in)
     in->velocity_down = ([[ n ]]_Real)row[18];
     in->altitude = ([[ n ]]_Real)row[19];
     in->fuel_burnt = ([[ n ]]_Real)row[20];
+{% if f.loops %}
+    for (int i = 0; i < 4; i++) {
+        in->unallocated[i] = ([[ n ]]_Real)row[21 + i];
+    }
+{% endif %}
 }
 
+{% if f.loops %}
+/* In the order of the columns behind the inputs; torques and the collective first. */
+{% else %}
 /* In the order of the columns behind the inputs; throttles and tilts first. */
+{% endif %}
 static int write_output(const [[ n ]]_Output *out, double row[])
 {
     int k = 0;
+{% if f.loops %}
+    for (int i = 0; i < 3; i++) {
+        row[k++] = (double)out->torque[i];
+    }
+    row[k++] = (double)out->collective;
+{% else %}
     for (int i = 0; i < [[ N ]]_JETS; i++) {
         row[k++] = (double)out->throttle[i];
     }
-    row[k++] = (double)out->tilt[0];
-    row[k++] = (double)out->tilt[1];
+    for (int i = 0; i < SERVOS; i++) {
+        row[k++] = (double)out->tilt[i];
+    }
     for (int i = 0; i < 4; i++) {
         row[k++] = (double)out->unallocated[i];
     }
+{% endif %}
     for (int i = 0; i < 3; i++) {
         row[k++] = (double)out->rate_setpoint[i];
     }
     for (int i = 0; i < 3; i++) {
         row[k++] = (double)out->rate_predicted[i];
     }
+{% if not f.loops %}
     for (int i = 0; i < 3; i++) {
         row[k++] = (double)out->torque[i];
     }
@@ -69,6 +94,7 @@ static int write_output(const [[ n ]]_Output *out, double row[])
     for (int i = 0; i < [[ N ]]_JETS; i++) {
         row[k++] = out->off[i] ? 1.0 : 0.0;
     }
+{% endif %}
     return k;
 }
 
@@ -90,14 +116,20 @@ static long compare(const double found[], const double wanted[], int count)
 static long fly(void)
 {
     static [[ n ]]_State state;
+{% if f.loops %}
+    double found[ [[- N ]]_COLUMNS];
+    long other = 0;
+    RESET(state);
+{% else %}
     [[ n ]]_Real throttle[ [[- N ]]_JETS];
     double found[ [[- N ]]_COLUMNS];
     long other = 0;
-    [[ n ]]_reset(&[[ n ]]_parameters, &state, [[ N ]]_STARTS_ON_GROUND, ([[ n ]]_Real)[[ N ]]_FUEL_BURNT_AT_START, throttle);
+    RESET(state);
     for (int i = 0; i < [[ N ]]_JETS; i++) {
         found[i] = (double)throttle[i];
     }
     other += compare(found, [[ n ]]_start, [[ N ]]_JETS);
+{% endif %}
     for (int k = 0; k < [[ N ]]_STEPS; k++) {
         [[ n ]]_Input input;
         [[ n ]]_Output output;
@@ -124,13 +156,15 @@ static long fly(void)
 static void measure(void)
 {
     static [[ n ]]_State state;
+{% if not f.loops %}
     [[ n ]]_Real throttle[ [[- N ]]_JETS];
+{% endif %}
     [[ n ]]_Input input;
     [[ n ]]_Output output;
 #if defined(__GNUC__) && (defined(__x86_64__) || defined(__i386__))
     static unsigned long long least[ [[- N ]]_STEPS];
     for (int repeat = 0; repeat < REPEATS; repeat++) {
-        [[ n ]]_reset(&[[ n ]]_parameters, &state, [[ N ]]_STARTS_ON_GROUND, ([[ n ]]_Real)[[ N ]]_FUEL_BURNT_AT_START, throttle);
+        RESET(state);
         for (int k = 0; k < [[ N ]]_STEPS; k++) {
             read_input([[ n ]]_vectors[k], &input);
             const unsigned long long begin = __builtin_ia32_rdtsc();
@@ -151,7 +185,7 @@ static void measure(void)
 #else
     const clock_t begin = clock();
     for (int repeat = 0; repeat < REPEATS; repeat++) {
-        [[ n ]]_reset(&[[ n ]]_parameters, &state, [[ N ]]_STARTS_ON_GROUND, ([[ n ]]_Real)[[ N ]]_FUEL_BURNT_AT_START, throttle);
+        RESET(state);
         for (int k = 0; k < [[ N ]]_STEPS; k++) {
             read_input([[ n ]]_vectors[k], &input);
             [[ n ]]_step(&[[ n ]]_parameters, &state, &input, &output);
@@ -166,22 +200,32 @@ int main(int count, char *arguments[])
 {
     (void)arguments;
     const long other = fly();
+{% if f.loops %}
+    const double throttle = worst[3];
+    double tilt = 0.0;
+    for (int i = 0; i < 3; i++) {
+        tilt = (worst[i] > tilt) ? worst[i] : tilt;
+    }
+    (void)printf("[[ n ]]: %d steps, %ld numbers differ in their bits; greatest deviation: collective %.3g, torque %.3g\n",
+        [[ N ]]_STEPS, other, throttle, tilt);
+{% else %}
     double throttle = 0.0;
     double tilt = 0.0;
     for (int i = 0; i < [[ N ]]_JETS; i++) {
         throttle = (worst[i] > throttle) ? worst[i] : throttle;
     }
-    for (int i = [[ N ]]_JETS; i < ([[ N ]]_JETS + 2); i++) {
+    for (int i = [[ N ]]_JETS; i < ([[ N ]]_JETS + SERVOS); i++) {
         tilt = (worst[i] > tilt) ? worst[i] : tilt;
     }
     (void)printf("[[ n ]]: %d steps, %ld numbers differ in their bits; greatest deviation: throttle %.3g, tilt %.3g rad\n",
         [[ N ]]_STEPS, other, throttle, tilt);
+{% endif %}
     if (count > 1) {
         (void)printf("state %lu bytes\n", (unsigned long)sizeof([[ n ]]_State));
         measure();
     }
 #ifdef [[ N ]]_FLOAT
-    return ((throttle < FLOAT_LIMIT) && (tilt < FLOAT_LIMIT)) ? 0 : 1;
+    return ((throttle < FLOAT_LIMIT){% if not f.loops %} && (tilt < FLOAT_LIMIT){% endif %}) ? 0 : 1;
 #else
     return (other == 0) ? 0 : 1;
 #endif

@@ -143,7 +143,15 @@ CASES = {
     ),
     "a schedule without leads": (HEXJET, {"control": {"schedule": LEVELS}}),
     "a rotorcraft, three predictors": (HEXJET, {"controller": "smith", "aircraft": "quadrotor", "engine": "motor"}),
+    "hinges in chains": ("trijet-roll-doublet", {"controller": "baseline"}),
+    "nozzles, and no horizontal force": ("quadjet-roll-doublet", {"controller": "baseline"}),
 }  # fmt: skip
+LOOPS = {
+    "shares": (HEXJET, {"controller": "filtered-smith", "added_delay_samples": 3}),
+    "curves, leads and schedule": ("full-scale-roll-doublet", {"controller": "state-disturbance"}),
+    "accelerations": ("trijet-roll-doublet", {"controller": "baseline"}),
+    "surfaces and a wing": ("jetwing-roll-doublet", {"controller": "baseline"}),
+}
 
 
 def made(name: str, changes: dict[str, Any]) -> Scenario:
@@ -168,13 +176,42 @@ def test_every_branch_of_every_controller_gives_the_same_bits(case: str, tmp_pat
     assert "300 steps, 0 numbers differ" in done.stdout
 
 
+@pytest.mark.parametrize("case", LOOPS)
+def test_the_loops_alone_ask_for_the_same_bits(case: str, tmp_path: Path) -> None:
+    """Told what was not given in the step before, as by a mixer of one's own; at limits most of the time."""
+    name, changes = LOOPS[case]
+    with build(made(name, changes)) as simulation:
+        form = form_of(simulation, loops=True)
+        folder = written(tmp_path, simulation, driven(simulation, 300, seed=len(case)), form)
+    done = ran(folder, "-O2")
+    assert done.returncode == 0, done.stdout
+    assert "300 steps, 0 numbers differ in their bits; greatest deviation: collective 0, torque 0" in done.stdout
+    text = (folder / "ours.h").read_text(encoding="utf-8")
+    assert " throttle[" not in text
+    assert "unallocated[4]; /* roll, pitch, yaw, collective: what your mixer could not give" in text
+    assert ("angular accelerations" in text) == (changes["controller"] == "baseline")
+
+
+def test_the_loops_alone_are_one_command(hexjet: Hexjet, tmp_path: Path) -> None:
+    """With the aircraft whose surfaces have no C form, which the refusal of the whole says."""
+    options = ["--scenario", "jetwing-roll-doublet", "--set", "duration_s=0.2"]
+    done = hexjet("export", "controller", *options, "--loops", "--out", str(tmp_path / "out"), "--json")
+    assert (done.status, done.err) == (0, "")
+    said = json.loads(done.out)
+    assert (said["steps"], said["measured"]["same"]) == (50, True)
+    assert said["without_fmus"] == "the loops alone are C for a mixer of yours"
+    assert "the loops alone" in (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
+
+
 COMPILERS = [
     pytest.param(cc, marks=[] if shutil.which(cc) else pytest.mark.skip(reason=f"no {cc} here"))
     for cc in ("gcc", "clang")
 ]
 
 
-@pytest.fixture(scope="module", params=["roll-doublet smith", "full-scale-roll-doublet smith"])
+@pytest.fixture(
+    scope="module", params=["roll-doublet smith", "full-scale-roll-doublet smith", "trijet-roll-doublet baseline"]
+)
 def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The vectors of a flight."""
     name, controller = request.param.split()
@@ -291,6 +328,8 @@ def test_no_heap_no_globals_no_library_but_mathematics(flown: Path, tmp_path: Pa
     symbols = [line.split() for line in listed.splitlines() if len(line.split()) >= 2]
     assert not [s for s in symbols if s[-2] in "dDbBC"], listed
     needed = {s[-1] for s in symbols if s[-2] == "U"} - {"ours_parameters"}
+    # what a compiler may call for copies and zeros, in a program without a library too
+    needed -= {"memcpy", "memset", "memmove"}
     assert needed <= {"sin", "cos", "sincos", "exp", "sqrt", "__stack_chk_fail"}, needed
     assert kinds
 
@@ -370,6 +409,8 @@ def test_the_fmus_answer_as_the_flight(exported: ExportedController, fmi: int, t
 BACK = {
     "FMI 3": ("ours.fmu", HEXJET, {"controller": "smith"}),
     "FMI 2, leads and schedule": ("ours-fmi2.fmu", "full-scale-roll-doublet", {"controller": "state-model"}),
+    # from the ground: in the air a controller from outside begins with even thrusts
+    "hinges": ("ours.fmu", "trijet-climb-and-land", {"controller": "baseline", "duration_s": 6.0}),
     "a rotorcraft": (
         "ours.fmu",
         HEXJET,
@@ -382,7 +423,7 @@ BACK = {
 def test_flown_back_it_leaves_the_same_log(case: str, exported: ExportedController, tmp_path: Path) -> None:
     """Every sample of every column, as bytes: NaN included."""
     file, name, changes = BACK[case]
-    flight = scenario(name, duration_s=2.0, **changes)
+    flight = scenario(name, **{"duration_s": 2.0, **changes})
     folder = exported.folder if case == "FMI 3" else export_controller(flight, tmp_path / "out", "ours").folder
     ours = fly(flight, report=False).log
     theirs = fly(flight.replace(controller=str(folder / file)), report=False).log
@@ -407,6 +448,9 @@ def test_the_log_of_a_run_is_exported_as_before(hexjet: Hexjet, tmp_path: Path) 
         (["--controller", "unheard-of"], "unknown controller 'unheard-of'"),
         (["--out", "."], "is there already and not an empty folder"),
         (["--scenario", "fault-flame-out"], "plans around lost engines are not exported"),
+        (["--scenario", "jetwing-roll-doublet", "--set", "duration_s=0.2"], "surfaces have no C form; hexjet export"),
+        (["--scenario", "jetwing-cruise", "--loops"], "asks for a speed ahead, which is the wing's law"),
+        (["--loops", "--for", "px4"], "--loops: not with --for"),
     ],
 )
 def test_what_cannot_be_is_one_line(hexjet: Hexjet, arguments: list[str], message: str, tmp_path: Path) -> None:
