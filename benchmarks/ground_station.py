@@ -386,7 +386,7 @@ class _Asker:
         self.socket.close()
 
 
-def stalled(seconds: float) -> str:
+def stall_table(seconds: float) -> str:
     """Fly at real time with a pseudo-terminal read for 3 s, not for ``seconds``, then again; return a table."""
     import tty
 
@@ -486,7 +486,7 @@ def main() -> None:
         {"listen": listen, "flood": flood, "silent": silent}[options.station](options.port)
     elif options.lines or options.stalled:
         results = {"lines": lines()} if options.lines else {}
-        results |= {"stalled": stalled(options.stalled)} if options.stalled else {}
+        results |= {"stalled": stall_table(options.stalled)} if options.stalled else {}
         print("\n".join(results.values()))
         if options.write:
             write_marks(options.write, results)

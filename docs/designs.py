@@ -169,8 +169,8 @@ def as_designed(name: str) -> Design:
     begin = make._read_start(path, plants, scenario.aircraft, vehicle, spec)
     axes = {}
     for axis, plant in plants.items():
-        need = make.needed(axis, made.requirements)
-        before = make.assess(plant, make.shipped(plant, vehicle, spec), need)
+        need = make.axis_requirements(axis, made.requirements)
+        before = make.assess(plant, make.shipped_tuning(plant, vehicle, spec), need)
         axes[axis] = make.AxisDesign(plant, before, {}, make.assess(plant, begin[axis][1.0], need), {}, {})
     plan = load_vehicle(made.aircraft, file.vehicle)[0].control.schedule or None
     design = make.Design(spec, vehicle, scenario, made.requirements, found, made.model, axes, [], plan, "", {})

@@ -215,7 +215,7 @@ def dead_band(amplitude: float, samples: int = 4000) -> complex:
 
 def predicted(engine: str, out: Path) -> dict[str, Any]:
     """Amplitude in dead bands and frequency [Hz] of the limit cycle: where the roll loop times that function is -1."""
-    from cosim.design.assessment import shipped
+    from cosim.design.assessment import shipped_tuning
     from cosim.design.design import _scenario, dynamics_of, identify_there
     from cosim.design.loop.actuator import Actuator
     from cosim.design.loop.channel import channels
@@ -227,7 +227,7 @@ def predicted(engine: str, out: Path) -> dict[str, Any]:
     dynamics = Actuator.of(engine, dynamics_of(identify_there(flight, vehicle, spec, None)))
     channel = channels(flight, vehicle, spec, dynamics)["roll"]
     points = FrequencyGrid(channel)
-    loop = ClosedLoop(points, shipped(channel, vehicle, spec)).open_loop
+    loop = ClosedLoop(points, shipped_tuning(channel, vehicle, spec)).open_loop
     hertz = np.angle(points.z) / flight.step_s / 2.0 / np.pi
     inside = (hertz > 0.2) & (hertz < 3.0)
     misses = []

@@ -66,10 +66,10 @@ def _cell(value: float | None, form: str) -> str:
 
 def print_paper(reproduction: Reproduction, report: Path) -> None:
     """Print claims and numbers of the paper beside ours, how many claims follow, and where the report is."""
-    from hexjet_paper.report.page import compared, counts_in_words
+    from hexjet_paper.report.page import counts_in_words, rows_to_compare
 
     rows = []
-    for row in compared(reproduction.rows):
+    for row in rows_to_compare(reproduction.rows):
         name = f"{row.quantity} ({row.note})" if ".state" in row.key else row.quantity
         linear = _cell(row.linear, "{:.4g}"), _cell(row.linear_deviation, "{:+.1f} %")
         flight = _cell(row.flight, "{:.4g}"), _cell(row.flight_deviation, "{:+.1f} %")

@@ -86,7 +86,7 @@ def flight_table() -> str:
     return table(["flight", "method", "runs", "attitude, deg", "rate, deg/s", "velocity, mm/s", "place, mm"], rows)
 
 
-def closed_table() -> str:
+def whole_flight_table() -> str:
     """Whole flights with their controllers, at the number of runs that flights use."""
     rows = []
     for name in CLOSED:
@@ -123,7 +123,7 @@ def main(arguments: list[str] | None = None) -> int:
             texts[CASE_MARK], rows = case_table(options.data)
             outside = sum(not row.inside for row in rows)
         if "flights" in chosen:
-            texts[FLIGHT_MARK], texts[CLOSED_MARK] = flight_table(), closed_table()
+            texts[FLIGHT_MARK], texts[CLOSED_MARK] = flight_table(), whole_flight_table()
         if "runs" in chosen:
             texts[VEHICLE_MARK], texts[SHIPPED_MARK] = runs_tables()
         if "bare" in chosen:

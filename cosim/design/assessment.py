@@ -60,7 +60,7 @@ class AxisDesign:
     checks: Mapping[str, bool]
 
 
-def shipped(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
+def shipped_tuning(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
     """Return the aircraft's own gains on a channel, with Smith's predictor where it has a model of the engine."""
     control = vehicle.control
     lead = getattr(control.lead, channel.name, None) or None

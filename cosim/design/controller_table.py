@@ -110,15 +110,15 @@ def proof_record(proof: Proof) -> ProofRecord:
             FlownRecord(
                 flight=pair.flight,
                 shipped_lost=pair.shipped.failure,
-                shipped=_rounded_measures(pair.shipped),
-                designed=_rounded_measures(pair.designed),
+                shipped=_round_measures(pair.shipped),
+                designed=_round_measures(pair.designed),
             )
             for pair in proof.compared
         ],
     )
 
 
-def _rounded_measures(measures: FlownMeasures) -> dict[str, float]:
+def _round_measures(measures: FlownMeasures) -> dict[str, float]:
     return {key: round_gain(value) for key, value in measures.values.items() if value is not None}
 
 

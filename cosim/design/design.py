@@ -14,7 +14,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.base.storage.toml import merge, parse_setting, set_path
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
-from cosim.design.assessment import Assessment, AxisDesign, assess, predictor_model, shipped
+from cosim.design.assessment import Assessment, AxisDesign, assess, predictor_model, shipped_tuning
 from cosim.design.levels import DESIGNED, THRUST_AXES, Level, follow, keeps, lead_there, levels, schedule, tunings_at
 from cosim.design.limits import Say, bandwidths_without_limits, find_allowances, tolerance_checks, why_not
 from cosim.design.loop.actuator import Actuator
@@ -176,7 +176,7 @@ def design(
     )
 
 
-def needed(axis: str, need: Requirements) -> Requirements:
+def axis_requirements(axis: str, need: Requirements) -> Requirements:
     """Return the requirements of one channel: those of the design, with a least bandwidth for roll and pitch alone."""
     return need if axis in ("roll", "pitch") else need.model_copy(update={"min_bandwidth_hz": 0.0})
 
@@ -213,10 +213,10 @@ def _design_levels(
         for axis, axis_design in axes.items()
         if axis in THRUST_AXES and axis_design.after is not None
     }
-    step = axes["roll"].channel.step
-    fits = all(keeps(level.channels[axis], full[axis], needed(axis, need)) for level in levels for axis in THRUST_AXES)
+    step, needs = axes["roll"].channel.step, {axis: axis_requirements(axis, need) for axis in THRUST_AXES}
+    fits = all(keeps(level.channels[axis], full[axis], needs[axis]) for level in levels for axis in THRUST_AXES)
     unscheduled = [
-        {axis: assess(level.channels[axis], full[axis], needed(axis, need)) for axis in THRUST_AXES} for level in levels
+        {axis: assess(level.channels[axis], full[axis], needs[axis]) for axis in THRUST_AXES} for level in levels
     ]
     level_tunings = {axis: dict((begin or {}).get(axis, {})) for axis in THRUST_AXES}
     designed = {*DESIGNED, *(fuel for of in level_tunings.values() for fuel in of)}
@@ -225,7 +225,7 @@ def _design_levels(
         if scheduled and not fits:
             for axis in THRUST_AXES:
                 say(f"{axis}: with less fuel")
-                followed = follow(axis, levels, full[axis], needed(axis, need), level_tunings[axis], designed)
+                followed = follow(axis, levels, full[axis], needs[axis], level_tunings[axis], designed)
                 if followed is None:
                     return None, [], f"{axis}: no gains keep the requirements with less fuel"
                 level_tunings[axis] = followed
@@ -235,8 +235,8 @@ def _design_levels(
             acting, after = full, before
             if plan:
                 acting = tunings_at(plan, full, level.thrust_fraction, step)
-                after = {axis: assess(level.channels[axis], acting[axis], needed(axis, need)) for axis in THRUST_AXES}
-            is_kept = {axis: keeps(level.channels[axis], acting[axis], needed(axis, need)) for axis in THRUST_AXES}
+                after = {axis: assess(level.channels[axis], acting[axis], needs[axis]) for axis in THRUST_AXES}
+            is_kept = {axis: keeps(level.channels[axis], acting[axis], needs[axis]) for axis in THRUST_AXES}
             burning.append(LevelDesign(level, level.fuel in designed, before, after, is_kept))
         missed = {level.level.fuel for level in burning if plan and not all(level.is_kept.values())}
         if missed <= designed:
@@ -254,7 +254,7 @@ def _read_start(
     designed, _ = load_vehicle(aircraft, changes, f"{start}: vehicle")
     tunings: dict[str, dict[float, Tuning]] = {}
     for axis, channel in plants.items():
-        tuning = shipped(channel, designed, spec)
+        tuning = shipped_tuning(channel, designed, spec)
         tunings[axis] = {1.0: replace(tuning, controller=file.design.axes[axis].controller)}
     plan = designed.control.schedule
     if plan and designed.fuel:
@@ -270,12 +270,12 @@ def _read_start(
 
 def _resume_axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None, start: Tuning) -> AxisDesign:
     """Design an axis by a search that begins at ``start``, with the candidate that ``start`` has."""
-    axis, vehicle, need = channel.name, inputs.vehicle, needed(channel.name, inputs.need)
+    axis, vehicle, need = channel.name, inputs.vehicle, axis_requirements(channel.name, inputs.need)
     inputs.say(f"{axis}: {start.controller}")
     model, predictor = predictor_model(channel, inputs.source), roll.predictor if roll else start.predictor
     start = replace(start, model=model, lead=lead_there(start.lead, channel), predictor=predictor)
     tuned = near(channel, start, need, not _follows_roll(axis, vehicle))
-    before = assess(channel, shipped(channel, vehicle, inputs.spec), need)
+    before = assess(channel, shipped_tuning(channel, vehicle, inputs.spec), need)
     key = start.controller + (WITH_LEAD if start.lead else "")
     if tuned is None:
         return AxisDesign(channel, before, {key: inf}, None, {}, {})
@@ -359,12 +359,12 @@ def _firmware_on_axis(firmware: Firmware | None, axis: str, roll: Tuning | None)
 
 def _axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None) -> AxisDesign:
     """Tune all candidates on an axis and take the best; ``roll`` is the tuning of roll, None for roll itself."""
-    axis, vehicle, say, need = channel.name, inputs.vehicle, inputs.say, needed(channel.name, inputs.need)
+    axis, vehicle, say, need = channel.name, inputs.vehicle, inputs.say, axis_requirements(channel.name, inputs.need)
     predicted = roll is not None and _follows_roll(axis, vehicle)
     names = inputs.names if axis == "roll" else (roll.controller if predicted and roll else BASELINE.name,)
     firmware = inputs.firmware if axis == "roll" else _firmware_on_axis(inputs.firmware, axis, roll)
     lead = engine_lead(channel) if inputs.lead else None
-    fixed = shipped(channel, vehicle, inputs.spec)
+    fixed = shipped_tuning(channel, vehicle, inputs.spec)
     if firmware is not None:
         fixed = replace(fixed, controller=BASELINE.name, lead=None, firmware=firmware)
     before = assess(channel, fixed, need)

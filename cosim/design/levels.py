@@ -130,10 +130,10 @@ def _factors(here: Tuning, full: Tuning) -> ScheduledGains:
 def tunings_at(plan: Schedule, full: Mapping[str, Tuning], thrust_fraction: float, step: float) -> dict[str, Tuning]:
     """Return the tunings that act in flight at a collective, a fraction of the engines' range."""
     there = GainSchedule(plan, Leads(**{axis: tuning.lead for axis, tuning in full.items()}), step).at(thrust_fraction)
-    return {"roll": scaled(full["roll"], there.roll), "altitude": scaled(full["altitude"], there.altitude)}
+    return {"roll": scale_gains(full["roll"], there.roll), "altitude": scale_gains(full["altitude"], there.altitude)}
 
 
-def scaled(full: Tuning, factors: Factors) -> Tuning:
+def scale_gains(full: Tuning, factors: Factors) -> Tuning:
     """Return a tuning with the gains multiplied by the schedule's factors."""
     gains = full.gains
     changed = {"p": factors.p * gains.p, "i": factors.i * gains.i, "d": factors.d * gains.d}

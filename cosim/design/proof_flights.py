@@ -113,7 +113,8 @@ def fly_corner(design: Design, name: str, table: Mapping[str, Any], gain: float,
     changes = {"vehicle": {"inertia_kg_m2": inertia} if gain != 1.0 else {}, "mismatch": {"delay_samples": later}}
     run = _fly_designed(design, name, table, changes)
     wider = 1.0 if (gain, later) == (1.0, 0) else CORNER
-    return ProofFlight(name, gain, later, fault_of(name, run, _promised(design), wider), "", measure_flight(run))
+    fault = fault_of(name, run, _promised_overshoot(design), wider)
+    return ProofFlight(name, gain, later, fault, "", measure_flight(run))
 
 
 def fly_with_odd_engine(design: Design, tables: Mapping[str, dict[str, Any]], factor: float) -> ProofFlight:
@@ -144,11 +145,11 @@ def fly_with_odd_engine(design: Design, tables: Mapping[str, dict[str, Any]], fa
     }
     run = _fly_designed(design, "odd-engine", table, changes)
     engine = f"engine {jet} with {factor:.2f} of its thrust and {1.0 + spread:.2f} times its lag"
-    fault = fault_of(name, run, _promised(design), CORNER)
+    fault = fault_of(name, run, _promised_overshoot(design), CORNER)
     return ProofFlight(name, 1.0, 0, fault, engine, measure_flight(run))
 
 
-def _promised(design: Design) -> float:
+def _promised_overshoot(design: Design) -> float:
     after = design.axes["roll"].after
     return after.overshoot or 0.0 if after is not None else 0.0
 

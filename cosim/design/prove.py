@@ -86,7 +86,7 @@ def prove(design: Design, say: Say = lambda text: None) -> Proof:
             )
             return replace(proof, reason=why)
         say("the engine past the crossover")
-        proof = _measured(design, dynamics)
+        proof = _check_measured(design, dynamics)
         if proof.reason:
             return proof
     flights = fly_all(design, say)
@@ -102,7 +102,7 @@ def prove(design: Design, say: Say = lambda text: None) -> Proof:
 # ---- the loop, with what was measured in place of the model
 
 
-def _measured(design: Design, dynamics: Dynamics) -> Proof:
+def _check_measured(design: Design, dynamics: Dynamics) -> Proof:
     step = design.scenario.step_s
     loops = {
         axis: (axis_design.channel, axis_design.after.tuning)

@@ -146,7 +146,7 @@ def answer_lines(design: Design) -> list[str]:
     if not design.ok:
         return [f"no acceptable design: {design.reason}", *_allowing_lines(design)]
     roll = design.axes["roll"]
-    lines = [f"controller: {design.controller}; {_compared(roll)}"]
+    lines = [f"controller: {design.controller}; {_compare_candidates(roll)}"]
     lines += comparison_lines(design.proof.compared) if design.proof else []
     if design.proof is None and design.firmware is None:
         lines.append("not flown: the proof was left out")
@@ -256,7 +256,7 @@ def _model_lines(design: Design) -> list[str]:
     return [*lines, *_merge_same_values(said)]
 
 
-def _compared(roll: AxisDesign) -> str:
+def _compare_candidates(roll: AxisDesign) -> str:
     """Compare the candidates' speed of response in words, the best as 100 %."""
     best = min(roll.candidates.values())
     changes = []

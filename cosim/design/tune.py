@@ -242,7 +242,7 @@ def settle(
     def cost(values: Mapping[str, Digits]) -> float:
         return _cost(ClosedLoop(points, _written(start, values, channel.step, level)), need)
 
-    values = {name: digits(value) for name, value in _searched(start, predictor and not level).items()}
+    values = {name: digits(value) for name, value in _search_values(start, predictor and not level).items()}
     best, moved = cost(values), True
     while moved:
         moved = False
@@ -297,7 +297,7 @@ def near(
     So a second call finds what the first one did.  None where nothing near ``start`` keeps the requirements.
     """
     points = FrequencyGrid(channel)
-    names = list(_searched(start, predictor and not level))
+    names = list(_search_values(start, predictor and not level))
 
     def at(x: Array) -> Tuning:
         value = dict(zip(names, np.exp(x), strict=True))
@@ -306,7 +306,7 @@ def near(
     def cost(x: Array) -> float:
         return _cost(ClosedLoop(points, at(x)), need)
 
-    x = np.log([_searched(start, True)[name] for name in names])
+    x = np.log([_search_values(start, True)[name] for name in names])
     x = _descend(cost, x, cost(x))
     there = settle(channel, at(x), need, predictor, level)
     # from far off the requirements, digit by digit would be a long way
@@ -335,7 +335,7 @@ def _next_digits(number: Digits, way: int) -> Digits:
     return (999, power - 1) if figures == 99 else (figures, power)
 
 
-def _searched(tuning: Tuning, predictor: bool) -> dict[str, float]:
+def _search_values(tuning: Tuning, predictor: bool) -> dict[str, float]:
     """Return the numbers that are searched on a channel, by name; a part that is 0 is absent and stays so."""
     gains = tuning.gains
     values = {"angle_gain": tuning.angle_gain, "p": gains.p, "i": gains.i, "d": gains.d}

@@ -70,7 +70,7 @@ class Base(NamedTuple):
     held: int  # 0: none; 1 or 2: which of both
 
 
-def shifted(flight: ComparedFlight, by: float) -> ComparedFlight:
+def shift_times(flight: ComparedFlight, by: float) -> ComparedFlight:
     """Return the flight with ``by`` [s] added to its times, which its label says."""
     columns = {name: flight.log[name] for name in flight.log.columns}
     columns[TIME] = columns[TIME] + by

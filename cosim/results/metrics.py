@@ -136,7 +136,7 @@ def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> M
         position=_position_of(log),
         speed=speed_metrics(np.hypot(log["velocity_north_m_s"], log["velocity_east_m_s"])),
         effort=EffortMetrics(
-            saturated_percent=share_percent(saturated_in_flight(log, reach), ~contact),
+            saturated_percent=share_percent(saturation_in_flight(log, reach), ~contact),
             alternating_percent=alternating_percent(_ranges(log, reach), step_s),
             throttle_1_s=activity((log[name] for name in _of_jets(THROTTLE, jets_in(log.columns))), step_s),
             tilt_rad_s=activity((log[TILT.format(name)] for name in servos_in(log.columns)), step_s),
@@ -161,7 +161,7 @@ def columns(vehicle: LoggedVehicle = HEXJET, waypoints: bool = False) -> tuple[s
             *REFUSED,
             *_of_jets(THROTTLE, jets),
             *_of_jets(HEALTH, jets),
-            *_moved(vehicle),
+            *_servo_columns(vehicle),
             *_of_jets(FLOW, jets),
             "fuel_kg",
         ),
@@ -170,7 +170,7 @@ def columns(vehicle: LoggedVehicle = HEXJET, waypoints: bool = False) -> tuple[s
     )
 
 
-def _moved(vehicle: LoggedVehicle) -> list[str]:
+def _servo_columns(vehicle: LoggedVehicle) -> list[str]:
     """Return the command columns of servos: banks and hinges, and behind them surfaces."""
     return [TILT.format(name) for name in vehicle.servos] + [DEFLECTION.format(name) for name in vehicle.surfaces]
 
@@ -276,12 +276,12 @@ def touching(log: Columns) -> NDArray[np.bool_]:
     return (log["on_ground"] > 0.0) | (log["hull_contact"] > 0.0)
 
 
-def saturated_in_flight(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
-    """Return the rows of :func:`saturated` in the air: those that the metric counts and reports mark."""
-    return saturated(log, reach) & ~touching(log)
+def saturation_in_flight(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
+    """Return the rows of :func:`saturation` in the air: those that the metric counts and reports mark."""
+    return saturation(log, reach) & ~touching(log)
 
 
-def saturated(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
+def saturation(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
     """Return the rows with an allocation residual, or with an actuator commanded to an end of its range.
 
     Actuators are throttles, tilts, hinges and surfaces.  A jet that the monitor has given up, whose throttle is closed
@@ -312,7 +312,9 @@ def _ranges(log: Columns, reach: Reach | None) -> Iterator[tuple[Array, float, f
 
 def _servo_ranges(log: Columns, reach: Reach) -> Iterator[tuple[Array, float, float]]:
     banks = None if reach.tilt_rad is None else ((-reach.tilt_rad, reach.tilt_rad),) * 2
-    for name, (least, most) in zip(_moved(logged_vehicle_of(log.columns)), reach.servos or banks or (), strict=False):
+    for name, (least, most) in zip(
+        _servo_columns(logged_vehicle_of(log.columns)), reach.servos or banks or (), strict=False
+    ):
         yield log[name], least, most
 
 

@@ -201,14 +201,14 @@ def manual(reproduction: Reproduction) -> Figure:
         time = flight.time
         rows.append(
             [
-                Panel("angle", "time [s]", f"{axis} [deg]", _tracked(time, flight.angle[axis])),
-                Panel("rate", "time [s]", f"{axis} rate [deg/s]", _tracked(time, flight.rate[axis])),
+                Panel("angle", "time [s]", f"{axis} [deg]", _tracking_curves(time, flight.angle[axis])),
+                Panel("rate", "time [s]", f"{axis} rate [deg/s]", _tracking_curves(time, flight.rate[axis])),
             ]
         )
     return panels(rows, panel_height=180)
 
 
-def _tracked(time: Sequence[float], pair: tuple[Sequence[float], Sequence[float]]) -> list[Curve]:
+def _tracking_curves(time: Sequence[float], pair: tuple[Sequence[float], Sequence[float]]) -> list[Curve]:
     command, response = pair
     return [
         Curve("flown", time, np.degrees(response), BLUE, width=1.5),

@@ -45,8 +45,8 @@ def page_values(reproduction: Reproduction) -> dict[str, Any]:
         "tally": [(fidelity, counts) for fidelity, counts in tally(reproduction.claims).items()],
         "verdicts": VERDICTS,
         "counts_in_words": counts_in_words(reproduction.claims),
-        "rows": compared(reproduction.rows),
-        "inputs": [row for row in reproduction.rows if row not in compared(reproduction.rows)],
+        "rows": rows_to_compare(reproduction.rows),
+        "inputs": [row for row in reproduction.rows if row not in rows_to_compare(reproduction.rows)],
         "used_count": len({row.key for row in part.frozen.used}),
         "predicted_count": len(predicted),
         "typical": {
@@ -151,7 +151,7 @@ def offset_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
     return rows
 
 
-def compared(rows: Iterable[Row]) -> list[Row]:
+def rows_to_compare(rows: Iterable[Row]) -> list[Row]:
     """Return the rows without the inputs, which are the same by construction."""
     return [row for row in rows if row.origin != "given" or row.flight is not None]
 

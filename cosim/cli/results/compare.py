@@ -123,7 +123,7 @@ def _expand_campaigns(names: Sequence[str], flights: Sequence[int]) -> list[str]
 
 def _shift_times(flights: Sequence[ComparedFlight], shifts: Sequence[str]) -> list[ComparedFlight]:
     """Move the times of these flights.  Raises InputError for what is no letter of theirs or no number."""
-    from cosim.results.comparison import shifted
+    from cosim.results.comparison import shift_times
 
     moved = list(flights)
     for text in shifts:
@@ -135,7 +135,7 @@ def _shift_times(flights: Sequence[ComparedFlight], shifts: Sequence[str]) -> li
             by = nan
         if not 0 <= index < len(moved) or not isfinite(by):
             raise InputError(f"--shift {text}: is not one of {', '.join(LETTERS[: len(moved)])} = a number of seconds")
-        moved[index] = shifted(moved[index], by)
+        moved[index] = shift_times(moved[index], by)
     return moved
 
 

@@ -197,7 +197,7 @@ def margins(response: Response, step: float, low: float = 0.05, points: int = 40
     size = np.abs(values) - 1.0
     for k in np.flatnonzero(np.sign(size[:-1]) != np.sign(size[1:])):
         crossing = _bisect(lambda f: abs(at(f)) - 1.0, frequencies[k], frequencies[k + 1])
-        phases.append(wrapped(float(np.degrees(np.angle(at(crossing)))) + 180.0))
+        phases.append(wrap_degrees(float(np.degrees(np.angle(at(crossing)))) + 180.0))
         if size[k] > 0.0:
             falls.append(crossing)
     turns = (np.sign(values.imag[:-1]) != np.sign(values.imag[1:])) & (values.real[:-1] < 0.0)
@@ -225,6 +225,6 @@ def _bisect(function: Callable[[float], float], low: float, high: float) -> floa
     return 0.5 * (low + high)
 
 
-def wrapped(degrees: float) -> float:
+def wrap_degrees(degrees: float) -> float:
     """Return the same angle between -180 and 180 degrees."""
     return (degrees + 180.0) % 360.0 - 180.0

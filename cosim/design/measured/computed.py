@@ -10,7 +10,7 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
-from cosim.design.assessment import shipped
+from cosim.design.assessment import shipped_tuning
 from cosim.design.design import dynamics_of, identify_there
 from cosim.design.levels import THRUST_AXES, tunings_at
 from cosim.design.loop.actuator import Actuator
@@ -91,7 +91,7 @@ def computed(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[
 
 def _tuning(channel: Channel, scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
     """Return what flies on a channel, its predictor as by :func:`cosim.simulation.controllers.models.predictors`."""
-    tuning = shipped(channel, vehicle, spec)
+    tuning = shipped_tuning(channel, vehicle, spec)
     if channel.name == "altitude":
         return tuning
     chosen = PREDICTORS[scenario.controller]

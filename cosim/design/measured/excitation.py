@@ -237,7 +237,7 @@ def fly_with(
     steps = sine.period * (periods + 1)
     flight = scenario.replace(duration_s=steps * scenario.step_s)
     with build(flight, source) as simulation:
-        tapped = _tapped(simulation, axis, sine, amplitude)
+        tapped = _tap_loop(simulation, axis, sine, amplitude)
         ending = simulation.run()
     if ending.outcome != "completed":
         raise FlightError(ending.reason)
@@ -247,7 +247,7 @@ def fly_with(
     return Record(sine, amplitude, before, behind, off > 1e-9 * amplitude + 1e-12 or tapped.refused > 0)
 
 
-def _tapped(simulation: Simulation, axis: str, sine: Multisine, amplitude: float) -> Tapped:
+def _tap_loop(simulation: Simulation, axis: str, sine: Multisine, amplitude: float) -> Tapped:
     wave = (amplitude * sine.wave).tolist()
     period = sine.period
     tap = Tap(axis, simulation.scenario, simulation.vehicle, simulation.stations)

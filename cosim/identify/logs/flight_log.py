@@ -92,7 +92,7 @@ class FlightLog:
                 continue
             if not np.array_equal(total.times, term.times):
                 least = LEAST_SHARED * min(len(total.times), len(term.times))
-                total, term = _shared(total, term)
+                total, term = _share_times(total, term)
                 if not len(term.times) > least:
                     raise InputError(f"{self.path}: {text!r}: its channels do not have the same times")
             total = total._replace(values=total.values + term.values)
@@ -121,7 +121,7 @@ class FlightLog:
         return [(1.0, repr(name))] if name in self.channels and not {"'", '"'} & set(name) else terms(text)
 
 
-def _shared(first: Channel, second: Channel) -> tuple[Channel, Channel]:
+def _share_times(first: Channel, second: Channel) -> tuple[Channel, Channel]:
     """Return the rows of two channels at common times, in the order of the first; of equal times the first row."""
     times, rows = np.unique(second.times, return_index=True)
     alone = np.zeros(len(first.times), bool)
@@ -146,11 +146,11 @@ def _inner(name: str) -> tuple[str, str]:
     """Split a term such as ``deg(NAME)`` into the function, "" for none, and the channel's name without quotes."""
     taken, bracket, tail = name.partition("(")
     if bracket and taken in _TAKEN and tail.endswith(")"):
-        return taken, _unquoted(tail[:-1].strip())
-    return "", _unquoted(name)
+        return taken, _unquote(tail[:-1].strip())
+    return "", _unquote(name)
 
 
-def _unquoted(name: str) -> str:
+def _unquote(name: str) -> str:
     return name[1:-1] if len(name) > 1 and name[0] == name[-1] and name[0] in "'\"" else name
 
 

@@ -10,7 +10,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.identify.logs import blackbox, crazyflie, dataflash, table, tlog, ulog
 from cosim.identify.logs.flight_log import SEARCHED, FlightLog, LogSignals
-from cosim.identify.logs.text_table import decoded
+from cosim.identify.logs.text_table import decode
 from cosim.results.log.columns import RATES
 
 KINDS = (
@@ -116,7 +116,7 @@ def _table_or_refusal(path: Path, head: bytes, time: str | None, time_unit: str 
             other = dict(_OTHERS)[b"FMT, "]
         if other:
             raise InputError(f"{path}: is {other}; allowed: {KINDS}")
-        if decoded(head) is None:
+        if decode(head) is None:
             start = head[:8].hex(" ")
             raise InputError(f"{path}: no log that is known, and no text: it begins with {start}; allowed: {KINDS}")
     return table.read_table(path, time, time_unit)

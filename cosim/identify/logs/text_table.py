@@ -43,7 +43,7 @@ class TextTable(NamedTuple):
     remarks: tuple[str, ...]
 
 
-def decoded(data: bytes) -> tuple[str, str] | None:
+def decode(data: bytes) -> tuple[str, str] | None:
     """Return a file's text and its encoding; None for what is no text."""
     for mark, codec in BOMS:
         if data.startswith(mark):
@@ -68,7 +68,7 @@ def _without_mark(data: bytes) -> tuple[str, str]:
 
 def read_text(path: Path) -> TextTable:
     """Read a table of text.  Raises InputError for a file that is none."""
-    decoding = decoded(path.read_bytes())
+    decoding = decode(path.read_bytes())
     if decoding is None:
         raise InputError(f"{path}: neither a log that is known nor text: it holds bytes that no table has")
     text, codec = decoding

@@ -213,7 +213,7 @@ def _estimate(
         other = Problem(prepared.by_clock, prepared.working_step, prepared.longest_delay)
         form = Form(engine, (0 if engine else 1) if lags is None else lags)
         first = fit(problem, form, hold)
-        second = solve(other, form, first.x.copy(), first.ar.copy(), _fixed(first), first.order)
+        second = solve(other, form, first.x.copy(), first.ar.copy(), _fixed_indices(first), first.order)
         if second.loss / second.count < first.loss / first.count:
             problem, clock = other, "even clock"
     if lags is not None:
@@ -272,7 +272,7 @@ def _doubts(chosen: Estimate, problem: Problem) -> list[str]:
     if half_stretches is not None and "delay_s" not in chosen.held:
         try:
             ends = [
-                solve(half, chosen.form, chosen.x.copy(), chosen.ar.copy(), _fixed(chosen), chosen.order)
+                solve(half, chosen.form, chosen.x.copy(), chosen.ar.copy(), _fixed_indices(chosen), chosen.order)
                 for half in (Problem(part, problem.working_step, problem.longest_delay) for part in half_stretches)
             ]
         except (np.linalg.LinAlgError, ValueError):
@@ -290,7 +290,7 @@ def _doubts(chosen: Estimate, problem: Problem) -> list[str]:
     return doubts
 
 
-def _fixed(estimate: Estimate) -> list[int]:
+def _fixed_indices(estimate: Estimate) -> list[int]:
     return [estimate.form.names.index(name) for name in estimate.held]
 
 
@@ -344,7 +344,7 @@ def _noisy(problem: Problem, chosen: Estimate) -> bool:
     return float(np.sqrt(chosen.loss / chosen.count)) > NOISELESS * float(np.std(problem.output[problem.present]))
 
 
-def _explained(problem: Problem, chosen: Estimate) -> float:
+def _explained_power(problem: Problem, chosen: Estimate) -> float:
     """Return by how much the command lowers the sum of squares of the whitened residuals."""
     return float(np.exp(problem.without_command(chosen) / chosen.count) * chosen.count - chosen.loss)
 
@@ -353,7 +353,7 @@ def _residuals_follow(problem: Problem, chosen: Estimate, command: Check) -> boo
     """Return whether the residuals follow the command by more than a small misfit of the form makes them."""
     if not command.failed or command.share <= MISFIT or not _noisy(problem, chosen):
         return False
-    return command.share * chosen.loss > SMALL_MISFIT * _explained(problem, chosen)
+    return command.share * chosen.loss > SMALL_MISFIT * _explained_power(problem, chosen)
 
 
 def _why_refused(problem: Problem, chosen: Estimate, checks: Sequence[Check]) -> str:
@@ -367,7 +367,7 @@ def _why_refused(problem: Problem, chosen: Estimate, checks: Sequence[Check]) ->
     white, use = problem.residuals(chosen)
     spread = max(1, round(TEST_S / TEST_LAGS / problem.working_step))
     together = _test_against("fed back", white, use, _on_blocks(problem, None), spread, first=0)
-    explained = max(_explained(problem, chosen), 0.0)
+    explained = max(_explained_power(problem, chosen), 0.0)
     by_setpoint = any(check.failed for check in checks[2:])
     weak = explained <= ENOUGH * chosen.loss and together.share * chosen.loss > FED_BACK * explained
     if weak and not by_setpoint and _residuals_follow(problem, chosen, together):

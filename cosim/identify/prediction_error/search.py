@@ -216,7 +216,7 @@ def _newton(
         fell = 0.0
         for _ in range(12):
             step = np.linalg.lstsq(gram + damping * np.eye(len(gram)), right, rcond=1e-13)[0] / size
-            tried = evaluate(problem, form, *_moved(point, step, free, (low, high)))
+            tried = evaluate(problem, form, *_move(point, step, free, (low, high)))
             if tried.loss <= point.loss:
                 fell = (point.loss - tried.loss) / max(point.loss, 1e-300)
                 point = tried
@@ -246,7 +246,7 @@ def _normal_equations(
     return size, scaled.T @ scaled, right
 
 
-def _moved(point: Point, step: Array, free: list[int], limits: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+def _move(point: Point, step: Array, free: list[int], limits: tuple[Array, Array]) -> tuple[Array, Array, Array]:
     """Return x, linear and A a step on, x within its limits."""
     terms = spread(len(point.ar))
     x = point.x.copy()

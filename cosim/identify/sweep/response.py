@@ -128,11 +128,11 @@ def _local(offset: Array, injected: Complex, command: Complex, output: Complex) 
     value = complex(solution[0])
     if value == 0.0:
         return value, 0.0, float("inf")
-    coherence = min(_explained(output, instruments), _explained(command, instruments))
+    coherence = min(_common_power(output, instruments), _common_power(command, instruments))
     return value, coherence, float(np.sqrt(variance)) / abs(value)
 
 
-def _explained(signal: Complex, instruments: Complex) -> float:
+def _common_power(signal: Complex, instruments: Complex) -> float:
     """Return the fraction of a signal's power that follows the injected one by a parabola in frequency."""
     power = float(np.mean(np.abs(signal) ** 2))
     if power == 0.0:

@@ -105,7 +105,7 @@ class Scene:
         return frames
 
     def _pose(self, block: Block, row: int, q: Array, time: int) -> PoseInFrame:
-        pose = PoseInFrame(frame_id="ned", pose=_posed(_position(block, row), q[row]))
+        pose = PoseInFrame(frame_id="ned", pose=_pose(_position(block, row), q[row]))
         pose.timestamp.FromNanoseconds(time)
         return pose
 
@@ -143,10 +143,10 @@ def drawing(vehicle: Vehicle, time: int) -> SceneUpdate:
     positions = [contact.position_m for contact in vehicle.contacts if contact.kind == "hull"]
     positions = [*(positions or [jet.position_m for jet in vehicle.jets]), (0.0, 0.0, 0.0)]
     low, high = np.min(positions, axis=0), np.max(positions, axis=0)
-    cube = body.cubes.add(pose=_posed(0.5 * (low + high), (1.0, 0.0, 0.0, 0.0)))
+    cube = body.cubes.add(pose=_pose(0.5 * (low + high), (1.0, 0.0, 0.0, 0.0)))
     cube.size.x, cube.size.y, cube.size.z = (max(float(length), 0.05 * size) for length in high - low)
     _colour(cube.color, _HULL)
-    legs = body.lines.add(type=LinePrimitive.LINE_LIST, thickness=0.03 * size, pose=_posed((0, 0, 0), (1, 0, 0, 0)))
+    legs = body.lines.add(type=LinePrimitive.LINE_LIST, thickness=0.03 * size, pose=_pose((0, 0, 0), (1, 0, 0, 0)))
     _colour(legs.color, _LEG)
     for contact in vehicle.contacts:
         x, y, z = contact.position_m
@@ -155,12 +155,12 @@ def drawing(vehicle: Vehicle, time: int) -> SceneUpdate:
             legs.points.add(x=x, y=y, z=z)
     for number in range(1, len(vehicle.jets) + 1):
         entity = _entity(update, f"jet_{number}", f"jet_{number}", time)
-        cylinder = entity.cylinders.add(pose=_posed((0, 0, 0), (1, 0, 0, 0)), bottom_scale=1.0, top_scale=1.0)
+        cylinder = entity.cylinders.add(pose=_pose((0, 0, 0), (1, 0, 0, 0)), bottom_scale=1.0, top_scale=1.0)
         cylinder.size.x = cylinder.size.y = 0.2 * size
         cylinder.size.z = 0.4 * size
         _colour(cylinder.color, _JET)
         text = entity.texts.add(billboard=True, font_size=0.12 * size, text=str(number))
-        text.pose.CopyFrom(_posed((0.0, 0.0, 0.3 * size), (1, 0, 0, 0)))
+        text.pose.CopyFrom(_pose((0.0, 0.0, 0.3 * size), (1, 0, 0, 0)))
         _colour(text.color, _LEG)
     return update
 
@@ -207,12 +207,12 @@ def _arrow(entity: SceneEntity, at: Any, turned: Any, length: float, thickness: 
     """Add an arrow; none where it has no length, so that the entity says that there is none now."""
     if isfinite(length) and length > 0.0:
         head = min(2.0 * thickness, 0.5 * length)
-        arrow = entity.arrows.add(pose=_posed(at, turned), shaft_length=length - head, head_length=head)
+        arrow = entity.arrows.add(pose=_pose(at, turned), shaft_length=length - head, head_length=head)
         arrow.shaft_diameter, arrow.head_diameter = thickness, 2.0 * thickness
         _colour(arrow.color, colour)
 
 
-def _posed(at: Any, turned: Any) -> Pose:
+def _pose(at: Any, turned: Any) -> Pose:
     pose = Pose()
     _fill(pose.position, pose.orientation, at, turned)
     return pose

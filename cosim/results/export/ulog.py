@@ -52,7 +52,7 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
     }
     pilot = ulog_autopilot.states(lines, run.summary.steps, step)
     at_start, changes = ulog_autopilot.parameters(lines)
-    at_start = _keyed(settings(scenario_of(run))) | at_start
+    at_start = _by_parameter_name(settings(scenario_of(run))) | at_start
     with output(run, path) as temporary, open(temporary, "wb") as file:
         file.write(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0))
         file.write(_message(b"B", bytes(40)))
@@ -67,7 +67,7 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
         )
         events = [
             *_series_messages(pilot, len(topics_held), step),
-            *((line.k, _logged(line.severity, line.time_s, line.text)) for line in log_lines(run, lines)),
+            *((line.k, _log_message(line.severity, line.time_s, line.text)) for line in log_lines(run, lines)),
             *((k, _message(b"P", ulog_autopilot.parameter(name, value))) for k, name, value in changes),
         ]
         events.sort(key=lambda event: event[0])
@@ -155,7 +155,7 @@ def _series_messages(pilot: Mapping[str, ulog_autopilot.Series], number: int, st
         number += 1
 
 
-def _keyed(numbers: Mapping[str, float]) -> dict[str, float]:
+def _by_parameter_name(numbers: Mapping[str, float]) -> dict[str, float]:
     """Return the numbers that a parameter can hold, by names of the characters that a ULog's name may have."""
     named = {re.sub(r"[^A-Za-z0-9_/-]", "_", name): value for name, value in numbers.items()}
     return {
@@ -165,7 +165,7 @@ def _keyed(numbers: Mapping[str, float]) -> dict[str, float]:
     }
 
 
-def _logged(severity: int, time: float, text: str) -> bytes:
+def _log_message(severity: int, time: float, text: str) -> bytes:
     level = str(severity).encode()
     return _message(b"L", level + struct.pack("<Q", _microseconds(time)) + text.encode()[:60_000])
 

@@ -43,7 +43,7 @@ class Reader:
 
     def xy(self, values: Array) -> Figure:
         """Return the x and y of a trace for one value a row."""
-        rows = thinned(values)
+        rows = thin(values)
         if self._times is not None:
             x, y = (self._times, values) if rows is None else (self._times[rows], values[rows])
             return {"x": x.astype(np.float64), "y": y.astype(np.float32)}
@@ -76,7 +76,7 @@ class Reader:
         return pairs if len(pairs) <= MOST_SHADES else []
 
 
-def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp] | None:
+def thin(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp] | None:
     """Return the rows to draw, at most ``most``, so that no peak is lost; None for all rows.
 
     They are the first, the last, and the least and the greatest of each of many equal stretches.  A stretch without a

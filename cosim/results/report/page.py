@@ -108,7 +108,7 @@ def flight_parts(flights: Flights, path: Path, shared: Path | None) -> dict[str,
         links = {"place": place, "styles": styles, "scripts": scripts, "three": f"{place}/{Path(THREE).name}"}
         return parts | {"shared": links}
     style, *scripts = ("".join(map(_asset, names)) for names in (STYLES, *((name,) for name in SCRIPTS)))
-    return parts | {"style": style, "scripts": scripts, "three": deflated(ASSETS / THREE)}
+    return parts | {"style": style, "scripts": scripts, "three": deflate(ASSETS / THREE)}
 
 
 def shared_assets(folder: Path) -> Path:
@@ -135,12 +135,12 @@ def _asset(name: str) -> str:
 
 
 @cache
-def deflated(path: Path) -> str:
+def deflate(path: Path) -> str:
     """Return a file of the package, deflated, as base64."""
     return base64.b64encode(zlib.compress(path.read_bytes(), 6)).decode()
 
 
-def drawn(figure: dict[str, Any]) -> Any:
+def as_plotly(figure: dict[str, Any]) -> Any:
     """Return a figure as Plotly's own, which a notebook draws.  Raises InputError where Plotly is not installed."""
     try:
         from plotly.graph_objects import Figure

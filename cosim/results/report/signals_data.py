@@ -28,7 +28,7 @@ from cosim.base.layout import UP
 from cosim.results.events import Event, row_spans, time_spans
 from cosim.results.log.recorder import Log
 from cosim.results.log.tables import TIME
-from cosim.results.metrics import REFUSED, Reach, saturated_in_flight
+from cosim.results.metrics import REFUSED, Reach, saturation_in_flight
 from cosim.results.run import Run
 from cosim.spec.vehicle import Vehicle
 
@@ -163,7 +163,7 @@ def run_data(flight: FlightData) -> tuple[dict[str, Any], dict[str, str]]:
             for event in flight.events
         ],
         "upsets": flight.upsets,
-        "saturated": _saturated(log, flight.reach, flight.step_s) if len(log) and flight.times is None else [],
+        "saturated": _saturation_times(log, flight.reach, flight.step_s) if len(log) and flight.times is None else [],
         "vehicle": shape(flight.vehicle) if flight.vehicle is not None else _jets_only(flight.jets_m),
     }  # fmt: skip
     return described, data
@@ -295,14 +295,14 @@ def _jets_only(jets_m: Sequence[Sequence[float]]) -> dict[str, Any]:
     return {"name": "", "title": "", "mass": None, "jets": jets, "contacts": [], "panels": []}
 
 
-def _saturated(log: Log, reach: Reach | None, step_s: float) -> list[tuple[float, float | None]]:
+def _saturation_times(log: Log, reach: Reach | None, step_s: float) -> list[tuple[float, float | None]]:
     """Return the intervals [s] in which the flight was in saturation, as its metric counts it.
 
     Where that changes more than ``MOST_BANDS`` times, the shortest gaps are closed.
     """
     if not {"on_ground", "hull_contact", *REFUSED}.issubset(log.columns):  # of another tool
         return []
-    rows = saturated_in_flight(log, reach)
+    rows = saturation_in_flight(log, reach)
     starts, ends = row_spans(rows)
     if starts.size > MOST_BANDS:
         apart = np.sort(np.argsort(starts[1:] - ends[:-1], kind="stable")[1 - MOST_BANDS :])

@@ -11,7 +11,7 @@ from cosim.base.arrays import Array
 from cosim.results.log.columns import require
 from cosim.results.report.flight_figures import overlay_panels
 from cosim.results.report.log_reader import Reader
-from cosim.results.report.page import drawn
+from cosim.results.report.page import as_plotly
 from cosim.results.report.panels import ATTITUDE, Panel, Trace
 from cosim.results.report.plot import ABOVE, Figure, axis_name, layout, run_colour, share
 from cosim.results.run import Run
@@ -47,7 +47,7 @@ def plot(runs: Run | Sequence[Run], *columns: str) -> Any:
             f"{n}: {run.summary.controller_shown}, {run.summary.engine_shown}" for n, run in enumerate(flights, 1)
         ]
         one = len(flights) == 1
-        return drawn(stack_panels(readers[0], ATTITUDE) if one else overlay(readers, labels, ATTITUDE, "true"))
+        return as_plotly(stack_panels(readers[0], ATTITUDE) if one else overlay(readers, labels, ATTITUDE, "true"))
     units = {column.name: column.unit for run in flights for column in run.log.described}
     for name in columns:
         for run in flights:
@@ -61,7 +61,7 @@ def plot(runs: Run | Sequence[Run], *columns: str) -> Any:
             label = name if len(readers) == 1 else f"{number + 1}: {name}"
             trace = Trace(name, label, run_colour(n), _DASHES[number % len(_DASHES)])
             data.append(_line(reader, panels[at], at, trace))
-    return drawn({"data": _show_once(data), "layout": _layout_of_panels(panels, data)})
+    return as_plotly({"data": _show_once(data), "layout": _layout_of_panels(panels, data)})
 
 
 def stack_panels(reader: Reader, panels: Sequence[Panel]) -> Figure:

@@ -31,7 +31,7 @@ from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.cli.main import main
-from cosim.design.assessment import shipped
+from cosim.design.assessment import shipped_tuning
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
@@ -320,7 +320,7 @@ def first_unstable(controller: str) -> int:
     channel = channels(scenario, vehicle, engine, Actuator.of("engine", lags([engine.lag], 25.0, scenario.step_s)))[
         "roll"
     ]
-    tuning = replace(shipped(channel, vehicle, engine), controller=controller)
+    tuning = replace(shipped_tuning(channel, vehicle, engine), controller=controller)
     return next(
         later
         for later in range(60)

@@ -16,8 +16,8 @@ from places import ROOT
 from cosim.base.arrays import Array
 from cosim.base.constants import GRAVITY
 from cosim.base.signals import AXES
-from cosim.design.assessment import assess, shipped
-from cosim.design.design import _axis, _AxisInputs, _scenario, dynamics_of, identify_there, needed
+from cosim.design.assessment import assess, shipped_tuning
+from cosim.design.design import _axis, _AxisInputs, _scenario, axis_requirements, dynamics_of, identify_there
 from cosim.design.loop.actuator import SERVO, Actuator
 from cosim.design.loop.channel import Channel, channels, engine_lead
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid, steps_by_response
@@ -50,7 +50,7 @@ def test_a_nozzles_channel_is_servo_inertia_and_gyro() -> None:
     channel, hinge = of["yaw"], vehicle.hinges[0]
     assert channel.actuator.name == SERVO
     assert not channel.actuator.dynamics.unsure
-    tuning = shipped(channel, vehicle, spec)
+    tuning = shipped_tuning(channel, vehicle, spec)
     gains, closed = tuning.gains, ClosedLoop(FrequencyGrid(channel), tuning)
     at, z = closed.points.z, control.tf([1.0, 0.0], [1.0], T)
     servo, gyro = exp(-T / hinge.lag_s), exp(-T / vehicle.sensors.gyro.filter_s)
@@ -160,7 +160,7 @@ def test_a_channel_by_hinges_of_several_lags_is_their_sum(aircraft: str, axis: s
     gained = (1.0 - exp(-fall)) / fall if fall else 1.0
     rate = whole / shares * T * gained * grid.z / (grid.z - exp(-fall)) * grid.measuring
     assert np.abs(grid.rate / rate - 1.0).max() < 1e-4  # the spools' speed is read around hover, by a small step
-    tuning = shipped(channel, vehicle, spec)
+    tuning = shipped_tuning(channel, vehicle, spec)
     closed = ClosedLoop(grid, tuning)
     by_response = steps_by_response(channel, tuning, len(closed.steps.angle))
     assert closed.steps.angle == pytest.approx(by_response.angle, abs=1e-6)
@@ -233,12 +233,12 @@ def test_a_design_beside_its_vehicle_is_what_todays_command_makes(aircraft: str,
     file = read_controller(path, aircraft)
     assert file.design.engine_sha256 == spec.identity
     designed, _ = load_vehicle(aircraft, file.vehicle)
-    stands = shipped(of[axis], designed, spec)
+    stands = shipped_tuning(of[axis], designed, spec)
     if stands.lead is not None:
         lead = engine_lead(of[axis])
         assert lead is not None
         assert stands.lead.natural_rad_s == pytest.approx(lead.natural_rad_s, rel=1e-5)
-    need = needed(axis, file.design.requirements)
+    need = axis_requirements(axis, file.design.requirements)
     again = settle(of[axis], stands, need)
     assert again is not None
     assert again.angle_gain == pytest.approx(stands.angle_gain, rel=1e-9)

@@ -413,7 +413,7 @@ def test_an_engine_with_a_zero_beside_a_slow_pole_is_designed_for(name: str, mad
     # the fast part of each alone: its lags that no zero takes away, its dead time, the gyro and a hold
     assert 0.02 < roll.channel.pace_s < 0.25
     assert (roll.channel.slowness_s > 2.0) if name == "creeps" else (roll.channel.slowness_s < 0.0)
-    assert proving._measured(made, made.engine_dynamics).reason == ""
+    assert proving._check_measured(made, made.engine_dynamics).reason == ""
     for flight, table in flying.flight_tables(made).items():
         assert flying.fly_corner(made, flight, table, 1.0, 0).fault == "", flight
     words = [line for line in summary_lines(made) if "where a loop is closed" in line]
@@ -439,7 +439,7 @@ def test_what_is_no_lag_is_a_model_all_the_same(made_of: str, place: Path) -> No
     dynamics = making.dynamics_of(making.identify_there(scenario, vehicle, spec, None))
     roll = channels(scenario, vehicle, spec, Actuator.of("odd", dynamics))["roll"]
     for channel in (roll, roll.with_delay(roll.actuator_delay + 0.4), roll.with_lags(0.7), roll.with_lags(0.0)):
-        closed = ClosedLoop(FrequencyGrid(channel), making.shipped(channel, vehicle, spec))
+        closed = ClosedLoop(FrequencyGrid(channel), making.shipped_tuning(channel, vehicle, spec))
         assert np.isfinite(closed.steps.angle).all()
         assert closed.unstable_poles >= 0
 

@@ -17,7 +17,7 @@ from stored_designs import LINEAR, small_step, stored
 
 from cosim.base.storage.toml import read_toml
 from cosim.control.predictors.registry import BASELINE
-from cosim.design.assessment import assess, predictor_model, shipped
+from cosim.design.assessment import assess, predictor_model, shipped_tuning
 from cosim.design.design import (
     AXES,
     WITH_LEAD,
@@ -25,11 +25,11 @@ from cosim.design.design import (
     _read_start,
     _scenario,
     _simplest,
+    axis_requirements,
     design,
     dynamics_of,
     identify_there,
     lead_there,
-    needed,
 )
 from cosim.design.levels import THRUST_AXES, keeps, tunings_at
 from cosim.design.loop.actuator import Actuator
@@ -96,7 +96,7 @@ def test_a_stored_design_is_what_todays_command_makes(name: str) -> None:
     assert made.engine_sha256 == spec.identity
     need = made.requirements
     for axis in AXES:
-        channel, asked = wanted[axis], needed(axis, need)
+        channel, asked = wanted[axis], axis_requirements(axis, need)
         start = begin[axis][1.0]
         lead = lead_there(start.lead, channel)
         if lead is not None and start.lead is not None:
@@ -105,7 +105,7 @@ def test_a_stored_design_is_what_todays_command_makes(name: str) -> None:
         free = axis == "roll" or vehicle.servo is not None or axis == "altitude"
         model = predictor_model(channel, source)
         again = (
-            from_nothing(name, channel, shipped(channel, vehicle, spec), model, asked)
+            from_nothing(name, channel, shipped_tuning(channel, vehicle, spec), model, asked)
             if axis == "roll" and len(PAGE.COMMANDS[name]) == 1
             else settle(channel, replace(start, model=model), asked, free)
         )
@@ -147,7 +147,7 @@ def test_a_stored_schedule_is_what_todays_command_makes(name: str) -> None:
     for level, record in zip(found, made.levels, strict=True):
         assert level.thrust_fraction == pytest.approx(record.share, rel=1e-4)
         for axis in THRUST_AXES:
-            asked = needed(axis, made.requirements)
+            asked = axis_requirements(axis, made.requirements)
             held = assess(level.channels[axis], begin[axis][1.0], asked)
             assert record.held.get(axis) == pytest.approx(held.peak_sensitivity, rel=1e-3)
             if record.designed:

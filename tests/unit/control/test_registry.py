@@ -186,7 +186,7 @@ def test_a_ground_station_is_offered_it(mine: PredictorSpec) -> None:
 @pytest.fixture(scope="module")
 def loop() -> tuple[Channel, Tuning]:
     """The roll channel with EDF engines, and the aircraft's own gains on it."""
-    from cosim.design.assessment import predictor_model, shipped
+    from cosim.design.assessment import predictor_model, shipped_tuning
     from cosim.design.design import _scenario, dynamics_of, identify_there
     from cosim.design.loop.actuator import Actuator
     from cosim.design.loop.channel import channels
@@ -196,7 +196,7 @@ def loop() -> tuple[Channel, Tuning]:
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
     actuator = Actuator.of(spec.name, dynamics_of(identify_there(scenario, vehicle, spec, None)))
     channel = channels(scenario, vehicle, spec, actuator)["roll"]
-    return channel, replace(shipped(channel, vehicle, spec), model=predictor_model(channel, "test"))
+    return channel, replace(shipped_tuning(channel, vehicle, spec), model=predictor_model(channel, "test"))
 
 
 @pytest.mark.parametrize("name", candidates())

@@ -34,7 +34,7 @@ from cosim.results.metrics import (
     metric_names,
     overshoot,
     position_metrics,
-    saturated,
+    saturation,
     settling_time,
     share_percent,
     speed_metrics,
@@ -312,9 +312,9 @@ def test_saturation_is_what_was_refused_or_stands_at_its_end() -> None:
     log["throttle_2"] = np.array([0.05, 0.5, 0.5, 0.5, 0.5, 0.05, 0.999, 0.06])
     log["throttle_6"] = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 1.0, 0.05])
     log["health_6"] = np.array([1, 1, 1, 1, 1, 1, 1, 0.0])  # given up: its throttle is closed for that
-    assert saturated(log, reach).tolist() == [True, False, True, True, False, True, True, False]
+    assert saturation(log, reach).tolist() == [True, False, True, True, False, True, True, False]
     assert flight_metrics(log, STEP, reach).effort.saturated_percent == pytest.approx(100.0 * 4 / 7)
-    assert saturated(log, None).tolist() == [True, False, True] + 5 * [False]
+    assert saturation(log, None).tolist() == [True, False, True] + 5 * [False]
     standing = made(3, on_ground=[1, 1, 1], refused_roll=[1, 1, 1])
     assert flight_metrics(standing, STEP, reach).effort.saturated_percent is None
     assert share_percent(np.array([True, True]), np.array([True, False])) == 100.0

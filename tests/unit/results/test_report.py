@@ -33,8 +33,8 @@ from cosim.results.report import signals_data
 from cosim.results.report.comparison import compare_report, run_labels
 from cosim.results.report.flight import verdict, write_report
 from cosim.results.report.flight_figures import comparison_figures, run_figures
-from cosim.results.report.log_reader import Reader, thinned
-from cosim.results.report.page import ASSETS, SCRIPTS, STYLES, THREE, deflated, figure_json
+from cosim.results.report.log_reader import Reader, thin
+from cosim.results.report.page import ASSETS, SCRIPTS, STYLES, THREE, deflate, figure_json
 from cosim.results.report.panels import ATTITUDE, at_rest, jet_rows
 from cosim.results.report.plot import BLUE
 from cosim.results.report.signals_data import (
@@ -179,7 +179,7 @@ def test_what_draws_pages_is_written_once_beside_the_folders_of_runs(run: Run, t
         assert named & names == names
         write_report(run, tmp_path / "whole.html")
         saved = (tmp_path / "whole.html").stat().st_size - page.path.stat().st_size
-        assert saved > 0.5 * sum(len(deflated(ASSETS / name)) for name in (*SCRIPTS, THREE))
+        assert saved > 0.5 * sum(len(deflate(ASSETS / name)) for name in (*SCRIPTS, THREE))
     # what is there stays; what is not is written again
     gone, kept = place / Path(THREE).name, place / "strips.js"
     kept_at = kept.stat().st_mtime_ns
@@ -285,7 +285,7 @@ def test_thinning_keeps_every_peak() -> None:
     values = random.normal(size=900_001)
     peaks = random.choice(values.size, size=40, replace=False)
     values[peaks] = 50.0 + np.arange(40)
-    rows = thinned(values)
+    rows = thin(values)
     assert rows is not None
     assert rows.size <= 4000
     assert rows[0] == 0
@@ -302,7 +302,7 @@ def test_thinning_keeps_every_peak() -> None:
 @pytest.mark.parametrize("size", [3999, 4000, 4001, 4003, 7999, 8001, 12_345])
 def test_thinning_of_any_length(size: int) -> None:
     values = np.sin(np.arange(size) * 0.1)
-    rows = thinned(values)
+    rows = thin(values)
     if size <= 4000:
         assert rows is None
     else:
@@ -314,11 +314,11 @@ def test_thinning_of_any_length(size: int) -> None:
 def test_thinning_keeps_gaps() -> None:
     values = np.ones(10_000)
     values[3000:6000] = nan
-    rows = thinned(values)
+    rows = thin(values)
     assert rows is not None
     assert np.isnan(values[rows]).any()
     assert np.isfinite(values[rows]).sum() > 1000
-    assert thinned(np.full(10_000, nan)) is not None
+    assert thin(np.full(10_000, nan)) is not None
 
 
 def test_a_long_flight_is_drawn_with_its_times() -> None:
