@@ -51,10 +51,11 @@ def page(tmp_path: Path, browser: Any) -> Iterator[Any]:
     places = "".join(f'<div class="plot" data-figure="{name}"></div>' for name in FIGURES)
     template.write_text('{% extends "base.html" %}{% block content %}' + places + "{% endblock %}")
     render(template, tmp_path / "page.html", FIGURES)
-    tab = browser.new_page(viewport={"width": 900, "height": 1400}, color_scheme="dark")
+    tab = browser.new_page(viewport={"width": 900, "height": 2800}, color_scheme="dark")
     errors: list[str] = []
     tab.on("pageerror", lambda error: errors.append(str(error)))
     tab.goto((tmp_path / "page.html").as_uri())
+    tab.wait_for_function("[...document.querySelectorAll('.plot')].every((place) => place.querySelector('svg'))")
     yield tab
     tab.close()
     assert errors == []
@@ -157,3 +158,17 @@ def test_colours_are_the_pages_and_a_narrow_window_is_filled(page: Any) -> None:
     page.set_viewport_size({"width": 400, "height": 800})
     page.wait_for_function("document.querySelector('[data-figure=lines] svg').clientWidth < 400")
     assert page.evaluate("document.documentElement.scrollWidth") <= 400
+
+
+def test_a_figure_is_drawn_when_it_comes_into_view_or_on_paper(page: Any, tmp_path: Path) -> None:
+    page.set_viewport_size({"width": 900, "height": 100})
+    page.reload()
+    names = list(FIGURES)
+    drawn = "[...document.querySelectorAll('.plot')].filter((place) => place.querySelector('svg')).map((place) => place.dataset.figure)"
+    page.wait_for_function(f"{drawn}.length > 0")
+    assert names[-1] not in page.evaluate(drawn)
+    page.locator(f'[data-figure="{names[-1]}"]').scroll_into_view_if_needed()
+    page.wait_for_selector(f'[data-figure="{names[-1]}"] svg')
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert page.evaluate(drawn) == names
+    page.evaluate("dispatchEvent(new Event('afterprint'))")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from math import pi
 from typing import NamedTuple
 
@@ -193,14 +194,18 @@ def thrust_panels(summary: Summary) -> list[Panel]:
     ]
 
 
-def at_rest(log: Log, summary: Summary) -> dict[str, Array]:
-    """Return columns that a page has beside the log's: each engine's thrust at rest for its throttle."""
-    columns = {}
+def at_rest(log: Log, summary: Summary) -> dict[str, Callable[[], Array]]:
+    """Return what makes the columns that a page has beside the log's: each engine's thrust at rest for its throttle."""
+    columns: dict[str, Callable[[], Array]] = {}
     for jet, curve in enumerate(thrust_curves(summary), 1):
         if curve and f"throttle_{jet}" in log.columns:
-            points = np.array(curve, dtype=float)
-            columns[AT_REST.format(jet)] = np.interp(log[f"throttle_{jet}"], points[:, 0], points[:, 1])
+            throttle, thrust = np.array(curve, dtype=float).T
+            columns[AT_REST.format(jet)] = partial(_interpolated, log, f"throttle_{jet}", throttle, thrust)
     return columns
+
+
+def _interpolated(log: Log, column: str, x: Array, y: Array) -> Array:
+    return np.interp(log[column], x, y)
 
 
 def thrust_curves(summary: Summary) -> list[list[tuple[float, float]]]:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import base64
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import ceil, floor, log2
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -137,7 +137,7 @@ class FlightData(NamedTuple):
     vehicle: Vehicle | None = None
     jets_m: Sequence[Sequence[float]] = ()  # body, where no vehicle is known
     times: Array | None = None  # of the rows, where they are not 0, step_s, ...
-    derived: Mapping[str, Array] = MappingProxyType({})  # columns that the log has not
+    derived: Mapping[str, Callable[[], Array]] = MappingProxyType({})  # what makes columns that the log has not
     upsets: Sequence[tuple[float, float]] = ()  # when something disturbs the flight as the log has it
     reach: Reach | None = None  # by which the flight's metrics were made
 
@@ -209,7 +209,7 @@ def _pack_columns(flight: FlightData, group: int) -> tuple[list[dict[str, Any]],
     for name in (*log.columns, *derived):
         if name == TIME and flight.times is None:
             continue
-        values = np.asarray(derived[name] if name in derived else log[name], dtype=np.float64)
+        values = np.asarray(derived[name]() if name in derived else log[name], dtype=np.float64)
         column = pack(values if group == 1 else extremes(values, group))
         if column is None:
             empty.append(name)

@@ -227,7 +227,7 @@ def test_thrust_is_drawn_where_the_jet_sits(run: Run) -> None:
     for panel, jet in zip(figure["panels"], (3, 1, 6, 5, 2, 4), strict=True):
         told, delivered = panel["signals"]
         # the curve of the made-up engine is a line through 0 with 20 N per unit of throttle
-        np.testing.assert_allclose(resting[told["column"]], 20.0 * run.log[f"throttle_{jet}"], rtol=1e-12)
+        np.testing.assert_allclose(resting[told["column"]](), 20.0 * run.log[f"throttle_{jet}"], rtol=1e-12)
         assert delivered["column"] == f"thrust_{jet}_N"
 
 

@@ -351,19 +351,33 @@
   const figures = new Map();
   // also for the page's own scripts: figures that follow what is chosen
   window.draw = (place, data, layout) => {
+    if (waiting.delete(place)) { near.unobserve(place); place.style.minHeight = ""; }
     if (!figures.has(place)) { figures.set(place, new Figure(place)); sized.observe(place); }
     figures.get(place).set(data, layout);
   };
   const sized = new ResizeObserver((entries) => {
     for (const { target } of entries) { const figure = figures.get(target); if (figure && !figure.printing && figure.body.clientWidth && figure.body.clientWidth !== figure.width) figure.draw(); }
   });
+  // a figure is read and drawn when it comes near to what is seen, or goes on paper
+  const waiting = new Map();
+  const begin = (place) => {
+    const figure = JSON.parse(waiting.get(place).textContent);
+    window.draw(place, figure.data, figure.layout);
+  };
+  const near = new IntersectionObserver((entries) => {
+    for (const { target, isIntersecting } of entries) if (isIntersecting && waiting.has(target)) begin(target);
+  }, { rootMargin: "50% 0px" });
   for (const place of document.querySelectorAll(".plot")) {
     const text = document.getElementById("figure-" + place.dataset.figure);
     if (!text) continue;
-    const figure = JSON.parse(text.textContent);
-    window.draw(place, figure.data, figure.layout);
+    waiting.set(place, text);
+    place.style.minHeight = "320px"; // so that what is below does not come into view meanwhile
+    near.observe(place);
   }
-  const paper = (on) => () => figures.forEach((figure) => { figure.printing = on; figure.draw(); });
+  const paper = (on) => () => {
+    if (on) [...waiting.keys()].forEach(begin);
+    figures.forEach((figure) => { figure.printing = on; figure.draw(); });
+  };
   addEventListener("beforeprint", paper(true));
   addEventListener("afterprint", paper(false));
 })();
