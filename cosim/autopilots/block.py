@@ -13,7 +13,7 @@ from cosim.autopilots.stand import Stand
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Applied, EngineState
 from cosim.base.signals import ZERO3, Actuation, Command, Disturbance, Measured, State, Unallocated, Vector3
-from cosim.control.allocation.reallocation import torques
+from cosim.control.allocation.reallocation import command_to_torque
 from cosim.control.belief import Belief
 from cosim.control.cascade import Cascade
 from cosim.simulation.controllers.recorded import COLUMNS, Row
@@ -32,7 +32,7 @@ class ExternalRateLoop:
         self._cascade, self._gain, self._has_gyro = cascade, gain, has_gyro
         self.rate_setpoint = ZERO3  # rad/s, the autopilot's last
         self._jets = len(cascade.reset(False, 0.0))
-        self._torques = np.array(torques(self._jets, cascade.allocator))
+        self._torques = np.array(command_to_torque(self._jets, cascade.allocator))
         self._fractions = np.linspace(0.0, 1.0, 2001)
         self._throttles = [
             cascade.thrust_map.throttle((float(fraction),) * self._jets)[0] for fraction in self._fractions

@@ -30,7 +30,7 @@ MODULES = (
     "simulation/controllers/guard.py",
     "control/allocation/allocation.py",
     "control/allocation/effectiveness.py",
-    "control/allocation/hinged_catch.py",
+    "control/allocation/hinged_recovery.py",
     "control/altitude.py",
     "control/attitude.py",
     "control/bumpless.py",

@@ -87,9 +87,9 @@ def print_check(report: AircraftCheck) -> None:
     show_table(("checked", "what it is", "fault"), [(line.name, line.text, line.fault) for line in report.lines])
     rows = []
     for row in report.authority:
-        moments = [row.span(axis).describe() for axis in range(3)]
+        moments = [row.moment_range(axis).describe() for axis in range(3)]
         if row.moment is None:
-            moments = ["falls" if row.falls else "none found", "", ""]
+            moments = ["falls" if row.cannot_hover else "none found", "", ""]
         rows.append((", ".join(map(str, row.lost)) or "none", f"{row.lift:.2f}", *moments))
     show_table(("engine lost", "lift / weight", "roll, N m", "pitch, N m", "yaw, N m"), rows, range(5))
     say(

@@ -15,7 +15,7 @@ from cosim.base.signals import AXES
 from cosim.codegen.hinged import hinged_form
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
-from cosim.control.allocation.reallocation import torques
+from cosim.control.allocation.reallocation import command_to_torque
 from cosim.control.allocation.thrust_map import Inverse, ThrustMap
 from cosim.control.attitude import AttitudeController
 from cosim.control.cascade import Cascade
@@ -147,11 +147,15 @@ def _allocation(cascade: Cascade, vehicle: Vehicle) -> Form:
             "pitch_sign": allocator.pitch_sign,
             "hover_thrust": allocator.hover + cascade.thrust_map.idle,
             "left": list(allocator.left),
-            "inverse": torques(len(vehicle.jets), allocator),
+            "inverse": command_to_torque(len(vehicle.jets), allocator),
         }
     if isinstance(allocator, RotorAllocator):
         signs = [list(signs) for signs in allocator.signs]
-        return limits_form | {"kind": "rotor", "signs": signs, "inverse": torques(len(vehicle.jets), allocator)}
+        return limits_form | {
+            "kind": "rotor",
+            "signs": signs,
+            "inverse": command_to_torque(len(vehicle.jets), allocator),
+        }
     if isinstance(allocator, EffectivenessAllocator):
         return limits_form | hinged_form(allocator, vehicle)
     raise InputError(

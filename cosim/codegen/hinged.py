@@ -53,7 +53,7 @@ def hinged_form(allocator: EffectivenessAllocator, vehicle: Vehicle) -> dict[str
     if movers:
         effectors["mover"] = movers
     effectors |= {"scale": known.scales, "norm": list(known.norms), "weight": known.weight, "given": "GIVEN"}
-    reach = [*known.reach, *[(0.0, 0.0)] * (servos - len(known.reach))]
+    reach = [*known.servo_limits, *[(0.0, 0.0)] * (servos - len(known.servo_limits))]
     return {
         "kind": "effectiveness",
         "links": links,
@@ -67,8 +67,8 @@ def hinged_form(allocator: EffectivenessAllocator, vehicle: Vehicle) -> dict[str
             "inverse": [list(row) for row in known.inverse],
             "share_low": [low for low, _ in known.shares],
             "share_high": [high for _, high in known.shares],
-            "end_low": [low for low, _ in known.ends],
-            "end_high": [high for _, high in known.ends],
+            "end_low": [low for low, _ in known.thrust_limits],
+            "end_high": [high for _, high in known.thrust_limits],
             "preferred": known.preferred,
             "reach_low": [low for low, _ in reach],
             "reach_high": [high for _, high in reach],

@@ -114,7 +114,7 @@ class Cascade:
         loops.reset()
         hover = loops.allocator.hover
         if burnt:
-            hover = self.thrust_map.share((self._mass - burnt) * GRAVITY / self._jets)
+            hover = self.thrust_map.fraction((self._mass - burnt) * GRAVITY / self._jets)
         if self.schedule is not None:
             loops.follow(self.schedule.reset(hover))
         fractions = (self._low,) * self._jets if on_ground else loops.allocator.trim(hover)

@@ -69,7 +69,7 @@ def axis_shares(vehicle: Vehicle, allocator: Allocator, index: int) -> AxisShare
     """
     jets = len(vehicle.jets)
     if isinstance(allocator, EffectivenessAllocator):
-        moves, effects = allocator.split(index)
+        moves, effects = allocator.unit_changes(index)
         shares = [move * effect for move, effect in zip(moves, effects, strict=True)]
         return AxisShares(shares[:jets], shares[jets:], moves)
     if not by_throttle(vehicle, index):
@@ -164,10 +164,10 @@ def hinged_parts(
 
     Surfaces do nothing in hover.  ``engine``: at every station; ``step``: control step, s.
     """
-    moves, effects = allocator.split(index)
+    moves, effects = allocator.unit_changes(index)
     jets = len(vehicle.jets)
     kicks = hinge_kicks(vehicle, step)[:, index]
-    engines, thrusts = [engine] * jets, allocator.hovering(ZERO3)[0][:jets]
+    engines, thrusts = [engine] * jets, allocator.solve_hover(ZERO3)[0][:jets]
 
     def part(movers: Sequence[int], servos: tuple[Hinge, ...]) -> AxisPart:
         own = [move if k in movers else 0.0 for k, move in enumerate(moves)]

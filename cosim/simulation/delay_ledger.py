@@ -107,7 +107,7 @@ class _Hover:
         self._step = scenario.step_s
         self._thrusts = [vehicle.mass_kg * GRAVITY / len(engines)] * len(engines)
         if isinstance(allocator, EffectivenessAllocator):
-            self._thrusts = allocator.hovering(ZERO3)[0][: len(engines)]
+            self._thrusts = allocator.solve_hover(ZERO3)[0][: len(engines)]
 
     def rows(self, axis: str) -> list[LedgerRow]:
         """Return the rows of an axis, in the order in which the signal passes them."""

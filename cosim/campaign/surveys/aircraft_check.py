@@ -22,7 +22,7 @@ from cosim.base.signals import AXES, ZERO3, Disturbance, Vector3
 from cosim.base.storage.files import write_files
 from cosim.campaign.surveys.authority_drawing import attainable_moments
 from cosim.campaign.surveys.survey import subject_of
-from cosim.control.allocation.authority import Authority, Range, Reach, reach_of
+from cosim.control.allocation.authority import Authority, Range, Reach, compute_reach
 from cosim.control.predictors.registry import BASELINE
 from cosim.engine import engine_names
 from cosim.flight import fly
@@ -69,7 +69,8 @@ class AircraftCheck:
     def exact(self) -> bool:
         """Whether the attained authority is all that there is, to three digits; else it is a lower bound."""
         return all(
-            authority.falls or all(authority.span(axis).met for axis in range(3)) for authority in self.authority
+            authority.cannot_hover or all(authority.moment_range(axis).is_exact for axis in range(3))
+            for authority in self.authority
         )
 
     @property
@@ -126,7 +127,7 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
         least, most = _thrust(simulation)
         count = len(vehicle.jets)
         losses: list[tuple[int, ...]] = [(), *((jet,) for jet in range(1, count + 1))]
-        reach = reach_of(vehicle, least.tolist(), most.tolist())
+        reach = compute_reach(vehicle, least.tolist(), most.tolist())
         authority = [reach.authority(lost) for lost in losses]
         engine_name = simulation.engine.name
         models = [*_models(simulation), *(Line("fuel", text) for text in tank_notes(vehicle, simulation.stations))]
@@ -144,11 +145,11 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
 
 def _authority_json(authority: Authority) -> dict[str, Any]:
     """Return the authority for JSON: what is not known, or not there, is null."""
-    upper_bound = authority.moment_at_most
+    upper_bound = authority.moment_bound
     return authority._asdict() | {
-        "lift_at_most": authority.lift_at_most if isfinite(authority.lift_at_most) else None,
+        "lift_at_most": authority.lift_bound if isfinite(authority.lift_bound) else None,
         "moment_at_most": upper_bound if upper_bound is not None and isfinite(max(upper_bound)) else None,
-        "falls": authority.falls,
+        "falls": authority.cannot_hover,
     }
 
 
@@ -228,7 +229,7 @@ def _lift(whole: Authority) -> Line:
     text = f"thrust in balance {whole.lift:.2f} times the weight"
     if whole.lift < 1.0:
         return Line(
-            "hover", text, "it does not lift off" if whole.lift_at_most < 1.0 else "no balance was found that lifts it"
+            "hover", text, "it does not lift off" if whole.lift_bound < 1.0 else "no balance was found that lifts it"
         )
     fault = "" if whole.lift >= MIN_LIFT else f"less than {MIN_LIFT:g}: height and attitude fight for it"
     return Line("hover", text, fault)
@@ -237,20 +238,20 @@ def _lift(whole: Authority) -> Line:
 def _axes(authority: Sequence[Authority], inertia: Vector3) -> list[Line]:
     lines = []
     for number, axis in enumerate(AXES):
-        moment = authority[0].span(number)
-        turn = Range(moment.least / inertia[number], moment.most / inertia[number])
-        fault = "" if moment.least > 0.0 else "nothing turns it while the weight is held"
-        if fault and moment.most > 0.0:
+        moment = authority[0].moment_range(number)
+        turn = Range(moment.lower / inertia[number], moment.upper / inertia[number])
+        fault = "" if moment.lower > 0.0 else "nothing turns it while the weight is held"
+        if fault and moment.upper > 0.0:
             fault = "nothing was found that turns it while the weight is held"
         text = f"{moment.describe()} N m either way in hover, {turn.describe()} rad/s^2"
         lines.append(Line(f"{axis} authority", text, fault))
     balanced = [
-        without.lost[0] for without in authority[1:] if min(without.span(axis).least for axis in range(3)) > 0.0
+        without.lost[0] for without in authority[1:] if min(without.moment_range(axis).lower for axis in range(3)) > 0.0
     ]
     unproven = [
         without.lost[0]
         for without in authority[1:]
-        if without.lost[0] not in balanced and min(without.span(axis).most for axis in range(3)) > 0.0
+        if without.lost[0] not in balanced and min(without.moment_range(axis).upper for axis in range(3)) > 0.0
     ]
     text = f"balanced, with authority about every axis, without any one of: {', '.join(map(str, balanced)) or 'none'}"
     if unproven:

@@ -82,8 +82,8 @@ def _section(reach: Reach, right: int, up: int, directions: int = DIRECTIONS) ->
             return []
         return [(size * cos(angle), size * sin(angle)) for size, angle in zip(ends, angles, strict=True)]
 
-    far = any(size.most - size.least > BOUND_GAP * abs(size.most) for size in sizes)
-    return corners([size.least for size in sizes]), corners([size.most for size in sizes]) if far else []
+    far = any(size.upper - size.lower > BOUND_GAP * abs(size.upper) for size in sizes)
+    return corners([size.lower for size in sizes]), corners([size.upper for size in sizes]) if far else []
 
 
 def _draw(

@@ -267,7 +267,7 @@ def _compute_lever(scenario: Scenario) -> Lever:
 
 def _halve_mass(simulation: Simulation, whole: RollAxis) -> RollAxis | None:
     """Return the roll axis with half the mass and inertia on the same engines; None where these cannot go so low."""
-    fraction = simulation.cascade.thrust_map.share(0.5 * whole.hover)
+    fraction = simulation.cascade.thrust_map.fraction(0.5 * whole.hover)
     if fraction <= simulation.vehicle.control.allocation.throttle_min:
         return None
     return RollAxis(simulation.vehicle, measure_courses(simulation, fraction), 0.5 * whole.hover, 0.5)

@@ -39,7 +39,7 @@ class Objective(NamedTuple):
 class Bound(NamedTuple):
     """The maximum over a hull [minus infinity: infeasible], and the mean and the spread of its corners."""
 
-    most: float
+    upper: float
     thrust: Array
     angles: Array
     spread: Array

@@ -39,46 +39,46 @@ STARTS: Final = 8  # of climbs where there is no bound to begin at
 
 
 class Range(NamedTuple):
-    """Lower bound that is attained, minus infinity: none; upper bound, infinity: not known."""
+    """A lower bound that is attained (minus infinity: none) and an upper bound (infinity: unknown)."""
 
-    least: float
-    most: float
+    lower: float
+    upper: float
 
     @property
-    def met(self) -> bool:
-        """Whether the two are one, to three digits."""
-        return self.most < inf and self.most - self.least <= RESOLUTION * abs(self.most)
+    def is_exact(self) -> bool:
+        """Whether both bounds are equal to three digits."""
+        return self.upper < inf and self.upper - self.lower <= RESOLUTION * abs(self.upper)
 
     def describe(self) -> str:
         """Return the range as text, to three digits."""
-        if self.met:
-            return f"{self.least:.3g}"
-        return f"at least {self.least:.3g}" if self.most == inf else f"{self.least:.3g} to {self.most:.3g}"
+        if self.is_exact:
+            return f"{self.lower:.3g}"
+        return f"at least {self.lower:.3g}" if self.upper == inf else f"{self.lower:.3g} to {self.upper:.3g}"
 
 
 class Authority(NamedTuple):
     """The largest moments either way [N m, the smaller of the two], with these jets lost.
 
     ``lift``: most thrust in balance over the weight; ``moment``: what is attained, None where no balance was found.
-    ``lift_at_most``, ``moment_at_most``: what is not exceeded, infinity where that is not known; None where there is no
+    ``lift_bound``, ``moment_bound``: what is not exceeded, infinity where that is not known; None where there is no
     balance: without it the vehicle falls.
     """
 
     lost: tuple[int, ...]
     lift: float
     moment: Vector3 | None
-    lift_at_most: float
-    moment_at_most: Vector3 | None
+    lift_bound: float
+    moment_bound: Vector3 | None
 
     @property
-    def falls(self) -> bool:
+    def cannot_hover(self) -> bool:
         """Whether it is certain that nothing balances the weight."""
-        return self.moment_at_most is None
+        return self.moment_bound is None
 
-    def span(self, axis: int) -> Range:
+    def moment_range(self, axis: int) -> Range:
         """Both bounds of the moment about an axis, N m."""
         least = 0.0 if self.moment is None else self.moment[axis]
-        return Range(least, 0.0 if self.moment_at_most is None else self.moment_at_most[axis])
+        return Range(least, 0.0 if self.moment_bound is None else self.moment_bound[axis])
 
 
 class Reach:
@@ -87,8 +87,8 @@ class Reach:
     def __init__(
         self,
         layout: Layout,
-        least: Sequence[float],
-        most: Sequence[float],
+        min_thrust: Sequence[float],
+        max_thrust: Sequence[float],
         hinges: Sequence[tuple[float, float]],
         rest: Sequence[float],
         weight: float,
@@ -96,7 +96,7 @@ class Reach:
         import numpy as np
 
         self._layout, self._weight = layout, weight
-        self._least, self._most = np.array(least, float), np.array(most, float)
+        self._least, self._most = np.array(min_thrust, float), np.array(max_thrust, float)
         self._low, self._high = np.array([low for low, _ in hinges]), np.array([high for _, high in hinges])
         self._rest = np.array(rest, float)
         self._hull = Hull.of(layout, self._least, self._most, self._low, self._high)
@@ -135,10 +135,10 @@ class Reach:
 
         return Authority(
             tuple(lost),
-            max(lift.least / self._weight, 0.0),
-            moments([end.least for end in ends], lift.least),
-            max(lift.most / self._weight, 0.0),
-            moments([end.most for end in ends], lift.most),
+            max(lift.lower / self._weight, 0.0),
+            moments([end.lower for end in ends], lift.lower),
+            max(lift.upper / self._weight, 0.0),
+            moments([end.upper for end in ends], lift.upper),
         )
 
     def moment(self, direction: Any) -> Range:
@@ -161,18 +161,18 @@ class Reach:
             return Range(self._search(objective), inf)
         root = self._hull.bound(objective, self._weight)
         if not len(self._rest):
-            return Range(root.most, root.most)  # nothing turns: it is exact
+            return Range(root.upper, root.upper)  # nothing turns: it is exact
         least, closed, number = -inf, -inf, 0
-        queue: list[tuple[float, int, Array, Array, Bound]] = [(-root.most, 0, self._low, self._high, root)]
+        queue: list[tuple[float, int, Array, Array, Bound]] = [(-root.upper, 0, self._low, self._high, root)]
         while queue:
             most = max(closed, -queue[0][0])
-            if Range(least, most).met or most - least <= ROUNDING * self._weight or most == -inf:
+            if Range(least, most).is_exact or most - least <= ROUNDING * self._weight or most == -inf:
                 break
             _, _, low, high, bound = heappop(queue)
             least = max(least, self._climb(objective, bound.thrust, bound.angles))
             widest = int(bound.spread.argmax())
             if cuts <= 0 or not bound.spread[widest]:
-                closed = max(closed, bound.most)  # cannot be bounded closer
+                closed = max(closed, bound.upper)  # cannot be bounded closer
                 continue
             cuts -= 1
             for half in range(2):
@@ -182,7 +182,7 @@ class Reach:
                 assert hull is not None  # as the whole was
                 inside = hull.bound(objective, self._weight)
                 number += 1
-                heappush(queue, (-inside.most, number, *ends, inside))
+                heappush(queue, (-inside.upper, number, *ends, inside))
         most = max([closed, *(-part[0] for part in queue)])
         return Range(least, max(least, most))
 
@@ -254,14 +254,14 @@ class Reach:
         residual = np.max(np.abs(rows @ wrench - values))
         return float(objective.goal @ wrench) if residual <= TOLERANCE else -inf
 
-    def effects(self, at: Any) -> Array:
-        """Return force and moment of each jet per thrust, with the hinges at ``at``: shape (6, jets)."""
+    def effectiveness(self, angles: Any) -> Array:
+        """Return force and moment of each jet per thrust, with the hinges at ``angles`` [rad]: shape (6, jets)."""
         import numpy as np
 
-        return self._linear(np.zeros(len(self._layout.stations)), at)[0]
+        return self._linear(np.zeros(len(self._layout.stations)), angles)[0]
 
     def _linear(self, thrust: Array, at: Any) -> tuple[Array, Array]:
-        """:meth:`effects`, and what each hinge changes per rad: shapes (6, jets) and (6, hinges)."""
+        """:meth:`effectiveness`, and what each hinge changes per rad: shapes (6, jets) and (6, hinges)."""
         import numpy as np
 
         layout, angles = self._layout, [float(angle) for angle in at]
@@ -282,10 +282,10 @@ class Reach:
         return np.array(columns).T, turns
 
 
-def reach_of(vehicle: Vehicle, least: Sequence[float], most: Sequence[float]) -> Reach:
-    """Return what the vehicle's layout attains with engines of these thrusts [N] at the allocation's limits."""
+def compute_reach(vehicle: Vehicle, min_thrust: Sequence[float], max_thrust: Sequence[float]) -> Reach:
+    """Return the reach of the vehicle's layout with engines of these thrusts [N], at the allocation's limits."""
     turns = vehicle.turns
-    return Reach(vehicle.layout(), least, most, turns, vehicle.rest[: len(turns)], vehicle.mass_kg * GRAVITY)
+    return Reach(vehicle.layout(), min_thrust, max_thrust, turns, vehicle.rest[: len(turns)], vehicle.mass_kg * GRAVITY)
 
 
 def _moment(position: Vector3, force: Vector3, twist: float) -> Vector3:

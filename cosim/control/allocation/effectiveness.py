@@ -51,7 +51,7 @@ PASSES: Final = 6  # of Newton's method in a step; from the step before two are 
 FIRST_PASSES: Final = 60  # without a step before
 
 
-class Mover(NamedTuple):
+class Effector(NamedTuple):
     """A hinge or a surface as allocation sees it."""
 
     least: float
@@ -63,7 +63,7 @@ class Mover(NamedTuple):
     lead: float = 0.0  # by how much more, for the servo to move at its full rate: the rate times its lag
 
 
-class Effectors(NamedTuple):
+class AllocationModel(NamedTuple):
     """What allocation knows of a vehicle.
 
     ``tensor``: of inertia, kg m^2, by rows; ``low`` and ``span``: thrust of the reference engine without throttle, and
@@ -79,7 +79,7 @@ class Effectors(NamedTuple):
     span: float
     shares: Sequence[tuple[float, float]]
     efforts: Sequence[float]
-    movers: Sequence[Mover]
+    effectors: Sequence[Effector]
     horizontal: bool = False
 
 
@@ -92,8 +92,8 @@ class Constants(NamedTuple):
     """The numbers that allocation computes with while all engines run, for another implementation of it.
 
     ``stations``, ``hinges``, ``surfaces``, ``scales``, ``norms`` and ``weight`` as
-    :class:`._effectiveness.Solver` takes them; ``ends`` of the thrusts and where they are left, ``preferred`` [N];
-    ``reach`` of hinges and surfaces, and where they are left, ``stand``.
+    :class:`._effectiveness.Solver` takes them.  ``preferred`` are the thrusts [N], and ``neutral`` the positions of
+    hinges and surfaces, that a solution stays near where the effectors leave a choice.
     """
 
     stations: list[StationOf]
@@ -107,11 +107,11 @@ class Constants(NamedTuple):
     low: float
     span: float
     shares: list[tuple[float, float]]
-    ends: list[tuple[float, float]]
+    thrust_limits: list[tuple[float, float]]
     preferred: list[float]
     levels: list[tuple[int, ...]]
-    reach: list[tuple[float, float]]
-    stand: list[float]
+    servo_limits: list[tuple[float, float]]
+    neutral: list[float]
 
 
 class EffectivenessAllocator:
@@ -120,31 +120,33 @@ class EffectivenessAllocator:
     Raises InputError where the vehicle cannot be held in hover.
     """
 
-    def __init__(self, effectors: Effectors) -> None:
-        name, layout, mass, tensor, low, span, shares, efforts, movers, horizontal = effectors
+    def __init__(self, model: AllocationModel) -> None:
+        name, layout, mass, tensor, low, span, shares, efforts, effectors, horizontal = model
         self._layout, self._tensor, self._mass = layout, tensor, mass
         self._inverse = _invert(tensor)
         self._low, self._span = low, span
         self._jets = len(layout.stations)
         self._hinges = len(layout.turns)
-        self._movers = list(movers)
+        self._effectors = list(effectors)
         self._limits = list(shares)
         self._levels = [*LEVELS, *(HORIZONTAL if horizontal else ())]
         self._weight = mass * GRAVITY
         self.hover = (self._weight / self._jets - low) / span
-        reach = (max(tensor[0][0], tensor[1][1], tensor[2][2]) / mass) ** 0.5  # a length: of gyration
-        force, moment = 1.0 / self._weight, 1.0 / (self._weight * reach)
+        gyration = (max(tensor[0][0], tensor[1][1], tensor[2][2]) / mass) ** 0.5  # radius of gyration, m
+        force, moment = 1.0 / self._weight, 1.0 / (self._weight * gyration)
         self._norms = (moment, moment, force, moment, force, force)  # of the rows
         self._scales = [
             (most - least) * span / effort for (least, most), effort in zip(shares, efforts, strict=True)
-        ] + [(mover.most - mover.least) / mover.effort for mover in movers]
-        self._described = _describe_effectors(effectors)
+        ] + [(effector.most - effector.least) / effector.effort for effector in effectors]
+        self._described = _describe_effectors(model)
         self._solver = Solver(*self._described, self._scales, self._norms, self._weight, GIVEN)
-        self.rest: PerServo = tuple([mover.rest for mover in movers]) or (0.0, 0.0)
+        self.rest: PerServo = tuple([effector.rest for effector in effectors]) or (0.0, 0.0)
         self.pressure = 0.0  # Pa, dynamic: what surfaces work with
-        self._reach = [(mover.least, mover.most) for mover in movers]
-        self._stand = [mover.rest for mover in movers]  # where hinges and surfaces are left if there is a choice
-        self.surfaces = len(self._movers) - self._hinges
+        self._servo_limits = [(effector.least, effector.most) for effector in effectors]
+        self._neutral = [
+            effector.rest for effector in effectors
+        ]  # where hinges and surfaces are left if there is a choice
+        self.surfaces = len(self._effectors) - self._hinges
         self.reset()
         if not self._balanced:
             raise InputError(
@@ -159,15 +161,15 @@ class EffectivenessAllocator:
         self._use([JetHealth()] * self._jets)
         self._settle()
         # commands begin where servos stand
-        self._last = [*self._preferred, *(mover.rest for mover in self._movers)]
+        self._last = [*self._preferred, *(effector.rest for effector in self._effectors)]
 
     def _use(self, health: Sequence[JetHealth]) -> None:
         """Take every jet's thrust to be ``span (gain (idle + share) + fixed)``."""
         idle = self._low / self._span
         self._health = list(health)
-        self._ends: list[tuple[float, float]] = []
+        self._thrust_limits: list[tuple[float, float]] = []
         for (least, most), jet in zip(self._limits, health, strict=True):
-            self._ends.append(
+            self._thrust_limits.append(
                 (
                     self._span * (jet.gain * (idle + least) + jet.fixed),
                     self._span * (jet.gain * (idle + most) + jet.fixed),
@@ -181,7 +183,7 @@ class EffectivenessAllocator:
         """
         even = self._low + self._span * self.hover
         self._preferred = [even] * self._jets
-        self._last = [even] * self._jets + [mover.rest for mover in self._movers]
+        self._last = [even] * self._jets + [effector.rest for effector in self._effectors]
         wanted = [0.0, 0.0, self._weight, 0.0, 0.0, 0.0]
         found, missing = self._solve_by(wanted, self._weight, FIRST_PASSES, False, [*LEVELS, *HORIZONTAL])
         self._missing = [missing[row] * self._norms[row] for row in range(6)]
@@ -198,7 +200,7 @@ class EffectivenessAllocator:
         return True
 
     @property
-    def balanced(self) -> bool:
+    def is_balanced(self) -> bool:
         """Whether the engines, as they are known to be, hold the vehicle up with no roll and no pitch moment."""
         return self._balanced
 
@@ -224,35 +226,35 @@ class EffectivenessAllocator:
             self._low,
             self._span,
             self._limits,
-            self._ends,
+            self._thrust_limits,
             self._preferred,
             self._levels,
-            self._reach,
-            self._stand,
+            self._servo_limits,
+            self._neutral,
         )
 
     # ---- what a design asks
 
-    def hovering(self, torque: Vector3) -> tuple[list[float], list[float]]:
+    def solve_hover(self, torque: Vector3) -> tuple[list[float], list[float]]:
         """Return thrusts [N] and servos [rad] for angular accelerations [rad/s^2] in hover, however fast servos are.
 
         Returned second is what is missing of force [N] and moment [N m], in the order of the rows."""
         found, missing = self._solve(self._wanted(self._weight, torque, ZERO3), self._weight, FIRST_PASSES, False)
         return found, [0.0 if -GIVEN <= m * norm <= GIVEN else m for m, norm in zip(missing, self._norms, strict=True)]
 
-    def by_thrust(self, axis: int) -> float:
+    def thrust_part(self, axis: int) -> float:
         """Return the part of a small angular acceleration about an axis that thrusts give in hover; hinges the rest."""
-        moves, effects = self.split(axis)
+        moves, effects = self.unit_changes(axis)
         given = [move * effect for move, effect in zip(moves, effects, strict=True)]
         return sum(given[: self._jets]) if any(given) else 1.0
 
-    def split(self, axis: int) -> tuple[list[float], list[float]]:
+    def unit_changes(self, axis: int) -> tuple[list[float], list[float]]:
         """Return each effector's change per rad/s^2 about an axis in hover, and the acceleration about it per change.
 
         Effectors are the thrusts [N], hinges and surfaces [rad], in this order."""
         small = 1e-3
-        still, _ = self.hovering(ZERO3)
-        moved, _ = self.hovering((small * (axis == 0), small * (axis == 1), small * (axis == 2)))
+        still, _ = self.solve_hover(ZERO3)
+        moved, _ = self.solve_hover((small * (axis == 0), small * (axis == 1), small * (axis == 2)))
         _, rows = self._solver.linear(still, self.pressure)
         effects: list[float] = []
         for j, scale in enumerate(self._scales):
@@ -265,7 +267,7 @@ class EffectivenessAllocator:
             given += effect * (m - s)
         return [(m - s) / given if given else 0.0 for m, s in zip(moved, still, strict=True)], effects
 
-    def room(self, axis: int) -> float:
+    def acceleration_limit(self, axis: int) -> float:
         """Return the largest angular acceleration [rad/s^2] about an axis that hover leaves, either way."""
         most = inf
         for sign in (1.0, -1.0):
@@ -279,7 +281,7 @@ class EffectivenessAllocator:
         return most
 
     def _gives(self, axis: int, size: float) -> bool:
-        _, missing = self.hovering((size * (axis == 0), size * (axis == 1), size * (axis == 2)))
+        _, missing = self.solve_hover((size * (axis == 0), size * (axis == 1), size * (axis == 2)))
         return all(abs(missing[row]) * self._norms[row] <= NEARLY for row in (ROLL, PITCH, LIFT, YAW))
 
     # ---- a step
@@ -316,10 +318,10 @@ class EffectivenessAllocator:
         pitching moment.  Also answered is what is missing of the force ahead [N].
         """
         jets, last = self._jets, self._last
-        least = sum([low for low, _ in self._ends])
+        least = sum([low for low, _ in self._thrust_limits])
         asked = lift
-        for number in range(self._hinges, len(self._movers)):  # what surfaces lift no jet takes away
-            asked += self.pressure * last[jets + number] * self._movers[number].wrench[2]
+        for number in range(self._hinges, len(self._effectors)):  # what surfaces lift no jet takes away
+            asked += self.pressure * last[jets + number] * self._effectors[number].wrench[2]
         asked = lift + max(0.0, FLATTEST * max(force, least) - asked)
         without = force
         if asked < least:  # thrust that engines give at least has to go somewhere: ahead
@@ -328,15 +330,15 @@ class EffectivenessAllocator:
         wanted[PITCH] += pitch
         wanted[FORWARD] = force
         whole, along = max(hypot(force, asked), least), atan2(force, asked)
-        stand, preferred, reach = self._stand, self._preferred, self._reach
-        self._stand, self._reach = list(stand), list(reach)
+        neutral, preferred, servo_limits = self._neutral, self._preferred, self._servo_limits
+        self._neutral, self._servo_limits = list(neutral), list(servo_limits)
         for tilt in tilts:
-            low, high = reach[tilt]
-            middle = self._stand[tilt] = min(max(along, low), high)
-            self._reach[tilt] = (max(low, middle - ASTRAY), min(high, middle + ASTRAY))
+            low, high = servo_limits[tilt]
+            middle = self._neutral[tilt] = min(max(along, low), high)
+            self._servo_limits[tilt] = (max(low, middle - ASTRAY), min(high, middle + ASTRAY))
         self._preferred = self._shared(cos(along) * cos(along))
         found, missing = self._solve_by(wanted, whole, PASSES, True, [*LEVELS, *AHEAD])
-        self._stand, self._preferred, self._reach = stand, preferred, reach
+        self._neutral, self._preferred, self._servo_limits = neutral, preferred, servo_limits
         missing[LIFT] += lift - asked
         missing[FORWARD] += without - force
         return self._actuation(found, missing), missing[FORWARD]
@@ -344,9 +346,9 @@ class EffectivenessAllocator:
     def _shared(self, balanced: float) -> list[float]:
         """Return each jet's part of the weight [N] as hinges stand: an equal part with the least change that balances.
 
-        ``balanced``: the fraction of the equal parts' pitching moment that is taken out."""
+        ``is_balanced``: the fraction of the equal parts' pitching moment that is taken out."""
         jets = self._jets
-        axes, places = self._layout.axes(self._stand), self._layout.positions(self._stand)
+        axes, places = self._layout.axes(self._neutral), self._layout.positions(self._neutral)
         arms = []
         for jet in range(jets):
             (ex, _, ez), (px, _, pz) = axes[self._layout.groups[jet]], places[jet]
@@ -402,29 +404,29 @@ class EffectivenessAllocator:
             rated,
             False,
             self._last,
-            self._ends,
+            self._thrust_limits,
             levels,
             self._preferred,
-            self._reach,
-            self._stand,
+            self._servo_limits,
+            self._neutral,
         )
 
 
-def _describe_effectors(effectors: Effectors) -> tuple[list[StationOf], list[HingeOf], list[SurfaceOf]]:
+def _describe_effectors(model: AllocationModel) -> tuple[list[StationOf], list[HingeOf], list[SurfaceOf]]:
     """Return jets, hinges and surfaces as :class:`._effectiveness.Solver` takes them."""
-    layout, movers = effectors.layout, effectors.movers
+    layout, effectors = model.layout, model.effectors
     stations: list[StationOf] = []
     for jet, (station, chain) in enumerate(zip(layout.stations, layout.chains, strict=True)):
         links = [(number, effect, jet in layout.turns[number].carries) for number, effect in chain]
         stations.append((station.position, station.axis, station.twist, links))
     hinges: list[HingeOf] = [
-        (turn.point, turn.axis, mover.least, mover.most, mover.step, mover.lead)
-        for turn, mover in zip(layout.turns, movers, strict=False)
+        (turn.point, turn.axis, effector.least, effector.most, effector.step, effector.lead)
+        for turn, effector in zip(layout.turns, effectors, strict=False)
     ]
     surfaces: list[SurfaceOf] = []
-    for mover in movers[len(hinges) :]:
-        fx, fy, fz, mx, my, mz = mover.wrench
-        surfaces.append(((mx, my, -fz, mz, fx, fy), mover.least, mover.most, mover.step, mover.lead))
+    for effector in effectors[len(hinges) :]:
+        fx, fy, fz, mx, my, mz = effector.wrench
+        surfaces.append(((mx, my, -fz, mz, fx, fy), effector.least, effector.most, effector.step, effector.lead))
     return stations, hinges, surfaces
 
 

@@ -30,14 +30,14 @@ class EngineReference(NamedTuple):
     speed: Sequence[float] | None  # rad/s, at each throttle; None where the engine reports none
     lag: float  # s, about hover
     delay: float  # s
-    shortest: float  # s, lag anywhere in its range, up or down
-    longest: float  # s
+    shortest_lag: float  # s, lag anywhere in its range, up or down
+    longest_lag: float  # s
 
     def thrust_at(self, throttle: float) -> float:
         """Return the thrust at rest [N]."""
         return _interpolate(self.throttle, self.thrust, throttle)
 
-    def thrust_of(self, thrust: float, speed: float) -> float:
+    def reported_to_thrust(self, thrust: float, speed: float) -> float:
         """Return the thrust [N] that a report stands for, by the spool's speed where it is measured."""
         if self.speed is None or speed != speed:
             return thrust
@@ -84,7 +84,7 @@ class EngineMonitor:
         self._stuck = max(1, round(settings.stuck_s / step))
         factor, spread = settings.lag_factor, settings.delay_spread_s
         self._filter_gains = [
-            (_filter_gain(step, reference.shortest / factor), _filter_gain(step, reference.longest * factor))
+            (_filter_gain(step, reference.shortest_lag / factor), _filter_gain(step, reference.longest_lag * factor))
             for reference in references
         ]
         self._sudden = _SUDDEN * self._confirm if sudden else 0  # steps
@@ -126,7 +126,7 @@ class EngineMonitor:
         if self._speeds:
             reports = tuple(
                 [
-                    reference.thrust_of(f, w)
+                    reference.reported_to_thrust(f, w)
                     for reference, f, w in zip(references, reports, output.spool_speed, strict=True)
                 ]
             )
@@ -184,7 +184,7 @@ class EngineMonitor:
         """The thrust that the last commands give at rest [N], oldest first: over the longest delay and more."""
         return list(self._past)
 
-    def give_up(self, i: int) -> None:
+    def mark_shut_off(self, i: int) -> None:
         """Count engine ``i`` as lost: it is shut off on purpose."""
         self._set_health(i, 0.0, 0.0)
 
@@ -192,7 +192,7 @@ class EngineMonitor:
         """Return whether all engines in use report their thrust at rest at ``throttle``, within the threshold."""
         reports = zip(self._references, self.gains, throttle, output.thrust, output.spool_speed, strict=True)
         return all(
-            gain == 0.0 or abs(reference.thrust_of(f, w) - reference.thrust_at(u)) <= self._threshold
+            gain == 0.0 or abs(reference.reported_to_thrust(f, w) - reference.thrust_at(u)) <= self._threshold
             for reference, gain, u, f, w in reports
         )
 
@@ -200,7 +200,8 @@ class EngineMonitor:
         """Return whether no engine reports more than its thrust at rest at ``throttle``, within the threshold."""
         reports = zip(self._references, throttle, output.thrust, output.spool_speed, strict=True)
         return all(
-            reference.thrust_of(f, w) <= reference.thrust_at(u) + self._threshold for reference, u, f, w in reports
+            reference.reported_to_thrust(f, w) <= reference.thrust_at(u) + self._threshold
+            for reference, u, f, w in reports
         )
 
     def _assess(self, i: int, x: float) -> bool:

@@ -207,7 +207,7 @@ def _side(jets: Sequence[Jet]) -> Array:
     return np.array([-1.0 if jet.position_m[1] > 0.0 else 1.0 for jet in jets])
 
 
-def torques(jets: int, allocator: Any) -> list[list[float]]:
+def command_to_torque(jets: int, allocator: Any) -> list[list[float]]:
     """Return the pseudo-inverse of a bank or rotor allocation, which gives the demand back from the commands.
 
     Rows of roll, pitch and yaw, by every throttle and then the left and the right tilt; at hover's thrust, where a tilt
@@ -229,7 +229,7 @@ def torques(jets: int, allocator: Any) -> list[list[float]]:
     return [[round(float(x), 15) + 0.0 for x in row] for row in np.linalg.pinv(columns)[1:]]
 
 
-def get_ready() -> None:
+def load_solver() -> None:
     """Load the solver, which takes 0.2 s: a flight that may have to plan anew does so before it begins."""
     import scipy.optimize  # noqa: F401
 

@@ -26,7 +26,7 @@ class StaticCurve(NamedTuple):
         return self.thrust[-1] - self.thrust[0]
 
     @property
-    def straight(self) -> bool:
+    def is_straight(self) -> bool:
         low, span = self.thrust[0], self.span
         return all(
             abs(f - (low + u * span)) <= STRAIGHT * abs(span) for u, f in zip(self.throttle, self.thrust, strict=True)
@@ -49,20 +49,20 @@ class ThrustMap:
         self.low, self.span = reference.thrust[0], reference.span
         # None: the throttle is the fraction, to the last bit
         self.stations: list[Inverse | None] = [
-            None if reference.straight and _same(curve, reference) else inverse[id(curve)] for curve in stations
+            None if reference.is_straight and _same(curve, reference) else inverse[id(curve)] for curve in stations
         ]
         self.identity = not any(self.stations)
-        self.inverse = inverse[id(reference)] if reference.straight else None  # None: as the chord has it
+        self.inverse = inverse[id(reference)] if reference.is_straight else None  # None: as the chord has it
         # thrust at throttle 0 as a fraction: the thrust itself is proportional to c + idle
         self.idle = self.low / self.span if abs(self.low) > STRAIGHT * self.span else 0.0
 
-    def share(self, thrust: float) -> float:
+    def fraction(self, thrust: float) -> float:
         """Return the thrust fraction that asks a station for ``thrust`` [N]."""
         return (thrust - self.low) / self.span if self.inverse is None else self.inverse.at(thrust)
 
     def collective(self, total: float) -> float:
         """Return the thrust fraction that asks every station for its part of ``total`` [N]."""
-        return self.share(total / len(self.stations))
+        return self.fraction(total / len(self.stations))
 
     def throttle(self, fractions: PerJet) -> PerJet:
         """Return one throttle per station."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from cosim.base.signals import Actuation, Vector3
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.control.allocation.engine_monitor import EngineMonitor
-from cosim.control.allocation.hinged_catch import HingedCatch
+from cosim.control.allocation.hinged_recovery import HingedRecovery
 from cosim.control.phases.law import Demand, FlightLaw, Loops
 from cosim.control.phases.wing import dynamic_pressure
 
@@ -26,19 +26,19 @@ class SurfaceHover(FlightLaw):
 class HingedLean(FlightLaw):
     """Hover without an engine on hinges that carry engines: it leans against their push to the side.
 
-    The allocator's pressure stays as it is: :meth:`HingedCatch.allocate` assumes zero while an engine is lost.
+    The allocator's pressure stays as it is: :meth:`HingedRecovery.allocate` assumes zero while an engine is lost.
     """
 
-    def __init__(self, loops: Loops, allocator: HingedCatch) -> None:
+    def __init__(self, loops: Loops, allocator: HingedRecovery) -> None:
         super().__init__(loops)
         self._allocator = allocator
 
     def wants(self, demand: Demand) -> bool:
-        return self._allocator.leans and self.loops.custom_attitude is None
+        return self._allocator.is_leaning and self.loops.custom_attitude is None
 
     def steer(self, demand: Demand) -> Vector3:
         """Return rates to the thrust's direction first; the heading only stops turning."""
         return self.loops.attitude.thrust_first(demand.command, demand.measured, self._allocator.lean)
 
     def observe(self, monitor: EngineMonitor) -> None:
-        self._allocator.look(monitor.reported_thrust)
+        self._allocator.observe(monitor.reported_thrust)

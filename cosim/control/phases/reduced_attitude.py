@@ -163,7 +163,7 @@ class ReducedAttitude:
                 for sign, value in zip(signs, added_torque, strict=True):
                     delayed[i] += self._map.span * sign * value
                 delayed[i] = max(least, min(most, delayed[i]))
-        return tuple([self._map.share(thrust) for thrust in delayed]), allocated
+        return tuple([self._map.fraction(thrust) for thrust in delayed]), allocated
 
     def _predict(self, direction: Vector3, rate: Vector3) -> tuple[Vector3, Vector3, float]:
         """Return direction, rates and the pair's moment at the time when a command of now arrives."""

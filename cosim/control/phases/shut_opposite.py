@@ -63,7 +63,7 @@ class ShutOpposite(FlightLaw):
         if len(failed) != 1 or monitor.health[failed[0]] != JetHealth(0.0):
             return NO_JETS
         opposite = self._opposites[failed[0]]
-        monitor.give_up(opposite)
+        monitor.mark_shut_off(opposite)
         if self._recovery is not None:
             self._is_recovering = True
             self._recovery.reset(monitor.reported_thrust, monitor.gains, (self._mass - burnt) * GRAVITY)

@@ -307,7 +307,7 @@ def _by_effectiveness(
     """
     index = AXES.index(axis)
     allocator, step = effectiveness_of(scenario, vehicle, engine), scenario.step_s
-    room = allocator.room(index)
+    room = allocator.acceleration_limit(index)
     engines, *hinges = hinged_parts(vehicle, allocator, index, engine, step)
     hinged = tuple([part for part in hinges if any(part.shape(step))])
     main, shape, others = dynamics, STILL, hinged

@@ -112,7 +112,7 @@ class Tap:
         self, axis: str, scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]
     ) -> None:
         """Set the tap as the allocation splits a small angular acceleration in hover, with the effect of each part."""
-        fractions, effects = effectiveness_of(scenario, vehicle, stations[0]).split(AXES.index(axis))
+        fractions, effects = effectiveness_of(scenario, vehicle, stations[0]).unit_changes(AXES.index(axis))
         jets, weight = len(vehicle.jets), vehicle.mass_kg * GRAVITY
         if not any(fractions):
             raise InputError(f"{vehicle.name}: its engines give no {axis} moment")

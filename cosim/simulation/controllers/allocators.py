@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 from cosim.base.protocols import Allocator
 from cosim.base.storage.cache import Memory
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
-from cosim.control.allocation.effectiveness import EffectivenessAllocator, Effectors, Mover
-from cosim.control.allocation.hinged_catch import HingedCatch, Late
+from cosim.control.allocation.effectiveness import AllocationModel, EffectivenessAllocator, Effector
+from cosim.control.allocation.hinged_recovery import EngineLag, HingedRecovery
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
 from cosim.control.phases.recovery import Recovery
 from cosim.engine import EngineSpec
@@ -65,8 +65,8 @@ def _by_effectiveness(
     # where a hinge carries engines all keep its pace: vanes that ran ahead of slow banks turned the jetwing over
     layout = vehicle.layout()
     lead_factor = 0.0 if layout.moves else 1.0
-    movers = [
-        Mover(
+    effectors = [
+        Effector(
             *hinge.least_most,
             hinge.rest_rad,
             hinge.rate_limit_rad_s * step,
@@ -75,11 +75,11 @@ def _by_effectiveness(
         )
         for hinge in vehicle.hinges
     ]
-    movers += [
-        Mover(*surface.range, 0.0, surface.rate_limit_1_s * step, surface.effort, effect)
+    effectors += [
+        Effector(*surface.range, 0.0, surface.rate_limit_1_s * step, surface.effort, effect)
         for surface, effect in zip(vehicle.surfaces, _surface_effects(scenario, vehicle), strict=True)
     ]
-    effectors = Effectors(
+    model = AllocationModel(
         vehicle.name,
         layout,
         vehicle.mass_kg,
@@ -88,14 +88,14 @@ def _by_effectiveness(
         thrust_map.span,
         list(zip(*ends, strict=True)),
         [jet.effort for jet in vehicle.jets],
-        movers,
+        effectors,
         limits.horizontal,
     )
     lateness = _engine_lateness(scenario, vehicle, stations)
-    return EffectivenessAllocator(effectors) if lateness is None else HingedCatch(effectors, lateness)
+    return EffectivenessAllocator(model) if lateness is None else HingedRecovery(model, lateness)
 
 
-def _engine_lateness(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> Late | None:
+def _engine_lateness(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> EngineLag | None:
     """Return the lateness of the engines, where the vehicle is to be caught without one of them.
 
     A throttle has acted after the delay and a third of the lag, by when an engine is well on its way: chosen by us.
@@ -105,7 +105,7 @@ def _engine_lateness(scenario: Scenario, vehicle: Vehicle, stations: Sequence[En
         return None
     references = [engine_reference(spec, scenario.step_s) for spec in stations]
     delay, lag = max(reference.delay for reference in references), max(reference.lag for reference in references)
-    return Late(delay + lag / 3.0, scenario.step_s)
+    return EngineLag(delay + lag / 3.0, scenario.step_s)
 
 
 def _surface_effects(scenario: Scenario, vehicle: Vehicle) -> list[tuple[float, ...]]:
@@ -144,5 +144,5 @@ def _throttle_rise(scenario: Scenario, vehicle: Vehicle, stations: Sequence[Engi
     acceleration, all alike, and what roll asks for between them is lost.
     """
     limits, step = vehicle.control.allocation, scenario.step_s
-    longest = max(engine_reference(spec, step).longest for spec in stations)
-    return (limits.throttle_max - limits.throttle_min) * step / max(longest, step)
+    longest_lag = max(engine_reference(spec, step).longest_lag for spec in stations)
+    return (limits.throttle_max - limits.throttle_min) * step / max(longest_lag, step)

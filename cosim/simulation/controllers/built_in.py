@@ -10,8 +10,8 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.control.allocation.engine_monitor import EngineMonitor
-from cosim.control.allocation.hinged_catch import HingedCatch
-from cosim.control.allocation.reallocation import get_ready
+from cosim.control.allocation.hinged_recovery import HingedRecovery
+from cosim.control.allocation.reallocation import load_solver
 from cosim.control.allocation.thrust_map import ThrustMap
 from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
@@ -117,7 +117,7 @@ def _effectiveness_laws(scenario: Scenario, vehicle: Vehicle, loops: Loops) -> l
     laws: list[FlightLaw] = []
     if vehicle.control.wing is not None:
         laws.append(_wing(scenario, vehicle, vehicle.control.wing, loops, allocator))
-    if isinstance(allocator, HingedCatch):
+    if isinstance(allocator, HingedRecovery):
         laws.append(HingedLean(loops, allocator))
     if allocator.surfaces:
         laws.append(SurfaceHover(loops, allocator))
@@ -209,7 +209,7 @@ def _monitor(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec
             f"scenario {scenario.name}: {vehicle.name} has no [control.monitor] to watch its engines with; "
             "state it, or set monitor = false"
         )
-    get_ready()
+    load_solver()
     references = {key: engine_reference(spec, scenario.step_s) for key, spec in {id(s): s for s in stations}.items()}
     return EngineMonitor(
         settings,

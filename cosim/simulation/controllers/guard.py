@@ -215,7 +215,7 @@ class GuardedController(Guarded):
         """Return the throttles that hold the vehicle up, or idle; see :class:`cosim.base.protocols.Controller`."""
         jets, hover = len(self._names), self._hover
         if burnt:
-            hover = self._thrust_map.share((self._mass - burnt) * GRAVITY / jets)
+            hover = self._thrust_map.fraction((self._mass - burnt) * GRAVITY / jets)
         throttle = self._idle if on_ground else self._thrust_map.throttle((hover,) * jets)
         unknown = (float("nan"),) * len(throttle)
         self._throttle, self._tilt = throttle, self._rest

@@ -88,7 +88,7 @@ def map_thrust(vehicle: Vehicle, engine: EngineSpec, stations: Sequence[EngineSp
     """Return the way from shares of thrust to throttles, and the share in hover."""
     curves = {id(station): StaticCurve(station.name, *station.rising) for station in (engine, *stations)}
     thrust_map = ThrustMap(curves[id(engine)], [curves[id(station)] for station in stations])
-    return thrust_map, thrust_map.share(vehicle.mass_kg * GRAVITY / len(vehicle.jets))
+    return thrust_map, thrust_map.fraction(vehicle.mass_kg * GRAVITY / len(vehicle.jets))
 
 
 def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[Predictor]:

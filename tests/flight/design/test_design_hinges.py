@@ -74,7 +74,7 @@ def test_the_room_of_an_axis_is_what_its_servos_follow() -> None:
     hinge = vehicle.hinges[0]
     turn = min(0.26, hinge.rate_limit_rad_s * hinge.lag_s)
     alone = vehicle.mass_kg * GRAVITY * 0.2 / vehicle.inertia_kg_m2[0] * turn
-    share = 1.0 - effectiveness_of(*_hover("quadjet")).by_thrust(0)
+    share = 1.0 - effectiveness_of(*_hover("quadjet")).thrust_part(0)
     assert of["roll"].room == pytest.approx(alone / share, rel=1e-4)
 
 
@@ -97,7 +97,7 @@ def leads(aircraft: str, index: int) -> Array:
     vehicle, spec, _ = plants(aircraft)
     scenario, _, _ = _hover(aircraft)
     allocator = effectiveness_of(scenario, vehicle, spec)
-    thrusts = allocator.hovering((0.0, 0.0, 0.0))[0]
+    thrusts = allocator.solve_hover((0.0, 0.0, 0.0))[0]
     rows = []
     for hinge, move in zip(vehicle.hinges, allocator.split(index)[0][len(vehicle.jets) :], strict=False):
         moment = np.zeros(3)
@@ -146,7 +146,8 @@ def test_a_channel_by_hinges_of_several_lags_is_their_sum(aircraft: str, axis: s
     channel, index = of[axis], AXES.index(axis)
     scenario, _, _ = _hover(aircraft)
     moves, effects = (
-        np.array(column[len(vehicle.jets) :]) for column in effectiveness_of(scenario, vehicle, spec).split(index)
+        np.array(column[len(vehicle.jets) :])
+        for column in effectiveness_of(scenario, vehicle, spec).unit_changes(index)
     )
     lead, kick = leads(aircraft, index), hinge_kicks(vehicle, T)[:, index]
     grid = FrequencyGrid(channel)
@@ -188,7 +189,7 @@ def test_what_is_given_beside_is_carried() -> None:
     channel = of["pitch"]
     assert channel.by_servo
     scenario, _, _ = _hover("trijet")
-    moves, effects = effectiveness_of(scenario, vehicle, spec).split(1)
+    moves, effects = effectiveness_of(scenario, vehicle, spec).unit_changes(1)
     jets = len(vehicle.jets)
     by_thrust = sum(m * e for m, e in zip(moves[:jets], effects[:jets], strict=True))
     engine = of["altitude"].actuator.dynamics

@@ -704,8 +704,8 @@ def test_a_speed_reading_stands_for_thrust() -> None:
     reference = EngineReference(
         points, [20.0 * u for u in points], [1000.0 * sqrt(u) for u in points], 0.1, 0.0, 0.1, 0.1
     )
-    assert reference.thrust_of(float("nan"), 1000.0 * sqrt(0.45)) == pytest.approx(9.0)
-    assert reference.thrust_of(5.0, float("nan")) == 5.0
+    assert reference.reported_to_thrust(float("nan"), 1000.0 * sqrt(0.45)) == pytest.approx(9.0)
+    assert reference.reported_to_thrust(5.0, float("nan")) == 5.0
 
 
 @pytest.mark.parametrize("jet", range(1, 7))
@@ -750,10 +750,10 @@ def test_no_false_alarm_from_a_flight_that_swings_out_of_control(engine: str) ->
 def test_the_reference_of_an_engine_is_its_own() -> None:
     spec = load_engine("turbojet", {}, STEP)
     stated = engine_reference(spec, STEP)
-    assert stated.lag == spec.lag == stated.shortest == stated.longest
+    assert stated.lag == spec.lag == stated.shortest_lag == stated.longest_lag
     assert stated.delay == pytest.approx(0.1)
     measured = engine_reference(load_engine("turbine-20", {}, STEP), STEP)
-    assert measured.shortest <= measured.lag <= measured.longest
+    assert measured.shortest_lag <= measured.lag <= measured.longest_lag
     assert measured.speed is not None
     assert list(measured.speed) == sorted(measured.speed)
 

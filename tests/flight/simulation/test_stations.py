@@ -55,7 +55,7 @@ def test_one_straight_curve_is_left_alone() -> None:
     assert thrust_map.identity
     assert thrust_map.throttle(shares) is shares
     assert thrust_map.idle == 0.0
-    assert thrust_map.share(7.3) == invert(LINE)(7.3)
+    assert thrust_map.fraction(7.3) == invert(LINE)(7.3)
 
 
 def test_what_a_curve_answers_does_not_depend_on_what_it_was_asked_before() -> None:
@@ -74,7 +74,7 @@ def test_what_a_curve_answers_does_not_depend_on_what_it_was_asked_before() -> N
 @pytest.mark.parametrize("name", ["edf", "edf-as-flown", "turbojet", "motor"])
 def test_the_papers_engines_are_straight(name: str) -> None:
     curve = StaticCurve(name, *load_engine(name, {}, 0.0025 if name == "motor" else STEP).curve)
-    assert curve.straight
+    assert curve.is_straight
     assert ThrustMap(curve, [curve]).idle == 0.0
 
 
@@ -82,13 +82,13 @@ def test_a_straight_curve_with_idle_thrust_is_straight() -> None:
     thrust_map = ThrustMap(STEEPER, [STEEPER] * 4)
     assert thrust_map.identity
     assert thrust_map.idle == pytest.approx(1.0 / 30.0)
-    assert thrust_map.share(16.0) == pytest.approx(0.5, rel=1e-15)
+    assert thrust_map.fraction(16.0) == pytest.approx(0.5, rel=1e-15)
 
 
 @pytest.mark.parametrize("bend", [1e-8, -1e-8])
 def test_a_curve_that_bends_by_more_than_a_billionth_is_not_straight(bend: float) -> None:
     bent = StaticCurve("bent", POINTS, tuple(20.0 * (u + 4.0 * bend * u * (1.0 - u)) for u in POINTS))
-    assert not bent.straight
+    assert not bent.is_straight
     assert not ThrustMap(bent, [bent]).identity
 
 
@@ -97,7 +97,7 @@ def test_equal_shares_are_equal_thrusts_on_a_curve() -> None:
     thrust_map = ThrustMap(SQUARE, [SQUARE] * 6)
     assert not thrust_map.identity
     for u, force in zip(SQUARE.throttle, SQUARE.thrust, strict=True):
-        assert thrust_map.throttle((thrust_map.share(force),) * 6) == pytest.approx((u,) * 6, abs=1e-15)
+        assert thrust_map.throttle((thrust_map.fraction(force),) * 6) == pytest.approx((u,) * 6, abs=1e-15)
     shares = np.linspace(0.0, 1.0, 301)
     thrusts = np.array([0.5 + 20.0 * thrust_map.throttle((c,) * 6)[0] ** 2 for c in shares.tolist()])
     np.testing.assert_allclose(thrusts, 0.5 + 20.0 * shares, atol=40.0 * 0.05**2 / 8 * 1.001)

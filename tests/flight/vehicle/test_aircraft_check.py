@@ -16,7 +16,7 @@ from cosim import InputError, Scenario, fly
 from cosim.base.signals import MOST_JETS
 from cosim.campaign.surveys import aircraft_check
 from cosim.campaign.surveys.aircraft_check import AircraftCheck, check_aircraft
-from cosim.control.allocation.authority import Authority, Reach, reach_of
+from cosim.control.allocation.authority import Authority, Reach, compute_reach
 from cosim.results.log.digest import log_digest
 from cosim.simulation.build import build
 from cosim.spec.vehicle import load_vehicle
@@ -40,7 +40,7 @@ def test_authority_of_a_quadrotor_is_what_it_is_by_hand() -> None:
 def test_tilted_jets_push_forward_and_turn_about_their_lever() -> None:
     vehicle, _ = load_vehicle("hexjet")
     reach = Reach(vehicle.layout(), [0.0] * 6, [1.0] * 6, [(-0.5, 0.5)] * 2, [0.0, 0.0], 1.0)
-    wrench = reach.effects((0.2, -0.1))
+    wrench = reach.effectiveness((0.2, -0.1))
     left, right = vehicle.jets[1], vehicle.jets[0]
     assert wrench[:3, 1] == pytest.approx([np.sin(0.2), 0.0, -np.cos(0.2)])
     for column, jet, tilt in ((1, left, 0.2), (0, right, -0.1)):
@@ -142,8 +142,8 @@ def test_the_quadjets_page_has_what_is_left_without_an_engine() -> None:
     scenario = Scenario.from_table({**table, "duration_s": 1.0, "initial": initial}, Path(), "test")
     with build(scenario) as simulation:
         least, most = aircraft_check._thrust(simulation)
-        found = reach_of(simulation.vehicle, least.tolist(), most.tolist()).authority([1])
-    roll, pitch, yaw = (found.span(axis) for axis in range(3))
+        found = compute_reach(simulation.vehicle, least.tolist(), most.tolist()).authority([1])
+    roll, pitch, yaw = (found.moment_range(axis) for axis in range(3))
     assert all(each.met for each in (roll, pitch, yaw))
     page = " ".join((ROOT / "aircraft" / "quadjet" / "README.md").read_text().split())
     assert (

@@ -97,9 +97,9 @@ def test_the_notch_and_the_lead_of_its_readme() -> None:
     run = fly(Scenario.load("trijet-hover").replace(expect=[], duration_s=0.1, sensor_noise=False))
     allocator = build(Scenario.load("trijet-hover")).controller.allocator
     assert isinstance(allocator, EffectivenessAllocator)
-    still, _ = allocator.hovering((0.0, 0.0, 0.0))
+    still, _ = allocator.solve_hover((0.0, 0.0, 0.0))
     small = 0.01
-    rolling, _ = allocator.hovering((small, 0.0, 0.0))
+    rolling, _ = allocator.solve_hover((small, 0.0, 0.0))
     tilting = VEHICLE.hinges[0]
     # pitch by the tilt a: both turbojets' z T a from the thrust and I a'' from the reaction
     notch = sqrt(tilting.position_m[2] * still[0] / tilting.inertia_kg_m2) / (2.0 * pi)
@@ -114,12 +114,12 @@ def test_the_notch_and_the_lead_of_its_readme() -> None:
 def test_it_hovers_with_its_hinges_at_rest_and_all_engines_at_the_same_share() -> None:
     allocator = build(Scenario.load("trijet-hover")).controller.allocator
     assert isinstance(allocator, EffectivenessAllocator)
-    found, missing = allocator.hovering((0.0, 0.0, 0.0))
+    found, missing = allocator.solve_hover((0.0, 0.0, 0.0))
     assert found[3:] == pytest.approx([0.0] * 4, abs=1e-9)
     assert missing == pytest.approx([0.0] * 6, abs=1e-9)
     assert found[0] / TURBOJET_N == pytest.approx(found[2] / FAN_N, rel=0.001)
     assert sum(found[:3]) == pytest.approx(VEHICLE.mass_kg * GRAVITY, rel=1e-9)
-    shares = [round(100.0 * allocator.by_thrust(axis)) for axis in range(3)]
+    shares = [round(100.0 * allocator.thrust_part(axis)) for axis in range(3)]
     assert f"thrusts give {shares[1]} %, hinges the rest; of roll {shares[0]} %, of yaw nothing" in PAGE
     assert shares[2] == 0
 

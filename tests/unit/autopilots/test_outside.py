@@ -10,7 +10,7 @@ from cosim.autopilots.lockstep import ActuatorOutputs
 from cosim.autopilots.run import external_rate_loop
 from cosim.base.protocols import EngineState
 from cosim.base.signals import ZERO3, Command, Disturbance, Measured, Vector3
-from cosim.control.allocation.reallocation import torques
+from cosim.control.allocation.reallocation import command_to_torque
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 
@@ -75,7 +75,7 @@ def test_the_inverse_gives_back_what_the_allocation_was_told() -> None:
         left, pitch_sign = (True, True, False, False), -1.0
 
     wanted = [[0.25, 0.25, -0.25, -0.25, 0.0, 0.0], [0.0] * 4 + [-0.5, -0.5], [0.0] * 4 + [0.5, -0.5]]
-    assert torques(4, Banks()) == wanted
+    assert command_to_torque(4, Banks()) == wanted
 
 
 def test_a_controller_without_a_rate_loop_of_ours_is_refused(hexjet: Hexjet) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from cosim.base.layout import Layout, Station, Turn
 from cosim.control.allocation.attainable import Hull
-from cosim.control.allocation.authority import RESOLUTION, Range, Reach, reach_of
+from cosim.control.allocation.authority import RESOLUTION, Range, Reach, compute_reach
 from cosim.spec.vehicle import load_vehicle
 
 WEIGHT = 10.0
@@ -80,9 +80,9 @@ def test_both_bounds_meet_at_the_closed_form(most: float, reach: float, exact: f
     """Tilted by ``a`` one ahead and one back, T cos a = W / 2 each: the yaw is 2 T sin a times half a metre."""
     for sign in (1.0, -1.0):
         found = banks(most, reach).moment((0.0, 0.0, sign))
-        assert found.met
-        assert found.least == pytest.approx(exact, rel=1e-6)
-        assert found.most >= exact * (1.0 - 1e-9)
+        assert found.is_exact
+        assert found.lower == pytest.approx(exact, rel=1e-6)
+        assert found.upper >= exact * (1.0 - 1e-9)
 
 
 def test_a_range_that_is_not_convex_is_told_closer_by_cutting_it() -> None:
@@ -99,16 +99,16 @@ def test_a_range_that_is_not_convex_is_told_closer_by_cutting_it() -> None:
     about = reach._about(np.array([1.0, 0.0, 0.0]))
     goal, rows, values = about.goal, about.rows[:1], about.values[:1]
     found = reach._largest(type(about)(goal, rows, values), 12)
-    assert found.least == pytest.approx(2.0 * sin(0.6), rel=1e-6)  # the twist's share of the thrust ahead
-    assert found.met
+    assert found.lower == pytest.approx(2.0 * sin(0.6), rel=1e-6)  # the twist's share of the thrust ahead
+    assert found.is_exact
 
 
 def test_a_balance_that_is_not_there_is_certain_and_one_that_was_not_found_is_not() -> None:
     quadrotor, _ = load_vehicle("quadrotor")
-    fallen = reach_of(quadrotor, [0.0] * 4, [quadrotor.mass_kg * 9.8] * 4).authority([2])
-    assert fallen.falls
+    fallen = compute_reach(quadrotor, [0.0] * 4, [quadrotor.mass_kg * 9.8] * 4).authority([2])
+    assert fallen.cannot_hover
     assert fallen.moment is None
-    assert fallen.span(0) == Range(0.0, 0.0)
+    assert fallen.moment_range(0) == Range(0.0, 0.0)
 
 
 def test_what_has_no_bound_is_at_least_what_a_search_attains() -> None:
@@ -119,30 +119,30 @@ def test_what_has_no_bound_is_at_least_what_a_search_attains() -> None:
     reach = Reach(Layout(stations, turns), [0.0] * 2, [50.0] * 2, [(-0.15, 0.15)] * 4, [0.0] * 4, WEIGHT)
     assert not reach.is_bounded
     found = reach.moment((0.0, 0.0, 1.0))
-    assert found.most == inf
+    assert found.upper == inf
     assert found.describe() == f"at least {0.5 * WEIGHT * tan(0.3):.3g}"
 
 
 def test_a_gimballed_vehicle_does_as_much_without_any_engine_that_symmetry_makes_alike() -> None:
     """The quadjet is its own mirror image in x and in y; all that differs is the order of its gimbals' axes."""
     vehicle, _ = load_vehicle("quadjet")
-    reach = reach_of(vehicle, [7.0] * 4, [100.0] * 4)
+    reach = compute_reach(vehicle, [7.0] * 4, [100.0] * 4)
     first, second = reach.authority([1]), reach.authority([2])
     for axis in range(3):
-        one, other = first.span(axis), second.span(axis)
-        assert one.met
-        assert other.met
-        assert one.least > 0.0
-        assert max(one.least, other.least) <= min(one.most, other.most)
+        one, other = first.moment_range(axis), second.moment_range(axis)
+        assert one.is_exact
+        assert other.is_exact
+        assert one.lower > 0.0
+        assert max(one.lower, other.lower) <= min(one.upper, other.upper)
 
 
 def test_the_section_of_a_gimballed_vehicle_has_no_notch() -> None:
     """Attained and not exceeded are within the width of a line everywhere, so that what is drawn is the set's edge."""
     vehicle, _ = load_vehicle("quadjet")
-    reach = reach_of(vehicle, [7.0] * 4, [100.0] * 4)
+    reach = compute_reach(vehicle, [7.0] * 4, [100.0] * 4)
     angles = [2.0 * pi * n / 8 for n in range(8)]
     found = reach.section([(cos(angle), sin(angle), 0.0) for angle in angles])
     for size in found:
-        assert size.most - size.least <= 0.01 * size.most
+        assert size.upper - size.lower <= 0.01 * size.upper
     for one, other in pairwise([found[1], found[3], found[5], found[7]]):
-        assert one.least == pytest.approx(other.least, rel=RESOLUTION)
+        assert one.lower == pytest.approx(other.lower, rel=RESOLUTION)

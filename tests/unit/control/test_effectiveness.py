@@ -13,13 +13,13 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.layout import UP, Layout, Station, Turn
 from cosim.base.signals import JetHealth
-from cosim.control.allocation.effectiveness import EffectivenessAllocator, Effectors, Mover
+from cosim.control.allocation.effectiveness import AllocationModel, EffectivenessAllocator, Effector
 
 MASS = 5.0
 TENSOR = ((0.05, -0.004, 0.002), (-0.004, 0.06, 0.001), (0.002, 0.001, 0.09))
 LOW, SPAN = 0.5, 25.0
 SAID = 1e-9
-HINGE = Mover(-0.5, 0.5, 0.0, 0.04, 1.0)
+HINGE = Effector(-0.5, 0.5, 0.0, 0.04, 1.0)
 
 
 def allocator(draw: np.random.Generator, hinges: bool = True) -> EffectivenessAllocator:
@@ -45,7 +45,7 @@ def allocator(draw: np.random.Generator, hinges: bool = True) -> EffectivenessAl
     mass = 0.45 * count * (LOW + SPAN) / GRAVITY * 0.8
     movers = [HINGE] * len(turns)
     return EffectivenessAllocator(
-        Effectors("any", layout, mass, TENSOR, LOW, SPAN, [(0.05, 0.95)] * count, [1.0] * count, movers)
+        AllocationModel("any", layout, mass, TENSOR, LOW, SPAN, [(0.05, 0.95)] * count, [1.0] * count, movers)
     )
 
 
@@ -64,13 +64,13 @@ def test_what_it_gives_is_what_it_says(seed: int) -> None:
     if made is None:
         return
     block, draw = made
-    layout, last = block._layout, np.array(block.rest[: len(block._movers)])
+    layout, last = block._layout, np.array(block.rest[: len(block._effectors)])
     jets = len(layout.stations)
     for _ in range(4):
         collective = block.hover + draw.normal() * 0.2
         torque = draw.normal(size=3) * draw.choice([1.0, 20.0, 200.0])
         done = block.allocate(collective, tuple(torque))
-        angles = np.array(done.tilt[: len(block._movers)])
+        angles = np.array(done.tilt[: len(block._effectors)])
         shares = np.array(done.throttle)
         assert shares.min() >= 0.05
         assert shares.max() <= 0.95
@@ -116,7 +116,7 @@ def square() -> EffectivenessAllocator:
     stations = [Station(place, UP, 0.03 * (-1) ** (n // 2)) for n, place in enumerate(places)]
     layout = Layout(stations)
     return EffectivenessAllocator(
-        Effectors("square", layout, MASS, TENSOR, LOW, SPAN, [(0.05, 0.95)] * 8, [1.0] * 8, [])
+        AllocationModel("square", layout, MASS, TENSOR, LOW, SPAN, [(0.05, 0.95)] * 8, [1.0] * 8, [])
     )
 
 
@@ -131,7 +131,7 @@ def test_without_a_jet_the_others_give_the_same() -> None:
     health = [JetHealth()] * 8
     health[2] = JetHealth(0.0)
     assert block.replan(health)
-    assert block.balanced
+    assert block.is_balanced
     done = block.allocate(block.hover, (2.0, 1.0, 0.0))
     assert done.unallocated == (0.0, 0.0, 0.0, 0.0)
     thrusts = [0.0 if n == 2 else LOW + SPAN * share for n, share in enumerate(done.throttle)]
@@ -146,10 +146,10 @@ def test_a_surface_gives_more_the_faster_the_air() -> None:
     """Pitch by an elevator as soon as there is air, by its effect times the pressure, and jets give the rest."""
     places = [(0.3, 0.3, 0.0), (-0.3, -0.3, 0.0), (0.3, -0.3, 0.0), (-0.3, 0.3, 0.0)]
     layout = Layout([Station(place, UP, 0.03 * (-1) ** (n // 2)) for n, place in enumerate(places)])
-    elevator = Mover(-1.0, 1.0, 0.0, 1.0, 1e-3, (0.0, 0.0, 0.0, 0.0, -0.01, 0.0))
+    elevator = Effector(-1.0, 1.0, 0.0, 1.0, 1e-3, (0.0, 0.0, 0.0, 0.0, -0.01, 0.0))
     tensor = ((0.05, 0.0, 0.0), (0.0, 0.06, 0.0), (0.0, 0.0, 0.09))
     block = EffectivenessAllocator(
-        Effectors("w", layout, 5.0, tensor, LOW, SPAN, [(0.05, 0.95)] * 4, [1.0] * 4, [elevator])
+        AllocationModel("w", layout, 5.0, tensor, LOW, SPAN, [(0.05, 0.95)] * 4, [1.0] * 4, [elevator])
     )
     assert block.allocate(block.hover, (0.0, 1.0, 0.0)).tilt == (0.0,)
     block.pressure = 200.0
@@ -162,6 +162,6 @@ def test_a_surface_gives_more_the_faster_the_air() -> None:
 
 def test_a_layout_that_nothing_balances_is_refused_with_what_is_missing() -> None:
     stations = [Station((0.3 + 0.1 * n, 0.0, 0.0), UP) for n in range(4)]
-    effectors = Effectors("nose", Layout(stations), MASS, TENSOR, LOW, SPAN, [(0.0, 1.0)] * 4, [1.0] * 4, [])
+    effectors = AllocationModel("nose", Layout(stations), MASS, TENSOR, LOW, SPAN, [(0.0, 1.0)] * 4, [1.0] * 4, [])
     with pytest.raises(InputError, match=r"in hover they leave 47 N of lift that nothing balances"):
         EffectivenessAllocator(effectors)

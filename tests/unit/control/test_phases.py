@@ -75,7 +75,7 @@ def test_the_catch_waits_while_rates_are_asked_for_and_ends_with_idle_engines() 
     with cascade_of("octojet-hover") as cascade:
         law, monitor, selector = law_of(cascade, ShutOpposite), cascade.monitor, Selector(cascade.selector.laws)
         assert monitor is not None
-        monitor.give_up(0)
+        monitor.mark_shut_off(0)
         across = law.handle_loss(monitor, 0.0)
         assert len(across) == 1
         assert [gain for jet, gain in enumerate(monitor.gains) if jet in across] == [0.0]
@@ -92,7 +92,7 @@ def test_a_quadrotor_spins_with_its_first_rotor_lost_until_its_engines_idle() ->
         law, monitor, selector = law_of(cascade, SpunFlight), cascade.monitor, Selector(cascade.selector.laws)
         assert monitor is not None
         assert selector.select(asked()) is cascade.selector.laws[-1]
-        monitor.give_up(2)
+        monitor.mark_shut_off(2)
         assert law.handle_loss(monitor, 0.0) == NO_JETS
         assert selector.select(asked(rate=ZERO3)) is law
         selector.idle()

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from cosim.base.constants import GRAVITY
 from cosim.base.limits import clamp
 from cosim.base.signals import AXES, Vector3
-from cosim.control.allocation.authority import reach_of
+from cosim.control.allocation.authority import compute_reach
 from cosim.control.autopilot.geometry import Pair, limit_length, wrap
 from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.spec.vehicle import EngineLead, Vehicle
@@ -102,9 +102,9 @@ def _by_layout(vehicle: Vehicle, hover: float, idle: float, gain: Sequence[float
     per_jet = vehicle.mass_kg * GRAVITY / len(vehicle.jets) / (hover + idle)
     limits, jets = vehicle.control.allocation, len(vehicle.jets)
     least, most = ([per_jet * (fraction + idle)] * jets for fraction in (limits.throttle_min, limits.throttle_max))
-    reach = reach_of(vehicle, least, most)
+    reach = compute_reach(vehicle, least, most)
     lines = [tuple(sign * (n == axis) for n in range(3)) for axis in range(3) for sign in (1.0, -1.0)]
-    sizes = [size.least for size in reach.section(lines)]
+    sizes = [size.lower for size in reach.section(lines)]
     slowest = max([hinge.lag_s for hinge in vehicle.hinges], default=0.0)
     authority = []
     for axis, name in enumerate(AXES):

@@ -12,27 +12,27 @@ from scipy.spatial.transform import Rotation
 from cosim.base.constants import GRAVITY
 from cosim.base.layout import UP, Layout, Station, Turn
 from cosim.base.signals import Command, JetHealth, Measured
-from cosim.control.allocation.effectiveness import Effectors, Mover
-from cosim.control.allocation.hinged_catch import HELD_LEAN_RAD, LEAN_RAD, HingedCatch, Late
+from cosim.control.allocation.effectiveness import AllocationModel, Effector
+from cosim.control.allocation.hinged_recovery import HELD_LEAN_RAD, LEAN_RAD, EngineLag, HingedRecovery
 from cosim.control.attitude import MOST_LEAN_RAD, AttitudeController
 from cosim.spec.vehicle import AttitudeGains, load_vehicle
 
 MASS = 5.0
 TENSOR = ((0.05, -0.004, 0.002), (-0.004, 0.06, 0.001), (0.002, 0.001, 0.09))
 LOW, SPAN = 0.5, 25.0
-LATE = Late(0.4, 0.004)
+LATE = EngineLag(0.4, 0.004)
 
 
-def jetwing(*surfaces: Mover) -> tuple[HingedCatch, Layout, list[tuple[float, float]]]:
+def jetwing(*surfaces: Effector) -> tuple[HingedRecovery, Layout, list[tuple[float, float]]]:
     """The jetwing's hinges, with its mass and inertia, and engines of 0.5 to 24.5 N; and their ranges."""
     vehicle, _ = load_vehicle("jetwing")
     layout, step = vehicle.layout(), 0.004
-    movers = [Mover(*h.least_most, h.rest_rad, h.rate_limit_rad_s * step, h.effort) for h in vehicle.hinges]
-    effectors = Effectors(
+    movers = [Effector(*h.least_most, h.rest_rad, h.rate_limit_rad_s * step, h.effort) for h in vehicle.hinges]
+    effectors = AllocationModel(
         "jetwing", layout, vehicle.mass_kg, vehicle.tensor, 0.5, 24.0, [(0.0, 1.0)] * 4, [20.0] * 4,
         [*movers, *surfaces], vehicle.control.allocation.horizontal,
     )  # fmt: skip
-    return HingedCatch(effectors, LATE), layout, [hinge.least_most for hinge in vehicle.hinges]
+    return HingedRecovery(effectors, LATE), layout, [hinge.least_most for hinge in vehicle.hinges]
 
 
 def wrench(layout: Layout, thrust: list[float], angles: list[float]) -> tuple[np.ndarray, np.ndarray]:
@@ -68,7 +68,7 @@ def test_hinges_that_carry_engines_give_up_no_lift_that_they_need_not(thrust: fl
     given = [0.0, thrust, thrust, thrust]
     caught.replan([JetHealth(0.0), *[JetHealth()] * 3])
     for _ in range(400):
-        caught.look(tuple(given))
+        caught.observe(tuple(given))
         answer = caught.allocate(caught.hover, (0.0, 0.0, 0.0))
     force, moment = wrench(layout, given, list(answer.tilt))
     assert np.abs(moment).max() < 0.02
@@ -79,13 +79,13 @@ def test_it_leans_against_what_its_hinges_push_aside() -> None:
     caught, layout, _ = jetwing()
     given = [0.0, 15.2, 15.2, 15.2]
     caught.replan([JetHealth(0.0), *[JetHealth()] * 3])
-    assert not caught.leans
+    assert not caught.is_leaning
     for _ in range(600):
-        caught.look(tuple(given))
+        caught.observe(tuple(given))
         answer = caught.allocate(caught.hover, (0.0, 0.0, 0.0))
     x, y, z = wrench(layout, given, list(answer.tilt))[0]
     roll, pitch = caught.lean
-    assert caught.leans
+    assert caught.is_leaning
     assert roll == pytest.approx(np.clip(atan2(-y, -z), -LEAN_RAD, LEAN_RAD), abs=0.01)
     assert pitch == pytest.approx(np.clip(atan2(x, -z), -LEAN_RAD, LEAN_RAD), abs=0.01)
     # about these angles the force comes nearer to straight up
@@ -93,11 +93,11 @@ def test_it_leans_against_what_its_hinges_push_aside() -> None:
     assert np.hypot(*straight[:2]) < 0.7 * np.hypot(x, y)
     # thrusts that hold the weight leave less of it
     for _ in range(600):
-        caught.look((0.0, 22.0, 22.0, 6.0))
+        caught.observe((0.0, 22.0, 22.0, 6.0))
         caught.allocate(caught.hover, (0.0, 0.0, 0.0))
     assert max(map(abs, caught.lean)) <= HELD_LEAN_RAD + 1e-9
     caught.reset()
-    assert not caught.leans
+    assert not caught.is_leaning
     assert caught.lean == (0.0, 0.0)
 
 
@@ -126,19 +126,19 @@ def test_the_lean_is_asked_for_whatever_the_heading_is(yaw: float, roll: float, 
 
 def test_without_an_engine_surfaces_stay_at_zero() -> None:
     """The air's speed is not known: an elevator counted with the speed over the ground put the nose down in wind."""
-    elevator = Mover(-1.0, 1.0, 0.0, 0.02, 1.0, (0.0, 0.0, -0.05, 0.0, -0.03, 0.0))
+    elevator = Effector(-1.0, 1.0, 0.0, 0.02, 1.0, (0.0, 0.0, -0.05, 0.0, -0.03, 0.0))
     caught, _, _ = jetwing(elevator)
 
     def deflection() -> float:
         for _ in range(100):
             caught.pressure = 60.0
             answer = caught.allocate(caught.hover, (0.0, -3.0, 0.0))
-            caught.look((15.2,) * 4)
+            caught.observe((15.2,) * 4)
         return answer.tilt[-1]
 
     assert deflection() > 0.1
     caught.replan([JetHealth(0.0), *[JetHealth()] * 3])
-    caught.look((0.0, 15.2, 15.2, 15.2))
+    caught.observe((0.0, 15.2, 15.2, 15.2))
     assert deflection() == pytest.approx(0.0, abs=1e-9)
 
 
@@ -150,16 +150,16 @@ def test_without_an_engine_hinges_turn_it_and_late_throttles_are_not_asked_to() 
         for jet, station in enumerate(stations)
         for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     ]
-    movers = [Mover(-0.26, 0.26, 0.0, 0.02, 1.0)] * 8
+    movers = [Effector(-0.26, 0.26, 0.0, 0.02, 1.0)] * 8
     layout = Layout(stations, turns)
-    effectors = Effectors("square", layout, MASS, TENSOR, LOW, SPAN, [(0.05, 1.0)] * 4, [20.0] * 4, movers)
-    caught = HingedCatch(effectors, LATE)
+    effectors = AllocationModel("square", layout, MASS, TENSOR, LOW, SPAN, [(0.05, 1.0)] * 4, [20.0] * 4, movers)
+    caught = HingedRecovery(effectors, LATE)
     even = MASS * GRAVITY / 4
     caught.replan([JetHealth(0.0), *[JetHealth()] * 3])
-    caught.look((even,) * 4)
+    caught.observe((even,) * 4)
     for _ in range(20):  # as far as hinges go, with the engines where they were
         given = caught.allocate(caught.hover, (-2.0, 1.0, 0.0))
-        caught.look((even,) * 4)
+        caught.observe((even,) * 4)
     # the one across at its least, and those beside it up, whatever moment is asked for
     assert given.throttle[3] == pytest.approx(0.05)
     assert min(given.throttle[1:3]) > 0.99
@@ -168,10 +168,10 @@ def test_without_an_engine_hinges_turn_it_and_late_throttles_are_not_asked_to() 
     assert given.unallocated.roll != 0.0
     # thrusts in balance: hinges give what is asked for, and throttles stay as they are
     for _ in range(400):
-        caught.look((0.0, 2 * even, 2 * even, 0.0))
+        caught.observe((0.0, 2 * even, 2 * even, 0.0))
         still = caught.allocate(caught.hover, (0.0, 0.0, 0.0))
     for _ in range(20):
-        caught.look((0.0, 2 * even, 2 * even, 0.0))
+        caught.observe((0.0, 2 * even, 2 * even, 0.0))
         turned = caught.allocate(caught.hover, (0.5, -0.25, 0.0))
     assert turned.unallocated[:3] == (0.0, 0.0, 0.0)
     assert turned.throttle == pytest.approx(still.throttle)

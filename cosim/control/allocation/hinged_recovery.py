@@ -20,7 +20,7 @@ for at first with each of those hinges at either end, and no such hinge goes fur
 Surfaces stay at zero: how fast the air comes is not known.  The heading is not held, its turning is only stopped
 (:meth:`cosim.control.attitude.AttitudeController.thrust_first`): to turn back costs lift.
 
-What such hinges push aside the vehicle leans against: :attr:`HingedCatch.lean` brings the reported force, whose
+What such hinges push aside the vehicle leans against: :attr:`HingedRecovery.lean` brings the reported force, whose
 direction in the body is ``(X, Y, -L)``, to where the thrust of an even vehicle would point, by ``atan(-Y / L)`` of roll
 and ``atan(X / L)`` of pitch, late by a lag and within a limit that is smaller once the weight is held.
 """
@@ -46,8 +46,8 @@ from cosim.control.allocation.effectiveness import (
     RIGHT,
     ROLL,
     YAW,
+    AllocationModel,
     EffectivenessAllocator,
-    Effectors,
 )
 
 # Chosen by us.
@@ -64,34 +64,34 @@ DEFLECTING: Final = ((ROLL, PITCH), (YAW,))
 UNBALANCED: Final = 100.0  # what missing roll and pitch count, to missing lift, where most lift is searched for
 
 
-class Late(NamedTuple):
-    """Engines that answer late."""
+class EngineLag(NamedTuple):
+    """Delay of the engines, and the control step."""
 
-    ahead: float  # s, after which a throttle has acted
+    delay: float  # s, after which a throttle has acted
     step: float  # s
 
 
-class Search(NamedTuple):
-    """Where a solution is searched for, in place of the allocator's own last commands, limits and priorities."""
+class SolverOptions(NamedTuple):
+    """Start, limits and priorities of a solution, in place of the allocator's own."""
 
     last: list[float]  # thrusts [N] and servos to begin from
-    ends: list[tuple[float, float]]  # of each thrust, N
+    thrust_limits: list[tuple[float, float]]  # of each thrust, N
     levels: list[tuple[int, ...]]
-    reach: list[tuple[float, float]]  # of each servo
-    stand: list[float]  # where servos are left if there is a choice
+    servo_limits: list[tuple[float, float]]
+    neutral: list[float]  # positions of the servos if there is a choice
 
 
-class HingedCatch(EffectivenessAllocator):
+class HingedRecovery(EffectivenessAllocator):
     """As :class:`EffectivenessAllocator` while all engines run; without one see the module's text.
 
-    ``late``: of the engines.
+    ``lag``: of the engines.
     """
 
-    def __init__(self, effectors: Effectors, late: Late) -> None:
-        self._late = late
-        self._carriers = [number for number, turn in enumerate(effectors.layout.turns) if turn.carries]
+    def __init__(self, model: AllocationModel, lag: EngineLag) -> None:
+        self._lag = lag
+        self._carriers = [number for number, turn in enumerate(model.layout.turns) if turn.carries]
         self._turns: list[tuple[int, ...]] = [*(TURNING if self._carriers else DEFLECTING)]
-        super().__init__(effectors)
+        super().__init__(model)
 
     def reset(self) -> None:
         """All engines are healthy, hinges at rest."""
@@ -105,11 +105,11 @@ class HingedCatch(EffectivenessAllocator):
         super().reset()
 
     @property
-    def leans(self) -> bool:
+    def is_leaning(self) -> bool:
         """Whether it leans against what its hinges push aside: without an engine, where they carry engines."""
         return bool(self._reported) and bool(self._carriers)
 
-    def look(self, thrust: PerJet) -> None:
+    def observe(self, thrust: PerJet) -> None:
         """Take the ``thrust`` [N] that the engines' reports at the end of a step stand for."""
         if all(jet.gain > 0.0 for jet in self._health):
             return
@@ -118,10 +118,10 @@ class HingedCatch(EffectivenessAllocator):
             0.0 if jet.gain == 0.0 and jet.fixed == 0.0 else f for f, jet in zip(thrust, self._health, strict=True)
         ]
         if self._reported:
-            late = self._late
-            share = late.step / (SLOPE_S + late.step)
+            lag = self._lag
+            share = lag.step / (SLOPE_S + lag.step)
             for i, (now, before) in enumerate(zip(given, self._reported, strict=True)):
-                self._rising[i] += share * ((now - before) / late.step - self._rising[i])
+                self._rising[i] += share * ((now - before) / lag.step - self._rising[i])
         else:
             self._carrying = self._hovers
         self._reported = given
@@ -139,7 +139,7 @@ class HingedCatch(EffectivenessAllocator):
         wanted = self._wanted(lift, torque, added)
         jets, servos = self._jets, self._last[self._jets :]
         self._carrying, short = self._carried(lift)
-        reach, stand = self._reach, self._hovers[jets:]
+        reach, stand = self._servo_limits, self._hovers[jets:]
         if self._short and self._carriers:
             self._short = self._lifts(servos)
             if self._short:
@@ -169,22 +169,22 @@ class HingedCatch(EffectivenessAllocator):
         pushed += PUSHED * lift
         part = 0.0 if self._turning_on else TRIMMED
         reach = [
-            (mover.rest + part * (low - mover.rest), mover.rest + part * (high - mover.rest))
-            for mover, (low, high) in zip(self._movers, self._reach, strict=True)
+            (effector.rest + part * (low - effector.rest), effector.rest + part * (high - effector.rest))
+            for effector, (low, high) in zip(self._effectors, self._servo_limits, strict=True)
         ]
         wanted, stand = [0.0, 0.0, pushed, 0.0, 0.0, 0.0], self._hovers[self._jets :]
-        search = Search(self._carrying, self._ends, [*LEVELS, *HORIZONTAL], reach, stand)
-        return self._solve_within(search, wanted, lift, PASSES, False)
+        options = SolverOptions(self._carrying, self._thrust_limits, [*LEVELS, *HORIZONTAL], reach, stand)
+        return self._solve_within(options, wanted, lift, PASSES, False)
 
     def _lifts(self, servos: list[float]) -> bool:
         """Whether the reported thrusts cannot hold the weight in balance; hinges follow the most lift meanwhile."""
-        rest, weight = self._stand, [0.0, 0.0, self._weight, 0.0, 0.0, 0.0]
+        rest, weight = self._neutral, [0.0, 0.0, self._weight, 0.0, 0.0, 0.0]
         starts, passes = [self._lifting], PASSES
         if not self._lifting:
             starts, passes = [rest, servos], FIRST_PASSES
             for number in self._carriers:
-                starts += [[*rest[:number], end, *rest[number + 1 :]] for end in self._reach[number]]
-        found = [self._beside(weight, start, self._reach, rest, passes, False) for start in starts]
+                starts += [[*rest[:number], end, *rest[number + 1 :]] for end in self._servo_limits[number]]
+        found = [self._beside(weight, start, self._servo_limits, rest, passes, False) for start in starts]
         norms, costs = self._norms, []
         for _, missing in found:
             turned = abs(missing[ROLL]) * norms[ROLL] + abs(missing[PITCH]) * norms[PITCH]
@@ -194,7 +194,7 @@ class HingedCatch(EffectivenessAllocator):
 
     def _near(self, angles: Sequence[float]) -> list[tuple[float, float]]:
         """Return the servos' ranges [rad], for hinges that carry engines within ``ASTRAY`` of these angles."""
-        near = list(self._reach)
+        near = list(self._servo_limits)
         for number in self._carriers:
             low, high = near[number]
             near[number] = (max(low, angles[number] - ASTRAY), min(high, angles[number] + ASTRAY))
@@ -204,39 +204,39 @@ class HingedCatch(EffectivenessAllocator):
         self,
         wanted: list[float],
         servos: Sequence[float],
-        reach: list[tuple[float, float]],
-        stand: list[float],
+        servo_limits: list[tuple[float, float]],
+        neutral: list[float],
         passes: int,
         rated: bool,
     ) -> tuple[list[float], list[float]]:
         """Servos beside the reported thrusts, from where servos are, and what is missing of the wanted."""
         last, ends = [*self._reported, *servos], [(thrust, thrust) for thrust in self._reported]
-        search = Search(last, ends, self._turns, reach, stand)
-        found, missing = self._solve_within(search, wanted, wanted[LIFT], passes, rated)
+        options = SolverOptions(last, ends, self._turns, servo_limits, neutral)
+        found, missing = self._solve_within(options, wanted, wanted[LIFT], passes, rated)
         return found[self._jets :], missing
 
     def _solve_within(
-        self, search: Search, wanted: list[float], lift: float, passes: int, rated: bool
+        self, options: SolverOptions, wanted: list[float], lift: float, passes: int, rated: bool
     ) -> tuple[list[float], list[float]]:
-        """As :meth:`_solve`, by ``search``; ``rated``: as far as servos go in a step, and in a hurry."""
-        last, ends, levels, reach, stand = search
+        """As :meth:`_solve`, by ``options``; ``rated``: as far as servos go in a step, and in a hurry."""
+        last, thrust_limits, levels, servo_limits, neutral = options
         pressure, preferred = self.pressure, self._preferred
         return self._solver.solve(
-            wanted, lift, pressure, passes, rated, rated, last, ends, levels, preferred, reach, stand
+            wanted, lift, pressure, passes, rated, rated, last, thrust_limits, levels, preferred, servo_limits, neutral
         )
 
     def _turns_on(self, wanted: Sequence[float], missing: Sequence[float], servos: Sequence[float]) -> bool:
         """Whether hinges are at their limits, and with the thrusts that are on their way turn it against the wanted."""
         if all(-GIVEN <= missing[row] * self._norms[row] <= GIVEN for row in (ROLL, PITCH)):
             return False
-        late = self._late
-        coming = [max(0.0, f + late.ahead * up) for f, up in zip(self._reported, self._rising, strict=True)]
+        lag = self._lag
+        coming = [max(0.0, f + lag.delay * up) for f, up in zip(self._reported, self._rising, strict=True)]
         moments, _ = self._solver.linear([*coming, *servos], self.pressure)
         return moments[ROLL] * wanted[ROLL] + moments[PITCH] * wanted[PITCH] <= 0.0
 
     def _lean(self, missing: Sequence[float], lift: float) -> None:
         """Let :attr:`lean` follow the force that is given: what is missing of none ahead and aside, and a lift [N]."""
-        share, (roll, pitch) = self._late.step / (LEAN_S + self._late.step), self.lean
+        share, (roll, pitch) = self._lag.step / (LEAN_S + self._lag.step), self.lean
         most = LEAN_RAD if self._short else HELD_LEAN_RAD
         to_roll = clamp(atan2(missing[RIGHT], lift), most)
         to_pitch = clamp(atan2(-missing[FORWARD], lift), most)
