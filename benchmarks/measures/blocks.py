@@ -16,10 +16,12 @@ from typing import Any
 from benchmarks.measures.speed import RECORDED, Flights, collect, fly_through
 from benchmarks.timing import Action, Cost, Job
 from cosim.base.arrays import Array
-from cosim.base.signals import ZERO3, Sample, Unallocated
+from cosim.base.signals import ZERO3, PerJet, PerServo, Sample, Unallocated, Vector3
 from cosim.results.log.arrow import StreamSink
 from cosim.results.log.recorder import MemorySink, Recorder
 from cosim.simulation.step import Simulation
+from cosim.spec.vehicle import layout_of
+from cosim.vehicle.effects.effect import Load
 
 SUBSTEPS = 4  # as the shipped scenarios have it
 
@@ -176,7 +178,8 @@ class Replay:
         engines = propulsion.engines
         left, right = propulsion.servos
         initial = simulation.scenario.initial
-        forces = [propulsion.forces(sample.thrust, sample.tilt) for sample in samples]
+        load = Load(layout_of(simulation.vehicle.jets, simulation.vehicle.hinges))
+        forces = [_push(load, sample.thrust, sample.tilt) for sample in samples]
         airframe.moving = False  # from here on it writes and reads, and JSBSim stands still
 
         def reset_servos() -> None:
@@ -195,7 +198,7 @@ class Replay:
                 [s.engines for s in samples],
             ),
             Block(SERVOS, reset_servos, servos, [s.actuation.tilt for s in samples], [s.tilt for s in samples]),
-            Block(FORCES, _nothing, propulsion.forces, [(s.thrust, s.tilt) for s in samples]),
+            Block(FORCES, _nothing, partial(_push, load), [(s.thrust, s.tilt) for s in samples]),
             Block(
                 AIRFRAME,
                 partial(airframe.reset, initial, forces[0], ZERO3),
@@ -254,7 +257,6 @@ class Clocks:
             (ALLOCATION, cascade.allocator, "allocate"),
             (ENGINES, propulsion.engines.bank, "step"),
             *[(SERVOS, servo, "update") for servo in propulsion.servos],
-            (FORCES, propulsion, "forces"),
             (AIRFRAME, simulation.airframe, "step"),
             (SENSORS, simulation.sensors, "sample"),
             (END_CHECK, simulation.termination, "check"),
@@ -318,6 +320,12 @@ class _Nowhere:
 
     def write(self, table: Array) -> None:
         pass
+
+
+def _push(load: Load, thrust: PerJet, tilt: PerServo) -> list[Vector3]:
+    """Return the jets' forces, hinges turned."""
+    load.place(tilt)
+    return load.along_axes(thrust)
 
 
 def _nothing() -> None:
