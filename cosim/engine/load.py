@@ -85,6 +85,7 @@ def load_unchecked(
             Sibling(other.curve, other.small, _logged(source, slot))
             for slot, other in enumerate(measured.others, start=1)
         ),
+        uncertainty=mapping.uncertainty,
     )
 
 

@@ -18,6 +18,7 @@ from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive, read_archive
 from cosim.engine.fmu.mapping import MappingFile, PortMap, is_mapping, read_mapping
 from cosim.engine.fmu.starting import Setting
+from cosim.engine.fmu.uncertainty import Uncertainty, without_uncertainty
 from cosim.engine.fmu.variables import INTEGERS, Port, Variable
 from cosim.engine.library import (
     FMI2_SUFFIX,
@@ -79,6 +80,7 @@ class EngineSpec:
     slot: int = 0  # which of the engines that its FMU holds, from 0
     others: tuple[Sibling, ...] = field(default=(), repr=False)  # of the first one: those that are held with it
     misbehaves: str = ""  # what a check found that it does to its process, for which it has one of its own
+    uncertainty: Uncertainty | None = field(default=None, repr=False)  # of its parameters, from a mapping file
 
     @property
     def identity(self) -> str:
@@ -89,11 +91,12 @@ class EngineSpec:
     def fingerprint(self) -> str:
         """Identity of a file's engine in an identified model: a hash of archive and mapping file; empty: library.
 
-        The name alone does not distinguish one ``kestrel.toml`` from another.
+        The name alone does not distinguish one ``kestrel.toml`` from another.  How well its parameters are known is no
+        part of it.
         """
         if self.library:
             return ""
-        stated = self.mapping.read_bytes() if self.mapping else b""
+        stated = without_uncertainty(self.mapping.read_bytes()) if self.mapping else b""
         return hashlib.sha256(self.identity.encode() + stated).hexdigest()
 
     def owns(self, model_sha256: str) -> bool:
@@ -236,6 +239,8 @@ def find_source(name_or_path: str) -> EngineSource:
         if mapping.parameter_set is not None:
             stated = read_parameter_set(path.parent / mapping.parameter_set, archive)
             mapping = mapping.model_copy(update={"parameters": stated | mapping.parameters})
+        if mapping.uncertainty is not None:
+            mapping.uncertainty.check_parameters(archive.parameters, archive.start, str(path))
         return EngineSource(path, archive, None, mapping)
     if path.suffix.lower() in (".fmu", SUFFIX) or len(path.parts) > 1 or path.is_file():
         return EngineSource(path, _read(path), None, MappingFile.model_construct(fmu=path.name))

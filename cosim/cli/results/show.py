@@ -83,11 +83,12 @@ def show(options: Show) -> int:
     """Show what NAME, of hexjet list, is: its numbers, their units and what they mean, from its files.
 
     The thrust of an engine is measured: its FMU is held at throttles until it stands still.  NAME may be the file of a
-    design, too: what it was made for, what its proof came to, its margins and gains.
+    design, too: what it was made for, what its proof came to, its margins and gains; or the mapping file of an engine:
+    its parameters, and how well they are known.
     """
     name = options.name
-    design = None if options.kind else _design(name)
-    shown = [design] if design else _entries(name, [options.kind] if options.kind else KINDS)
+    file = None if options.kind else _design(name) or _engine_file(name)
+    shown = [file] if file else _entries(name, [options.kind] if options.kind else KINDS)
 
     def show_all() -> None:
         for item in shown:
@@ -134,6 +135,36 @@ def _design(name: str) -> dict[str, Any] | None:
         "title": f"{table['controller']} for {purpose.aircraft} with engine {purpose.engine}",
         "description": describe_proof(purpose),
         "numbers": [*margins, *_file_rows(table["vehicle"])],
+    }
+
+
+def _engine_file(name: str) -> dict[str, Any] | None:
+    """Return what the mapping file of an engine says, None for any other name.  Its FMU is not run.
+
+    Raises InputError.
+    """
+    from cosim.base.storage.toml import read_toml
+    from cosim.engine.spec import find_source, resolve_parameters
+
+    path = Path(name)
+    if path.suffix.lower() != ".toml" or not path.is_file() or "fmu" not in read_toml(path):
+        return None
+    source = find_source(name)
+    values, _ = resolve_parameters(source, {})
+    known = {variable.name: variable for variable in source.archive.parameters}
+    numbers = [Number(each, value, known[each].unit or "", known[each].description) for each, value in values.items()]
+    table = source.mapping.uncertainty
+    uncertain = table.parameters if table is not None else []
+    for index, each in enumerate(uncertain):
+        assert table is not None
+        meaning = table.describe(index)
+        numbers.append(Number(f"uncertainty.{each}", table.deviation[index], known[each].unit or "", meaning))
+    return {
+        "kind": "engines",
+        "name": name,
+        "title": source.mapping.title or source.archive.model,
+        "description": f"uncertainty: {table.source or 'of no stated source'}" if table is not None else "",
+        "numbers": numbers,
     }
 
 

@@ -31,6 +31,10 @@ Of these only ``fmu`` is needed; ports that are not stated are found (:mod:`cosi
     shaft_torque_Nm = "tau"
     [ledger]
     delay_s = 0.1             # of the thrust behind the throttle, if known
+    [uncertainty]             # of the parameters, as identified: see cosim.engine.fmu.uncertainty
+    parameters = ["gain"]
+    deviation = [0.02]        # standard deviation of each
+    spread = [0.01]           # between engines
 """
 
 import re
@@ -45,6 +49,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, create_model, model
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import Model, NotNegative, Positive, read_toml, validate
 from cosim.engine.fmu.port_kinds import KINDS
+from cosim.engine.fmu.uncertainty import Uncertainty
 from cosim.engine.fmu.units import by_name
 from cosim.engine.rundown import FlameOutLaw, law_of
 
@@ -167,6 +172,7 @@ class MappingFile(Model):
     rotor: _Rotor = Field(default_factory=_Rotor.model_construct)
     flame_out: _FlameOut | None = None
     ledger: _Ledger = Field(default_factory=_Ledger.model_construct)
+    uncertainty: Uncertainty | None = None
     log: Annotated[dict[str, VariableName], BeforeValidator(flatten)] = Field(default_factory=dict)  # column: output
     parameter_set: str | None = Field(default=None, min_length=1)  # a file (SSV) beside it; [parameters] go before it
 

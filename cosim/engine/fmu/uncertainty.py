@@ -1,0 +1,136 @@
+"""The table ``[uncertainty]`` of a mapping file: how well an engine's parameters are identified.
+
+The parameters of an engine are ``nominal + u + v``: ``u`` is normal with covariance ``deviation_i correlation_ij
+deviation_j`` and the same for all engines of a vehicle, ``v`` is normal with the standard deviation ``spread_i``, drawn
+for each engine by itself.  Both are cut off at :data:`CUT` standard deviations and at the FMU's own limits.
+"""
+
+import re
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from math import sqrt
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from cosim.base.errors import InputError, nearest
+from cosim.base.storage.toml import Model, NotNegative
+from cosim.engine.fmu.variables import LEVERS, Variable
+
+CUT = 3.0  # standard deviations, of the format: beyond them no identification is normal
+ROUNDING = 1e-3  # of an eigenvalue: correlations are written with some three digits
+_TABLE = re.compile(rb"^\s*\[uncertainty\].*?(?=^\s*\[[\"'A-Za-z_]|\Z)", re.MULTILINE | re.DOTALL)
+SETTABLE = ("", "fixed", "tunable")  # variabilities of a parameter that can be set before a flight
+
+Matrix = list[list[Annotated[float, Field(ge=-1.0, le=1.0)]]]
+
+
+class Uncertainty(Model):
+    """Standard deviations of an engine's parameters, each in its parameter's unit."""
+
+    source: str = ""  # where the numbers are from, one line
+    parameters: Annotated[list[str], Field(min_length=1)]
+    deviation: list[NotNegative]  # about the nominal value, common to all engines of a vehicle
+    correlation: Matrix | None = None  # of the common deviations; None: none
+    spread: list[NotNegative] | None = None  # between engines of one kind; None: none
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        names, count = self.parameters, len(self.parameters)
+        if repeated := [a for a, b in pairwise(sorted(names)) if a == b]:
+            raise ValueError(f"parameters: {repeated[0]} is there twice")
+        for key, values in (("deviation", self.deviation), ("correlation", self.correlation), ("spread", self.spread)):
+            if values is not None and len(values) != count:
+                raise ValueError(f"{key} has {len(values)} entries, and there are {count} parameters")
+        if not any([*self.deviation, *(self.spread or [])]):
+            raise ValueError("deviation and spread are 0: nothing is uncertain; leave the table out")
+        self._check_correlation()
+        return self
+
+    def _check_correlation(self) -> None:
+        """Refuse a correlation that is no matrix of one."""
+        rows, names = self.correlation or [], self.parameters
+        for row, name in zip(rows, names, strict=False):
+            if len(row) != len(names):
+                raise ValueError(f"correlation: the row of {name} has {len(row)} entries, of {len(names)}")
+        for i, name in enumerate(names[: len(rows)]):
+            if rows[i][i] != 1.0:
+                raise ValueError(f"correlation: {name} with itself is {rows[i][i]:g}, and must be 1")
+            for j in range(i):
+                if rows[i][j] != rows[j][i]:
+                    pair = f"{name} with {names[j]} is {rows[i][j]:g}, {names[j]} with {name} {rows[j][i]:g}"
+                    raise ValueError(f"correlation: {pair}; it must be symmetric")
+        smallest = float(np.linalg.eigvalsh(np.array(rows))[0]) if rows else 0.0
+        if smallest < -ROUNDING:
+            raise ValueError(
+                "correlation: these numbers cannot hold together (the matrix is not positive semidefinite: its "
+                f"smallest eigenvalue is {smallest:.3g})"
+            )
+
+    @property
+    def spreads(self) -> list[float]:
+        """Standard deviation between engines, by parameter."""
+        return self.spread or [0.0] * len(self.parameters)
+
+    @property
+    def correlations(self) -> list[list[float]]:
+        """Correlation of the common deviations."""
+        return self.correlation or np.eye(len(self.parameters)).tolist()
+
+    @property
+    def factor(self) -> list[list[float]]:
+        """The lower triangle L of the correlation R = L L^T, in which a deviation that others fix has a column of 0."""
+        return lower_factor(self.correlations)
+
+    def check_parameters(self, parameters: Iterable[Variable], start: str | None, where: str) -> None:
+        """Raise InputError, beginning with ``where``, for a parameter that the FMU lacks or that cannot be drawn.
+
+        ``start`` names the parameter that the simulation sets itself.
+        """
+        known = {variable.name: variable for variable in parameters if variable.name != start}
+        for name in self.parameters:
+            if name not in known:
+                reason = "is set by the simulation itself" if name == start else "no such parameter"
+                allowed = nearest(name, known) if known else "the FMU has none"
+                raise InputError(f"{where}: uncertainty.parameters: {name}: {reason}; {allowed}")
+            variable = known[name]
+            if variable.type not in LEVERS or variable.variability not in SETTABLE or variable.start is None:
+                kind = " ".join([variable.variability or "fixed", variable.type])
+                raise InputError(
+                    f"{where}: uncertainty.parameters: {name} is a {kind}; allowed: fixed or tunable numbers "
+                    "that have a start value"
+                )
+
+    def describe(self, index: int) -> str:
+        """Describe what the uncertainty of one parameter is, without the deviation itself."""
+        words = [f"standard deviation, cut off at {CUT:g} of it"]
+        if self.spreads[index]:
+            words.append(f"{self.spreads[index]:g} between engines")
+        correlated = [
+            f"{value:+.2g} with {name}"
+            for name, value in zip(self.parameters, self.correlations[index], strict=True)
+            if value and name != self.parameters[index]
+        ]
+        return "; ".join([*words, *([f"correlation {', '.join(correlated)}"] if correlated else [])])
+
+
+def lower_factor(matrix: Sequence[Sequence[float]]) -> list[list[float]]:
+    """Return the lower triangle L of a positive semidefinite matrix L L^T, row by row (Cholesky).
+
+    Summed here and not by LAPACK, whose order of additions is the machine's: draws are the same everywhere.
+    """
+    size = len(matrix)
+    lower = [[0.0] * size for _ in range(size)]
+    for j in range(size):
+        pivot = matrix[j][j] - sum([value * value for value in lower[j][:j]])
+        lower[j][j] = sqrt(pivot) if pivot > ROUNDING * ROUNDING else 0.0
+        for i in range(j + 1, size):
+            rest = matrix[i][j] - sum([a * b for a, b in zip(lower[i][:j], lower[j][:j], strict=True)])
+            lower[i][j] = rest / lower[j][j] if lower[j][j] else 0.0
+    return lower
+
+
+def without_uncertainty(content: bytes) -> bytes:
+    """Return the content of a mapping file without its table ``[uncertainty]``."""
+    return _TABLE.sub(b"", content)
