@@ -10,28 +10,38 @@ MAKEFLAGS += --no-print-directory
 
 BIN := .venv/bin
 LOCKED := .venv/locked
+LOCKED_DEV := .venv/locked-dev
+FLYABLE := .venv/flyable
 BUILT := .venv/built
 BETAFLIGHT := .venv/betaflight
 COMPILED := $(shell sed -n 's|^    "\(.*\.py\)",$$|cosim/\1|p' cosim/base/compiled.py)
-SOURCES := setup.py pyproject.toml cosim/base/compiled.py $(COMPILED) $(wildcard cosim/engine/library/*.py cosim/*/*.c cosim/*/*.h) \
+SOURCES := setup.py pyproject.toml cosim/base/compiled.py $(COMPILED) $(wildcard cosim/engine/library/*.py cosim/*/*.c cosim/*/*.h cosim/control/*/*.c cosim/control/*/*.h) \
 	$(shell find engines -type f 2>/dev/null)
 # three for two processors: many tests wait for a process, a port or a clock
 TESTERS = $(shell $(PYTHON) -c 'import os; print(max(2, os.cpu_count() * 3 // 2))')
+STEPS := $(BIN)/python .ci/steps.py
+# no bytecode beforehand: Python makes it for what is imported, a small part
+PIP := -m pip install --disable-pip-version-check --no-compile --progress-bar off --no-deps
+RESOLVE := build/lock/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
+	--custom-compile-command "make lock"
 # half a gigabyte for MAVProxy's maps and three-dimensional views; the tests run it without
 NOT_NEEDED := opencv-python vtk shapely quantized-mesh-tile
 # what the set-up leaves outside .venv; if any of it was deleted, it is made again
-MISSING := $(if $(and $(wildcard fmus/*.fmu),$(wildcard cosim/engine/_bank.*.so),$(wildcard cosim/results/_rows.*.so), \
-	$(wildcard cosim/base/_records.*.so),$(wildcard cosim/control/allocation/_effectiveness.*.so),$(wildcard cosim/vehicle/_properties.*.so),$(or $(HEXJET_PURE),$(and $(wildcard cosim/_compiled.*.sha256),$(wildcard cosim/_native__mypyc.*.so)))),,missing)
+EXTENSIONS := engine/_bank results/_rows base/_records control/allocation/_effectiveness vehicle/_noise vehicle/_properties
+MISSING := $(if $(strip $(foreach file,fmus/*.fmu $(EXTENSIONS:%=cosim/%.*.so),$(if $(wildcard $(file)),,$(file)))),missing)
+UNCOMPILED := $(if $(or $(HEXJET_PURE),$(and $(wildcard cosim/_compiled.*.sha256),$(wildcard cosim/_native__mypyc.*.so))),,missing)
 
 ##@ Fly and look
-demo: setup ## fly roll-doublet without and with the Smith predictor, and compare
+# it flies from source if need be, and compiles then
+demo: $(FLYABLE) ## fly roll-doublet without and with the Smith predictor, and compare
 	@$(BIN)/python -m cosim.cli.flight.demo $(ARGS)
+	@$(MAKE) --silent $(BUILT)
 
 bench: setup ## measure microseconds per step and ratios (asserts nothing)
 	@$(BIN)/python -m benchmarks $(ARGS)
 
 ##@ Work on it
-setup: $(BUILT) ## .venv with the locked packages, the project (editable) and its FMUs
+setup: $(BUILT) $(LOCKED_DEV) ## .venv with all locked packages, the project (editable) and its FMUs
 
 check: setup ## lint, format, types and layers: everything that is checked without running
 	$(BIN)/ruff check .
@@ -55,7 +65,7 @@ $(BETAFLIGHT): tests/betaflight.lock | setup
 		echo "tests: Betaflight does not build here; its tests say that they were skipped"
 	@touch $@
 
-fmus: setup ## build the engines' FMUs anew
+fmus: $(BUILT) ## build the engines' FMUs anew
 	@$(BIN)/hexjet fmu build $(ARGS)
 
 kinds: setup ## check, design and fly every kind of foreign engine that the tests know: a table, in an hour or two
@@ -70,12 +80,12 @@ pictures: setup ## draw the documentation's pictures anew, from flights
 docs: setup ## make the documentation's site, in build/site; a warning or a link that leads nowhere is an error
 	@$(BIN)/python docs/website.py $(ARGS)
 
-lock: ## resolve pyproject.toml into requirements.lock; newer releases: make lock ARGS=--upgrade
+lock: ## resolve pyproject.toml into both locks; newer releases: make lock ARGS=--upgrade
 	@$(call check_python)
 	@test -x build/lock/bin/uv || { $(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install --quiet uv; }
-	@build/lock/bin/uv pip compile --quiet --universal --python-version 3.11 --extra dev --generate-hashes \
-		$(foreach package,$(NOT_NEEDED),--no-emit-package $(package)) \
-		--no-emit-index-url --custom-compile-command "make lock" --output-file requirements.lock $(ARGS) pyproject.toml
+	@$(RESOLVE) --extra dev $(foreach package,$(NOT_NEEDED),--no-emit-package $(package)) \
+		--output-file requirements-dev.lock $(ARGS) pyproject.toml
+	@$(RESOLVE) --group build --constraint requirements-dev.lock --output-file requirements.lock $(ARGS) pyproject.toml
 
 clean: ## remove .venv, builds and caches; flights in runs/ stay
 	rm -rf .venv build dist *.egg-info fmus/*.fmu cosim/_compiled.*.sha256 .mypy_cache .ruff_cache .pytest_cache .hypothesis
@@ -93,13 +103,19 @@ $(LOCKED): requirements.lock
 	@$(call check_python)
 	@$(call check_compiler)
 	@test -x $(BIN)/python || { echo "set-up: .venv with $$($(PYTHON) --version)"; $(PYTHON) -m venv .venv; }
-	@echo "set-up: packages from requirements.lock"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps --requirement requirements.lock
+	@$(STEPS) "what flying needs" $(PIP) --require-hashes --requirement $<
 	@touch $@
 
-$(BUILT): $(LOCKED) $(SOURCES) $(MISSING)
-	@echo "set-up: the project (its inner loop is compiled: a minute) and its FMUs"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+$(LOCKED_DEV): requirements-dev.lock | $(BUILT)
+	@$(STEPS) "what checks and tests need" $(PIP) --require-hashes --requirement $<
+	@touch $@
+
+$(FLYABLE): $(LOCKED) $(SOURCES) $(MISSING)
+	@HEXJET_COMPILE_LATER=1 $(STEPS) "the project" $(PIP) --verbose --no-build-isolation --editable .
+	@touch $@
+
+$(BUILT): $(FLYABLE) $(UNCOMPILED)
+	@$(STEPS) "the modules of a control step" setup.py --quiet build_ext --inplace
 	@touch $@
 
 define check_python

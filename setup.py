@@ -1,6 +1,7 @@
 """What pyproject.toml cannot say: the compiled modules, the FMUs, the MAVLink messages, the data inside the package.
 
-``HEXJET_PURE`` set in the environment leaves out what mypyc would compile: see ``cosim/base/compiled.py``.
+``HEXJET_PURE`` set in the environment leaves out what mypyc would compile: see ``cosim/base/compiled.py``;
+``HEXJET_COMPILE_LATER`` leaves it to the next build.
 """
 
 from __future__ import annotations
@@ -9,9 +10,9 @@ import importlib.util
 import os
 import platform
 import shutil
-import subprocess
 import sys
 import sysconfig
+from concurrent.futures import ThreadPoolExecutor
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -38,6 +39,11 @@ def by_path(name: str, path: Path) -> Any:
     return module
 
 
+def tell(progress: str) -> None:
+    """Say what is being done; the Makefile shows these lines while pip builds."""
+    print(f"set-up: {progress}", flush=True)
+
+
 def build_fmus(engines: Path, fmus: Path) -> None:
     """Build every engine's FMUs with the package's own builder.
 
@@ -48,22 +54,6 @@ def build_fmus(engines: Path, fmus: Path) -> None:
         builder.build_all(engines=engines, fmus=fmus)
     except builder.BuildError as error:
         raise CompileError(str(error)) from error
-
-
-# What is not built when it has ended is built by build_fmus, which says why where it cannot be.
-BUILD_FMUS = """import importlib.util, sys
-from pathlib import Path
-spec = importlib.util.spec_from_file_location("engine_library", sys.argv[1])
-builder = sys.modules["engine_library"] = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(builder)
-builder.build_all(engines=Path(sys.argv[2]), fmus=Path(sys.argv[3]))"""
-
-
-def begin_fmus(engines: Path, fmus: Path) -> subprocess.Popen[bytes]:
-    """Build them in a process of its own: most of the time one compiler is at the one large file of the modules."""
-    words = [str(path) for path in (ROOT / "cosim" / "engine" / "library" / "__init__.py", engines, fmus)]
-    quiet = subprocess.DEVNULL
-    return subprocess.Popen([sys.executable, "-P", "-c", BUILD_FMUS, *words], stdin=quiet, stdout=quiet, stderr=quiet)
 
 
 def build_messages(package: Path) -> Path:
@@ -86,6 +76,7 @@ follow_imports = skip
 ignore_missing_imports = True
 """
 NATIVE = "cosim._native"
+LATER = "HEXJET_COMPILE_LATER"  # environment: set, what mypyc would compile runs from source until the next build
 
 
 class BuildExtensions(build_ext):
@@ -95,8 +86,6 @@ class BuildExtensions(build_ext):
     """
 
     def run(self) -> None:
-        if self.editable_mode:
-            self.distribution.fmus = begin_fmus(ROOT / "engines", ROOT / "fmus")
         self.parallel = self.parallel or os.cpu_count()
         compiled = by_path("compiled", ROOT / "cosim" / "base" / "compiled.py")
         package = ROOT / "cosim" if self.inplace else Path(self.build_lib) / "cosim"
@@ -110,12 +99,39 @@ class BuildExtensions(build_ext):
             super().run()
             return
         self._remove_compiled(package, compiled)
+        if os.environ.get(LATER):
+            super().run()
+            return
         modules = [f"cosim/{name}" for name in compiled.MODULES]
+        tell(f"mypy translates {len(modules)} modules to C, which takes a minute of a processor to compile")
         self.distribution.ext_modules = [*self.extensions, *by_mypyc(modules, Path(self.build_temp))]
         self.swig_opts = None  # split once already, and not split twice
         self.finalize_options()
         super().run()
         stamp.write_text(stated, encoding="ascii")
+
+    def build_extension(self, ext: Extension) -> None:
+        """Compile the many files of what mypyc's modules share several at a time: one alone takes a minute or two."""
+        if len(ext.sources) > 1:
+            with ThreadPoolExecutor(os.cpu_count()) as pool:
+                objects = []
+                for done, made in enumerate(pool.map(lambda source: self._compile_one(ext, source), ext.sources), 1):
+                    objects += made
+                    if done % 10 == 0 or done == len(ext.sources):
+                        tell(f"{done} of {len(ext.sources)} C files compiled")
+            ext.sources, ext.extra_objects = [], objects
+        super().build_extension(ext)
+
+    def _compile_one(self, ext: Extension, source: str) -> list[str]:
+        made: list[str] = self.compiler.compile(
+            [source],
+            output_dir=self.build_temp,
+            include_dirs=ext.include_dirs,
+            extra_postargs=ext.extra_compile_args,
+            macros=ext.define_macros,
+            depends=ext.depends,
+        )
+        return made
 
     def _made_by(self) -> str:
         """What else decides what is compiled, in the form of a fingerprint.  Raises CompileError without mypy."""
@@ -138,7 +154,7 @@ class BuildExtensions(build_ext):
 
 
 def by_mypyc(modules: list[str], folder: Path) -> list[Extension]:
-    """The extensions that these modules become; the C is written to ``folder``.
+    """The extensions that these modules become; the C is written to ``folder``, a file for each module.
 
     -O2 and direct calls make a step some 8 % cheaper outside JSBSim than -O1 (processor time, flights in turn), and
     take longer to compile; -Os, which is smaller, makes it a third dearer.
@@ -149,10 +165,11 @@ def by_mypyc(modules: list[str], folder: Path) -> list[Extension]:
     config = folder / "mypy.ini"
     config.write_text(MYPY, encoding="utf-8")
     options = ["--config-file", str(config), "--cache-dir", str(folder / "mypy")]
-    found: list[Extension] = mypycify([*options, *modules], target_dir=str(folder), group_name=NATIVE)
+    found: list[Extension] = mypycify([*options, *modules], target_dir=str(folder), group_name=NATIVE, multi_file=True)
     for extension in found:
         extension.extra_compile_args = [*c_flags(os.environ.get("HEXJET_OPTIMISATION", "-O2")), "-g0", "-w", *DIRECT]
         extension.extra_link_args = list(SYMBOLIC)
+        extension.include_dirs.append(str(folder / "cosim"))  # of the group's headers
     return found
 
 
@@ -173,9 +190,7 @@ class BuildData(Command):
 
     def run(self) -> None:
         if self.editable_mode:
-            begun: subprocess.Popen[bytes] | None = getattr(self.distribution, "fmus", None)
-            if begun is not None:
-                begun.wait()
+            tell("the engines' FMUs and the messages of MAVLink")
             build_fmus(ROOT / "engines", ROOT / "fmus")
             build_messages(ROOT / "cosim")
             return

@@ -185,3 +185,17 @@ def test_an_older_design_flies(folder: Path) -> None:
     run = fly(with_controller("hover", path, ["duration_s=0.4", "expect=[]"]))
     assert run.outcome == "completed"
     assert run.summary.controller == read_controller(path).controller
+
+
+def locked(name: str) -> set[str]:
+    """What a lock pins, a line a package: name, version and for which Python or system."""
+    return set(re.findall(r"^(\w\S*==[^\\\n]*?) *\\?$", (ROOT / name).read_text(), re.MULTILINE))
+
+
+def test_flying_takes_the_versions_that_are_tested() -> None:
+    flying, everything = locked("requirements.lock"), locked("requirements-dev.lock")
+    assert flying < everything
+    assert len(flying) < len(everything) / 2
+    names = {line.partition("==")[0] for line in flying}
+    assert {"jsbsim", "numpy", "pyarrow", "mypy", "setuptools"} <= names
+    assert not names & {"pytest", "playwright", "mavproxy", "pandas", "sphinx"}
