@@ -81,11 +81,17 @@ def step_of(values: Array, low: float, high: float) -> float:
     """Return the power of two that a column of numbers between ``low`` and ``high`` is rounded to."""
     if max(abs(low), abs(high)) < _MOST and np.array_equal(values, np.rint(values)):
         return 1.0
-    first, last = np.percentile(values, (1.0, 99.0))
-    usual = float(last - first) or (high - low) or abs(high) or 1.0
-    rough = float(np.percentile(np.abs(np.diff(values, 2)), 25.0)) if values.size > 2 else 0.0
+    first, last = _ranked(values, ceil(0.01 * (values.size - 1)), floor(0.99 * (values.size - 1)))
+    usual = abs(last - first) or (high - low) or abs(high) or 1.0
+    rough = _ranked(np.abs(np.diff(values, 2)), (values.size - 3) // 4)[0] if values.size > 2 else 0.0
     finest = max(log2(usual) - BITS, log2(max(rough, 1e-300)) - NOISE_BITS)
     return float(2.0 ** floor(max(finest, log2(max(high - low, 1e-300)) - log2(_MOST) + 1.0, -1000.0)))
+
+
+def _ranked(values: Array, *ranks: int) -> list[float]:
+    """Return the values of these ranks, 0 for the least: sooner than percentiles, which are between two."""
+    ordered = np.partition(values, ranks)
+    return [float(ordered[rank]) for rank in ranks]
 
 
 def unpack(column: Packed, rows: int) -> Array:
