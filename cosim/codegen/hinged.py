@@ -31,7 +31,7 @@ def hinged_form(allocator: EffectivenessAllocator, vehicle: Vehicle) -> dict[str
     if allocator.surfaces:
         raise InputError(
             f"{vehicle.name}: surfaces have no C form; hexjet export controller --loops writes the loops alone, for a "
-            "mixer of your own"
+            "mixer of your own, hexjet export vehicle the whole vehicle as an FMU"
         )
     known, servos = allocator.constants, len(vehicle.actuators)
     links = max(1, *(len(chain) for _, _, _, chain in known.stations))
