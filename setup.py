@@ -257,7 +257,7 @@ setup(
             "cosim.control.allocation._effectiveness",
             sources=["cosim/control/allocation/_effectiveness.c"],
             depends=["cosim/control/allocation/effectiveness.h"],
-            extra_compile_args=c_flags("-O2"),
+            extra_compile_args=c_flags("-O3"),
         ),
         Extension("cosim.base._records", sources=["cosim/base/_records.c"], extra_compile_args=c_flags("-O2")),
         Extension(
