@@ -258,7 +258,7 @@ def _modal(predictor: ModalPredictor) -> Form:
         "real": {name: [complex(x).real for x in vector] for name, vector in vectors.items()},
         "imaginary": {name: [complex(x).imag for x in vector] for name, vector in vectors.items()},
         "weights": list(predictor.weights),
-        "gathered": predictor.gathered,
+        "gathered": predictor.command_weight,
     }
 
 

@@ -48,12 +48,12 @@ class AltitudeController:
         self._limit = gains.integral_limit_m_s2
         self._i = integral * (gains.integral_1_s2 * self._step)
 
-    def follow(self, position: float, velocity: float, integral: float, lead: EngineLead | None) -> None:
+    def scale_gains(self, position: float, velocity: float, integral: float, lead: EngineLead | None) -> None:
         """Multiply the nominal gains by these from the next step on, with this lead: :mod:`cosim.control.schedule`."""
         self._factors = (position, velocity, integral)
         self._set(self._gains)
         if lead is not None and self._lead is not None:
-            self._lead.follow(lead)
+            self._lead.set_poles(lead)
 
     def reset(self) -> None:
         """Return to no integral."""

@@ -41,10 +41,10 @@ class AttitudeController:
         if self._old_law is None:
             self._old_law = (self._gain, self._limit)
         self._nominal, self._limit = gains.gain_1_s, gains.rate_limit_rad_s
-        self.follow(self._roll_factor)
+        self.scale_gains(self._roll_factor)
         self._fades = self._fades or (Fade(step), Fade(step), Fade(step))
 
-    def follow(self, roll: float) -> None:
+    def scale_gains(self, roll: float) -> None:
         """Multiply the gain of roll by this from the next update on; see :mod:`cosim.control.schedule`."""
         self._roll_factor = roll
         x, y, z = self._nominal
@@ -56,7 +56,7 @@ class AttitudeController:
             return command.rate
         return self._rates_for(self.error(command, measured))
 
-    def thrust_first(self, command: Command, measured: Measured, lean: tuple[float, float]) -> Vector3:
+    def update_tilt_first(self, command: Command, measured: Measured, lean: tuple[float, float]) -> Vector3:
         """As :meth:`update`, for a vehicle that holds no heading: about the body's z axis it is to stop turning.
 
         The lean that is asked for is kept within ``MOST_LEAN_RAD``; ``lean`` [rad], roll and pitch, is added to it.

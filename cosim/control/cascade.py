@@ -116,7 +116,7 @@ class Cascade:
         if burnt:
             hover = self.thrust_map.fraction((self._mass - burnt) * GRAVITY / self._jets)
         if self.schedule is not None:
-            loops.follow(self.schedule.reset(hover))
+            loops.apply_schedule(self.schedule.reset(hover))
         fractions = (self._low,) * self._jets if on_ground else loops.allocator.trim(hover)
         throttle = self._throttle = self.thrust_map.throttle(fractions)
         if self.monitor is not None:
@@ -162,7 +162,7 @@ class Cascade:
         if self.schedule is not None:
             scheduled = self.schedule.update(fraction)
             if scheduled is not None:
-                self.loops.follow(scheduled)
+                self.loops.apply_schedule(scheduled)
         if not self.thrust_map.identity or self._off:
             actuation = Actuation(
                 self.thrust_map.throttle(actuation.throttle), actuation.tilt, actuation.unallocated, self._off

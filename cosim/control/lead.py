@@ -55,10 +55,10 @@ class Lead:
 
     def __init__(self, lead: EngineLead, step: float) -> None:
         self._step = step
-        self.follow(lead)
+        self.set_poles(lead)
         self.settle(0.0)
 
-    def follow(self, lead: EngineLead) -> None:
+    def set_poles(self, lead: EngineLead) -> None:
         """Use another lead of the same form from the next update on; its gain at rest is 1 as well."""
         numerator, denominator = lead_polynomials(lead, self._step)
         # C = c_0 + c_1 L + c_2 L^2 with the low-pass L = (1 - p) / (z - p): states as large as the input, whatever the

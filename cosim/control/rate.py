@@ -92,7 +92,7 @@ class RateAxis:
             self._command = self._lead.update(self._command, unallocated)
         return self._command
 
-    def follow(self, p: float, i: float, d: float, lead: EngineLead | None) -> None:
+    def scale_gains(self, p: float, i: float, d: float, lead: EngineLead | None) -> None:
         """Multiply the nominal gains by these from the next update on, with this lead: :mod:`cosim.control.schedule`.
 
         The integral is kept in the command's unit and the lead keeps its past, so small changes make no bump.
@@ -101,7 +101,7 @@ class RateAxis:
         gains = self._nominal
         self._p, self._i, self._d = p * gains.p, i * (gains.i * self._step), d * gains.d
         if lead is not None and self._lead is not None:
-            self._lead.follow(lead)
+            self._lead.set_poles(lead)
 
     def keep_history(self, samples: int) -> None:
         """Keep this many past steps, with which a predictor that comes in flight is initialised."""
@@ -200,9 +200,9 @@ class RateController:
             self._yaw.update(setpoint[2], measured[2], unallocated.yaw),
         )
 
-    def follow_roll(self, p: float, i: float, d: float, lead: EngineLead | None) -> None:
-        """As :meth:`RateAxis.follow`, on roll."""
-        self._roll.follow(p, i, d, lead)
+    def scale_roll_gains(self, p: float, i: float, d: float, lead: EngineLead | None) -> None:
+        """As :meth:`RateAxis.scale_gains`, on roll."""
+        self._roll.scale_gains(p, i, d, lead)
 
     def keep_history(self, samples: int) -> None:
         """As :meth:`RateAxis.keep_history`, on all axes."""

@@ -1,6 +1,6 @@
 """Gains that follow the thrust level: an engine answers more slowly at less thrust, and fuel burns.
 
-The level is the mean share of the engines' range that allocation gives, behind a first-order lag,
+The level is the mean thrust fraction that allocation gives, behind a first-order lag,
 
     level_k+1 = level_k + (1 - e^(-T / filter)) (share_k - level_k),  not below the first level nor above the last,
 
@@ -33,7 +33,7 @@ class Factors(NamedTuple):
 class Scheduled(NamedTuple):
     """Gains and leads at a thrust level."""
 
-    share: float
+    thrust_fraction: float
     roll: Factors
     altitude: Factors
 
@@ -42,16 +42,16 @@ class GainSchedule:
     """The schedule of a vehicle."""
 
     def __init__(self, schedule: Schedule, leads: Leads | None, step: float) -> None:
-        self._shares = [level.share for level in schedule.level]
+        self._levels = [level.share for level in schedule.level]
         self._roll = [_nominal_factors(level.roll, bool(leads and leads.roll)) for level in schedule.level]
         self._altitude = [_nominal_factors(level.altitude, bool(leads and leads.altitude)) for level in schedule.level]
         self._filter_gain = 1.0 - exp(-step / schedule.filter_s)
-        self._resolution = FINE * (self._shares[-1] - self._shares[0])
-        self.reset(self._shares[-1])
+        self._resolution = FINE * (self._levels[-1] - self._levels[0])
+        self.reset(self._levels[-1])
 
-    def reset(self, share: float) -> Scheduled:
+    def reset(self, thrust_fraction: float) -> Scheduled:
         """Start as if this had always been the collective, and return its gains."""
-        self._level = self._last_level = self._bound(share)
+        self._level = self._last_level = self._bound(thrust_fraction)
         return self.at(self._level)
 
     def update(self, collective: float) -> Scheduled | None:
@@ -63,18 +63,18 @@ class GainSchedule:
         self._last_level = level
         return self.at(level)
 
-    def _bound(self, share: float) -> float:
-        return clip(share, self._shares[0], self._shares[-1])
+    def _bound(self, thrust_fraction: float) -> float:
+        return clip(thrust_fraction, self._levels[0], self._levels[-1])
 
-    def at(self, share: float) -> Scheduled:
+    def at(self, thrust_fraction: float) -> Scheduled:
         """Return the gains and leads at a thrust level."""
-        share = self._bound(share)
-        shares = self._shares
+        thrust_fraction = self._bound(thrust_fraction)
+        levels = self._levels
         k = 1
-        while k < len(shares) - 1 and share > shares[k]:
+        while k < len(levels) - 1 and thrust_fraction > levels[k]:
             k += 1
-        weight = (share - shares[k - 1]) / (shares[k] - shares[k - 1])
-        return Scheduled(share, _interpolate(self._roll, k, weight), _interpolate(self._altitude, k, weight))
+        weight = (thrust_fraction - levels[k - 1]) / (levels[k] - levels[k - 1])
+        return Scheduled(thrust_fraction, _interpolate(self._roll, k, weight), _interpolate(self._altitude, k, weight))
 
 
 def _nominal_factors(level: ScheduledGains, has_lead: bool) -> Factors:

@@ -117,7 +117,7 @@ class ParameterGuard:
         verdicts: list[list[Caution]] = []
         for before, after in steps:
             verdicts.append(self.checker.cautions(before, after))
-            if any(caution.loses for caution in verdicts[-1]):
+            if any(caution.was_stable for caution in verdicts[-1]):
                 break
         return verdicts
 
@@ -151,7 +151,7 @@ def find_refusal(
     """Return why a change is not taken; empty where it is.  ``cautions`` None: its verdict is too late."""
     if cautions is None:
         return f"{_format_value(request.name, request.value)} not taken: no verdict in time, ask again"
-    losing = [caution for caution in cautions if caution.loses]
+    losing = [caution for caution in cautions if caution.was_stable]
     if not losing or not in_air or values.get(FORCE):
         return ""
     change = _format_value(request.name, request.value)

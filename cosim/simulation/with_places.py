@@ -19,7 +19,7 @@ from cosim.base.frames import to_euler
 from cosim.base.protocols import Column, EngineState, Report
 from cosim.base.signals import Command, Measured
 from cosim.control.autopilot.estimation.position import Estimator, Fix
-from cosim.control.autopilot.geometry import Pair, lean_for, wrap
+from cosim.control.autopilot.geometry import Pair, lean_from_acceleration, wrap
 from cosim.control.autopilot.guidance.descent import descent_rate, height_limits, thrust_margins
 from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Track, Tracker
@@ -127,7 +127,7 @@ class PlacePilot:
         else:
             track = self._tracker.towards(self._target, self._most)
         yaw = to_euler(measured.attitude)[2]
-        roll, pitch = lean_for(self._law.update(track, fix), yaw)
+        roll, pitch = lean_from_acceleration(self._law.update(track, fix), yaw)
         heading, altitude = self._heading(command.attitude[2]), self._altitude(command.altitude)
         return Command((roll, pitch, heading), altitude, None, command.collective, track.position)
 
@@ -241,7 +241,7 @@ class PlacePilot:
         if self._last_point is not None and self._last_point[1] is not None:
             return self._to_altitude
         here, (up, down) = self._height.track.position[0], self._rates
-        sink = min(down, descent_rate(here, self._limits.braking, self._limits.late))
+        sink = min(down, descent_rate(here, self._limits.braking, self._limits.lateness))
         if self._climb is not None:
             return self._height.at_velocity((min(max(self._climb, -sink), up), 0.0)).position[0]
         return self._height.towards((self._to_altitude, 0.0), up if self._to_altitude > here else sink).position[0]

@@ -103,7 +103,7 @@ class Arming:
 
     def find_position_refusal(self, mode: Mode) -> str:
         """Return why a mode cannot be flown from the ground for want of a position; empty: it can."""
-        if self._estimates.has_position or mode in (*DIRECT, Mode.ALTCTL) or self._remote.gives_collective(mode):
+        if self._estimates.has_position or mode in (*DIRECT, Mode.ALTCTL) or self._remote.commands_collective(mode):
             return ""
         return f"mode {mode.value} needs the position, and the GNSS receiver has stopped"
 

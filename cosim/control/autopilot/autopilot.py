@@ -19,8 +19,8 @@ from cosim.control.autopilot.failsafes import OUTSIDE, Watch
 from cosim.control.autopilot.flight_state import AutopilotComponents, FlightState
 from cosim.control.autopilot.guidance.course import Course, Landmarks
 from cosim.control.autopilot.guidance.envelope import Envelope
+from cosim.control.autopilot.guidance.ground_speed import GroundSpeed
 from cosim.control.autopilot.guidance.guide import Guide
-from cosim.control.autopilot.guidance.headway import Headway
 from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.control.autopilot.manoeuvres.circle import Circle
@@ -35,7 +35,7 @@ from cosim.control.autopilot.parameters import LAND, Parameters, table
 from cosim.control.autopilot.request_handler import HANDLERS, FaultCommands, RequestHandler, refuse
 from cosim.control.autopilot.requests import Answer, ItemKind, Request, Result
 from cosim.control.autopilot.status import Status
-from cosim.control.autopilot.tuning import Blocks, ControlLoops, Live
+from cosim.control.autopilot.tuning import Blocks, ControlLoops, LiveTuning
 from cosim.spec.vehicle import PilotSettings, PositionGains, Vehicle
 
 # Chosen by us, with the reason.
@@ -82,13 +82,13 @@ class Autopilot:
         position = PositionController(gains, step)
         tracker = Tracker(settings.acceleration_m_s2, settings.jerk_m_s3, step)
         blocks = Blocks(loops.attitude, loops.altitude, loops.rate, position, tracker, loops.predictors)
-        live = Live(parameters, vehicle.control, blocks, step)
+        live = LiveTuning(parameters, vehicle.control, blocks, step)
         self._estimates = estimates = Estimates(vehicle.sensors, gains, step, slowest, noisy)
         self._envelope = Envelope(vehicle, hover, idle, answer, parameters, estimates, step)
         self._landmarks = landmarks = Landmarks()
         guide = Guide(tracker, position, parameters, self._envelope.height_limits(), step)
         self._course = course = Course(parameters, estimates, landmarks, guide)
-        self.energy = Energy(course, Headway(course, vehicle, gains.catch_up_m_s, step), hover, step)
+        self.energy = Energy(course, GroundSpeed(course, vehicle, gains.catch_up_m_s, step), hover, step)
         self._watch = watch = Watch(parameters, self.energy, step, self._activate_failsafe)
         self._remote = Remote(course, limits, hover, step)
         self._arming = Arming(course, self._remote, watch, step)
@@ -248,14 +248,14 @@ class Autopilot:
         is_pushed = self._is_pushed_by_hinges and 0 < k - self._last_healthy_step < self._push_steps
         self._estimates.update(k, measured, is_standing, is_grounded, is_pushed)
         if self.home is None and k >= self._home_delay and is_standing:
-            self._state.home_here()
+            self._state.set_home_here()
         elif self.home is None and not is_standing:
             # The flight began in the air.
             self._landmarks.home = Home(*self._estimates.fix.position, 0.0)
         if self.landed is LandedState.IN_AIR:
-            self.energy.headway.learn()
+            self.energy.headway.update_wind()
         self._course.begin(k, self._loses_heading and has_failed, self._is_pushed_by_hinges and has_failed)
-        self._landing.look(report, self.landed is LandedState.IN_AIR and not self._course.descending)
+        self._landing.update(report, self.landed is LandedState.IN_AIR and not self._course.descending)
         self.energy.consume(report, self.engines is EngineState.FLY, self.landed is LandedState.IN_AIR)
 
     def _report_starts(self, k: int, report: Report) -> None:
@@ -313,7 +313,7 @@ class Autopilot:
         if collective is None or self._landing.collective is not None or not self._gives_collective():
             # Nothing was allocated before the first step.
             if k > 0:
-                floor.level(self._state.report.collective)
+                floor.restart_at(self._state.report.collective)
             return collective
         if not self._landing.touchdown.is_off_ground:
             return floor.limit_rate(collective)
@@ -340,7 +340,7 @@ class Autopilot:
         if self.mode is Mode.MISSION:
             item = self.mission.item
             return item is not None and (not self._arming.flew or item.kind is ItemKind.TAKEOFF)
-        return self._remote.wants_up(self.mode, k)
+        return self._remote.needs_take_off(self.mode, k)
 
     def _command_take_off(self, k: int) -> Command:
         """Return the command of a take-off."""
@@ -440,7 +440,7 @@ class Autopilot:
         return self._course.fly()
 
     def _gives_collective(self) -> bool:
-        return self._remote.gives_collective(self.mode)
+        return self._remote.commands_collective(self.mode)
 
     # --- requests --------------------------------------------------------------------------------------------------
 

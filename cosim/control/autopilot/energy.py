@@ -14,7 +14,7 @@ from cosim.base.protocols import Report
 from cosim.control.autopilot.geometry import Pair
 from cosim.control.autopilot.guidance.course import Course
 from cosim.control.autopilot.guidance.descent import descent_rate
-from cosim.control.autopilot.guidance.headway import Headway
+from cosim.control.autopilot.guidance.ground_speed import GroundSpeed
 
 # Chosen by us, with the reason.
 _MEASURED_S = 10.0  # over so long the burn is averaged: longer than climbs and gusts
@@ -26,7 +26,7 @@ _END_S = 3.0  # from the ground's touch until it stands, or from spooling up unt
 class Energy:
     """Remaining fuel or battery, and what ways take of it; ``hover``: the collective at which it hovers."""
 
-    def __init__(self, course: Course, headway: Headway, hover: float, step: float) -> None:
+    def __init__(self, course: Course, headway: GroundSpeed, hover: float, step: float) -> None:
         self._course, self._parameters, self._landmarks = course, course.parameters, course.landmarks
         self._estimates, self.headway = course.estimates, headway
         self._hover, self._step = hover, step
@@ -82,23 +82,28 @@ class Energy:
         end = min(p["MPC_LAND_SPEED"], fastest)
         above = height - slow
         # braking within the height h: h = (v - e) t + (v^2 - e^2) / 2a, so dt = dh / v = (t / v + 1 / a) dv
-        v = min(fastest, descent_rate(above, limits.braking, limits.late, end))
-        braking = (v - end) * limits.late + (v * v - end * end) / (2.0 * limits.braking)
+        v = min(fastest, descent_rate(above, limits.braking, limits.lateness, end))
+        braking = (v - end) * limits.lateness + (v * v - end * end) / (2.0 * limits.braking)
         steady = max(0.0, above - braking) / v
-        slowing = limits.late * log(v / end) + (v - end) / limits.braking
-        return limits.late + steady + slowing + max(0.0, min(height, slow)) / end + _END_S
+        slowing = limits.lateness * log(v / end) + (v - end) / limits.braking
+        return limits.lateness + steady + slowing + max(0.0, min(height, slow)) / end + _END_S
 
-    def way_time(self, distance: float, climb: float) -> float:
+    def travel_time(self, distance: float, climb: float) -> float:
         """Return how long the way to a position at this distance and height difference [m] takes, both together."""
         p = self._parameters
         up, down = min(p["HJ_CLIMB_AUTO"], p["HJ_SPEED_UP"]), min(p["HJ_DESC_AUTO"], p["HJ_SPEED_DN"])
         rate = up if climb > 0.0 else down
-        level = self.headway.way_time(distance) if distance > 0.0 else 0.0
+        level = self.headway.travel_time(distance) if distance > 0.0 else 0.0
         return max(level, abs(climb) / rate)
 
     def climb_time(self, height: float) -> float:
         """Return how long a take-off to a height takes, from idle on."""
-        return self._parameters["HJ_SPOOL_TIME"] + self._course.guide.limits.late + self.way_time(0.0, height) + _END_S
+        return (
+            self._parameters["HJ_SPOOL_TIME"]
+            + self._course.guide.limits.lateness
+            + self.travel_time(0.0, height)
+            + _END_S
+        )
 
     def return_time(self, position: Pair, altitude: float) -> float:
         """Return how long the return from a position and an altitude takes, down to the ground."""
@@ -106,8 +111,8 @@ class Energy:
         if near:
             return self.descent_time(altitude - self._ground)
         away = hypot(target[0] - position[0], target[1] - position[1])
-        climb = self.way_time(0.0, max(0.0, height - altitude)) + self._course.guide.limits.late
-        return climb + self.way_time(away, 0.0) + self.descent_time(max(height, altitude) - self._ground)
+        climb = self.travel_time(0.0, max(0.0, height - altitude)) + self._course.guide.limits.lateness
+        return climb + self.travel_time(away, 0.0) + self.descent_time(max(height, altitude) - self._ground)
 
     @property
     def _ground(self) -> float:
@@ -154,5 +159,5 @@ class Energy:
     def describe_way_shortage(self, position: Pair, altitude: float) -> str:
         """Return why the energy is short of a way from here to a position [m]; empty: it is not."""
         n, e = self._estimates.fix.position
-        seconds = self.way_time(hypot(position[0] - n, position[1] - e), altitude - self._estimates.altitude)
+        seconds = self.travel_time(hypot(position[0] - n, position[1] - e), altitude - self._estimates.altitude)
         return self.describe_shortage(seconds, position, altitude)

@@ -18,7 +18,7 @@ from cosim.control.autopilot.manoeuvres.remote import Remote
 from cosim.control.autopilot.modes import Home, LandedState, Mode, Severity
 from cosim.control.autopilot.parameters import HOLD, LAND, RETURN, Parameters
 from cosim.control.autopilot.status import Messages
-from cosim.control.autopilot.tuning import Live
+from cosim.control.autopilot.tuning import LiveTuning
 
 _ACTIONS = {Mode.HOLD: "holding", Mode.RTL: "returning", Mode.LAND: "landing"}  # failsafes, the more cautious the later
 
@@ -28,7 +28,7 @@ class AutopilotComponents:
     """Stateful components of the autopilot, shared by :class:`FlightState` and the request handler."""
 
     parameters: Parameters
-    live: Live
+    live: LiveTuning
     estimates: Estimates
     envelope: Envelope
     landmarks: Landmarks
@@ -128,7 +128,7 @@ class FlightState:
         self.failsafe = reason
         self.say(Severity.CRITICAL, f"{reason}: {_ACTIONS[mode]}", self.k)
 
-    def home_here(self) -> None:
+    def set_home_here(self) -> None:
         """Set home to the present position."""
         self._landmarks.home = Home(*self._estimates.fix.position, self._estimates.altitude)
 
@@ -139,7 +139,9 @@ class FlightState:
     def is_standing(self) -> bool:
         """Return whether the vehicle is on the ground, not by the switch alone and whatever the engines do."""
         taking_off = self.landed is LandedState.TAKING_OFF
-        return not self.is_flying() or (self._landing.is_unlifted if taking_off else self._landing.is_weighted)
+        return not self.is_flying() or (
+            self._landing.is_still_grounded if taking_off else self._landing.has_weight_on_legs
+        )
 
     def say(self, severity: Severity, text: str, k: int) -> None:
         """Send a line to the people on the ground."""

@@ -26,7 +26,7 @@ def lean_acceleration(attitude: Quaternion) -> Pair:
     return (scale * (x * z + w * y), scale * (y * z - w * x))
 
 
-def lean_for(acceleration: Pair, yaw: float) -> Pair:
+def lean_from_acceleration(acceleration: Pair, yaw: float) -> Pair:
     """Return roll and pitch (rad) at heading ``yaw`` whose :func:`lean_acceleration` is ``acceleration``."""
     c, s = cos(yaw), sin(yaw)
     forward = acceleration[0] * c + acceleration[1] * s

@@ -22,7 +22,7 @@ _PX4_ROTORS = 12  # CA_ROTOR0 to CA_ROTOR11
 _LARGEST = 10.0  # times the default is the most a gain may be; chosen by us: beyond it no loop here is stable
 
 
-class Meaning(NamedTuple):
+class EnumValue(NamedTuple):
     """One value of an enumeration."""
 
     value: int
@@ -41,7 +41,7 @@ class Parameter:
     unit: str
     group: str
     text: str
-    values: tuple[Meaning, ...] = ()
+    values: tuple[EnumValue, ...] = ()
     read_only: bool = False
     decimals: int = field(default=3)
 
@@ -51,12 +51,12 @@ class Caution(NamedTuple):
 
     axis: str  # "roll", "pitch", "yaw", "altitude"
     unstable: bool
-    loses: bool  # it was stable before
+    was_stable: bool  # it was stable before
     text: str
 
 
 NOTHING, HOLD, RETURN, LAND = range(4)  # what a failsafe does
-_ACTIONS = (Meaning(0, "message only"), Meaning(1, "hold"), Meaning(2, "return"), Meaning(3, "land"))
+_ACTIONS = (EnumValue(0, "message only"), EnumValue(1, "hold"), EnumValue(2, "return"), EnumValue(3, "land"))
 
 
 class Parameters:
@@ -207,9 +207,9 @@ def _flight(pilot: PilotSettings) -> Iterator[Parameter]:
 def _predictor(tuning: PredictorTuning, controller: str, delay: float | None) -> Iterator[Parameter]:
     group = "Predictor"
     specs = sorted(PREDICTORS.values(), key=lambda spec: spec.value)
-    values = tuple(Meaning(spec.value, spec.name) for spec in specs if delay is not None or not spec.needs_model)
+    values = tuple(EnumValue(spec.value, spec.name) for spec in specs if delay is not None or not spec.needs_model)
     if controller not in PREDICTORS:  # from outside
-        values += (Meaning(number_of(controller), controller),)
+        values += (EnumValue(number_of(controller), controller),)
     first, last = values[0].value, values[-1].value
     flown = PREDICTORS[controller].value if controller in PREDICTORS else last
     text = "; ".join(f"{spec.value} {spec.title}" for spec in specs)
@@ -247,7 +247,7 @@ def _failsafes(pilot: PilotSettings) -> Iterator[Parameter]:
     yield line("HJ_FUEL_MARGIN", 30.0, 200.0, "%", text, 5.0)
     yield line("HJ_ENDURANCE", pilot.endurance_s, 1e5, "s", "hover on a full battery, 0: not estimated")
     yield action("HJ_ENG_ACT", LAND, "when an engine fails in the air")
-    off_on = (Meaning(0, "refused"), Meaning(1, "taken"))
+    off_on = (EnumValue(0, "refused"), EnumValue(1, "taken"))
     text = "parameters set in the air that make a loop unstable"
     yield Parameter("HJ_FORCE", "int", 0, 0, 1, "", "Failsafe", text, off_on)
     yield action("HJ_SENS_ACT", RETURN, "when the barometer fails or the gyro is biased")
@@ -268,7 +268,7 @@ def _of_px4() -> Iterator[Parameter]:
         ("SYS_HITL", 0, "nobody else simulates this vehicle"),
     ):
         yield Parameter(name, "int", value, value, value, "", "System", text, read_only=True)
-    off_on = (Meaning(0, "refused"), Meaning(1, "allowed"))
+    off_on = (EnumValue(0, "refused"), EnumValue(1, "allowed"))
     yield Parameter("SYS_FAILURE_EN", "int", 0, 0, 1, "", "System", "failures on request", off_on)
 
 

@@ -75,7 +75,7 @@ class RequestHandler:
         else:
             self._landing.touchdown.reset()
             if not self._landmarks.home_is_set:
-                self._state.home_here()
+                self._state.set_home_here()
         self._state.say(Severity.INFO, "armed", k)
         return accept()
 
@@ -279,7 +279,7 @@ class RequestHandler:
 
     def _set_parameter(self, request: rq.SetParameter, k: int) -> Answer:
         self._live.set(request.name, request.value)
-        self._envelope.follow(request.name, self._course.guide)
+        self._envelope.update_limits(request.name, self._course.guide)
         return accept()
 
     def _inject_fault(self, request: rq.InjectFault, k: int) -> Answer:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from cosim.base.protocols import EngineState
 from cosim.base.signals import Measured
-from cosim.control.autopilot.estimation.estimates import Trust
+from cosim.control.autopilot.estimation.estimates import EstimateQuality
 from cosim.control.autopilot.estimation.position import Fix
 from cosim.control.autopilot.geometry import Pair
 from cosim.control.autopilot.modes import Home, LandedState, Message, Mode, Severity
@@ -45,7 +45,7 @@ class Status(NamedTuple):
     orbit: Orbit | None = None  # that it flies; ``target`` is its centre
     positioned: bool = True  # fixes of the GNSS come
     seen: Measured | None = None  # attitude, rates, height and climb as estimated
-    trust: Trust = Trust()
+    trust: EstimateQuality = EstimateQuality()
 
 
 class Messages:

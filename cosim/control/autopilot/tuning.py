@@ -53,7 +53,7 @@ class ControlLoops(NamedTuple):
     level: str = ""
 
 
-class Live:
+class LiveTuning:
     """Hands changed parameters to the control blocks."""
 
     def __init__(self, parameters: Parameters, control: Control, blocks: Blocks, step: float) -> None:

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import exp
 
-from cosim.control.laws.axis import Actuators, Axis, AxisLaw, RateLaw, angle, positive
+from cosim.control.laws.axis import Actuators, Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
 
 
 class AdrcAxis:
@@ -49,12 +49,14 @@ class Adrc(RateLaw):
     """Predictive linear ADRC on every axis that engines answer."""
 
     parameters = (
-        angle(0.3636),
-        positive("speed", 27.38, "bandwidth of the rate loop [rad/s] times theta"),
-        positive("observer", 0.3056, "bandwidth of the observer [rad/s] times theta"),
+        attitude_gain_parameter(0.3636),
+        positive_parameter("speed", 27.38, "bandwidth of the rate loop [rad/s] times theta"),
+        positive_parameter("observer", 0.3056, "bandwidth of the observer [rad/s] times theta"),
     )
 
-    def on(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
+    def make_axis_law(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
         """Return the law of one axis."""
         theta = axis.delay
-        return AdrcAxis(axis.gain, Actuators.of(axis), values["speed"] / theta, values["observer"] / theta, axis.step)
+        return AdrcAxis(
+            axis.gain, Actuators.from_axis(axis), values["speed"] / theta, values["observer"] / theta, axis.step
+        )

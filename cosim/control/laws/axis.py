@@ -46,13 +46,13 @@ class Axis:
         return self.model.sample_time_s
 
     @property
-    def slow(self) -> float:
+    def slow_pole(self) -> float:
         """The pole that integrates, nearest to 1."""
         return max(self.model.poles)
 
     @property
     def gain(self) -> float:
-        """``k``, rad/s^2 per command: what :attr:`slow` adds up, with everything faster at rest."""
+        """``k``, rad/s^2 per command: what :attr:`slow_pole` adds up, with everything faster at rest."""
         value: complex = self.model.gain / self.step
         for zero in self.model.all_zeros:
             value *= 1.0 - zero
@@ -76,7 +76,7 @@ class Axis:
     @property
     def _fast(self) -> list[complex]:
         poles = list(self.model.all_poles)
-        poles.remove(self.slow)
+        poles.remove(self.slow_pole)
         return poles
 
 
@@ -92,7 +92,7 @@ class Actuators:
         self.reset()
 
     @classmethod
-    def of(cls, axis: Axis) -> Actuators:
+    def from_axis(cls, axis: Axis) -> Actuators:
         """Make them from a model: its delay in whole steps, and one lag for all that is faster than its integrator."""
         samples = max(1, round(axis.model.delay_samples))
         lag = max(axis.delay / axis.step - 0.5 - samples, 0.0)  # in steps
@@ -119,14 +119,16 @@ class Actuators:
         return total
 
 
-def positive(name: str, value: float, meaning: str, least: float = 1e-3, most: float = 1e3) -> Parameter:
+def positive_parameter(name: str, value: float, meaning: str, least: float = 1e-3, most: float = 1e3) -> Parameter:
     """Return a parameter without a unit, above 0."""
     return Parameter(name, value, "", meaning, least, most)
 
 
-def angle(value: float) -> Parameter:
+def attitude_gain_parameter(value: float) -> Parameter:
     """Return the parameter for the gain of the attitude loop above, the only one that a law does not apply itself."""
-    return positive("angle", value, "gain of the attitude loop [1/s] times theta: set-points are scaled to have it")
+    return positive_parameter(
+        "angle", value, "gain of the attitude loop [1/s] times theta: set-points are scaled to have it"
+    )
 
 
 class RateLaw:
@@ -135,7 +137,7 @@ class RateLaw:
     level = "rate"
     parameters: ClassVar[tuple[Parameter, ...]]
 
-    def on(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
+    def make_axis_law(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
         """Return the law of one axis.  Raises InputError where its model does not do."""
         raise NotImplementedError
 
@@ -156,7 +158,7 @@ class RateLaw:
                 self._scales.append(1.0)
             else:
                 axis = Axis(belief, name, model)
-                self._laws.append(self.on(axis, values))
+                self._laws.append(self.make_axis_law(axis, values))
                 self._scales.append(values["angle"] / axis.delay / control.attitude.gain_1_s[index])
 
     def reset(self) -> None:

@@ -11,17 +11,17 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 from cosim.base.protocols import Parameter
-from cosim.control.laws.axis import Axis, AxisLaw, Pid, RateLaw, angle, positive
+from cosim.control.laws.axis import Axis, AxisLaw, Pid, RateLaw, attitude_gain_parameter, positive_parameter
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.rate import RateAxis
 
 
 def _gains(a: float, p: float, i: float, d: float) -> tuple[Parameter, ...]:
     return (
-        angle(a),
-        positive("p", p, "proportional gain times k theta"),
-        positive("i", i, "integral over proportional gain [1/s] times theta", 0.0),
-        positive("d", d, "derivative over proportional gain [s] over theta", 0.0),
+        attitude_gain_parameter(a),
+        positive_parameter("p", p, "proportional gain times k theta"),
+        positive_parameter("i", i, "integral over proportional gain [1/s] times theta", 0.0),
+        positive_parameter("d", d, "derivative over proportional gain [s] over theta", 0.0),
     )
 
 
@@ -31,7 +31,7 @@ class Cascaded(RateLaw):
     predictor: ClassVar[str] = "baseline"
     parameters = _gains(0.2414, 0.7053, 0.1938, 0.4911)
 
-    def on(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
+    def make_axis_law(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
         """Return the PID, its derivative filtered at a tenth of what it leads by and no faster than a step."""
         vehicle, theta = axis.belief.vehicle, axis.delay
         p = values["p"] / (axis.gain * theta)
@@ -58,7 +58,7 @@ class FilteredSmith(Cascaded):
     predictor = "filtered-smith"
     parameters = (
         *_gains(0.2476, 0.7396, 0.2357, 0.3533),
-        positive("predictor", 0.4134, "time constant of the filter over theta"),
+        positive_parameter("predictor", 0.4134, "time constant of the filter over theta"),
     )
 
 
@@ -68,7 +68,7 @@ class StatePredictor(Cascaded):
     predictor = "state"
     parameters = (
         *_gains(0.3866, 1.13, 0.1345, 0.1375),
-        positive("predictor", 11.2, "bandwidth of the observer times theta"),
+        positive_parameter("predictor", 11.2, "bandwidth of the observer times theta"),
     )
 
 
@@ -78,5 +78,5 @@ class StateDisturbance(Cascaded):
     predictor = "state-disturbance"
     parameters = (
         *_gains(0.2821, 0.9686, 0.36, 0.01454),
-        positive("predictor", 59.91, "bandwidth of the observer times theta"),
+        positive_parameter("predictor", 59.91, "bandwidth of the observer times theta"),
     )

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import cos, exp, sin, sqrt
 
-from cosim.control.laws.axis import Actuators, Axis, AxisLaw, RateLaw, angle, positive
+from cosim.control.laws.axis import Actuators, Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
 
 DAMPING = 0.55
 
@@ -73,12 +73,14 @@ class Indi(RateLaw):
     """INDI on every axis that engines answer."""
 
     parameters = (
-        angle(0.2361),
-        positive("speed", 0.5133, "gain of the rate's error [1/s] times theta"),
-        positive("filter", 66.73, "natural frequency of the filter H [rad/s] times theta"),
+        attitude_gain_parameter(0.2361),
+        positive_parameter("speed", 0.5133, "gain of the rate's error [1/s] times theta"),
+        positive_parameter("filter", 66.73, "natural frequency of the filter H [rad/s] times theta"),
     )
 
-    def on(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
+    def make_axis_law(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
         """Return the law of one axis."""
         theta = axis.delay
-        return IndiAxis(axis.gain, Actuators.of(axis), values["speed"] / theta, values["filter"] / theta, axis.step)
+        return IndiAxis(
+            axis.gain, Actuators.from_axis(axis), values["speed"] / theta, values["filter"] / theta, axis.step
+        )

@@ -19,7 +19,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, angle, positive
+from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
 from cosim.control.predictors.linear import cascade
 from cosim.spec.vehicle import RateModel
 
@@ -46,7 +46,7 @@ def regulator(A: Array, B: Array, C: Array, rho: float) -> tuple[Array, float]:
     return K, float(1.0 / (C @ np.linalg.solve(np.eye(len(A)) - A + np.outer(B, K), B)))
 
 
-class Filter:
+class KalmanFilter:
     """Kalman's, at rest, of a model with a random walk ``d`` added to its input; ``walk`` over the noise's variance."""
 
     def __init__(self, A: Array, B: Array, C: Array, walk: float) -> None:
@@ -79,10 +79,10 @@ def discrete_model(axis: Axis) -> tuple[Array, Array, Array, int]:
     return *cascade(model), round(model.delay_samples)
 
 
-def kalman_filter(axis: Axis, observer: float) -> Filter:
+def kalman_filter(axis: Axis, observer: float) -> KalmanFilter:
     """Return the filter of an axis with this bandwidth, rad/s."""
     A, B, C, _ = discrete_model(axis)
-    return Filter(A, B, C, (observer**4 * axis.step**2) / axis.gain**2)
+    return KalmanFilter(A, B, C, (observer**4 * axis.step**2) / axis.gain**2)
 
 
 class LqgAxis:
@@ -115,12 +115,12 @@ class Lqg(RateLaw):
     """LQG on every axis that engines answer."""
 
     parameters = (
-        angle(0.348),
-        positive("speed", 34.13, "bandwidth of the regulator k / sqrt(rho) [rad/s] times theta"),
-        positive("observer", 0.3128, "bandwidth of the Kalman filter [rad/s] times theta"),
+        attitude_gain_parameter(0.348),
+        positive_parameter("speed", 34.13, "bandwidth of the regulator k / sqrt(rho) [rad/s] times theta"),
+        positive_parameter("observer", 0.3128, "bandwidth of the Kalman filter [rad/s] times theta"),
     )
 
-    def on(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
+    def make_axis_law(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
         """Return the law of one axis."""
         theta = axis.delay
         return LqgAxis(axis, values["speed"] / theta, values["observer"] / theta)

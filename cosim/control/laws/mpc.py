@@ -23,7 +23,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
-from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, angle, positive
+from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
 from cosim.control.laws.lqg import discrete_model, kalman_filter
 
 BLOCKS = (1, 1, 1, 2, 2, 3, 4, 6, 8, 12)  # steps for which each command is kept; the last until the end
@@ -117,12 +117,12 @@ class Mpc(RateLaw):
     """Model predictive control on every axis that engines answer."""
 
     parameters = (
-        angle(0.3438),
-        positive("speed", 32.12, "bandwidth that the weight on changes comes to [rad/s], times theta"),
-        positive("observer", 0.3262, "bandwidth of the Kalman filter [rad/s] times theta"),
+        attitude_gain_parameter(0.3438),
+        positive_parameter("speed", 32.12, "bandwidth that the weight on changes comes to [rad/s], times theta"),
+        positive_parameter("observer", 0.3262, "bandwidth of the Kalman filter [rad/s] times theta"),
     )
 
-    def on(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
+    def make_axis_law(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
         """Return the law of one axis; its room is what hover leaves of the throttles, either way."""
         theta, limits, hover = axis.delay, axis.belief.vehicle.control.allocation, axis.belief.hover
         room = min(hover - limits.throttle_min, limits.throttle_max - hover)

@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from math import cos, exp, inf, pi, radians, sqrt, tan
 
 from cosim.base.limits import clamp
-from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, angle, positive
+from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
 
 FADES = radians(400.0)  # rad/s of error at which nothing is integrated any more
 ACCELERATION_HZ = 30.0  # IMU_DGYRO_CUTOFF as it ships
@@ -81,15 +81,15 @@ class Px4(RateLaw):
     """PX4's rate controller on every axis that engines answer."""
 
     parameters = (
-        angle(0.241),
-        positive("p", 0.704, "MC_ROLLRATE_P times k theta"),
-        positive("i", 0.1931, "MC_ROLLRATE_I over P [1/s], times theta", 0.0),
-        positive("d", 0.4921, "MC_ROLLRATE_D over P [s], over theta", 0.0),
-        positive("forward", 1.135e-4, "MC_ROLLRATE_FF times k theta", 0.0),
-        positive("reference", 1.157e-3, "natural frequency of the reference model [rad/s] times theta"),
+        attitude_gain_parameter(0.241),
+        positive_parameter("p", 0.704, "MC_ROLLRATE_P times k theta"),
+        positive_parameter("i", 0.1931, "MC_ROLLRATE_I over P [1/s], times theta", 0.0),
+        positive_parameter("d", 0.4921, "MC_ROLLRATE_D over P [s], over theta", 0.0),
+        positive_parameter("forward", 1.135e-4, "MC_ROLLRATE_FF times k theta", 0.0),
+        positive_parameter("reference", 1.157e-3, "natural frequency of the reference model [rad/s] times theta"),
     )
 
-    def on(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
+    def make_axis_law(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
         """Return the law of one axis."""
         unit, theta = 1.0 / (axis.gain * axis.delay), axis.delay
         p = values["p"] * unit

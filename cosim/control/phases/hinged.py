@@ -38,7 +38,7 @@ class HingedLean(FlightLaw):
 
     def steer(self, demand: Demand) -> Vector3:
         """Return rates to the thrust's direction first; the heading only stops turning."""
-        return self.loops.attitude.thrust_first(demand.command, demand.measured, self._allocator.lean)
+        return self.loops.attitude.update_tilt_first(demand.command, demand.measured, self._allocator.lean)
 
     def observe(self, monitor: EngineMonitor) -> None:
         self._allocator.observe(monitor.reported_thrust)

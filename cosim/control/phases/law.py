@@ -122,12 +122,12 @@ class Loops:
                 self.rate.add_to_command(seen)
         return (self._added_delay.update(roll), pitch, yaw)
 
-    def follow(self, at: Scheduled) -> None:
+    def apply_schedule(self, scheduled: Scheduled) -> None:
         """Use the gains and leads of a thrust level from the next step on."""
-        roll, altitude = at.roll, at.altitude
-        self.attitude.follow(roll.angle)
-        self.rate.follow_roll(roll.p, roll.i, roll.d, roll.lead)
-        self.altitude.follow(altitude.angle, altitude.p, altitude.i, altitude.lead)
+        roll, altitude = scheduled.roll, scheduled.altitude
+        self.attitude.scale_gains(roll.angle)
+        self.rate.scale_roll_gains(roll.p, roll.i, roll.d, roll.lead)
+        self.altitude.scale_gains(altitude.angle, altitude.p, altitude.i, altitude.lead)
 
 
 class FlightLaw:

@@ -80,9 +80,9 @@ def observer_response(model: RateModel, bandwidth: float, disturbance: bool) -> 
     c = np.zeros(n, F.dtype)
     c[:order] = modes.residues
     v = np.zeros(n, F.dtype)
-    v[:order] = modes.ahead()
+    v[:order] = modes.state_weights()
     if disturbance:
-        v[order] = modes.gathered()
+        v[order] = modes.command_weight()
     correct = np.eye(n) - np.outer(gain, c)
     M = correct @ F
     denominator = np.poly([exp(-bandwidth * step)] * n)
@@ -108,7 +108,7 @@ def observer_response(model: RateModel, bandwidth: float, disturbance: bool) -> 
 
 
 @dataclass(frozen=True)
-class Part:
+class DelayedSystem:
     """``x' = A x + B v``, ``y' = C x'`` of the inputs ``v``, with a delay of whole samples before it.
 
     A delay of ``n + f`` samples has two inputs, of ``n`` and of ``n + 1`` samples ago.
@@ -120,16 +120,16 @@ class Part:
     delay: int
 
 
-def part(model: RateModel) -> Part:
+def part(model: RateModel) -> DelayedSystem:
     """Return a sampled response with its delay; mode by mode where the delay is not whole."""
     samples = int(model.delay_samples)
     if model.delay_samples == samples:
         A, B, C = cascade(model)
-        return Part(A, B[:, None], C, samples)
+        return DelayedSystem(A, B[:, None], C, samples)
     modes = Modes(model)
     weights = np.array(modes.shares)
     A, B, C = real_form(np.diag(modes.poles), np.stack([weights, 1.0 - weights], axis=1), np.array(modes.residues))
-    return Part(A, B, C, samples)
+    return DelayedSystem(A, B, C, samples)
 
 
 def cascade(model: RateModel) -> tuple[Array, Array, Array]:
@@ -206,7 +206,7 @@ class PredictorSpace(Protocol):
     """
 
     @property
-    def reads(self) -> int:
+    def history_length(self) -> int:
         """The number of past commands that it reads."""
 
     @property
@@ -219,20 +219,20 @@ class PredictorSpace(Protocol):
         ``x["sent"]`` are the past commands, the last first; ``keep`` stores the next value of a state.
         """
 
-    def believe(self, command: Array, x: Rows, keep: Keep) -> None:
+    def apply_command(self, command: Array, x: Rows, keep: Keep) -> None:
         """Take the command of the step, after :meth:`predicted`."""
 
 
 class NoSpace:
     """The measurement itself, without prediction."""
 
-    reads = 1
+    history_length = 1
     states: Mapping[str, int] = {}
 
     def predicted(self, measured: Array, x: Rows, keep: Keep) -> Array:
         return measured
 
-    def believe(self, command: Array, x: Rows, keep: Keep) -> None:
+    def apply_command(self, command: Array, x: Rows, keep: Keep) -> None:
         """Do nothing."""
 
 
@@ -240,7 +240,7 @@ class SmithSpace:
     """Smith's predictor, and with the time constant of its robustness filter the filtered one."""
 
     def __init__(self, model: RateModel, filter_s: float | None = None) -> None:
-        self.reads = int(model.delay_samples) + 2
+        self.history_length = int(model.delay_samples) + 2
         self._now, self._then = cascade(model), part(model)
         self.states = {"now": len(self._now[0]), "then": len(self._then.A)}
         self._filter: tuple[Array, Array] | None = None
@@ -259,7 +259,7 @@ class SmithSpace:
             error = C @ x["filter"] + numerator[0] * error
         return np.asarray(now + error)
 
-    def believe(self, command: Array, x: Rows, keep: Keep) -> None:
+    def apply_command(self, command: Array, x: Rows, keep: Keep) -> None:
         A, B, _ = self._now
         keep("now", A @ x["now"] + np.outer(B, command))
         then, line = self._then, [command, *x["sent"]]
@@ -271,7 +271,7 @@ class ObserverSpace:
     """An observer of the identified model, and the model predicted over the delay."""
 
     def __init__(self, model: RateModel, bandwidth: float, disturbance: bool) -> None:
-        self.reads = int(model.delay_samples) + 2
+        self.history_length = int(model.delay_samples) + 2
         modes = Modes(model)
         F, gain = modal_observer(modes, bandwidth, model.sample_time_s, disturbance)
         n = len(modes.poles)
@@ -280,9 +280,9 @@ class ObserverSpace:
         weights[:n, 0] = modes.shares
         weights[:n, 1] = 1.0 - weights[:n, 0]
         output, prediction = np.zeros(size, complex), np.zeros(size, complex)
-        output[:n], prediction[:n] = modes.residues, modes.ahead()
+        output[:n], prediction[:n] = modes.residues, modes.state_weights()
         if disturbance:
-            prediction[n] = modes.gathered()
+            prediction[n] = modes.command_weight()
         entering = np.concatenate([weights, np.asarray(gain)[:, None]], axis=1)
         A, B, C = real_form(F, entering, np.vstack([output, prediction]))
         self._observer = (A, B[:, :2], B[:, 2], C[0], C[1])
@@ -303,5 +303,5 @@ class ObserverSpace:
         keep("observer", state)
         return np.asarray(prediction @ state + self._on_the_way @ sent[: samples + 1])
 
-    def believe(self, command: Array, x: Rows, keep: Keep) -> None:
+    def apply_command(self, command: Array, x: Rows, keep: Keep) -> None:
         """Do nothing: it reads the past commands."""

@@ -202,11 +202,11 @@ class Modes:
         ]
         self.shares: list[complex] = [1.0 - f if p == 1.0 else (p ** (1.0 - f) - 1.0) / (p - 1.0) for p in self.poles]
 
-    def ahead(self) -> list[complex]:
+    def state_weights(self) -> list[complex]:
         """Return the contribution of each mode's present state to the rate after the delay."""
         return [c * p**self.delay for c, p in zip(self.residues, self.poles, strict=True)]
 
-    def gathered(self) -> float:
+    def command_weight(self) -> float:
         """Return the contribution of a constant command of 1 to the rate over the delay."""
         total: complex = 0.0
         for c, p in zip(self.residues, self.poles, strict=True):
@@ -247,8 +247,8 @@ class ModalPredictor:
         self.shares = modes.shares
         self.with_disturbance = disturbance
         self.gain: list[complex] = gain.tolist()
-        self.ahead = modes.ahead()
-        self.gathered = modes.gathered()
+        self.state_weights = modes.state_weights()
+        self.command_weight = modes.command_weight()
         n, f = modes.whole, modes.delay - modes.whole
         # oldest first: for the observer alone, over the fraction, then one a step
         over_fraction: list[complex] = [f if p == 1.0 else (p**f - 1.0) / (p - 1.0) for p in modes.poles]
@@ -279,7 +279,7 @@ class ModalPredictor:
         self._x = x = [value + self.gain[i] * error for i, value in enumerate(x)]
         if self.with_disturbance:
             self._d = d = d + self.gain[-1].real * error
-        return _product_sum(self.ahead, x).real + _dot(self.weights, sent) + self.gathered * d
+        return _product_sum(self.state_weights, x).real + _dot(self.weights, sent) + self.command_weight * d
 
 
 def _dot(a: list[float], b: list[float]) -> float:

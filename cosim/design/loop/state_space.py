@@ -48,7 +48,9 @@ class Space:
         if space is None:
             raise InputError(f"controller {tuning.controller!r}: states no state space")
         self._predictor = space
-        self._slot("sent", max(space.reads, self._late + (1 if self._between else 0), 1))  # the last command first
+        self._slot(
+            "sent", max(space.history_length, self._late + (1 if self._between else 0), 1)
+        )  # the last command first
         self._slot("plant", len(self._plant.A))
         if self._between:
             self._slot("loaded", 1)
@@ -115,7 +117,7 @@ class Space:
         self._keep("slope", slope)
         self._keep("before", predicted)
         self._fly(command)
-        self._predictor.believe(command, x, self._keep)
+        self._predictor.apply_command(command, x, self._keep)
         self._shift("sent", command)
         return np.asarray(command)
 

@@ -271,7 +271,7 @@ def estimator_status(v: TelemetryState) -> list[Message]:
     autopilot estimates anything the accuracies are the sensors'.
     """
     trust, home, vehicle = v.status.trust, v.status.home is not None, v.vehicle
-    position_accuracy = vehicle.position_noise if isnan(trust.place_m) else trust.place_m
+    position_accuracy = vehicle.position_noise if isnan(trust.position_m) else trust.position_m
     height_accuracy = vehicle.height_noise if isnan(trust.height_m) else trust.height_m
     flags = sum(
         bits
@@ -280,7 +280,7 @@ def estimator_status(v: TelemetryState) -> list[Message]:
             (2 | 8, trust.speed),
             (4, trust.climb),
             (256, home and trust.speed),
-            (16 | 512, home and trust.place),
+            (16 | 512, home and trust.position),
             (32, home and trust.height),
         )
         if valid

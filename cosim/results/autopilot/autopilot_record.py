@@ -164,8 +164,13 @@ def _lines(path: Path, text: str) -> Iterator[Line]:
 def _estimate(status: Status) -> Line:
     fix, ages, trust = status.fix, status.seen, status.trust
     deviations = {
-        name: getattr(trust, name) for name in ("place_m", "speed_m_s", "height_m", "climb_m_s", "attitude_rad")
+        "place_m": trust.position_m,
+        "speed_m_s": trust.speed_m_s,
+        "height_m": trust.height_m,
+        "climb_m_s": trust.climb_m_s,
+        "attitude_rad": trust.attitude_rad,
     }
+    valid = {name: value for name, value in trust._asdict().items() if isinstance(value, bool)}
     line: Line = (
         {}
         if ages is None
@@ -174,7 +179,7 @@ def _estimate(status: Status) -> Line:
             "climb": -ages.velocity[2],
             "attitude": list(to_euler(ages.attitude)),
             "deviation": {name: value if isfinite(value) else None for name, value in deviations.items()},
-            "valid": {name: value for name, value in trust._asdict().items() if isinstance(value, bool)},
+            "valid": {"place" if name == "position" else name: value for name, value in valid.items()},
         }
     )
     return {

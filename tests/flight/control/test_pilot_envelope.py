@@ -19,7 +19,7 @@ from cosim.base.signals import Sample, Vector3
 from cosim.cli.results.runs import catalogue
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.guidance.descent import (
-    Floor,
+    CollectiveFloor,
     descent_rate,
     height_limits,
     thrust_margins,
@@ -211,8 +211,8 @@ def test_a_fall_is_caught_before_the_ground(answer: float, weight: float) -> Non
     the ground is what is left at it.
     """
     hover, dt, end = 0.4, 0.004, 0.5
-    floor = Floor(hover, 0.05, 0.05, 1.0, answer, answer, dt)
-    floor.level(hover)
+    floor = CollectiveFloor(hover, 0.05, 0.05, 1.0, answer, answer, dt)
+    floor.restart_at(hover)
     height, sink, given_ = 60.0, 0.0, hover
     for _ in range(100_000):
         collective = floor.apply(0.05, height, sink, end, 1.0, 1.0)
@@ -240,7 +240,7 @@ def envelope_rows() -> list[str]:
                 f"{degrees(a.yaw_rate):.0f} deg/s",
                 f"{degrees(a.yaw_acceleration):.0f} deg/s²",
                 f"{h.acceleration:.1f} m/s²",
-                f"{descent_rate(0.0, h.braking, h.late, control.pilot.land_m_s):.2f} m/s",
+                f"{descent_rate(0.0, h.braking, h.lateness, control.pilot.land_m_s):.2f} m/s",
                 f"{flight.pilot._envelope.floor.allowed_descent(5.0, control.pilot.land_m_s):.1f} m/s",
                 f"{flight.pilot._envelope.floor.allowed_descent(30.0, control.pilot.land_m_s):.1f} m/s",
             ]

@@ -52,7 +52,7 @@ def test_what_loses_the_vehicle_is_unstable(aircraft: str, name: str, value: flo
     assert judge.concerns(name)
     after = {**default, name: most[name] if value is None else value}
     (caution,) = judge.cautions(default, after)
-    assert (caution.axis, caution.unstable, caution.loses) == (axis, True, True)
+    assert (caution.axis, caution.unstable, caution.was_stable) == (axis, True, True)
     assert caution.text == f"{axis}: the loop is unstable"
     assert judge.cautions(after, default) == []  # the way back is open
 
@@ -119,10 +119,10 @@ def test_a_predictor_without_a_response_leaves_the_other_axes_to_judge() -> None
     before = {**default, "HJ_PRED_TYPE": kind_of("state", default)}
     assert judge.cautions(before, {**before, "HJ_ROLL_P": 0.0}) == []
     (caution,) = judge.cautions(before, {**before, "HJ_PITCH_P": 0.0})
-    assert (caution.axis, caution.loses) == ("pitch", True)
+    assert (caution.axis, caution.was_stable) == ("pitch", True)
     # from what cannot be computed to what is unstable
     (lost,) = judge.cautions({**before, "HJ_ROLL_P": 0.0}, {**default, "HJ_ROLL_P": 0.0})
-    assert (lost.axis, lost.loses) == ("roll", True)
+    assert (lost.axis, lost.was_stable) == ("roll", True)
 
 
 def kind_of(controller: str, default: dict[str, float]) -> float:

@@ -50,7 +50,7 @@ class Drawn:
         fx, fy, fz, mx, my, mz = ELEVON
         self.solver = Solver(
             [
-                (each.place, each.axis, each.twist, [(n, e, jet in turns[n].carries) for n, e in chain])
+                (each.position, each.axis, each.twist, [(n, e, jet in turns[n].carries) for n, e in chain])
                 for jet, (each, chain) in enumerate(zip(stations, self.layout.chains, strict=True))
             ],
             [(turn.point, turn.axis, -1.0, 1.0, 0.02, 0.1) for turn in turns],

@@ -111,14 +111,16 @@ def test_the_lean_is_asked_for_whatever_the_heading_is(yaw: float, roll: float, 
     x, y, z, w = now.as_quat()
     measured = Measured((0.0, 0.0, 0.0), (w, x, y, z), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
     command = Command((roll, pitch, 0.0), 0.0)
-    rates = control.thrust_first(command, measured, (0.0, 0.0))
+    rates = control.update_tilt_first(command, measured, (0.0, 0.0))
     # the least turn of the z axis, as seen from the body
     wanted = now.inv().apply(lean.apply([0.0, 0.0, 1.0]))
     axis = np.cross([0.0, 0.0, 1.0], wanted)
     angle = np.arccos(wanted[2])
     turn = 2.0 * np.sin(0.5 * angle) * axis / np.linalg.norm(axis)
     assert rates == pytest.approx((turn[0], turn[1], 0.0), abs=1e-12)
-    assert control.thrust_first(command, measured, (0.1, -0.2)) == pytest.approx((turn[0] + 0.1, turn[1] - 0.2, 0.0))
+    assert control.update_tilt_first(command, measured, (0.1, -0.2)) == pytest.approx(
+        (turn[0] + 0.1, turn[1] - 0.2, 0.0)
+    )
     whole = np.array(control.update(command, measured)[:2])
     if abs(yaw) > 3.0:
         assert abs(whole @ turn[:2]) < 0.2 * np.linalg.norm(whole) * np.linalg.norm(turn)

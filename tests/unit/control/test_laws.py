@@ -25,7 +25,7 @@ from cosim.control.belief import Belief
 from cosim.control.laws.adrc import AdrcAxis
 from cosim.control.laws.axis import Actuators, Axis
 from cosim.control.laws.indi import DAMPING, IndiAxis, SecondOrder
-from cosim.control.laws.lqg import Filter, add_delay, discrete_model, regulator
+from cosim.control.laws.lqg import KalmanFilter, add_delay, discrete_model, regulator
 from cosim.control.laws.mpc import MpcAxis
 from cosim.control.laws.px4 import ACCELERATION_HZ, FADES, LowPass, Px4Axis
 from cosim.control.predictors.linear import model_response
@@ -143,7 +143,9 @@ def test_an_axis_is_an_integrator_with_a_delay() -> None:
     w = 0.3  # rad/s, fast against the slow pole's 0.025 rad/s, slow against everything else
     z = np.exp(1j * w * STEP * np.ones(1))
     answer = complex((model_response(axis.model, z) * z**-25)[0])
-    slow = complex((STEP * np.exp(-0.5j * w * STEP) / (z - axis.slow) * np.exp(1j * w * STEP))[0])  # the integrator
+    slow = complex(
+        (STEP * np.exp(-0.5j * w * STEP) / (z - axis.slow_pole) * np.exp(1j * w * STEP))[0]
+    )  # the integrator
     rest = answer / slow / axis.gain
     assert abs(rest) == pytest.approx(1.0, abs=1e-3)
     assert -np.angle(rest) / w == pytest.approx(axis.delay, rel=1e-3)
@@ -308,7 +310,7 @@ def test_lqg_is_the_regulator_of_the_state_to_come() -> None:
 def test_a_filter_of_a_pure_disturbance_is_that_of_a_random_walk() -> None:
     # x' = u + d with d a walk: y_k = d_k-1, a walk seen late; its variance p solves p^2 = w p + w, one step ahead
     walk = 0.04
-    found = Filter(np.zeros((1, 1)), np.ones(1), np.ones(1), walk)
+    found = KalmanFilter(np.zeros((1, 1)), np.ones(1), np.ones(1), walk)
     p = 0.5 * (walk + np.sqrt(walk**2 + 4.0 * walk))
     assert found.gain[1] == pytest.approx(p / (p + 1.0))
     for _ in range(300):

@@ -16,7 +16,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.frames import IDENTITY, from_euler, rotate
 from cosim.base.signals import Measured
 from cosim.control.autopilot.estimation.position import Estimator, Fix, kalman_gains
-from cosim.control.autopilot.geometry import lean_acceleration, lean_for, wrap
+from cosim.control.autopilot.geometry import lean_acceleration, lean_from_acceleration, wrap
 from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Track, Tracker
 from cosim.control.lead import lead_polynomials
@@ -112,7 +112,7 @@ def test_a_stop_stays_where_it_stops() -> None:
 
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-pi, pi))
 def test_lean_and_acceleration_are_inverse(north: float, east: float, yaw: float) -> None:
-    roll, pitch = lean_for((north, east), yaw)
+    roll, pitch = lean_from_acceleration((north, east), yaw)
     q = from_euler(roll, pitch, yaw)
     assert lean_acceleration(q) == pytest.approx((north, east), abs=1e-9)
     # thrust along -z that carries the weight pushes just so
@@ -122,9 +122,9 @@ def test_lean_and_acceleration_are_inverse(north: float, east: float, yaw: float
 
 def test_signs_of_the_lean() -> None:
     """Nose north: to the north nose down, to the east right side down."""
-    assert lean_for((1.0, 0.0), 0.0) == pytest.approx((0.0, -atan2(1.0, GRAVITY)))
-    assert lean_for((0.0, 1.0), 0.0) == pytest.approx((atan2(1.0, GRAVITY), 0.0))
-    assert lean_for((0.0, 1.0), pi / 2) == pytest.approx((0.0, -atan2(1.0, GRAVITY)))
+    assert lean_from_acceleration((1.0, 0.0), 0.0) == pytest.approx((0.0, -atan2(1.0, GRAVITY)))
+    assert lean_from_acceleration((0.0, 1.0), 0.0) == pytest.approx((atan2(1.0, GRAVITY), 0.0))
+    assert lean_from_acceleration((0.0, 1.0), pi / 2) == pytest.approx((0.0, -atan2(1.0, GRAVITY)))
 
 
 @pytest.mark.parametrize(
@@ -160,7 +160,7 @@ def test_gains_settle_at_the_steady_kalman_filter() -> None:
 
 
 def measured(position: tuple[float, float], velocity: tuple[float, float], lean: tuple[float, float]) -> Measured:
-    q = from_euler(*lean_for(lean, 0.7), 0.7)
+    q = from_euler(*lean_from_acceleration(lean, 0.7), 0.7)
     return Measured((0.0, 0.0, 0.0), q, (*position, -10.0), (*velocity, 0.0), 10.0)
 
 

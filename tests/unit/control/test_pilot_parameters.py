@@ -16,7 +16,7 @@ from cosim.control.attitude import AttitudeController
 from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.control.autopilot.parameters import Parameters, table
-from cosim.control.autopilot.tuning import Blocks, Live, rate_gains
+from cosim.control.autopilot.tuning import Blocks, LiveTuning, rate_gains
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.predictors.smith import NoPredictor, SmithPredictor
 from cosim.control.rate import RateAxis, RateController
@@ -275,7 +275,7 @@ def test_new_height_gains_do_not_bump() -> None:
 # --- live ----------------------------------------------------------------------------------------------------------
 
 
-def live() -> tuple[Live, Parameters, Blocks, list[tuple[str, float, PredictorTuning]]]:
+def live() -> tuple[LiveTuning, Parameters, Blocks, list[tuple[str, float, PredictorTuning]]]:
     assert CONTROL.position is not None
     made: list[tuple[str, float, PredictorTuning]] = []
 
@@ -295,7 +295,7 @@ def live() -> tuple[Live, Parameters, Blocks, list[tuple[str, float, PredictorTu
         make,
     )
     table_ = parameters()
-    return Live(table_, CONTROL, blocks, DT), table_, blocks, made
+    return LiveTuning(table_, CONTROL, blocks, DT), table_, blocks, made
 
 
 def test_a_parameter_reaches_its_block() -> None:

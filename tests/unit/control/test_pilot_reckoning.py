@@ -10,8 +10,8 @@ import pytest
 from cosim.base.constants import GRAVITY
 from cosim.base.frames import conjugate, from_euler, rotate
 from cosim.base.signals import ZERO3, Measured
+from cosim.control.autopilot.estimation.dead_reckoning import DeadReckoning
 from cosim.control.autopilot.estimation.position import Estimator
-from cosim.control.autopilot.estimation.reckoning import Reckoning
 from cosim.spec.vehicle import load_vehicle
 
 STEP = 0.004
@@ -57,21 +57,21 @@ def wander(k: int) -> np.ndarray:
 
 
 def test_with_perfect_sensors_it_is_the_motion_itself_whatever_the_heading() -> None:
-    motion, one = Motion(), Reckoning(SENSORS, STEP)
+    motion, one = Motion(), DeadReckoning(SENSORS, STEP)
     for k in range(5000):
         seen = motion.step(wander(k), 0.4 * k * STEP)
-        one.carry(seen, (0.0, 0.0))
+        one.predict(seen, (0.0, 0.0))
     assert one._p == pytest.approx(complex(*motion.p), abs=1e-9)
     assert one._v == pytest.approx(complex(*motion.v), abs=1e-9)
 
 
 def test_what_the_accelerometer_is_off_by_is_learnt_while_it_turns_and_then_taken_away() -> None:
     """0.1 m/s^2 would be 3 m/s after half a minute."""
-    motion, one = Motion(off=(0.1, -0.06)), Reckoning(SENSORS, STEP)
+    motion, one = Motion(off=(0.1, -0.06)), DeadReckoning(SENSORS, STEP)
     for k in range(1, 12_500):
         blind = k > 5000
         seen = motion.step(wander(k), 0.2 * k * STEP, not blind)
-        one.carry(seen, (0.0, 0.0))
+        one.predict(seen, (0.0, 0.0))
         if k > LATE and (k - LATE) % EVERY == 0:
             one.correct(None if blind else seen, False, 0.0)
         if k == 5000:
@@ -82,7 +82,7 @@ def test_what_the_accelerometer_is_off_by_is_learnt_while_it_turns_and_then_take
 def test_its_gains_are_those_of_a_kalman_filter_in_real_matrices() -> None:
     """Six real states, Joseph's form; a fix without latency, so that both compare with the same instant."""
     sensors = SENSORS.model_copy(update={"gnss": SENSORS.gnss.model_copy(update={"latency_samples": 0})})
-    one = Reckoning(sensors, STEP)
+    one = DeadReckoning(sensors, STEP)
     rng = np.random.default_rng(3)
     T = EVERY * STEP
     noise = STEP * (SENSORS.accelerometer.noise_m_s2**2 + (GRAVITY * SENSORS.attitude.noise_rad) ** 2)
@@ -96,7 +96,7 @@ def test_its_gains_are_those_of_a_kalman_filter_in_real_matrices() -> None:
         attitude = from_euler(0.0, 0.0, yaw)
         seen = Measured(ZERO3, attitude, ZERO3, ZERO3, 0.0, (0.0, 0.0, -GRAVITY))
         for _ in range(EVERY):
-            one.carry(seen, (0.0, 0.0))
+            one.predict(seen, (0.0, 0.0))
             u = turn @ x[4:]
             x[:2] += STEP * (x[2:4] + 0.5 * STEP * u)
             x[2:4] += STEP * u
@@ -122,11 +122,11 @@ def test_the_deviations_are_those_of_the_errors() -> None:
     """Sixteen flights, 20 s with and 30 s without fixes; the walk of the bias is not flown, so it may be surer than it says."""
     errors: list[tuple[float, float]] = []
     for seed in range(16):
-        motion, one = Motion(off=(0.05, 0.03), seed=seed), Reckoning(SENSORS, STEP)
+        motion, one = Motion(off=(0.05, 0.03), seed=seed), DeadReckoning(SENSORS, STEP)
         for k in range(1, 12_501):
             blind = k > 5000
             seen = motion.step(wander(k), 0.0, not blind)
-            one.carry(seen, (0.0, 0.0))
+            one.predict(seen, (0.0, 0.0))
             if k > LATE and (k - LATE) % EVERY == 0:
                 one.correct(None if blind else seen, False, 0.0)
         places, speeds = motion.p - [one._p.real, one._p.imag], motion.v - [one._v.real, one._v.imag]
@@ -138,9 +138,9 @@ def test_the_deviations_are_those_of_the_errors() -> None:
 
 
 def test_who_stands_knows_that_it_does_not_move() -> None:
-    motion, one = Motion(off=(0.1, 0.0)), Reckoning(SENSORS, STEP)
+    motion, one = Motion(off=(0.1, 0.0)), DeadReckoning(SENSORS, STEP)
     for k in range(1, 5000):
-        one.carry(motion.step(np.zeros(2), 0.0, False), (0.0, 0.0))
+        one.predict(motion.step(np.zeros(2), 0.0, False), (0.0, 0.0))
         if k % EVERY == 0:
             one.correct(None, True, 0.0)
     assert one.deviation[1] < 0.02
@@ -149,18 +149,18 @@ def test_who_stands_knows_that_it_does_not_move() -> None:
 
 
 def test_an_attitude_that_gets_worse_makes_it_less_sure_and_none_is_as_good_as_the_lean() -> None:
-    motion, one, two = Motion(), Reckoning(SENSORS, STEP), Reckoning(SENSORS, STEP)
+    motion, one, two = Motion(), DeadReckoning(SENSORS, STEP), DeadReckoning(SENSORS, STEP)
     nothing = (float("nan"),) * 3
     for k in range(1, 2500):
         seen = motion.step(np.zeros(2), 0.0, False)
-        one.carry(seen, (0.0, 0.0))
-        two.carry(seen._replace(specific_force=nothing), (0.3, 0.0))
+        one.predict(seen, (0.0, 0.0))
+        two.predict(seen._replace(specific_force=nothing), (0.3, 0.0))
         if k % EVERY == 0:
             one.correct(None, False, 1e-3 * k * STEP)
             two.correct(None, False, 0.0)
-    level = Reckoning(SENSORS, STEP)
+    level = DeadReckoning(SENSORS, STEP)
     for k in range(1, 2500):
-        level.carry(seen, (0.0, 0.0))
+        level.predict(seen, (0.0, 0.0))
         if k % EVERY == 0:
             level.correct(None, False, 0.0)
     # a lean deviation c t adds (g c)^2 2 t dt to the variance of the push at t, which is a speed for T - t from there on
@@ -180,7 +180,7 @@ def test_the_drag_learnt_at_speed_is_no_push_at_rest() -> None:
     gains = VEHICLE.control.position
     assert gains is not None
     speed, drag = 5.0, 0.04
-    for reckoning, most in ((None, None), (Reckoning(SENSORS, STEP), 0.05)):
+    for reckoning, most in ((None, None), (DeadReckoning(SENSORS, STEP), 0.05)):
         estimator = Estimator(gains, SENSORS.gnss, STEP, True, reckoning)
         v = p = 0.0
         told, past = (0.0, 0.0), [(0.0, 0.0)]

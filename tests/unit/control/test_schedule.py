@@ -70,7 +70,7 @@ def test_the_level_is_a_first_order_lag_of_the_collective() -> None:
     """``1 - e^(-t / filter)`` of a step, told in steps of a thousandth of the range."""
     block = GainSchedule(STATED, LEADS, STEP)
     block.reset(0.2)
-    told = [(k, found.share) for k in range(2000) if (found := block.update(0.4)) is not None]
+    told = [(k, found.thrust_fraction) for k in range(2000) if (found := block.update(0.4)) is not None]
     for k, share in told:
         assert share == pytest.approx(0.4 - 0.2 * exp(-(k + 1) * STEP / 2.0), rel=1e-9)
     shares = [0.2, *[share for _, share in told]]
@@ -78,7 +78,7 @@ def test_the_level_is_a_first_order_lag_of_the_collective() -> None:
     assert shares[-1] == pytest.approx(0.4, abs=0.005)
     # bounded: a collective far beyond the last level is followed no faster than the last level itself
     block.reset(0.2)
-    far = [found.share for _ in range(2000) if (found := block.update(1.0)) is not None]
+    far = [found.thrust_fraction for _ in range(2000) if (found := block.update(1.0)) is not None]
     assert far == shares[1:]
 
 
@@ -87,7 +87,7 @@ def test_a_lead_that_changes_makes_no_bump_at_rest() -> None:
     block = Lead(FULL, STEP)
     block.settle(0.3)
     for pole in (7.0, 5.0, 9.0):
-        block.follow(EngineLead(natural_rad_s=1.1, damping=0.55, pole_rad_s=pole))
+        block.set_poles(EngineLead(natural_rad_s=1.1, damping=0.55, pole_rad_s=pole))
         assert block.update(0.3, 0.0) == pytest.approx(0.3, abs=1e-9)
     # and from then on it is the new one: the same answers as of a lead that was the new one from the start
     new = EngineLead(natural_rad_s=1.1, damping=0.55, pole_rad_s=9.0)
@@ -103,7 +103,7 @@ def test_the_axis_follows_gains_and_keeps_its_integral() -> None:
         one.update(setpoint, rate, 0.0)
         other.update(setpoint, rate, 0.0)
     kept = one._integral
-    one.follow(0.5, 0.5, 3.0, None)
+    one.scale_gains(0.5, 0.5, 3.0, None)
     assert one._integral == kept
     other._integral = kept
     for setpoint, rate in rng.standard_normal((40, 2)):
@@ -114,7 +114,7 @@ def test_a_change_of_the_stated_gains_counts_at_every_level() -> None:
     vehicle, _ = load_vehicle("hexjet")
     gains = vehicle.control.attitude
     attitude = AttitudeController(gains)
-    attitude.follow(0.5)
+    attitude.scale_gains(0.5)
     hover = Measured((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -5.0), (0.0, 0.0, 0.0), 5.0)
     command = Command((0.01, 0.0, 0.0), 5.0)
     before = attitude.update(command, hover)[0]
@@ -126,7 +126,7 @@ def test_a_change_of_the_stated_gains_counts_at_every_level() -> None:
     height = AltitudeController(vehicle.control.altitude, 5.0, lambda thrust: thrust / 120.0, STEP)
     plain = height.update(Command((0.0, 0.0, 0.0), 5.1), hover, Unallocated())
     height.reset()
-    height.follow(0.5, 1.0, 1.0, None)
+    height.scale_gains(0.5, 1.0, 1.0, None)
     halved = height.update(Command((0.0, 0.0, 0.0), 5.1), hover, Unallocated())
     rest = 5.0 * 9.80665 / 120.0
     assert halved - rest == pytest.approx(0.5 * (plain - rest), rel=1e-9)
@@ -163,7 +163,7 @@ def test_a_flight_begins_with_part_of_the_fuel() -> None:
     scenario = Scenario.load("full-scale-hover").replace(initial={"fuel": 0.5}, expect=[])
     with build(scenario) as simulation:
         assert simulation.propulsion.tank is not None
-        assert simulation.propulsion.tank.left == pytest.approx(9.0)
+        assert simulation.propulsion.tank.remaining == pytest.approx(9.0)
         first = simulation.step()
         mass, _, _ = simulation.airframe.mass_properties()
         assert mass == pytest.approx(61.97 - 9.0, abs=0.01)

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from cosim.base.frames import to_euler
 from cosim.base.signals import Measured, Vector3
+from cosim.control.autopilot.estimation.dead_reckoning import DeadReckoning
 from cosim.control.autopilot.estimation.position import Estimator
-from cosim.control.autopilot.estimation.reckoning import Reckoning
 from cosim.control.autopilot.estimation.senses import Senses
 from cosim.spec.vehicle import PositionGains, Sensors
 
@@ -18,15 +18,15 @@ SPEED_SURE = 1.0  # m/s, one deviation: a speed that is less sure is not told as
 LEAN_SURE = radians(5.0)  # one deviation: a twelfth of the weight pushes sideways unseen
 
 
-class Trust(NamedTuple):
+class EstimateQuality(NamedTuple):
     """How reliable the autopilot's estimates are.
 
-    ``place``, ``height``: something measures them; ``speed``, ``climb``, ``attitude``: known to less than 1 m/s and
-    5 degrees, measured or predicted.  Then the sensors that are trusted, and the standard deviations of the
-    estimates: m and m/s per axis, m, m/s, rad.
+    ``position`` and ``height`` are valid where a sensor measures them; ``speed``, ``climb`` and ``attitude`` where
+    their standard deviation is below 1 m/s and 5 degrees, measured or predicted.  ``gyro`` to ``attitude_sensor``
+    are the trusted sensors.  The rest are the standard deviations: m and m/s per axis, m, m/s, rad.
     """
 
-    place: bool = True
+    position: bool = True
     speed: bool = True
     height: bool = True
     climb: bool = True
@@ -36,7 +36,7 @@ class Trust(NamedTuple):
     barometer: bool = True
     gnss: bool = True
     attitude_sensor: bool = True
-    place_m: float = nan
+    position_m: float = nan
     speed_m_s: float = nan
     height_m: float = nan
     climb_m_s: float = nan
@@ -44,7 +44,9 @@ class Trust(NamedTuple):
 
 
 class Estimates:
-    """Attitude, rates, height and climb rate from the :class:`Senses`, place and velocity from the :class:`Estimator`.
+    """The autopilot's estimates of its own motion.
+
+    Attitude, rates, height and climb rate are from :class:`Senses`, position and velocity from :class:`Estimator`.
 
     ``gain``: of the attitude loop, 1/s, the slowest of roll and pitch.  ``noisy``: the sensors have their noise, by
     which a receiver that has stopped is told from one that stands.
@@ -54,7 +56,7 @@ class Estimates:
         gnss = sensors.gnss
         noisy = noisy and max(gnss.position_noise_m, gnss.velocity_noise_m_s) > 0.0
         self.senses = Senses(sensors, step, gain)
-        self._position = Estimator(gains, gnss, step, noisy, Reckoning(sensors, step))
+        self._position = Estimator(gains, gnss, step, noisy, DeadReckoning(sensors, step))
         self.reset(None)
 
     def reset(self, measured: Measured | None) -> None:
@@ -99,12 +101,12 @@ class Estimates:
         return self._position.silent <= _BLIND_S
 
     @property
-    def trust(self) -> Trust:
+    def trust(self) -> EstimateQuality:
         """How reliable the estimates are."""
         has_position, inertial, vertical = self.has_position, self.senses.inertial, self.senses.vertical
         (position_deviation, speed), (height, climb) = self._position.deviation, vertical.deviation
         lean = inertial.deviation
-        return Trust(
+        return EstimateQuality(
             has_position,
             has_position or speed < SPEED_SURE,
             vertical.has_height or vertical.has_fix,

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cosim.base.signals import Measured, Vector3
-from cosim.control.autopilot.estimation.reckoning import Reckoning
+from cosim.control.autopilot.estimation.dead_reckoning import DeadReckoning
 from cosim.control.autopilot.geometry import Pair, lean_acceleration
 from cosim.spec.vehicle import PositionGains, PositionSensor
 
@@ -51,7 +51,7 @@ class Estimator:
         sensor: PositionSensor,
         step: float,
         noisy: bool = False,
-        reckoning: Reckoning | None = None,
+        reckoning: DeadReckoning | None = None,
     ) -> None:
         self._step = step
         self._noisy = noisy
@@ -102,7 +102,7 @@ class Estimator:
         p, v, b = self._p, self._v, self._b
         lean = lean_acceleration(measured.attitude)
         if reckoning is not None:
-            reckoning.carry(measured, (lean[0] + b[0], lean[1] + b[1]))
+            reckoning.predict(measured, (lean[0] + b[0], lean[1] + b[1]))
         for axis in (0, 1):
             a = lean[axis] + b[axis]
             p[axis] += dt * (v[axis] + 0.5 * dt * a)

@@ -69,7 +69,7 @@ def _least_upright(vehicle: Vehicle) -> float:
     return 0.0 if gains is None else cos(min(_LEAN_SHARE * gains.lean_rad, 0.5 * pi))
 
 
-def fastest_in_air(vehicle: Vehicle, acceleration: float, thrust: Sequence[float], density: float) -> float | None:
+def drag_limited_speed(vehicle: Vehicle, acceleration: float, thrust: Sequence[float], density: float) -> float | None:
     """Return the air speed [m/s] at which drag takes an acceleration [m/s^2], on the side that has more drag.
 
     ``thrust`` and ``density`` are as of :func:`estimate_wind`.  None for a vehicle with a wing and one without drag.

@@ -69,7 +69,7 @@ class Course:
     def reset(self) -> None:
         """Stop where the vehicle is."""
         self.cruise: float | None = None  # horizontal speed that was asked for, m/s; None: the parameter's
-        self.descending = self.landing = self._carried = False
+        self.descending = self.landing = self._is_pushed = False
         self.aim(None, None, None)
         self.guide.reset()
 
@@ -77,14 +77,14 @@ class Course:
         """Set the target; None: the position where it comes to rest, no height yet, the present heading."""
         self.position, self.height, self.heading = position, height, heading
 
-    def begin(self, k: int, spins: bool = False, carried: bool = False) -> None:
+    def begin(self, k: int, is_spinning: bool = False, is_pushed: bool = False) -> None:
         """Set the instant for the commands that follow.
 
-        ``spins``: no heading is held; ``carried``: hinges may push it aside, so that its own speed counts.
+        ``is_spinning``: no heading is held; ``is_pushed``: hinges may push the vehicle aside, so its own speed counts.
         """
         estimates = self.estimates
-        self._carried = carried
-        self.guide.begin(k, estimates.now, estimates.euler[2], estimates.fix, self._allowed_sink(), spins)
+        self._is_pushed = is_pushed
+        self.guide.begin(k, estimates.now, estimates.euler[2], estimates.fix, self._allowed_sink(), is_spinning)
 
     @property
     def speed(self) -> float:
@@ -99,7 +99,7 @@ class Course:
             return 0.0
         stop = measured.altitude - measured.velocity[2] / max(self.parameters["HJ_ALT_P"], 0.1)
         if self.guide.holds_height:
-            stop = self.guide.rest
+            stop = self.guide.stop_height
         return max(stop, min(measured.altitude, self.landmarks.ground + LOWEST_M))
 
     def distance_to(self, position: Pair) -> float:
@@ -152,7 +152,7 @@ class Course:
         """
         track, p = self.guide.track, self.parameters
         speed = 0.0 if track is None else hypot(*track.velocity)
-        if self._carried:
+        if self._is_pushed:
             speed = max(speed, hypot(*self.estimates.fix.velocity))
         if speed < SLOW:
             return inf
@@ -163,4 +163,4 @@ class Course:
         """Return the highest rate of descent [m/s] at the estimated height, where the height is controlled."""
         p, limits, estimates = self.parameters, self.guide.limits, self.estimates
         above = estimates.altitude - 2.0 * estimates.altitude_deviation - self.landmarks.high_ground
-        return descent_rate(above - p["HJ_LAND_SLOW_H"], limits.braking, limits.late, p["MPC_LAND_SPEED"])
+        return descent_rate(above - p["HJ_LAND_SLOW_H"], limits.braking, limits.lateness, p["MPC_LAND_SPEED"])

@@ -26,7 +26,7 @@ class HeightLimits(NamedTuple):
     acceleration: float
     jerk: float
     braking: float
-    late: float
+    lateness: float
 
 
 def height_limits(height: float, gain: float, speed: float, up: float, down: float) -> HeightLimits:
@@ -40,26 +40,26 @@ def height_limits(height: float, gain: float, speed: float, up: float, down: flo
     return HeightLimits(a, a * k / MEAN, 0.75 * a, 1.0 / max(height, 0.1) + (1.0 + 0.5 * MEAN) / k)
 
 
-def thrust_margins(hover: float, idle: float, least: float, most: float) -> tuple[float, float]:
+def thrust_margins(hover: float, idle: float, throttle_min: float, throttle_max: float) -> tuple[float, float]:
     """Return the accelerations [m/s^2] up and down that full and least throttle give in level hover.
 
-    Thrust is as ``throttle + idle``: ``up = g ((most + idle) / (hover + idle) - 1)``, down alike.
+    Thrust is as ``throttle + idle``: ``up = g ((throttle_max + idle) / (hover + idle) - 1)``, down alike.
     """
     weight = hover + idle
-    return GRAVITY * (most - hover) / weight, GRAVITY * (hover - least) / weight
+    return GRAVITY * (throttle_max - hover) / weight, GRAVITY * (hover - throttle_min) / weight
 
 
-def descent_rate(height: float, braking: float, late: float, end: float = 0.0) -> float:
+def descent_rate(height: float, braking: float, lateness: float, end: float = 0.0) -> float:
     """Return the rate of descent [m/s] from which the vehicle slows down to ``end`` [m/s] within ``height`` [m].
 
-    It sinks on for ``late`` [s] before the thrust answers and then brakes with ``braking`` [m/s^2]:
+    It sinks on for ``lateness`` [s] before the thrust answers and then brakes with ``braking`` [m/s^2]:
     ``h = (v - v_e) t + (v^2 - v_e^2) / (2 a)``, so ``v = sqrt((a t + v_e)^2 + 2 a h) - a t``.
     """
-    at = braking * late
+    at = braking * lateness
     return sqrt((at + end) ** 2 + 2.0 * braking * max(0.0, height)) - at
 
 
-class Floor:
+class CollectiveFloor:
     """The least collective, where the height is not controlled.
 
     With ``v`` from :func:`descent_rate` at the present height (a = half of the thrust beyond the weight, t = four times
@@ -95,7 +95,7 @@ class Floor:
         self._last: float | None = None
         self.is_acting = False
 
-    def level(self, collective: float) -> None:
+    def restart_at(self, collective: float) -> None:
         """Start again from this collective of the height control."""
         self.reset()
         self._last = collective

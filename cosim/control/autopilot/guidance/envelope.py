@@ -7,7 +7,7 @@ from math import radians
 from cosim.base.frames import upright
 from cosim.base.signals import AXES, Command
 from cosim.control.autopilot.estimation.estimates import Estimates
-from cosim.control.autopilot.guidance.descent import Floor, HeightLimits, height_limits, thrust_margins
+from cosim.control.autopilot.guidance.descent import CollectiveFloor, HeightLimits, height_limits, thrust_margins
 from cosim.control.autopilot.guidance.guide import Guide
 from cosim.control.autopilot.guidance.shaper import AttitudeLimits, Shaper, angular_authority, attitude_limits
 from cosim.control.autopilot.parameters import Parameters
@@ -18,7 +18,9 @@ _CLIMBING = ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_AUTO", "HJ_DESC_AUTO")  # and t
 
 
 class Envelope:
-    """A :class:`Shaper` for every command, and a :class:`Floor` where the collective comes by stick or set-point.
+    """Limits commands to what the vehicle can follow.
+
+    Every command passes a :class:`Shaper`; a collective by stick or set-point passes a :class:`CollectiveFloor`.
 
     ``hover``: the collective at which the vehicle hovers; ``idle``: thrust of an engine without throttle, as a fraction
     of what full throttle adds to it; ``answer``: delay and lag [s] with which the thrust answers, about hover and the
@@ -41,12 +43,12 @@ class Envelope:
         self._parameters = parameters
         self._estimates = estimates
         self.shaper = Shaper(self.attitude_limits(), step)
-        self.floor = Floor(hover, idle, self._least, self._most, *answer, step)
+        self.floor = CollectiveFloor(hover, idle, self._least, self._most, *answer, step)
 
     def reset(self, airborne: bool) -> None:
         """Start without a command."""
         self.shaper.reset()
-        self.floor.level(self._hover if airborne else self._least)
+        self.floor.restart_at(self._hover if airborne else self._least)
 
     def attitude_limits(self) -> AttitudeLimits:
         """Return the attitude and rate limits that the loops can follow with the present gains."""
@@ -63,7 +65,7 @@ class Envelope:
         margins = thrust_margins(self._hover, self._idle, self._least, self._most)
         return height_limits(p["HJ_ALT_P"], p["HJ_CLIMB_P"], speed, *margins)
 
-    def follow(self, name: str, guide: Guide) -> None:
+    def update_limits(self, name: str, guide: Guide) -> None:
         """Compute anew the limits that depend on a parameter that has changed."""
         if name.startswith(_SHAPING):
             self.shaper.limit(self.attitude_limits())

@@ -7,7 +7,7 @@ from math import inf, pi
 from cosim.base.limits import clamp
 from cosim.base.signals import Command, Measured
 from cosim.control.autopilot.estimation.position import Fix
-from cosim.control.autopilot.geometry import Pair, lean_for, wrap
+from cosim.control.autopilot.geometry import Pair, lean_from_acceleration, wrap
 from cosim.control.autopilot.guidance.descent import HeightLimits
 from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Track, Tracker
@@ -53,17 +53,19 @@ class Guide:
         track = self._height.track
         self._height.start(track.position, track.velocity)
 
-    def begin(self, k: int, measured: Measured, yaw: float, fix: Fix, sink: float = inf, spins: bool = False) -> None:
-        """Set the instant for the calls that follow; ``sink``: the highest rate of descent [m/s] of a set-point.
+    def begin(
+        self, k: int, measured: Measured, yaw: float, fix: Fix, max_sink: float = inf, is_spinning: bool = False
+    ) -> None:
+        """Set the instant for the calls that follow; ``max_sink``: the highest rate of descent [m/s] of a set-point.
 
-        A vehicle that ``spins`` holds no heading: it leans as seen from the heading that is asked for, at which the
-        lean can change steadily.
+        With ``is_spinning`` no heading is held: the lean is computed for the commanded heading, at which it can change
+        steadily.
         """
-        self._yaw = self.yaw if spins and self._yaw_step == self._k else yaw
+        self._yaw = self.yaw if is_spinning and self._yaw_step == self._k else yaw
         self._k = k
         self._measured = measured
         self._fix = fix
-        self._sink = sink
+        self._max_sink = max_sink
 
     def towards(self, target: Pair, speed: float) -> Pair:
         """Return roll and pitch (rad) that fly to a position."""
@@ -86,13 +88,13 @@ class Guide:
         height_error = altitude - self.altitude
         if self._waits(height_error):
             return self.altitude
-        speed = up if height_error > 0.0 else min(down, self._sink)
+        speed = up if height_error > 0.0 else min(down, self._max_sink)
         return self._store_height(self._height.towards((altitude, 0.0), speed))
 
     def at_climb(self, rate: float) -> float:
         """Return the height set-point [m], moving at ``rate`` [m/s]."""
         self._take_up_height()
-        rate = max(rate, -self._sink)
+        rate = max(rate, -self._max_sink)
         if self._waits(rate):
             return self.altitude
         return self._store_height(self._height.at_velocity((rate, 0.0)))
@@ -105,7 +107,7 @@ class Guide:
             self.yaw = wrap(self.yaw + clamp(wrap(yaw - self.yaw), most))
         return self.yaw
 
-    def at_turn(self, rate: float) -> float:
+    def at_yaw_rate(self, rate: float) -> float:
         """Return the heading set-point [rad], turning at ``rate`` [rad/s], at most a radian ahead of the vehicle."""
         self._take_up_yaw()
         ahead = wrap(self.yaw + rate * self._step - self._yaw)
@@ -127,12 +129,12 @@ class Guide:
         return self._height_step == self._k
 
     @property
-    def rest(self) -> float:
+    def stop_height(self) -> float:
         """The height at which the set-point would come to rest now."""
         return self._height.stop_position[0]
 
     def _lean(self, track: Track) -> Pair:
-        return lean_for(self._position.update(track, self._fix), self._yaw)
+        return lean_from_acceleration(self._position.update(track, self._fix), self._yaw)
 
     def _take_up_track(self) -> None:
         if self._track_step not in (self._k, self._k - 1):

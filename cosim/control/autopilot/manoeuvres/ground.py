@@ -110,7 +110,7 @@ class Landing:
         self.collective: float | None = None  # while the thrust is taken away
         self.disarms = False  # as soon as it stands
 
-    def look(self, report: Report, sure: bool) -> None:
+    def update(self, report: Report, sure: bool) -> None:
         """Update the contact by one step; ``sure``: it is off the ground, and not about to touch it."""
         estimates, descending = self._estimates, self._course.descending
         self.touchdown.update(estimates.now.velocity[2], estimates.senses.lift, report, descending, sure)
@@ -129,12 +129,12 @@ class Landing:
         self.touchdown.switch_failed = stuck
 
     @property
-    def is_unlifted(self) -> bool:
+    def is_still_grounded(self) -> bool:
         """Whether a vehicle that takes off is still on the ground."""
         return not self.touchdown.is_off_ground and self._estimates.altitude < self._landmarks.ground + _LIFT_M
 
     @property
-    def is_weighted(self) -> bool:
+    def has_weight_on_legs(self) -> bool:
         """Whether the vehicle is on the ground by the switch and by its weight."""
         return self.touchdown.is_touching and self.touchdown.carries_weight
 
@@ -174,5 +174,5 @@ class Landing:
     @property
     def has_settled(self) -> bool:
         """Whether the thrust is gone and the vehicle stands."""
-        stands = self.touchdown.is_standing or self.touchdown.is_borne
+        stands = self.touchdown.is_standing or self.touchdown.legs_bear_weight
         return self.collective is not None and self.collective <= self._least and stands

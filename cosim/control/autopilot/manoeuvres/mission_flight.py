@@ -69,7 +69,7 @@ class MissionFlight:
             target = (item.north, item.east) if item.north is not None and item.east is not None else position
             height = item.altitude if item.altitude is not None else altitude
             seconds += (
-                energy.way_time(hypot(target[0] - position[0], target[1] - position[1]), height - altitude)
+                energy.travel_time(hypot(target[0] - position[0], target[1] - position[1]), height - altitude)
                 + item.hold_s
             )
             if item.kind is ItemKind.CIRCLE and item.radius is not None:

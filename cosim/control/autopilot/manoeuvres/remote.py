@@ -57,7 +57,7 @@ class Remote:
     def setpoint_fresh(self, k: int) -> bool:
         return (k - self._setpoint_at) * self._step <= self._parameters["HJ_OFFB_TIME"]
 
-    def gives_collective(self, mode: Mode) -> bool:
+    def commands_collective(self, mode: Mode) -> bool:
         """Return whether the collective itself is commanded, and not a height."""
         offboard = mode is Mode.OFFBOARD and isinstance(self.setpoint, OffboardAttitude)
         return offboard or mode in DIRECT
@@ -72,7 +72,7 @@ class Remote:
             return ["the throttle stick is not down"]
         return []
 
-    def wants_up(self, mode: Mode, k: int) -> bool:
+    def needs_take_off(self, mode: Mode, k: int) -> bool:
         """Return whether the sticks or the set-point need the vehicle to leave the ground."""
         sticks, setpoint = self.sticks, self.setpoint
         if mode in BY_STICK and sticks is not None and self.sticks_fresh(k):
@@ -95,7 +95,7 @@ class Remote:
     def _by_stick(self, sticks: Sticks, mode: Mode) -> Command:
         course, parameters = self._course, self._parameters
         guide = course.guide
-        yaw = guide.at_turn(_dead(sticks.yaw) * radians(parameters["HJ_YAW_RATE"]))
+        yaw = guide.at_yaw_rate(_dead(sticks.yaw) * radians(parameters["HJ_YAW_RATE"]))
         most = radians(parameters["HJ_STICK_LEAN"])
         lean = limit_length(sticks.roll * most, -sticks.pitch * most, most)
         if mode in DIRECT:
@@ -130,7 +130,7 @@ class Remote:
         climb = min(parameters["HJ_SPEED_UP"], max(-parameters["HJ_SPEED_DN"], -setpoint.down))
         course.descending = climb < -_CLIMBS
         lean = guide.at_velocity(limit_length(setpoint.north, setpoint.east, parameters["MPC_XY_VEL_MAX"]))
-        yaw = guide.to_yaw(setpoint.yaw) if setpoint.yaw_rate is None else guide.at_turn(setpoint.yaw_rate)
+        yaw = guide.to_yaw(setpoint.yaw) if setpoint.yaw_rate is None else guide.at_yaw_rate(setpoint.yaw_rate)
         return guide.command(lean, guide.at_climb(climb), yaw)
 
 

@@ -112,7 +112,7 @@ class Touchdown:
         return self._contact_s > _STAND_S and self._light_s > _STAND_S
 
     @property
-    def is_borne(self) -> bool:
+    def legs_bear_weight(self) -> bool:
         """Whether the legs carry what the engines, at their least thrust, do not.
 
         Engines around a lost one may give most of the weight for their balance.  If they give nearly all of it no load

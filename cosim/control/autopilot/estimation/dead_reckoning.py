@@ -23,7 +23,7 @@ _UNFELT = 0.5  # m/s^2, constant over a second: what the lean does not explain, 
 _STILL_RATE = 0.02  # m/s: the noise of standing still as a measurement
 
 
-class Reckoning:
+class DeadReckoning:
     """A Kalman filter of position ``p``, velocity ``v`` and the bias ``u`` of the sensed acceleration.
 
     The model is ``p' = v``, ``v' = a + r u + white``, ``u' = white`` with ``a`` the measured specific force turned
@@ -72,7 +72,7 @@ class Reckoning:
         p, v = self._past[0]
         return p.real, p.imag, v.real, v.imag
 
-    def carry(self, measured: Measured, expected_acceleration: tuple[float, float]) -> None:
+    def predict(self, measured: Measured, expected_acceleration: tuple[float, float]) -> None:
         """Predict one step; ``expected_acceleration``: by lean and push [m/s^2], used without an accelerometer."""
         force, dt = measured.specific_force, self._dt
         self._felt = not (isnan(force[0]) or isnan(force[1]) or isnan(force[2]))

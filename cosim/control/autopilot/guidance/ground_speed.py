@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import hypot, radians, sqrt, tan
 
 from cosim.base.constants import GRAVITY
-from cosim.control.autopilot.estimation.wind import estimate_wind, fastest_in_air
+from cosim.control.autopilot.estimation.wind import drag_limited_speed, estimate_wind
 from cosim.control.autopilot.geometry import Pair
 from cosim.control.autopilot.guidance.course import Course
 from cosim.control.autopilot.guidance.tracker import BRAKE_FRACTION
@@ -20,10 +20,12 @@ _RAMPS = 0.5 + 0.5 / BRAKE_FRACTION  # times v^2 / a: the way that speeding up t
 _LEAST_SPEED = 0.1  # m/s: it does not get home at all, so that the way takes longer than any tank lasts
 
 
-class Headway:
-    """The speeds and times of ways; ``catch_up``: the most speed [m/s] for an error of position.
+class GroundSpeed:
+    """Speed over the ground and time of a flight to a position, against the estimated wind.
 
-    The wind is learnt while the vehicle flies or hovers steadily, and taken to blow against it on every way.
+    ``catch_up`` is the most speed [m/s] for an error of position.
+
+    The wind is estimated while the vehicle flies or hovers steadily, and taken to blow against it on every way.
     """
 
     def __init__(self, course: Course, vehicle: Vehicle, catch_up: float, step: float) -> None:
@@ -37,7 +39,7 @@ class Headway:
         """Forget the wind."""
         self._north = self._east = self._weight = 0.0
 
-    def learn(self) -> None:
+    def update_wind(self) -> None:
         """Take one step in the air into the mean of the wind, where the vehicle follows a steady set-point."""
         track, estimates = self._course.guide.track, self._course.estimates
         if track is None or not estimates.has_position:
@@ -58,13 +60,13 @@ class Headway:
         return (self._north / self._weight, self._east / self._weight) if self._weight else (0.0, 0.0)
 
     @property
-    def greatest_speed(self) -> float:
+    def max_speed(self) -> float:
         """The most speed over the ground [m/s] that HJ_LEAN_MAX gives against the wind.
 
         Where drag is not known, or a wing bears, it is the speed that the vehicle's file states.
         """
         lean = GRAVITY * tan(radians(self._parameters["HJ_LEAN_MAX"]))
-        air = fastest_in_air(self._vehicle, lean, self._thrust, DENSITY)
+        air = drag_limited_speed(self._vehicle, lean, self._thrust, DENSITY)
         if air is None:
             return self._parameters.table["MPC_XY_VEL_MAX"].default
         return max(_LEAST_SPEED, air - hypot(*self.wind))
@@ -72,15 +74,15 @@ class Headway:
     @property
     def speed(self) -> float:
         """The speed over the ground [m/s] of a long way: what is asked for, or as much of it as can be flown."""
-        return min(self._course.speed, self.greatest_speed)
+        return min(self._course.speed, self.max_speed)
 
-    def way_time(self, distance: float) -> float:
+    def travel_time(self, distance: float) -> float:
         """Return how long [s] a way of so many m takes, from rest to rest.
 
         The set-point speeds up with a and brakes with 3/4 a.  While it is faster than the vehicle can be, it gets
         ahead; from when it brakes the vehicle closes in on it at no more than ``catch_up``.
         """
-        p, greatest = self._parameters, self.greatest_speed
+        p, greatest = self._parameters, self.max_speed
         a, catch_up = p["HJ_ACC_HOR"], min(self._catch_up, greatest)
         top = min(self._course.speed, sqrt(distance * a / _RAMPS))
         set_point_time = distance / top + _RAMPS * top / a + a / p["HJ_JERK_HOR"]
