@@ -247,7 +247,11 @@ def _state(predictor: StatePredictor) -> Form:
 
 def _modal(predictor: ModalPredictor) -> Form:
     vectors = {
-        name: getattr(predictor, name) for name in ("poles", "residues", "shares", "gain", "ahead")
+        "poles": predictor.poles,
+        "residues": predictor.residues,
+        "shares": predictor.shares,
+        "gain": predictor.gain,
+        "ahead": predictor.state_weights,
     }  # real, or complex where the model has pairs
     paired = any(complex(x).imag != 0.0 for vector in vectors.values() for x in vector)
     return {
