@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.compiled import choose
+from cosim.base.compiled import select_modules
 from cosim.base.errors import EngineError, FlightError, InputError
 from cosim.base.runtime.kernels import load_with_reference
 
@@ -59,7 +59,7 @@ _WHERE = {
     "versions": "cosim.results.summary",
 }
 
-choose()  # before any module that may be compiled is imported
+select_modules()  # before any module that may be compiled is imported
 load_with_reference()  # before numpy is
 
 

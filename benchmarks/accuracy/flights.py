@@ -157,7 +157,7 @@ def fly_again(course: Course, scheme: Scheme, runs: int) -> tuple[Motion, list[M
     def step(inputs: StepInputs) -> Motion:
         changed = inputs.disturbance.payload != frame._disturbance.payload
         if scheme.at_once:
-            frame.carry(inputs.momentum, inputs.burnt)
+            frame.prepare_step(inputs.momentum, inputs.burnt)
         else:
             if course.vehicle.fuel:
                 frame.burn(inputs.burnt)

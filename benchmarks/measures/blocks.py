@@ -324,7 +324,7 @@ class _Nowhere:
 
 def _push(load: Load, thrust: PerJet, tilt: PerServo) -> list[Vector3]:
     """Return the jets' forces, hinges turned."""
-    load.place(tilt)
+    load.set_tilt(tilt)
     return load.along_axes(thrust)
 
 

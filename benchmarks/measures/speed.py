@@ -168,7 +168,7 @@ class Flights:
 def bare(simulation: Simulation, runs: int) -> Action:
     """Nothing but JSBSim: so many runs of the airframe in hover in the air, forces held."""
     _begin(simulation)
-    run = simulation.airframe.bare_run()
+    run = simulation.airframe.jsbsim_run()
 
     def action() -> None:
         for _ in repeat(None, runs):
@@ -195,7 +195,7 @@ def airframe_alone(simulation: Simulation, steps: int, plain: bool) -> Action:
     if plain:
         for name, method in JSBSIM_MODELS.items():
             frame._set(f"simulation/integrator/{name}", method)
-    run, more = frame.bare_run(), frame.substeps - 1
+    run, more = frame.jsbsim_run(), frame.substeps - 1
     twice = more > 0 and not plain
     fraction, write, write_ahead, read = MAKE_UP[IN_THE_AIR], frame._act, frame._act_with, frame._read
 

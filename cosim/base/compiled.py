@@ -78,7 +78,7 @@ def fingerprint(package: Path) -> str:
     return "".join(f"{sha256((package / name).read_bytes()).hexdigest()}  {name}\n" for name in MODULES)
 
 
-def edited() -> list[str]:
+def edited_modules() -> list[str]:
     """Return the modules whose source is not what was compiled; all where nothing was, for this Python."""
     if not (PACKAGE / SHARED).is_file():
         return list(MODULES)
@@ -89,12 +89,12 @@ def edited() -> list[str]:
     return [line.split("  ")[1] for line in fingerprint(PACKAGE).splitlines() if line not in built]
 
 
-def choose() -> None:
+def select_modules() -> None:
     """Import the compiled modules from here on if they are up to date, else all of them from source.
 
     One line on standard error says so where an edit is why.
     """
-    changed = edited()
+    changed = edited_modules()
     if not changed and not os.environ.get(PURE):
         return
     sys.meta_path.insert(0, _FromSource())
@@ -112,7 +112,7 @@ def from_source() -> bool:
     return any(isinstance(finder, _FromSource) for finder in sys.meta_path)
 
 
-def environment() -> dict[str, str]:
+def child_environment() -> dict[str, str]:
     """Return the environment for a child process, which runs the modules as this one does, without a second notice."""
     return {**os.environ, PURE: "1"} if from_source() else dict(os.environ)
 

@@ -31,7 +31,7 @@ class Station(NamedTuple):
     twist: float = 0.0
 
 
-class Turn(NamedTuple):
+class HingeAxis(NamedTuple):
     """A hinge: a point of its axis, the axis (unit), the jets that it carries and those that it deflects, from 0."""
 
     point: Vector3
@@ -62,7 +62,7 @@ class Layout:
     ``moves``: some hinge carries a jet, so that stations move.
     """
 
-    def __init__(self, stations: Sequence[Station], turns: Sequence[Turn] = ()) -> None:
+    def __init__(self, stations: Sequence[Station], turns: Sequence[HingeAxis] = ()) -> None:
         self.stations, self.turns = tuple(stations), tuple(turns)
         self.rest_positions: list[Vector3] = [station.position for station in stations]  # with all hinges at zero
         chains: list[list[tuple[int, float]]] = []  # of each jet: hinges from the body outwards, and their effect on it

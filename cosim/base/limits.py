@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 
-def clamp(value: float, most: float) -> float:
-    """Return ``value``, at most ``most`` either way; NaN stays NaN."""
-    return most if value > most else (-most if value < -most else value)
+def clamp(value: float, limit: float) -> float:
+    """Return ``value``, clamped to ``-limit`` .. ``limit``; NaN stays NaN."""
+    return limit if value > limit else (-limit if value < -limit else value)
 
 
 def clip(value: float, low: float, high: float) -> float:

@@ -19,7 +19,7 @@ from pathlib import Path
 from types import TracebackType
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import lock, map_os_errors, one_line, own_file, write_all
+from cosim.base.storage.files import map_os_errors, one_line, open_without_links, try_lock, write_all
 from cosim.base.trust import looking
 from cosim.campaign.columns import stored_kinds, write_columns
 from cosim.campaign.folder import (
@@ -397,8 +397,8 @@ def _journal(folder: Path, of: int) -> Iterator[Row]:
 
 def _open_journal(folder: Path, how: int) -> int:
     """Open the journal and take its lock.  Raises InputError if another process has it, OSError."""
-    file = own_file(folder / JOURNAL, os.O_RDWR | os.O_APPEND | how)
-    if lock(file) is False:
+    file = open_without_links(folder / JOURNAL, os.O_RDWR | os.O_APPEND | how)
+    if try_lock(file) is False:
         os.close(file)
         raise InputError(f"{folder}: in use by another process; wait until it ends")
     return file

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.signals import AXES
-from cosim.base.storage.files import finite, write_files
+from cosim.base.storage.files import to_json_record, write_files
 from cosim.base.storage.toml import toml_text
 from cosim.design.as_flown import WORSE, WORSE_WORDS, comparison_columns, comparison_lines, comparison_rows, worse_lines
 from cosim.design.assessment import Assessment, AxisDesign
@@ -91,7 +91,7 @@ def to_dict(design: Design, paths: Mapping[str, Path] | None = None) -> dict[str
         ],
         "schedule": design.schedule.model_dump(exclude_none=True) if design.schedule else None,
         "file": controller_table(design) if design.ok else None,
-        "proof": finite(design.proof) if design.proof else None,
+        "proof": to_json_record(design.proof) if design.proof else None,
         "worse": worse_lines(design.proof.compared) if design.proof else [],
         "paths": {name: str(path) for name, path in (paths or {}).items()},
     }

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.base.errors import InputError
-from cosim.base.storage.files import map_os_errors, replacing, write_whole
+from cosim.base.storage.files import map_os_errors, replace_on_success, write_whole
 from cosim.campaign.folder import FLIGHTS, STUDY
 from cosim.identify.logs import is_flight_log
 from cosim.results.run import SUMMARY
@@ -125,7 +125,10 @@ class Shelf:
 
     def _save(self) -> None:
         rows = [[stamp, list(entry)] for stamp, entry in self._rows.values()]
-        with suppress(OSError), replacing(self.folder / INDEX) as temporary:  # a folder that is not ours is looked at
+        with (
+            suppress(OSError),
+            replace_on_success(self.folder / INDEX) as temporary,
+        ):  # a folder that is not ours is looked at
             temporary.write_text(json.dumps({"form": FORM, "rows": rows}), encoding="utf-8")
 
 

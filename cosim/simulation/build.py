@@ -39,7 +39,7 @@ def build(scenario: Scenario, controller: Source | None = None) -> Simulation:
     Raises InputError for anything in scenario, vehicle, engine or controller that does not fit, or is not trusted.
     """
     need_trust_of(scenario)
-    kernels.warn_of_others()
+    kernels.warn_of_other_kernels()
     controller = controller or find_controller(scenario)
     parameters = own_parameters(scenario, controller)
     plugins = load_plugins(scenario)

@@ -136,7 +136,7 @@ class Simulation:
         actuation = self.controller.update(command, seen, disturbance, engines)
         forces, moment = propulsion.step(k, actuation, state)
         health = self.controller.watch(propulsion.output, propulsion.burnt)
-        self.airframe.carry(propulsion.momentum, propulsion.burnt, propulsion.tilt)
+        self.airframe.prepare_step(propulsion.momentum, propulsion.burnt, propulsion.tilt)
         self.state = self.airframe.step(forces, disturbance, moment)
         self.measured = self.sensors.sample(self.state)
         self._count()

@@ -62,7 +62,7 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
             cascade.thrust_map.idle,
             (
                 max(reference.delay + reference.lag for reference in references),
-                max(reference.delay + reference.longest_lag for reference in references),
+                max(reference.delay + reference.longest for reference in references),
             ),
         ),
         ControlLoops(

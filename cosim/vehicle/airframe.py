@@ -38,11 +38,11 @@ from cosim.spec.scenario import Environment, Initial
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle._properties import Properties
 from cosim.vehicle.executive import Complaint, Executive, Property
-from cosim.vehicle.jsbsim_model import MOMENTUM, PRODUCT_SIGN, PRODUCTS, render, structural
+from cosim.vehicle.jsbsim_model import MOMENTUM, PRODUCT_SIGN, PRODUCTS, render, to_structural
 from cosim.vehicle.jsbsim_units import FOOT, INCH, JSBSIM_POUNDS_PER_SLUG, POUND_FOOT, POUND_FORCE, SLUG, SLUG_FT2
 from cosim.vehicle.mass_change import MassChange, PointMass, find_centre
 from cosim.vehicle.model_file import read_model
-from cosim.vehicle.proof import prove
+from cosim.vehicle.model_trial import check_model_loads
 
 NEAR_GROUND: Final = 2.0  # m: below this height the contacts are looked at
 # JSBSim's methods, by the end of their property's name and its number for them
@@ -151,7 +151,7 @@ class Airframe:
             text = read_model(self._source)
             self.file_sha256 = hashlib.sha256(text).hexdigest()
             if self._source is not None:
-                prove(xml, self._source, text)
+                check_model_loads(xml, self._source, text)
             self._file.write_bytes(xml)
             self._load()
         except BaseException:
@@ -316,7 +316,7 @@ class Airframe:
             for _ in range(runs):
                 ended = not run() or ended
         except Complaint as error:
-            raise self._jsbsim.stopped(error) from None
+            raise self._jsbsim.flight_error(error) from None
         if ended:
             raise FlightError("JSBSim ended the run")
         return self._read()
@@ -339,7 +339,7 @@ class Airframe:
         jolt = (size * x, size * y, size * z)
         # at the centre of gravity as built, and with no moment about the present one
         self._act(forces, _sum(push, jolt), _sum(twist, cross(after, jolt)))
-        self._mass_change.shift(rotate(self._read().attitude, shift))
+        self._mass_change.shift_centre(rotate(self._read().attitude, shift))
         self._mass_change.evaluate(self._run)
         self._use(ON_THE_GROUND)
         self._act(forces, push, twist)
@@ -355,7 +355,7 @@ class Airframe:
             others.append((-self._burnt, self._vehicle.fuel.position_m))
         return find_centre(self._vehicle.mass_kg, others)
 
-    def bare_run(self) -> Callable[[], bool]:
+    def jsbsim_run(self) -> Callable[[], bool]:
         """JSBSim's own ``run``, good until the next reset: one of its steps with everything held, to time it alone."""
         return self._run
 
@@ -402,20 +402,20 @@ class Airframe:
     def _apply_payload(self, payload: Payload) -> None:
         mass, x, y, z = payload
         self._set_payload(mass / SLUG * JSBSIM_POUNDS_PER_SLUG)
-        self._payload_place.put(*structural((x, y, z)))
+        self._payload_place.put(*to_structural((x, y, z)))
         self._full = sum((self._vehicle.mass_kg, mass))
         self._mass = self._full - self._burnt
 
-    def carry(self, momentum: Vector3, burnt: float, standing: PerServo = ()) -> None:
-        """Over the next step carry rotors of this ``momentum``, where they are modelled, and lack ``burnt`` kg.
+    def prepare_step(self, momentum: Vector3, burnt: float, tilt: PerServo = ()) -> None:
+        """Set the rotors' ``momentum`` [kg m^2/s, body], the ``burnt`` fuel [kg] and the surfaces of the next step.
 
-        Both act from its beginning, as forces do: the first of several runs has :data:`MAKE_UP` of their change on top.
-        ``standing``: where the servos stand, of which the last are those of the surfaces.
+        Momentum and fuel act from its beginning, as forces do: the first of several runs has :data:`MAKE_UP` of their
+        change on top.  ``tilt``: the angles of all servos; the last are those of the surfaces.
         """
         if self._surfaces:
-            first = len(standing) - len(self._surfaces)
+            first = len(tilt) - len(self._surfaces)
             for number, surface in enumerate(self._surfaces):
-                surface(standing[first + number])
+                surface(tilt[first + number])
         if burnt != self._burnt:
             self._lack(burnt + self._share_of_first_run() * (burnt - self._burnt))
             self._burnt, self._mass = burnt, self._full - burnt

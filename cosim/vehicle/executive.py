@@ -20,7 +20,7 @@ import jsbsim
 
 from cosim.base.errors import FlightError, InputError, Notice
 from cosim.base.storage.cache import Memory
-from cosim.vehicle.model_file import ACTING, acting, find_line
+from cosim.vehicle.model_file import ACTING, find_acting_property, find_line
 
 Property = jsbsim.FGPropertyNode
 VERSION: Final[str] = jsbsim.__version__
@@ -105,13 +105,13 @@ class Executive:
             raise self._refusal_for(str(error)) from None
         raise FlightError("JSBSim could not start from the initial state")
 
-    def stopped(self, error: Exception) -> FlightError:
-        """Return what to raise where JSBSim threw while it flew."""
+    def flight_error(self, error: Exception) -> FlightError:
+        """Return the FlightError for an exception of JSBSim in flight."""
         return FlightError(str(self._refusal_for(str(error))))
 
     def node(self, name: str) -> Property:
         """Return a property.  Raises InputError where there is none: JSBSim would make one of it when it is written."""
-        if acting(name):
+        if find_acting_property(name):
             raise InputError(
                 f"{self._label}: {name}: JSBSim does something when it is written; nothing here may write it"
             )

@@ -35,7 +35,7 @@ _PARTS = (
 )  # fmt: skip
 
 
-def structural(body: Vector3) -> tuple[float, float, float]:
+def to_structural(body: Vector3) -> tuple[float, float, float]:
     """Return a body-frame position (m, FRD) in JSBSim's structural frame: inches, x aft, y right, z up."""
     x, y, z = body
     return (-x / INCH, y / INCH, -z / INCH)
@@ -59,7 +59,7 @@ def _render(vehicle: Vehicle, model: Path, text: bytes, rotors: bool) -> bytes:
     root = parse(model, text)
     if root.tag != "fdm_config":
         raise InputError(f"{model}: is no JSBSim model: its root is {root.tag}, not fdm_config")
-    has_aerodynamics = complete(root, vehicle, model)
+    has_aerodynamics = add_missing_parts(root, vehicle, model)
 
     _write_mass(root, vehicle)
     for number, jet in enumerate(vehicle.jets, 1):
@@ -90,7 +90,7 @@ def _write(root: ET.Element, path: str, value: float, unit: str) -> None:
 def _write_position(root: ET.Element, path: str, body: Vector3) -> None:
     """Write a body-frame position (m, FRD) in inches of the structural frame."""
     _child(root, path).set("unit", "IN")
-    for axis, value in zip("xyz", structural(body), strict=True):
+    for axis, value in zip("xyz", to_structural(body), strict=True):
         _child(root, f"{path}/{axis}").text = repr(value + 0.0)
 
 
@@ -110,7 +110,7 @@ def _write_mass(root: ET.Element, vehicle: Vehicle) -> None:
         burnt = ET.SubElement(balance, "pointmass", name="burnt fuel")
         ET.SubElement(burnt, "weight", unit="LBS").text = "0"
         at = ET.SubElement(burnt, "location", unit="IN")
-        for axis, inches in zip("xyz", structural(vehicle.fuel.position_m), strict=True):
+        for axis, inches in zip("xyz", to_structural(vehicle.fuel.position_m), strict=True):
             ET.SubElement(at, axis).text = repr(inches + 0.0)
 
 
@@ -131,7 +131,7 @@ def _write_aerodynamics(root: ET.Element, vehicle: Vehicle, model: Path) -> None
         constants[name].set("value", repr(value))
 
 
-def complete(root: ET.Element, vehicle: Vehicle, model: Path) -> bool:
+def add_missing_parts(root: ET.Element, vehicle: Vehicle, model: Path) -> bool:
     """Add to a model what a flight needs in it, and return whether it has its own aerodynamics.
 
     The origin of the structural frame becomes the centre of gravity, where it is not.  Raises InputError for engines,

@@ -44,7 +44,7 @@ class MassChange:
         self._latitude, self._longitude = node("position/lat-gc-rad"), node("position/long-gc-rad")
         self._height = node("position/h-sl-ft")
 
-    def shift(self, ned: Vector3) -> None:
+    def shift_centre(self, ned: Vector3) -> None:
         """Move the centre of gravity by this [m, NED]; velocity, attitude and rate stay."""
         north, east, down = (metres / FOOT for metres in ned)
         get = self._get

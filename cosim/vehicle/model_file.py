@@ -142,13 +142,13 @@ def _refuse_acting(root: ET.Element, model: Path) -> None:
     """Refuse a model that names a property by which JSBSim writes a file, or ends, holds or begins a run again."""
     for element in root.iter():
         for text in (element.text, *element.attrib.values()):
-            name = acting(text or "")
+            name = find_acting_property(text or "")
             if name:
                 where = find_line(model, (text or "").strip())
                 raise InputError(f"{where}: {name}: JSBSim does something when it is written; a model here may not")
 
 
-def acting(text: str) -> str:
+def find_acting_property(text: str) -> str:
     """Return the acting property that a text names, whatever the way it goes through JSBSim's tree; else nothing."""
     if "simulation" not in text:
         return ""

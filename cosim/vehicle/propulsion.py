@@ -72,7 +72,7 @@ class Propulsion:
 
     @tilt.setter
     def tilt(self, angles: PerServo) -> None:
-        self._load.place(angles)
+        self._load.set_tilt(angles)
 
     @property
     def momentum(self) -> Vector3:
@@ -99,10 +99,10 @@ class Propulsion:
         if self.tank is not None:
             self.tank.reset()
 
-    def reset(self, throttle: PerJet, state: State | None, wind: Vector3, off: bool = False) -> list[Vector3]:
+    def reset(self, throttle: PerJet, state: State | None, wind: Vector3, engines_off: bool = False) -> list[Vector3]:
         """Start with engines at rest at ``throttle``, jets upright, no fault; return the force at each jet [N, body].
 
-        ``state`` for engines that want to know the air; ``wind`` at the start, m/s NED; ``off``: no engine runs.
+        ``state`` is needed by engines that depend on the air; ``wind`` is that at the start [m/s, NED].
         """
         self._clear()
         self._wind = wind  # JSBSim knows of none before its first run
@@ -110,11 +110,11 @@ class Propulsion:
             servo.reset()
         ambient = self.ambient(state, wind) if state is not None else None
         self.output = self.engines.reset(throttle, ambient)
-        if off:
+        if engines_off:
             self._off = frozenset(range(self._jets))
             self.output = self.engines.stop()
         load = self._load
-        load.begin(self.output, load.along_axes(self.output.thrust))
+        load.begin_step(self.output, load.along_axes(self.output.thrust))
         for effect in self.effects:
             effect.start(load)
         return load.forces
@@ -135,18 +135,18 @@ class Propulsion:
             self._burn(self.tank, output.fuel_flow)
         load = self._load
         load.state, load.gusts = state, self.gusts
-        load.begin(output, load.along_axes(output.thrust))
+        load.begin_step(output, load.along_axes(output.thrust))
         for effect in self.effects:
             effect.act(load)
         return load.forces, load.moment
 
-    def standing(self, thrust: PerJet, tilt: PerServo) -> tuple[list[Vector3], Vector3]:
-        """Return a force at each jet's station and the further moment of thrusts with the servos at rest."""
+    def forces_at_rest(self, thrust: PerJet, tilt: PerServo) -> tuple[list[Vector3], Vector3]:
+        """Return the force at each jet [N, body] and the further moment [N m, body] of thrusts with servos at rest."""
         load = Load(self._layout)
-        load.place(tilt)
-        load.begin(EngineOutput(thrust, (), (), ()), load.along_axes(thrust))
+        load.set_tilt(tilt)
+        load.begin_step(EngineOutput(thrust, (), (), ()), load.along_axes(thrust))
         for effect in self.effects:
-            if effect.steady:
+            if effect.acts_at_rest:
                 effect.act(load)
         return load.forces, load.moment
 
@@ -194,7 +194,7 @@ class Propulsion:
                 speeds[jet] -= a * x + b * y + c * z
         pressure, temperature = self._air()
         if self._hot_gas is not None:
-            temperature += self._hot_gas.rise(state.altitude)
+            temperature += self._hot_gas.temperature_rise(state.altitude)
         return Ambient(pressure, temperature, tuple(speeds))
 
     def close(self) -> None:

@@ -34,13 +34,13 @@ class TiltServo:
     def reset(self, angle: float | None = None) -> None:
         """Start at ``angle``, by default at rest, and free."""
         self.angle = self._rest if angle is None else angle
-        self.free()
+        self.release()
 
     def jam(self, angle: float | None) -> None:
         """Jam from the next step on: stay, or run to ``angle`` (rad) as fast as it may and stay there."""
         self._is_jammed, self._jam_angle = True, angle
 
-    def free(self) -> None:
+    def release(self) -> None:
         """End a jam: follow commands from the present angle."""
         self._is_jammed = False
 

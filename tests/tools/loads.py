@@ -17,7 +17,7 @@ def acted(
     layout = getattr(effect, "_layout", None)  # of those that ask where jets stand and which way they push
     load = Load(layout or Layout([]))
     load.state = load.state._replace(**state)
-    load.place(tilt)
-    load.begin(EngineOutput(thrust, (), (), ()), list(forces))
+    load.set_tilt(tilt)
+    load.begin_step(EngineOutput(thrust, (), (), ()), list(forces))
     effect.act(load)
     return load.forces, load.moment

@@ -34,16 +34,16 @@ def find_entries(kind: str) -> dict[str, EntryPoint]:
     found: dict[str, EntryPoint] = {}
     for entry in chain(every.select(group=GROUP), every.select(group=GROUPS[kind])):
         if entry.group != GROUP or entry.name.startswith(f"{kind}."):
-            first = found.setdefault(name_of(entry), entry)
+            first = found.setdefault(entry_name(entry), entry)
             if first.value != entry.value:  # the same one may stand in both groups
                 raise InputError(
-                    f"{kind} {name_of(entry)!r}: there is one of this name already: "
+                    f"{kind} {entry_name(entry)!r}: there is one of this name already: "
                     f"{describe_entry(first)} is {first.value}, {describe_entry(entry)} is {entry.value}"
                 )
     return found
 
 
-def name_of(entry: EntryPoint) -> str:
+def entry_name(entry: EntryPoint) -> str:
     """Return the name that a user has for an entry point."""
     return entry.name.partition(".")[2] if entry.group == GROUP else entry.name
 
@@ -60,7 +60,7 @@ def load_entry(entry: EntryPoint) -> tuple[Any, str]:
     """
     where = describe_entry(entry)
     try:
-        import_trusted(entry.module, where, name_of(entry))
+        import_trusted(entry.module, where, entry_name(entry))
         member = entry.load()
     except CodeRefusedError:
         raise

@@ -63,7 +63,7 @@ def find_kernels() -> dict[str, str]:
     return dict(_find_kernels("scipy.linalg" in sys.modules))
 
 
-def warn_of_others() -> None:
+def warn_of_other_kernels() -> None:
     """Warn, once in a process, if numpy or scipy was loaded with other kernels than the reference.
 
     Where the environment names those kernels it is what was asked for, and nothing is said.

@@ -17,7 +17,7 @@ from pathlib import Path
 from secrets import token_hex
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.compiled import PACKAGE, environment
+from cosim.base.compiled import PACKAGE, child_environment
 from cosim.base.runtime.pipes import Pipes
 
 if TYPE_CHECKING:
@@ -60,13 +60,14 @@ def python_command(code: str, *arguments: str, seconds: int | None = None, megab
 class Child(subprocess.Popen[bytes]):
     """A process that leads a process group, and is ended with everything that it has started.
 
-    It inherits ``environ``, by default :func:`cosim.base.compiled.environment`; ``how`` is as of ``subprocess.Popen``.
+    It inherits ``environ``, by default :func:`cosim.base.compiled.child_environment`.
+    ``how`` is as of ``subprocess.Popen``.
     """
 
     def __init__(self, command: Sequence[str], environ: Mapping[str, str] | None = None, **how: Any) -> None:
         self._mark = f"{os.environ.get(_MARK, '')}/{token_hex(8)}"
         self._pipes: tuple[int, ...] = ()
-        inherited = environment() if environ is None else environ
+        inherited = child_environment() if environ is None else environ
         super().__init__(command, env={**inherited, _MARK: self._mark}, process_group=0, **how)
 
     @classmethod

@@ -15,8 +15,8 @@ from cosim.base.errors import FlightError, InputError
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary file beside ``path`` that takes its name if all goes well and is removed if not."""
+def replace_on_success(path: Path) -> Iterator[Path]:
+    """Yield a temporary file beside ``path``, which replaces it on success and is removed on failure."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with suppress(OSError):
         temporary.unlink()  # what has the name already: a link, in a folder from elsewhere, that leads to another file
@@ -30,7 +30,7 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.unlink()
 
 
-def own_file(path: str | Path, flags: int) -> int:
+def open_without_links(path: str | Path, flags: int) -> int:
     """Open a file to be written, never what a link in a folder from elsewhere leads to; an opener for ``open``."""
     return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0), 0o666)
 
@@ -52,7 +52,7 @@ def write_all(file: int, data: bytes) -> None:
 
 def write_whole(path: Path, content: str | bytes, failure: type[Exception] | None = None) -> None:
     """Write a whole file, or leave it as it was.  Raises OSError, or ``failure`` with file and reason in a line."""
-    with map_os_errors(failure, path) if failure else nullcontext(), replacing(path) as temporary:
+    with map_os_errors(failure, path) if failure else nullcontext(), replace_on_success(path) as temporary:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
@@ -77,13 +77,13 @@ def write_records(path: Path, kind: type[Any], records: Iterable[Any]) -> None:
     """Write dataclasses of one ``kind`` as CSV, a column a field; the folder is made if need be.  Raises OSError."""
     names = [field.name for field in fields(kind)]
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
+    with replace_on_success(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
         lines = csv.writer(file)
         lines.writerow(names)
         lines.writerows([getattr(record, name) for name in names] for record in records)
 
 
-def finite(record: Any) -> dict[str, Any]:
+def to_json_record(record: Any) -> dict[str, Any]:
     """Return a dataclass as a table that JSON can hold: None where a number is not finite."""
     values = asdict(record)
     return {name: None if isinstance(x, float) and not isfinite(x) else x for name, x in values.items()}
@@ -97,14 +97,14 @@ def lock_file(path: Path, busy: str) -> Iterator[None]:
     except OSError as error:
         raise InputError(f"{path}: {one_line(error)}") from error
     try:
-        if lock(file) is False:
+        if try_lock(file) is False:
             raise InputError(busy)
         yield
     finally:
         os.close(file)
 
 
-def lock(file: int) -> bool | None:
+def try_lock(file: int) -> bool | None:
     """Try to take the file's lock, which goes when the process goes.
 
     Return False if another holds it, None where there are no locks: on a file system or a machine without them.

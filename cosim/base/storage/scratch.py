@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from cosim.base.errors import InputError
-from cosim.base.storage.files import lock, one_line
+from cosim.base.storage.files import one_line, try_lock
 
 _PREFIX = "hexjet-scratch-"
 _LOCK = "lock"
@@ -51,7 +51,7 @@ def _make() -> Path:
     while True:
         folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
         file = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o600)  # held as long as the process lives
-        if lock(file) is not False and (folder / _LOCK).exists():
+        if try_lock(file) is not False and (folder / _LOCK).exists():
             atexit.register(_remove, os.getpid(), folder)
             return folder
         os.close(file)  # another process took it for one that was left, a moment ago
@@ -63,7 +63,7 @@ def _remove_left() -> None:
         with suppress(OSError):  # somebody else's
             held = os.open(file, os.O_RDWR)
             try:
-                if lock(held):
+                if try_lock(held):
                     shutil.rmtree(file.parent, ignore_errors=True)
             finally:
                 os.close(held)

@@ -9,7 +9,7 @@ from math import ceil
 from pathlib import Path
 
 from cosim.base.errors import FlightError
-from cosim.base.storage.files import map_os_errors, one_line, own_file
+from cosim.base.storage.files import map_os_errors, one_line, open_without_links
 from cosim.campaign.study.key import Value
 from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.study import Study
@@ -141,7 +141,7 @@ class Journal:
         try:
             if not self.path.exists():
                 return rows
-            with open(self.path, "rb+", opener=own_file) as file:
+            with open(self.path, "rb+", opener=open_without_links) as file:
                 while line := file.readline():
                     if not line.endswith(b"\n"):
                         file.truncate(file.tell() - len(line))
@@ -159,6 +159,6 @@ class Journal:
         line = {"controller": point.controller, "seed": seed, "values": dict(point.values), "row": row}
         with (
             map_os_errors(FlightError, self.path),
-            open(self.path, "a", encoding="utf-8", opener=own_file) as file,
+            open(self.path, "a", encoding="utf-8", opener=open_without_links) as file,
         ):
             file.write(json.dumps(line) + "\n")

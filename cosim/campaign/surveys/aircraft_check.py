@@ -146,7 +146,10 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
 def _authority_json(authority: Authority) -> dict[str, Any]:
     """Return the authority for JSON: what is not known, or not there, is null."""
     upper_bound = authority.moment_bound
-    return authority._asdict() | {
+    return {
+        "lost": authority.lost,
+        "lift": authority.lift,
+        "moment": authority.moment,
         "lift_at_most": authority.lift_bound if isfinite(authority.lift_bound) else None,
         "moment_at_most": upper_bound if upper_bound is not None and isfinite(max(upper_bound)) else None,
         "falls": authority.cannot_hover,
@@ -163,7 +166,7 @@ def _forces(simulation: Simulation) -> Line:
     for number in range(len(vehicle.jets)):
         for angles in stances:
             thrusts = tuple(thrust * (jet == number) for jet in range(len(vehicle.jets)))
-            forces, applied = propulsion.standing(thrusts, angles)
+            forces, applied = propulsion.forces_at_rest(thrusts, angles)
             frame.reset(simulation.scenario.initial, forces, ZERO3)
             frame.step(forces, Disturbance(), applied)
             force, moment = frame.external_wrench()

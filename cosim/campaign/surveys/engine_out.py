@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.outcomes import Verdict
-from cosim.base.storage.files import finite, map_os_errors, write_files, write_records
+from cosim.base.storage.files import map_os_errors, to_json_record, write_files, write_records
 from cosim.base.storage.toml import toml_text
 from cosim.campaign.surveys.faults import HEIGHT_M, SETTLED_S
 from cosim.campaign.surveys.lean_bound import STEP_S, Bound, RollAxis, make_roll_axis, measure_courses
@@ -91,9 +91,9 @@ class EngineOut:
     def to_dict(self) -> dict[str, Any]:
         """Return the table for JSON; a bound beyond the furthest that is followed is null."""
         return {
-            "flights": [finite(flight) for flight in self.flights],
+            "flights": [to_json_record(flight) for flight in self.flights],
             "left": [asdict(skipped) for skipped in self.left],
-            "levers": [finite(lever) for lever in self.levers],
+            "levers": [to_json_record(lever) for lever in self.levers],
         }
 
 

@@ -15,7 +15,7 @@ from random import Random
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import InputError
-from cosim.base.storage.files import finite
+from cosim.base.storage.files import to_json_record
 from cosim.campaign.surveys.failsafe_flight import (
     LONGEST_S,
     LONGEST_SETTLING_S,
@@ -85,7 +85,7 @@ class Failsafes:
             "controller": self.controller,
             "limit_m_s": self.limit_m_s,
             "trip_m_s": self.trip_m_s,
-            "rows": [finite(row) for row in self.rows],
+            "rows": [to_json_record(row) for row in self.rows],
         }
 
 

@@ -26,7 +26,7 @@ from threading import Thread
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.compiled import environment
+from cosim.base.compiled import child_environment
 from cosim.base.errors import FlightError, InputError
 from cosim.base.runtime.processes import Child, die_with_parent
 from cosim.base.runtime.threads import ONE_THREAD
@@ -221,7 +221,7 @@ class _Process:
             raise FlightError(f"no process could be started: {error}") from error
         except OSError as error:
             raise FlightError(f"no process could be started: {tempfile.gettempdir()}: {error.strerror}") from error
-        inherited = environment() | ONE_THREAD | {"TMPDIR": self._folder}
+        inherited = child_environment() | ONE_THREAD | {"TMPDIR": self._folder}
         try:  # in a group: Ctrl-C is answered by the process that waits
             self._process, self.connection = Child.connect(_COMMAND, self._folder, environ=inherited)
         except OSError as error:

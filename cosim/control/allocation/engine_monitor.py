@@ -30,8 +30,8 @@ class EngineReference(NamedTuple):
     speed: Sequence[float] | None  # rad/s, at each throttle; None where the engine reports none
     lag: float  # s, about hover
     delay: float  # s
-    shortest_lag: float  # s, lag anywhere in its range, up or down
-    longest_lag: float  # s
+    shortest: float  # s, the shortest lag anywhere in its range, up or down
+    longest: float  # s
 
     def thrust_at(self, throttle: float) -> float:
         """Return the thrust at rest [N]."""
@@ -84,7 +84,7 @@ class EngineMonitor:
         self._stuck = max(1, round(settings.stuck_s / step))
         factor, spread = settings.lag_factor, settings.delay_spread_s
         self._filter_gains = [
-            (_filter_gain(step, reference.shortest_lag / factor), _filter_gain(step, reference.longest_lag * factor))
+            (_filter_gain(step, reference.shortest / factor), _filter_gain(step, reference.longest * factor))
             for reference in references
         ]
         self._sudden = _SUDDEN * self._confirm if sudden else 0  # steps

@@ -14,7 +14,7 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.runtime.processes import python_command, run_child
-from cosim.base.storage.files import replacing
+from cosim.base.storage.files import replace_on_success
 from cosim.base.storage.scratch import temporary
 from cosim.base.trust import code_of, remember
 from cosim.engine.fmu.container import (
@@ -95,7 +95,7 @@ def compile_archive(path: Path, out: Path | None = None, windows: bool = False) 
         if not libraries:
             raise InputError(f"{path}: its sources make no library")
         try:
-            with replacing(target) as copy:
+            with replace_on_success(target) as copy:
                 copy.write_bytes(data)
                 with zipfile.ZipFile(copy, "a", zipfile.ZIP_DEFLATED) as fmu:
                     for file in libraries:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.compiled import environment
+from cosim.base.compiled import child_environment
 from cosim.base.errors import InputError
 from cosim.base.runtime.processes import Child, python_command
 from cosim.identify.logs.flight_log import SEARCHED, Channel, FlightLog, numbers
@@ -69,7 +69,7 @@ def _read_apart(path: Path, begin: int, seconds: float, megabytes: float) -> tup
     """
     child = Child(
         python_command(_RUN, str(_PROGRAM), str(path), str(begin), seconds=int(seconds) + 1, megabytes=megabytes),
-        {**environment(), "OPENBLAS_NUM_THREADS": "1"},  # each of its threads would ask for address space
+        {**child_environment(), "OPENBLAS_NUM_THREADS": "1"},  # each of its threads would ask for address space
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

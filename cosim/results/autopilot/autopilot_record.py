@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.base.errors import FlightError, InputError
 from cosim.base.frames import to_euler
 from cosim.base.signals import Sample
-from cosim.base.storage.files import own_file, read_text, write_all
+from cosim.base.storage.files import open_without_links, read_text, write_all
 from cosim.results.run import AUTOPILOT
 
 if TYPE_CHECKING:  # a page reads the records of flights without an autopilot too: there are none
@@ -60,7 +60,7 @@ class PilotRecord:
         self._waiting: list[bytes] = []
         self._size = 0
         try:
-            self._file = own_file(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+            self._file = open_without_links(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         except OSError as error:
             raise InputError(f"{path}: {error.strerror or error}") from error
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import own_file, read_text, write_all
+from cosim.base.storage.files import open_without_links, read_text, write_all
 from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.autopilot.requests import Answer, Request, from_dict, to_dict
 
@@ -38,7 +38,7 @@ class RequestLog:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._file = own_file(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+            self._file = open_without_links(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         except OSError as error:
             raise InputError(f"{path}: {error.strerror or error}") from error
 

@@ -13,7 +13,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.outcomes import Verdict
 from cosim.base.protocols import Column
-from cosim.base.storage.files import one_line, replacing
+from cosim.base.storage.files import one_line, replace_on_success
 from cosim.results.events import events_of
 from cosim.results.export import ulog_autopilot
 from cosim.results.log.columns import COLUMNS
@@ -149,7 +149,7 @@ def output(run: Run, path: Path) -> Iterator[Path]:
     if path.name in RUN_FILES and run.folder is not None and path.resolve().parent == run.folder.resolve():
         raise InputError(f"{path}: belongs to the run itself; choose another name")
     try:
-        with replacing(path) as temporary:
+        with replace_on_success(path) as temporary:
             yield temporary
     except OSError as error:
         raise InputError(f"{path}: {one_line(error)}") from error

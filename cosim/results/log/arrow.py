@@ -22,7 +22,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Column
-from cosim.base.storage.files import lock, one_line, own_file, replacing, write_all
+from cosim.base.storage.files import one_line, open_without_links, replace_on_success, try_lock, write_all
 from cosim.results.log.columns import COLUMNS, require
 from cosim.results.log.tables import Columnar
 
@@ -45,10 +45,10 @@ class StreamSink:
     def __init__(self, path: Path, note: str, columns: Sequence[Column] = COLUMNS) -> None:
         self.path = path
         try:
-            self._file = own_file(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND)
+            self._file = open_without_links(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND)
         except OSError as error:
             raise InputError(f"{path}: {one_line(error)}") from error
-        lock(self._file)
+        try_lock(self._file)
         self._size = 0
         self._append(_schema(columns, note).serialize().to_pybytes())
 
@@ -172,7 +172,7 @@ def stream_to_parquet(stream: Path, parquet: Path) -> int:
         with (
             closing(pa.OSFile(str(stream))) as file,
             _open(file) as reader,
-            replacing(parquet) as temporary,
+            replace_on_success(parquet) as temporary,
             pq.ParquetWriter(
                 temporary,
                 reader.schema.remove_metadata(),
@@ -303,7 +303,7 @@ def write_table(
     arrays = {name: _array(name, values, (kinds or {}).get(name)) for name, values in columns.items()}
     table = pa.table(arrays).replace_schema_metadata(dict(note or {}) or None)
     try:
-        with replacing(path) as temporary:
+        with replace_on_success(path) as temporary:
             pq.write_table(table, temporary, compression="zstd")
     except (OSError, pa.ArrowException) as error:
         raise FlightError(f"{path}: {one_line(error)}") from error

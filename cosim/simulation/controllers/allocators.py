@@ -144,5 +144,5 @@ def _throttle_rise(scenario: Scenario, vehicle: Vehicle, stations: Sequence[Engi
     acceleration, all alike, and what roll asks for between them is lost.
     """
     limits, step = vehicle.control.allocation, scenario.step_s
-    longest_lag = max(engine_reference(spec, step).longest_lag for spec in stations)
-    return (limits.throttle_max - limits.throttle_min) * step / max(longest_lag, step)
+    longest = max(engine_reference(spec, step).longest for spec in stations)
+    return (limits.throttle_max - limits.throttle_min) * step / max(longest, step)

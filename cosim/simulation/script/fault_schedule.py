@@ -156,7 +156,7 @@ class FaultSchedule:
             if jam is self._jams[i]:
                 continue
             if jam is None:
-                servo.free()
+                servo.release()
             else:
                 servo.jam(None if jam.angle_deg is None else radians(jam.angle_deg))
             self._jams[i] = jam

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from cosim.base.constants import SERVOS, Side
-from cosim.base.layout import UP, Layout, Station, Turn
+from cosim.base.layout import UP, HingeAxis, Layout, Station
 from cosim.base.storage.toml import Model, NotNegative, Positive, Vector
 
 
@@ -144,12 +144,12 @@ def layout_of(jets: Sequence[Jet], hinges: Sequence[Hinge] = ()) -> Layout:
     stations = [Station(jet.position_m, jet.axis or UP, -jet.reaction_m) for jet in jets]
     if any(jet.servo for jet in jets):
         turns = [
-            Turn((0.0, 0.0, 0.0), _BANK, (), tuple(n for n, jet in enumerate(jets) if jet.servo == side))
+            HingeAxis((0.0, 0.0, 0.0), _BANK, (), tuple(n for n, jet in enumerate(jets) if jet.servo == side))
             for side in SERVOS
         ]
     else:
         turns = [
-            Turn(
+            HingeAxis(
                 hinge.position_m,
                 hinge.axis,
                 tuple(jet - 1 for jet in hinge.carries),

@@ -66,7 +66,7 @@ class Banks(Effect):
         self._angles, self._rates = (left, right), (left_rate, right_rate)
         p, _, r = load.state.rate
         h = -inertia * (left_rate + right_rate)
-        load.turn((r * h, inertia * (left_acceleration + right_acceleration), -p * h))
+        load.add_moment((r * h, inertia * (left_acceleration + right_acceleration), -p * h))
         if not self._imbalance:
             return
         left_x, left_z = self._push(left, left_rate, left_acceleration, self._left_jets)

@@ -14,7 +14,7 @@ _NO_FORCE: Final[Any] = ZERO3  # as one object
 _STILL = State(ZERO3, ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, ZERO3, 0.0, ZERO3, 0.0, False, False)
 
 
-def plus(a: Vector3, b: Vector3) -> Vector3:
+def add_vectors(a: Vector3, b: Vector3) -> Vector3:
     """Return the sum of two vectors."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
@@ -22,8 +22,8 @@ def plus(a: Vector3, b: Vector3) -> Vector3:
 class Load:
     """What acts on the airframe over one step, and what it is computed from.
 
-    ``forces`` [N, body] are handed over at the jets' stations with the hinges at zero, ``moment`` [N m, body] acts
-    beside them; effects add to both.  ``pushes`` are what the engines themselves push with, whatever acts beside.
+    ``forces`` [N, body] act at the jets' stations with the hinges at zero, together with ``moment`` [N m, body];
+    effects add to both.  ``engine_forces`` [N, body] are those of the engines alone.
     ``axes`` of the thrust, one a group of the ``layout``, and ``positions``, one a jet [m], are those with the
     servos at ``tilt``, computed once a step.
     ``momentum`` [kg m^2/s, body] is that of the rotors at the step's end, ``spool_moment`` [N m, body] what they act
@@ -35,7 +35,7 @@ class Load:
         self.axes: list[Vector3] = []
         self.positions: list[Vector3] = []
         self.output = NO_OUTPUT  # of the engines, at the step's end
-        self.tilt: PerServo = ()  # where the servos stand at the step's end, rad
+        self.tilt: PerServo = ()  # angles of the servos at the step's end, rad
         self.state = _STILL  # of the airframe, at the step's beginning
         self.gusts: list[Vector3] = []  # m/s NED, of the wind at each jet beyond that at the vehicle; none: it is one
         self.clear()
@@ -45,8 +45,8 @@ class Load:
         self.momentum = ZERO3
         self.spool_moment: Any = UNKNOWN3
 
-    def place(self, tilt: PerServo) -> None:
-        """Turn the hinges to where the servos stand at the step's end, rad."""
+    def set_tilt(self, tilt: PerServo) -> None:
+        """Turn the hinges to the servos' angles at the step's end [rad]."""
         self.tilt = tilt
         self.axes, self.positions = self.layout.axes(tilt), self.layout.positions(tilt)
 
@@ -66,15 +66,15 @@ class Load:
                 forces[jet] = force
         return forces
 
-    def begin(self, output: EngineOutput, pushes: list[Vector3]) -> None:
-        """Begin a step with the thrust of each jet and no moment, servos where they were placed."""
+    def begin_step(self, output: EngineOutput, engine_forces: list[Vector3]) -> None:
+        """Begin a step with the thrust of each jet [N, body] and no moment."""
         self.output = output
-        self.pushes = self.forces = pushes
+        self.engine_forces = self.forces = engine_forces
         self.moment = (0.0, 0.0, 0.0)
 
-    def turn(self, moment: Vector3) -> None:
+    def add_moment(self, moment: Vector3) -> None:
         """Add a moment."""
-        self.moment = plus(self.moment, moment)
+        self.moment = add_vectors(self.moment, moment)
 
 
 class Effect:
@@ -83,7 +83,7 @@ class Effect:
     Effects share the list in ``forces``: one that changes it puts a new list there.
     """
 
-    steady = False  # it acts at rest too
+    acts_at_rest = False  # whether it acts on a vehicle at rest too
 
     def start(self, load: Load) -> None:
         """Begin a flight: at rest, the engines as ``load.output`` says."""
@@ -94,4 +94,4 @@ class Effect:
 
 def add_forces(forces: Sequence[Vector3], others: Sequence[Vector3]) -> list[Vector3]:
     """Return the sums of forces, station by station."""
-    return [plus(force, other) for force, other in zip(forces, others, strict=True)]
+    return [add_vectors(force, other) for force, other in zip(forces, others, strict=True)]

@@ -49,7 +49,7 @@ class LiftLoss(Effect):
         loss = lift * lift_loss(state.altitude - self._below, self._planform, self._jet)
         part = loss / len(forces)
         load.forces = [(x, y, z + part) for x, y, z in forces]
-        load.turn((-self._mean_y * loss, self._mean_x * loss, 0.0))
+        load.add_moment((-self._mean_y * loss, self._mean_x * loss, 0.0))
 
 
 class HotGas:
@@ -59,8 +59,8 @@ class HotGas:
         self._heights = list(effect.hot_gas_height_m)
         self._rises = list(effect.hot_gas_rise_k)
 
-    def rise(self, altitude: float) -> float:
-        """Return by how many K intakes are warmer than the air, the centre of gravity ``altitude`` [m] above ground.
+    def temperature_rise(self, altitude: float) -> float:
+        """Return the temperature of the intakes over that of the air [K] at ``altitude`` [m] of the centre of gravity.
 
         Linear between the heights of the table, constant below the first; the last one's is zero.
         """

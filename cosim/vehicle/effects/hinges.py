@@ -24,7 +24,7 @@ from cosim.base.frames import cross
 from cosim.base.layout import rotate_about
 from cosim.base.signals import ZERO3, PerServo, Vector3
 from cosim.spec.vehicle import Hinge, Jet, layout_of
-from cosim.vehicle.effects.effect import Effect, Load, plus
+from cosim.vehicle.effects.effect import Effect, Load, add_vectors
 
 
 class HingeReactions(Effect):
@@ -71,8 +71,8 @@ class HingeReactions(Effect):
     def act(self, load: Load) -> None:
         push, moment = self.reaction(load.tilt, load.state.rate)
         forces = load.forces
-        load.forces = [plus(forces[0], push), *forces[1:]]
-        load.turn(moment)
+        load.forces = [add_vectors(forces[0], push), *forces[1:]]
+        load.add_moment(moment)
 
     def reaction(self, tilt: PerServo, rate: Vector3) -> tuple[Vector3, Vector3]:
         """Return the force [N, body, handed over at the first jet's station] and the moment beside it [N m, body].

@@ -68,7 +68,7 @@ class IntakeDrag(Effect):
                 couple_x, couple_y, couple_z = cross((x - at_x, y - at_y, z - at_z), both)
                 moment_x, moment_y, moment_z = moment_x + couple_x, moment_y + couple_y, moment_z + couple_z
         load.forces = total
-        load.turn((moment_x, moment_y, moment_z))
+        load.add_moment((moment_x, moment_y, moment_z))
 
 
 def _across(vector: Vector3, axis: Vector3, factor: float) -> Vector3:

@@ -12,13 +12,13 @@ from operator import mul
 from cosim.base.frames import cross
 from cosim.base.layout import UP, Layout
 from cosim.base.signals import ZERO3, Vector3
-from cosim.vehicle.effects.effect import Effect, Load, add_forces, plus
+from cosim.vehicle.effects.effect import Effect, Load, add_forces, add_vectors
 
 
 class JetReactions(Effect):
     """The rotors' drag torques on the frame, about the jets' own axes: ``reactions`` [m] times thrust."""
 
-    steady = True
+    acts_at_rest = True
 
     def __init__(self, layout: Layout, reactions: Sequence[float]) -> None:
         self._layout, self._reactions = layout, tuple(reactions)
@@ -27,7 +27,7 @@ class JetReactions(Effect):
     def act(self, load: Load) -> None:
         thrust = load.output.thrust
         if self._straight_up:
-            load.turn((0.0, 0.0, sum(map(mul, self._reactions, thrust))))
+            load.add_moment((0.0, 0.0, sum(map(mul, self._reactions, thrust))))
             return
         axes, groups = load.axes, self._layout.groups
         mx = my = mz = 0.0
@@ -35,7 +35,7 @@ class JetReactions(Effect):
             x, y, z = axes[groups[jet]]
             size = -reaction * thrust[jet]
             mx, my, mz = mx + size * x, my + size * y, mz + size * z
-        load.turn((mx, my, mz))
+        load.add_moment((mx, my, mz))
 
 
 class EngineTorques(Effect):
@@ -54,8 +54,8 @@ class EngineTorques(Effect):
         for jet in self._give:
             x, y, z = axes[groups[jet]]
             torque = torques[jet]
-            moment = plus(moment, (torque * x, torque * y, torque * z))
-        load.turn(moment)
+            moment = add_vectors(moment, (torque * x, torque * y, torque * z))
+        load.add_moment(moment)
 
 
 class EngineSideForces(Effect):
@@ -82,13 +82,13 @@ class EngineSideForces(Effect):
             forward = output.force_forward[jet] if has_forward else 0.0
             right = output.force_right[jet] if has_right else 0.0
             across.append((forward * a + right * d, forward * b + right * e, forward * c + right * f))
-        load.forces, load.pushes = add_forces(load.forces, across), add_forces(load.pushes, across)
+        load.forces, load.engine_forces = add_forces(load.forces, across), add_forces(load.engine_forces, across)
 
 
 class CarriedJets(Effect):
     """The moment of the jets' forces because hinges carry them away from their stations."""
 
-    steady = True
+    acts_at_rest = True
 
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
@@ -96,8 +96,8 @@ class CarriedJets(Effect):
     def act(self, load: Load) -> None:
         positions, places = load.positions, self._layout.rest_positions
         moment = ZERO3
-        for jet, push in enumerate(load.pushes):
+        for jet, push in enumerate(load.engine_forces):
             x, y, z = positions[jet]
             at_x, at_y, at_z = places[jet]
-            moment = plus(moment, cross((x - at_x, y - at_y, z - at_z), push))
-        load.turn(moment)
+            moment = add_vectors(moment, cross((x - at_x, y - at_y, z - at_z), push))
+        load.add_moment(moment)

@@ -57,7 +57,7 @@ class RotorDynamics(Effect):
         change = self._change(load.output.spool_speed, load.axes)
         load.momentum = self.momentum
         load.spool_moment = self.moment(change, load.state.rate)
-        load.turn(change)
+        load.add_moment(change)
 
     def reset(self, speeds: PerJet) -> None:
         """Start with the rotors turning at ``speeds`` [rad/s], hinges at rest."""

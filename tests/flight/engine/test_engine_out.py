@@ -164,7 +164,7 @@ def test_flown_open_loop_in_six_degrees_of_freedom_the_best_throttles_reach_the_
                 else (found.courses.up if each.position_m[1] > 0.0 else found.courses.down)[k]
                 for jet, each in enumerate(simulation.vehicle.jets, 1)
             ]
-            forces = simulation.propulsion.standing(tuple(thrust), (0.0, 0.0))[0]
+            forces = simulation.propulsion.forces_at_rest(tuple(thrust), (0.0, 0.0))[0]
             state = simulation.airframe.step(forces, Disturbance())
             rolls.append(to_euler(state.attitude)[0])
             if state.rate[0] < 0.0:
@@ -201,7 +201,7 @@ def test_a_vehicle_that_spins_leans_less_than_the_bound_with_tilts() -> None:
                 for jet, each in enumerate(vehicle.jets, 1)
             ]
             state = simulation.airframe.step(
-                simulation.propulsion.standing(tuple(thrust), (left, right))[0], Disturbance()
+                simulation.propulsion.forces_at_rest(tuple(thrust), (left, right))[0], Disturbance()
             )
             _, x, y, _ = state.attitude
             lean, spin = max(lean, degrees(acos(1.0 - 2.0 * (x * x + y * y)))), max(spin, degrees(state.rate[2]))

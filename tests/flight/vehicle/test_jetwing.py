@@ -24,7 +24,7 @@ from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import load_vehicle
 from cosim.vehicle.airframe import Airframe
-from cosim.vehicle.jsbsim_model import render, structural
+from cosim.vehicle.jsbsim_model import render, to_structural
 
 VEHICLE, FOLDER = load_vehicle("jetwing")
 PAGE = " ".join((ROOT / "aircraft" / "jetwing" / "README.md").read_text(encoding="utf-8").split())
@@ -139,7 +139,7 @@ def own_trim(speed: float, folder: Path) -> tuple[float, float, float]:
     """
     model = render(VEHICLE, FOLDER / str(VEHICLE.model)).replace(b"fcs/elevator-cmd-norm", b"fcs/pitch-trim-cmd-norm")
     root = ET.fromstring(model)
-    place = "".join(f"<{a}>{v!r}</{a}>" for a, v in zip("xyz", structural((0.0, 0.0, ARM)), strict=True))
+    place = "".join(f"<{a}>{v!r}</{a}>" for a, v in zip("xyz", to_structural((0.0, 0.0, ARM)), strict=True))
     ahead = "<orient unit='DEG'><roll>0</roll><pitch>0</pitch><yaw>0</yaw></orient>"
     propulsion, aerodynamics = root.find("propulsion"), root.find("aerodynamics")
     assert propulsion is not None

@@ -21,7 +21,7 @@ from cosim.base.compiled import (
     PURE,
     SHARED,
     STAMP,
-    edited,
+    edited_modules,
 )
 from cosim.simulation.build import build
 
@@ -99,7 +99,7 @@ def python(code: str, path: Path, **environment: str) -> tuple[str, str]:
 @needs_compiled
 def test_the_compiled_modules_are_flown_here() -> None:
     """Where this fails the other tests have tested the source: run make setup."""
-    assert edited() == []
+    assert edited_modules() == []
     for name in MODULES:
         module = f"cosim.{name.removesuffix('.py').replace('/', '.')}"
         __import__(module)

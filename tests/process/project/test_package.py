@@ -214,7 +214,9 @@ def test_the_installed_package_is_not_the_clone(installed: Path, tmp_path: Path)
 @pytest.mark.long
 @pytest.mark.skipif(UNCOMPILED, reason=f"{PURE} is set")
 def test_the_installed_package_flies_what_was_compiled(installed: Path, tmp_path: Path) -> None:
-    script = "import cosim.base.compiled, cosim.base.frames as f; print(cosim.base.compiled.edited(), f.__file__)"
+    script = (
+        "import cosim.base.compiled, cosim.base.frames as f; print(cosim.base.compiled.edited_modules(), f.__file__)"
+    )
     edited, file = run(installed / "python", "-c", script, cwd=tmp_path).split(" ", 1)
     assert edited == "[]"
     assert file.rstrip().endswith((".so", ".pyd"))

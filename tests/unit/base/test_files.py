@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import own_file, replacing, write_whole
+from cosim.base.storage.files import open_without_links, replace_on_success, write_whole
 from cosim.campaign.search.probe import Journal
 from cosim.results.autopilot.request_log import RequestLog
 
@@ -36,7 +36,7 @@ def test_a_temporary_file_is_never_one_that_a_link_leads_to(theirs: Path, tmp_pa
 
 def test_what_stands_there_stays_where_the_new_file_fails(theirs: Path, tmp_path: Path) -> None:
     def fail() -> None:
-        with replacing(theirs) as temporary:
+        with replace_on_success(theirs) as temporary:
             temporary.write_text("half")
             raise OSError("no more")
 
@@ -50,7 +50,7 @@ def test_journals_are_not_written_through_a_link(theirs: Path, tmp_path: Path) -
     link = tmp_path / "journal.jsonl"
     link.symlink_to(theirs)
     with pytest.raises(OSError, match="symbolic links"):
-        own_file(link, os.O_WRONLY | os.O_APPEND)
+        open_without_links(link, os.O_WRONLY | os.O_APPEND)
     with pytest.raises(InputError, match="symbolic links"):
         RequestLog(link)
     with pytest.raises(FlightError, match="symbolic links"):

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.base.layout import Layout, Station, Turn
+from cosim.base.layout import HingeAxis, Layout, Station
 from cosim.control.allocation.attainable import Hull
 from cosim.control.allocation.authority import RESOLUTION, Range, Reach, compute_reach
 from cosim.spec.vehicle import load_vehicle
@@ -35,10 +35,12 @@ def layout(seed: int) -> Layout:
     return Layout(
         [Station(place(), unit(), rng.uniform(-0.1, 0.1)) for _ in range(3)],
         [
-            Turn(place(), unit(), carries=(0, 1)),
-            Turn(place(), unit(), deflects=(1,), effect=0.6),
-            Turn(place(), unit(), deflects=(2,)),
-            Turn(place(), unit(), carries=(2,)) if seed % 2 else Turn(place(), unit(), deflects=(2,), effect=-1.0),
+            HingeAxis(place(), unit(), carries=(0, 1)),
+            HingeAxis(place(), unit(), deflects=(1,), effect=0.6),
+            HingeAxis(place(), unit(), deflects=(2,)),
+            HingeAxis(place(), unit(), carries=(2,))
+            if seed % 2
+            else HingeAxis(place(), unit(), deflects=(2,), effect=-1.0),
         ],
     )
 
@@ -67,7 +69,7 @@ def test_no_thrusts_and_angles_give_more_than_the_hull(seed: int) -> None:
 def banks(most: float, reach: float) -> Reach:
     """Two jets at y = -0.5 and 0.5 that tilt about y, up to ``reach``."""
     stations = [Station((0.0, y, 0.0), UP) for y in (-0.5, 0.5)]
-    turns = [Turn(station.position, (0.0, -1.0, 0.0), deflects=(n,)) for n, station in enumerate(stations)]
+    turns = [HingeAxis(station.position, (0.0, -1.0, 0.0), deflects=(n,)) for n, station in enumerate(stations)]
     return Reach(Layout(stations, turns), [0.0] * 2, [most] * 2, [(-reach, reach)] * 2, [0.0] * 2, WEIGHT)
 
 
@@ -89,7 +91,7 @@ def test_a_range_that_is_not_convex_is_told_closer_by_cutting_it() -> None:
     """One jet on a hinge with a range to one side: pushing ahead at half the thrust is T sin a = T cos a tan a, a line
     of the hull between upright and the range's end, which nothing attains with the lift of T."""
     stations = [Station((0.0, 0.0, 0.0), UP, 1.0)]
-    made = Layout(stations, [Turn((0.0, 0.0, 0.0), (0.0, -1.0, 0.0), deflects=(0,))])
+    made = Layout(stations, [HingeAxis((0.0, 0.0, 0.0), (0.0, -1.0, 0.0), deflects=(0,))])
     # all of the thrust turned into a moment about x by the twist: of a fixed thrust only the angle is free
     low, high = np.array([0.0]), np.array([1.2])
     thrust = np.array([2.0])
@@ -114,8 +116,8 @@ def test_a_balance_that_is_not_there_is_certain_and_one_that_was_not_found_is_no
 def test_what_has_no_bound_is_at_least_what_a_search_attains() -> None:
     """A nozzle further out than what carries the engine: its lever turns with the thrust, and no hull is known."""
     stations = [Station((0.0, y, 0.0), UP) for y in (-0.5, 0.5)]
-    turns = [Turn(station.position, (0.0, -1.0, 0.0), deflects=(n,)) for n, station in enumerate(stations)]
-    turns += [Turn(station.position, (0.0, -1.0, 0.0), carries=(n,)) for n, station in enumerate(stations)]
+    turns = [HingeAxis(station.position, (0.0, -1.0, 0.0), deflects=(n,)) for n, station in enumerate(stations)]
+    turns += [HingeAxis(station.position, (0.0, -1.0, 0.0), carries=(n,)) for n, station in enumerate(stations)]
     reach = Reach(Layout(stations, turns), [0.0] * 2, [50.0] * 2, [(-0.15, 0.15)] * 4, [0.0] * 4, WEIGHT)
     assert not reach.is_bounded
     found = reach.moment((0.0, 0.0, 1.0))

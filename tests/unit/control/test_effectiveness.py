@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.base.layout import UP, Layout, Station, Turn
+from cosim.base.layout import UP, HingeAxis, Layout, Station
 from cosim.base.signals import JetHealth
 from cosim.control.allocation.effectiveness import AllocationModel, EffectivenessAllocator, Effector
 
@@ -39,7 +39,9 @@ def allocator(draw: np.random.Generator, hinges: bool = True) -> EffectivenessAl
         half = len(moved) // 2
         point = tuple(draw.uniform(-0.3, 0.3, 3).tolist())
         turns.append(
-            Turn(point, tuple((axis / np.linalg.norm(axis)).tolist()), tuple(moved[:half]), tuple(moved[half:]), 0.8)
+            HingeAxis(
+                point, tuple((axis / np.linalg.norm(axis)).tolist()), tuple(moved[:half]), tuple(moved[half:]), 0.8
+            )
         )
     layout = Layout(stations, turns)
     mass = 0.45 * count * (LOW + SPAN) / GRAVITY * 0.8

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from cosim.base.layout import UP, Layout, Station, Turn
+from cosim.base.layout import UP, HingeAxis, Layout, Station
 from cosim.base.signals import Vector3
 from cosim.control.allocation._effectiveness import Solver
 
@@ -41,7 +41,9 @@ class Drawn:
         turns = []
         for _ in range(int(draw.integers(1, 5))):
             jet = draw.permutation(jets).tolist()
-            turns.append(Turn(place(draw), unit(draw), tuple(jet[:2]), tuple(jet[2:3]), float(draw.choice([1.0, 0.7]))))
+            turns.append(
+                HingeAxis(place(draw), unit(draw), tuple(jet[:2]), tuple(jet[2:3]), float(draw.choice([1.0, 0.7])))
+            )
         self.layout = Layout(stations, turns)
         self.count = jets + len(turns) + 1
         # by their ranges: N, and rad

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from cosim.base.constants import GRAVITY
-from cosim.base.layout import UP, Layout, Station, Turn
+from cosim.base.layout import UP, HingeAxis, Layout, Station
 from cosim.base.signals import Command, JetHealth, Measured
 from cosim.control.allocation.effectiveness import AllocationModel, Effector
 from cosim.control.allocation.hinged_recovery import HELD_LEAN_RAD, LEAN_RAD, EngineLag, HingedRecovery
@@ -148,7 +148,7 @@ def test_without_an_engine_hinges_turn_it_and_late_throttles_are_not_asked_to() 
     """Four gimballed jets below the centre: asked for attitude, throttles answered too late and pumped the swing."""
     stations = [Station((x, y, 0.2), UP, 0.0) for x in (0.2, -0.2) for y in (0.2, -0.2)]
     turns = [
-        Turn(station.position, axis, (), (jet,), 1.0)
+        HingeAxis(station.position, axis, (), (jet,), 1.0)
         for jet, station in enumerate(stations)
         for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     ]

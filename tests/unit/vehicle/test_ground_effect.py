@@ -65,7 +65,9 @@ def test_the_loss_acts_at_the_centre() -> None:
 def test_warmed_intakes() -> None:
     near = HotGas(GroundEffect(**PLATE, **GAS))  # type: ignore[arg-type]
     heights = (0.0, 0.5, 0.75, 1.0, 1.5, 2.0, 50.0)
-    assert [near.rise(h) for h in heights] == pytest.approx([20.0, 20.0, 15.0, 10.0, 5.0, 0.0, 0.0], rel=1e-14)
+    assert [near.temperature_rise(h) for h in heights] == pytest.approx(
+        [20.0, 20.0, 15.0, 10.0, 5.0, 0.0, 0.0], rel=1e-14
+    )
 
 
 def same(one: Any, other: Any) -> bool:

@@ -120,7 +120,7 @@ def test_fuel_is_lacking_from_the_step_on_in_which_it_is_burnt() -> None:
             forces: list[Vector3] = [(0.0, 0.0, newtons)] * 6
             frame.reset(Initial(altitude_m=100.0), forces, ZERO3)
             for k in range(1, steps + 1):
-                frame.carry(ZERO3, k * burn)
+                frame.prepare_step(ZERO3, k * burn)
                 state = frame.step(forces, CALM)
             gained.append(state.velocity[2])
     mass = load_vehicle("hexjet", tank)[0].mass_kg - burn * np.arange(1, steps + 1)

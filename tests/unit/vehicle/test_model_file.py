@@ -30,7 +30,7 @@ WRITES = '<system name="s"><channel name="c"><fcs_function name="{}"><function><
 def tried(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
     """What a process of its own would have been started for, without starting it: that takes most of a second."""
     models: list[bytes] = []
-    monkeypatch.setattr("cosim.vehicle.proof._find_failure", lambda xml: models.append(xml) or "")
+    monkeypatch.setattr("cosim.vehicle.model_trial._find_failure", lambda xml: models.append(xml) or "")
     return models
 
 
@@ -120,7 +120,7 @@ def test_a_property_that_acts_is_refused_with_its_line(name: str, tmp_path: Path
 def test_jsbsim_itself_lets_no_model_write_what_acts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Were a name found that the check does not know, JSBSim would not take the value."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("cosim.vehicle.model_file.acting", lambda text: "")
+    monkeypatch.setattr("cosim.vehicle.model_file.find_acting_property", lambda text: "")
     before = set(tmp_path.rglob("*"))
     for number, name in enumerate(ACTS):
         folder = tmp_path / str(number)

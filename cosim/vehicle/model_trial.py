@@ -24,10 +24,10 @@ CPU_S: Final = 20  # that a child may take; JSBSim's own aircraft take 0.1 s
 MEGABYTES: Final = 4096  # of address space
 WALL_S: Final = 300.0  # on a machine that is busy
 RUNS: Final = 5  # of JSBSim, after its start
-_CODE: Final = "from cosim.vehicle.proof import try_model; try_model(sys.argv[1])"
+_CODE: Final = "from cosim.vehicle.model_trial import try_model; try_model(sys.argv[1])"
 
 
-def prove(xml: bytes, model: Path, text: bytes) -> None:
+def check_model_loads(xml: bytes, model: Path, text: bytes) -> None:
     """Refuse a model with which JSBSim crashes or does not come to an end.
 
     ``xml``: what JSBSim loads; ``model`` and ``text``: the user's file, and its contents with those of files it names.

@@ -9,7 +9,7 @@ from subprocess import CompletedProcess
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.vehicle import proof
+from cosim.vehicle import model_trial
 
 XML = b"<fdm_config/>"
 
@@ -28,11 +28,11 @@ def test_any_other_status_is_refused_and_not_remembered(
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     ends = CompletedProcess([], status, "", "Traceback\nImportError: none\n")
-    monkeypatch.setattr(proof, "run_child", lambda *a: ends)
+    monkeypatch.setattr(model_trial, "run_child", lambda *a: ends)
     model = tmp_path / "own.xml"
     with pytest.raises(InputError, match=re.escape(f"own.xml: JSBSim {said}; look for an element")):
-        proof.prove(XML, model, XML)
+        model_trial.check_model_loads(XML, model, XML)
     assert not list(tmp_path.rglob("*.txt"))
     ends.returncode = 0
-    proof.prove(XML, model, XML)
+    model_trial.check_model_loads(XML, model, XML)
     assert [path.read_text() for path in tmp_path.rglob("*.txt")] == [f"{model}\n"]
