@@ -100,7 +100,7 @@ def faults(log: Log, step: float, scheduled: Sequence[Fault] = ()) -> Iterator[E
             continue
         for start, end in spans(log[column] > 0.0, step):
             lines = [
-                fault_text(fault) for fault in scheduled if _is_of(fault, kind, name) and _acts(fault, start, end, step)
+                fault.describe() for fault in scheduled if _is_of(fault, kind, name) and _acts(fault, start, end, step)
             ]
             where = f"jet {name}" if kind == "jet" else f"{name} {'servo' if kind == 'servo' else ''}".strip()
             yield Event(
@@ -124,27 +124,6 @@ def _acts(fault: Fault, start: float, end: float | None, step: float) -> bool:
     end_s = None if fault.duration_s is None else fault.start_s + fault.duration_s
     half = 0.5 * step
     return (end is None or fault.start_s < end - half) and (end_s is None or end_s > start + half)
-
-
-def fault_text(fault: Fault) -> str:
-    """Describe a fault without its station and time."""
-    match fault.kind:
-        case "flame_out":
-            return "flame-out"
-        case "stuck_throttle":
-            return "throttle stuck" if fault.throttle is None else f"throttle stuck at {100.0 * fault.throttle:g} %"
-        case "thrust_loss":
-            return f"{100.0 * fault.share:g} % of the thrust lost"
-        case "slow_spool":
-            return f"slower by a lag of {fault.lag_s:g} s"
-        case "delay_growth":
-            return f"later by {fault.delay_s:g} s"
-        case "servo_jam":
-            return "jammed" if fault.angle_deg is None else f"jammed at {fault.angle_deg:g} deg"
-        case "sensor_bias":
-            return f"biased by {', '.join(f'{value:g}' for value in fault.bias)}"
-        case "sensor_dropout":
-            return "silent"
 
 
 def verdicts(log: Log, step: float) -> Iterator[Event]:

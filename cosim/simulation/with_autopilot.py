@@ -18,14 +18,6 @@ from cosim.spec.scenario import Fault
 from cosim.spec.vehicle import PredictorTuning
 
 _FAULTS = {get_args(kind.model_fields["kind"].annotation)[0]: kind for kind in get_args(Fault)}
-_AMOUNT = {
-    "stuck_throttle": "throttle",
-    "thrust_loss": "share",
-    "slow_spool": "lag_s",
-    "delay_growth": "delay_s",
-    "servo_jam": "angle_deg",
-    "sensor_bias": "bias",
-}
 
 
 def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
@@ -108,10 +100,9 @@ def fault_from(request: InjectFault) -> Fault:
         if getattr(request, key) is not None:
             table[key] = getattr(request, key)
     if request.amount is not None:
-        name = _AMOUNT.get(request.fault)
-        if name is None:
+        if not kind.amount:
             raise InputError(f"fault {request.fault}: it has no amount")
-        table[name] = [request.amount] if name == "bias" else request.amount
+        table[kind.amount] = [request.amount] if kind.amount == "bias" else request.amount
     if request.vector is not None:
         table["bias"] = list(request.vector)
     fault: Fault = validate(kind, table, f"fault {request.fault}")

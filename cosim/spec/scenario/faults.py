@@ -1,6 +1,6 @@
 """Models of a scenario's faults: of engines, servos and sensors."""
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
@@ -33,9 +33,15 @@ Jets = Annotated[list[JetNumber], Field(min_length=1), BeforeValidator(_as_list)
 class TimedFault(Model):
     """A fault that acts from ``start_s`` on, for ``duration_s`` or to the end."""
 
+    amount: ClassVar[str] = ""  # the key of how much, where it can be stated with a request in flight
+
     kind: str
     start_s: Seconds
     duration_s: Duration | None = None
+
+    def describe(self) -> str:
+        """Return what the fault does, without its place and time."""
+        raise NotImplementedError
 
 
 class JetFault(TimedFault):
@@ -49,46 +55,70 @@ class FlameOut(JetFault):
 
     kind: Literal["flame_out"]
 
+    def describe(self) -> str:
+        return "flame-out"
+
 
 class StuckThrottle(JetFault):
     """The engine stays at the throttle it has at the start, or at ``throttle``."""
 
+    amount = "throttle"
     kind: Literal["stuck_throttle"]
     throttle: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+
+    def describe(self) -> str:
+        return "throttle stuck" if self.throttle is None else f"throttle stuck at {100.0 * self.throttle:g} %"
 
 
 class ThrustLoss(JetFault):
     """The engine loses the fraction ``share`` of its thrust."""
 
+    amount = "share"
     kind: Literal["thrust_loss"]
     share: Annotated[float, Field(gt=0.0, le=1.0)]
+
+    def describe(self) -> str:
+        return f"{100.0 * self.share:g} % of the thrust lost"
 
 
 class SlowSpool(JetFault):
     """An additional first-order lag before the engine."""
 
+    amount = "lag_s"
     kind: Literal["slow_spool"]
     lag_s: Annotated[float, Field(gt=0.0, le=100.0)]
+
+    def describe(self) -> str:
+        return f"slower by a lag of {self.lag_s:g} s"
 
 
 class DelayGrowth(JetFault):
     """An additional delay before the engine; at its end the commands still in the delay are dropped."""
 
+    amount = "delay_s"
     kind: Literal["delay_growth"]
     delay_s: Annotated[float, Field(gt=0.0, le=10.0)]
+
+    def describe(self) -> str:
+        return f"later by {self.delay_s:g} s"
 
 
 class ServoJam(TimedFault):
     """A tilt servo stops at its angle, or moves to ``angle_deg`` and stays there."""
 
+    amount = "angle_deg"
     kind: Literal["servo_jam"]
     servo: str  # left or right of two banks, else the name of a hinge or a surface
     angle_deg: Annotated[float, Field(ge=-180.0, le=180.0)] | None = None
+
+    def describe(self) -> str:
+        return "jammed" if self.angle_deg is None else f"jammed at {self.angle_deg:g} deg"
 
 
 class SensorBias(TimedFault):
     """An addition to a sensor's output: rad/s (gyro), rad about the body axes (attitude), m (gnss, NED; barometer)."""
 
+    amount = "bias"
     kind: Literal["sensor_bias"]
     sensor: Sensor
     bias: list[float] = [0.0, 0.0, 0.0]  # one number for the barometer, else three
@@ -111,12 +141,18 @@ class SensorBias(TimedFault):
         x, y, z = (*self.bias, 0.0, 0.0)[:3]
         return (x, y, z)
 
+    def describe(self) -> str:
+        return f"biased by {', '.join(f'{value:g}' for value in self.bias)}"
+
 
 class SensorDropout(TimedFault):
     """A sensor repeats its last output before the start."""
 
     kind: Literal["sensor_dropout"]
     sensor: Sensor
+
+    def describe(self) -> str:
+        return "silent"
 
 
 EngineFault = FlameOut | StuckThrottle | ThrustLoss | SlowSpool | DelayGrowth

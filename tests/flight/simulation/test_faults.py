@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from math import exp, log, sqrt
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from long_cases import long_case
-from places import DESIGNS
+from places import DESIGNS, DOCS
 from stated_figures import stated
 
 from cosim.base.errors import InputError
@@ -35,6 +36,7 @@ from cosim.simulation.script.fault_schedule import NEVER
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import (
     DelayGrowth,
+    Fault,
     FlameOut,
     Scenario,
     SensorBias,
@@ -47,6 +49,7 @@ from cosim.spec.vehicle import MonitorSettings, load_vehicle
 from cosim.vehicle.servo import TiltServo
 
 STEP = 0.004
+KINDS = {get_args(fault.model_fields["kind"].annotation)[0] for fault in get_args(Fault)}
 HOVER = Scenario(name="short", duration_s=2.0, initial={"altitude_m": 30.0})
 FAULTY = [name for name in scenario_names() if name.startswith("fault-")]
 PLANNED_AROUND = ["fault-flame-out", "fault-relight", "fault-stuck-throttle", "fault-thrust-loss"]
@@ -772,14 +775,16 @@ def test_a_vehicle_without_a_monitor_says_so(monkeypatch: pytest.MonkeyPatch) ->
 def test_the_table_has_every_fault_at_every_place() -> None:
     found = cases(load_vehicle("hexjet")[0])
     kinds = {case.fault["kind"] for case in found if case.fault}
-    assert kinds == {
-        "flame_out", "stuck_throttle", "thrust_loss", "slow_spool", "delay_growth",
-        "servo_jam", "sensor_bias", "sensor_dropout",
-    }  # fmt: skip
+    assert kinds == KINDS
     assert [case.place for case in found if case.kind == "flame-out"] == [f"jet {jet}" for jet in range(1, 7)]
     assert not [case for case in cases(load_vehicle("quadrotor")[0]) if "servo" in case.kind or case.place == "jet 5"]
     for case in found:
         scenario_of(subject_of("hexjet", "edf-as-flown"), case, "roll", "smith")  # is a scenario
+
+
+def test_the_page_has_every_kind() -> None:
+    page = (DOCS / "faults.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"^\| `(\w+)` \| `(?:jet|servo|sensor)`", page, re.MULTILINE)) == KINDS
 
 
 def test_the_judge_reads_lean_height_and_detection() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ from cosim.results.events import (
     contacts,
     disturbances,
     events_of,
-    fault_text,
     faults,
     spans,
     verdicts,
@@ -25,7 +25,7 @@ from cosim.results.report.log_reader import Reader
 from cosim.results.report.plot import BLUE
 from cosim.results.report.signals_data import FlightData, run_data
 from cosim.results.run import Run, open_run
-from cosim.spec.scenario import Scenario
+from cosim.spec.scenario import Fault, Scenario
 
 STEP = 0.004
 
@@ -104,6 +104,7 @@ def test_what_the_monitor_believes_in_words() -> None:
 
 def test_every_fault_and_disturbance_has_words() -> None:
     stated = [
+        ({"kind": "flame_out", "jet": 1}, "flame-out"),
         ({"kind": "stuck_throttle", "jet": 1}, "throttle stuck"),
         ({"kind": "stuck_throttle", "jet": 1, "throttle": 0.7}, "throttle stuck at 70 %"),
         ({"kind": "thrust_loss", "jet": 1, "share": 0.5}, "50 % of the thrust lost"),
@@ -124,7 +125,8 @@ def test_every_fault_and_disturbance_has_words() -> None:
             {"kind": "force", "start_s": 30.0, "duration_s": 1.0, "force_n": (1.0, 0.0, 0.0)},
         ],
     )
-    assert [fault_text(fault) for fault in scenario.fault] == [text for _, text in stated]
+    assert {type(fault) for fault in scenario.fault} == set(get_args(Fault))
+    assert [fault.describe() for fault in scenario.fault] == [text for _, text in stated]
     found = [(each.text, each.end_s) for each in disturbances(scenario, 20.0)]
     assert found == [
         ("force of 5 N", 2.0),
