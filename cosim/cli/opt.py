@@ -96,10 +96,10 @@ def whole(name: str, metavar: str | None, text: str, *, default: int | None = No
 
 
 @overload
-def number(name: str, metavar: str | None, text: str | None, *, default: float, **limits: float) -> float: ...
+def number(name: str, metavar: str | None, text: str, *, default: float, **limits: float) -> float: ...
 @overload
-def number(name: str, metavar: str | None, text: str | None, **limits: float) -> float | None: ...
-def number(name: str, metavar: str | None, text: str | None, *, default: float | None = None, **limits: Any) -> Any:
+def number(name: str, metavar: str | None, text: str, **limits: float) -> float | None: ...
+def number(name: str, metavar: str | None, text: str, *, default: float | None = None, **limits: Any) -> Any:
     """Declare an option that is a finite number; ``limits`` as of ``click.FloatRange``."""
     kind = Number(**limits)
     return option(name, type=kind, metavar=metavar, help=text, default=default, show_default=default is not None)

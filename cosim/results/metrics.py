@@ -286,8 +286,6 @@ def saturation(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
 
     Actuators are throttles, tilts, hinges and surfaces.  A jet that the monitor has given up, whose throttle is closed
     for that, does not count.
-
-    A jet that the monitor has given up, whose throttle is closed for that, does not count.
     """
     rows = np.zeros(log["on_ground"].size, dtype=np.bool_)
     for name in REFUSED:
@@ -347,8 +345,6 @@ def activity(commands: Iterable[Array], step_s: float) -> float | None:
     """Return the total variation of commands per second: sum |u_k+1 - u_k| / time, mean over the commands.
 
     It is the common measure of a control signal's effort.  A command without a number is left out.
-
-    The total variation of a control signal, the common measure of its effort.  A command without a number is left out.
     """
     values = [
         float(np.sum(np.abs(np.diff(command)))) / ((command.size - 1) * step_s)

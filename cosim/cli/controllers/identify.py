@@ -131,7 +131,7 @@ class FromLog(opt.LogPart, opt.Output):
     )
     setpoint_text = opt.word("--setpoint", "SUM", "What was asked of the output: to test for bias.")
     time_column, time_unit, begin, end = opt.LOG_PART
-    longest_delay = opt.number("--longest-delay", "S", None, min=0.0, max=5.0, min_open=True, default=0.4)
+    longest_delay = opt.number("--longest-delay", "S", "Looked for.", min=0.0, max=5.0, min_open=True, default=0.4)
     working_step = opt.positive("--working-step", "S", "Samples are averaged to it.")
     lags = opt.whole("--lags", None, "Beside the pole.  [default: the better of two]", min=0, max=3)
     holds = opt.words("--hold", "NAME=VALUE", "Keep a parameter: lag_s=0.009.")

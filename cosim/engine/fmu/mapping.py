@@ -172,7 +172,7 @@ class MappingFile(Model):
     rotor: _Rotor = Field(default_factory=_Rotor.model_construct)
     flame_out: _FlameOut | None = None
     ledger: _Ledger = Field(default_factory=_Ledger.model_construct)
-    uncertainty: Uncertainty | None = None
+    uncertainty: Uncertainty | None = None  # how well parameters are known, as identified
     log: Annotated[dict[str, VariableName], BeforeValidator(flatten)] = Field(default_factory=dict)  # column: output
     parameter_set: str | None = Field(default=None, min_length=1)  # a file (SSV) beside it; [parameters] go before it
 

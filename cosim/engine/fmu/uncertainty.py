@@ -30,7 +30,7 @@ class Uncertainty(Model):
     """Standard deviations of an engine's parameters, each in its parameter's unit."""
 
     source: str = ""  # where the numbers are from, one line
-    parameters: Annotated[list[str], Field(min_length=1)]
+    parameters: Annotated[list[str], Field(min_length=1)]  # of the engine, by name; the rows of the other keys
     deviation: list[NotNegative]  # about the nominal value, common to all engines of a vehicle
     correlation: Matrix | None = None  # of the common deviations; None: none
     spread: list[NotNegative] | None = None  # between engines of one kind; None: none

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from math import sin
 
 import numpy as np
 import pytest
+from places import ROOT
 
 from cosim.base.errors import InputError
 from cosim.base.frames import from_euler
@@ -58,6 +60,16 @@ def test_every_line_is_sound() -> None:
             assert line.least <= value <= line.most
             assert text
         assert table.check(line.name, line.default) == line.default
+
+
+def test_every_line_is_read() -> None:
+    """By its name outside the table, or as one of a family that :class:`Live` hands to the loops."""
+    sources = [path for room in ("control", "groundstation") for path in (ROOT / "cosim" / room).rglob("*.py")]
+    text = "\n".join(path.read_text(encoding="utf-8") for path in sources if path.name != "parameters.py")
+    named = set(re.findall(r'"([A-Z][A-Z0-9_]{2,15})"', text))
+    families = tuple(f"HJ_{family}_" for family in ("ROLL", "PITCH", "YAW", "ATT", "RLIM", "PRED"))
+    mute = [line.name for line in parameters() if not line.read_only and not line.name.startswith(families)]
+    assert [name for name in mute if name not in named] == []
 
 
 def test_defaults_are_the_vehicles_own() -> None:

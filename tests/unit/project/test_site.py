@@ -60,6 +60,7 @@ def test_every_command_with_every_option(made: dict[str, str]) -> None:
         for parameter in command.params:
             if isinstance(parameter, click.Option) and not parameter.hidden:
                 assert all(opt in parts[path] for opt in parameter.opts), (path, parameter.name)
+                assert (parameter.help or "").strip(), (path, parameter.name)
 
 
 @pytest.mark.parametrize("model", ["Scenario", "Vehicle", "Study", "MappingFile", "ControllerFile"])

@@ -10,7 +10,8 @@ import pytest
 from places import DOCS
 
 from cosim.base.outcomes import RunVerdict
-from cosim.results import limits, steadiness
+from cosim.base.signals import AXES
+from cosim.results import limits, steadiness, wording
 from cosim.results.metrics import REVERSAL, SETTLING_BAND, metric_names
 from cosim.spec.scenario import FlightLimits
 from cosim.spec.vehicle import load_vehicle
@@ -21,6 +22,11 @@ PAGE = (DOCS / "metrics.md").read_text(encoding="utf-8")
 def test_every_metric_is_defined() -> None:
     for name in metric_names():
         assert f"`{name.replace('pitch.', 'roll.').replace('yaw.', 'roll.')}`" in PAGE, name
+
+
+def test_every_metric_is_shown() -> None:
+    of_axes = {f"{axis}.{row.key}" for axis in AXES for row in wording.AXIS_ROWS}
+    assert of_axes | {name for name, _ in wording.WHOLE_ROWS} == set(metric_names())
 
 
 def test_every_limit_and_its_default_are_there() -> None:
