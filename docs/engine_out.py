@@ -232,8 +232,8 @@ class Problem:
         start = self._hover(height)
         scale = np.maximum(np.abs(start), 0.3)
         opti.subject_to((states[:, 0] - start) / scale == 0)
-        least = [hinge.least_most[0] for hinge in self.vehicle.hinges]
-        most = [hinge.least_most[1] for hinge in self.vehicle.hinges]
+        least = [hinge.angle_limits[0] for hinge in self.vehicle.hinges]
+        most = [hinge.angle_limits[1] for hinge in self.vehicle.hinges]
         rate = [hinge.rate_limit_rad_s for hinge in self.vehicle.hinges]
         p = self.turbine.p
         for k in range(intervals):

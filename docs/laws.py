@@ -25,7 +25,7 @@ from cosim import InputError, Scenario, fly
 from cosim.base.protocols import Parameter, RateLoop
 from cosim.campaign import open_campaign
 from cosim.campaign.analysis.summary import controller_indices, success_fractions
-from cosim.campaign.analysis.table import FlightTable, read
+from cosim.campaign.analysis.table import FlightTable, read_flight_table
 from cosim.design import design as make
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels
@@ -253,7 +253,7 @@ def robust(found: FlightTable) -> str:
     rows = []
     for place, share in zip(controller_indices(found), success_fractions(found), strict=True):
         low, high = share.wilson
-        mine = found.of(place)
+        mine = found.rows_of(place)
         gone = np.count_nonzero(lost(found) & mine)
         middle, most = np.nanmedian(activity[mine]), np.nanmax(activity[mine])
         cells = [_percent(share.value or 0.0), f"{100.0 * low:.0f} to {_percent(high)}", f"{gone}"]
@@ -269,7 +269,7 @@ def by_delay(found: FlightTable) -> str:
     titles = [f"{low + 1:.0f} to {high:.0f} samples" for low, high in pairwise(LATE)]
     rows = []
     for place, name in enumerate(found.controllers):
-        mine = found.of(place)
+        mine = found.rows_of(place)
         rows.append([LAWS[name], *(f"{np.count_nonzero(found.success & each & mine)} of "
                                    f"{np.count_nonzero(each & mine)}" for each in classes)])  # fmt: skip
     return table(["law", *titles], rows)
@@ -380,7 +380,7 @@ def main() -> None:
     write_marks(PAGE, parts)
     folder = asked.out / f"{STUDY}-{asked.runs}"
     run(f"hexjet sweep {STUDY} --runs {asked.runs}", folder, asked.workers)
-    study = read(open_campaign(folder))
+    study = read_flight_table(open_campaign(folder))
     parts = {"robustness": robust(study), "robustness by delay": by_delay(study), "answer": answer(found, study)}
     write_marks(PAGE, parts)
 

@@ -29,7 +29,7 @@ from cosim.campaign.analysis.table import (
     KINDS,
     FlightTable,
     Mask,
-    read,
+    read_flight_table,
 )
 from cosim.cli.main import main as hexjet
 from cosim.results.report.marks import check_marks, table, write_marks
@@ -72,7 +72,7 @@ def run(command: str, folder: Path, workers: int) -> None:
 def flown_of(name: str, out: Path, workers: int) -> FlightTable:
     """A study's flights, flown as far as they are not there yet."""
     run(f"hexjet sweep {name}", out / name, workers)
-    return read(open_campaign(out / name))
+    return read_flight_table(open_campaign(out / name))
 
 
 def percent(part: Mask, of: Mask) -> str:
@@ -91,7 +91,7 @@ def shared(flown: FlightTable) -> str:
     rows = []
     for place, found in zip(controller_indices(flown), success_fractions(flown), strict=True):
         low, high = found.wilson
-        gone = np.count_nonzero(lost(flown) & flown.of(place))
+        gone = np.count_nonzero(lost(flown) & flown.rows_of(place))
         share = f"{100.0 * (found.value or 0.0):.1f} %"
         rows.append([flown.controllers[place], share, f"{100.0 * low:.0f} to {100.0 * high:.0f} %", f"{gone}"])
     return table(["controller", "succeeds", "95 %", f"lost, of {found.of}"], rows)
@@ -122,7 +122,7 @@ def by_delay(flown: FlightTable) -> str:
     classes = [np.greater(late, low) & np.less_equal(late, high) for low, high in pairwise(LATE)]
     titles = [f"{low + 1:.0f} to {high:.0f}" for low, high in pairwise(LATE)]
     rows = [
-        [name, *(percent(flown.success, each & flown.of(place)) for each in classes)]
+        [name, *(percent(flown.success, each & flown.rows_of(place)) for each in classes)]
         for place, name in enumerate(flown.controllers)
     ]
     return table(["samples", *titles], rows)
@@ -132,7 +132,7 @@ def missed(flown: FlightTable, limits: dict[str, float]) -> str:
     """What the flights that do not succeed are beyond; one may be beyond several."""
     rows = []
     for place, name in enumerate(flown.controllers):
-        none = flown.of(place) & ~flown.success
+        none = flown.rows_of(place) & ~flown.success
         above = [np.greater(np.nan_to_num(flown.values[key]), most) for key, most in limits.items()]
         counts = [np.count_nonzero(none & each) for each in (none, lost(flown), *above)]
         rows.append([name, *map(str, counts)])
@@ -145,7 +145,7 @@ def envelope(flown: FlightTable) -> str:
     middle, off = np.equal(lever, 0.0), np.equal(lever, lever.min())
     rows = []
     for place, name in enumerate(flown.controllers):
-        mine = flown.of(place)
+        mine = flown.rows_of(place)
         some = mine & off & np.less_equal(gust, HEAVY_M_S)
         loads = np.unique(load)
         # as long as no lighter load is missed
@@ -164,7 +164,7 @@ def by_lever(flown: FlightTable) -> str:
         here = np.equal(product, each)
         cells = []
         for place in controller_indices(flown):
-            mine = here & flown.of(place)
+            mine = here & flown.rows_of(place)
             cells.append(f"{np.count_nonzero(mine & flown.success)} of {np.count_nonzero(mine)}")
         rows.append([f"{each:g} kg m", *cells])
     return table(["load times lever", *flown.controllers], rows)

@@ -48,7 +48,7 @@ def stored_kinds(folder: Path, study: Study, in_rows: Callable[[], Iterable[str]
             f'{path}: not the columns of a campaign: must be an object with "own", a list of names, and "keys", a list '
             f"of objects with {', '.join(field.name for field in fields(Key))}"
         ) from error
-    study.know({key.path: key for key in keys})
+    study.set_keys({key.path: key for key in keys})
     return kinds(study, metrics)
 
 

@@ -24,8 +24,8 @@ from cosim.simulation.build import build
 from cosim.simulation.controllers.source import find
 from cosim.simulation.step import Simulation
 from cosim.spec.controller_name import file_name, is_design
-from cosim.spec.scenario import Scenario, changes_of, flown_parameters
-from cosim.spec.vehicle import is_file, is_own
+from cosim.spec.scenario import Scenario, flown_parameters, list_changes
+from cosim.spec.vehicle import is_aircraft_path, is_file
 
 STUDY, SCENARIO = "study.toml", "scenario.toml"
 FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS = "flights", "flights.jsonl", "report.html", "cases", "columns.json"
@@ -35,7 +35,7 @@ CAMPAIGN_FILES = (STUDY, SCENARIO, FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS)
 
 
 @dataclass(frozen=True)
-class Frozen:
+class FrozenStudy:
     """A study that needs nothing but the folder it is written to, the library of aircraft and engines aside."""
 
     study: dict[str, Any]
@@ -64,7 +64,7 @@ class Frozen:
                 yield f"{name}: is another file there"
 
 
-def freeze(study: Study) -> Frozen:
+def freeze(study: Study) -> FrozenStudy:
     """Return everything that a folder needs to fly ``study``.
 
     Each controller is tried on the scenario as it stands, so that what cannot fly at all is found here.  Raises
@@ -87,7 +87,7 @@ def freeze(study: Study) -> Frozen:
     if reserved is not None:
         raise InputError(f"scenario {base.name}: a file named {reserved!r} cannot be copied into a campaign's folder")
     files = {name: source if isinstance(source, bytes) else _read(source) for name, source in sources.items()}
-    return Frozen(renamed.table(), scenario, files)
+    return FrozenStudy(renamed.table(), scenario, files)
 
 
 def load(folder: Path) -> Study:
@@ -111,7 +111,7 @@ def _scenario(
     data = resolved.model_dump(mode="json", exclude_none=True) | {
         "controller": base.controller if file_name(base.controller) is None else BASELINE.name,
         "controller_parameters": base.controller_parameters,
-        "changed": changes_of(base, flown_parameters(base)),
+        "changed": list_changes(base, flown_parameters(base)),
     }
     swapped = {vary.key.split(".")[-1] for vary in study.vary} & {"aircraft", "engine"}
     if swapped:
@@ -139,7 +139,7 @@ def _values(base: Scenario, vary: Vary, sources: dict[str, Path | bytes]) -> lis
         return vary.values
     values: list[Any] = []
     for value in vary.values:
-        if vary.key == "aircraft" and isinstance(value, str) and is_own(value):
+        if vary.key == "aircraft" and isinstance(value, str) and is_aircraft_path(value):
             value = copy_vehicle(value, base.folder, sources)
         elif isinstance(value, str) and is_file(value):
             file, unchecked, apart = str(base.folder / value), base.engine_unchecked, base.engine_isolated

@@ -29,7 +29,7 @@ from cosim.campaign.folder import (
     JOURNAL,
     SCENARIO,
     STUDY,
-    Frozen,
+    FrozenStudy,
     freeze,
     is_campaign,
     load,
@@ -47,7 +47,7 @@ _TALLIED = ("flight", "controller", "success", "outcome")
 _CHECKED = 16  # finished flights whose draws are compared when a campaign is taken up
 
 
-class Numbers:
+class FinishedNumbers:
     """The numbers of finished flights, a byte each, for there may be millions."""
 
     def __init__(self, of: int) -> None:
@@ -93,7 +93,7 @@ class Store:
         self.folder = folder
         self.study = load(folder)
         self.flights = flights(self.study)
-        self.done = Numbers(len(self.flights))
+        self.done = FinishedNumbers(len(self.flights))
         self.tally = Tally()
         self._journal = journal
         self._kinds = kinds(self.study)
@@ -116,7 +116,7 @@ class Store:
         return cls._begin(folder, freeze(study))
 
     @classmethod
-    def _begin(cls, folder: Path, frozen: Frozen) -> Store:
+    def _begin(cls, folder: Path, frozen: FrozenStudy) -> Store:
         existing = next((name for name in frozen.files if (folder / name).exists()), None)
         if existing is not None:
             raise InputError(f"{folder}: already holds {existing}; choose another folder")
@@ -133,7 +133,7 @@ class Store:
             raise
 
     @classmethod
-    def _begin_with(cls, folder: Path, journal: int, frozen: Frozen) -> Store:
+    def _begin_with(cls, folder: Path, journal: int, frozen: FrozenStudy) -> Store:
         try:
             with map_os_errors(InputError, folder):
                 (folder / FLIGHTS).mkdir(exist_ok=True)

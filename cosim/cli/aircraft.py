@@ -78,7 +78,7 @@ def aircraft_check(options: Check) -> int:
     with output_to_stderr(options.as_json):
         report = check_aircraft(options.aircraft, options.engine, folder)
     options.answer(report.to_dict, lambda: print_check(report), nan=True)
-    return DONE if report.fit else FLIGHT_FAILED
+    return DONE if report.is_fit else FLIGHT_FAILED
 
 
 def print_check(report: AircraftCheck) -> None:
@@ -94,9 +94,9 @@ def print_check(report: AircraftCheck) -> None:
     show_table(("engine lost", "lift / weight", "roll, N m", "pitch, N m", "yaw, N m"), rows, range(5))
     say(
         "Largest moment either way while the weight is held and the other two moments are zero; all throttles and "
-        "hinges are free within their limits." + ("" if report.exact else f" {NOT_EXACT}")
+        "hinges are free within their limits." + ("" if report.is_exact else f" {NOT_EXACT}")
     )
     if report.drawing is not None:
         say(f"drawing: {report.drawing}", wrap=False)
     faults = [line.name for line in report.lines if line.fault]
-    say("fit to fly" if report.fit else f"not fit to fly: {', '.join(faults)}")
+    say("fit to fly" if report.is_fit else f"not fit to fly: {', '.join(faults)}")

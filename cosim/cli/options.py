@@ -114,7 +114,7 @@ def offer_to_compile(*engines: str) -> None:
             compile_archive(path)
 
 
-def warn_of_blemishes(*engines: str, folder: Path = Path()) -> None:
+def warn_of_fmu_defects(*engines: str, folder: Path = Path()) -> None:
     """Tell on standard error what of a foreign FMU's description, seen from ``folder``, is not as FMI has it."""
     from cosim.spec.vehicle import is_file
 

@@ -10,7 +10,7 @@ from cosim.simulation.controllers.source import names as own_controllers
 from cosim.simulation.plugins import metrics_of
 from cosim.spec.controller_name import file_name
 from cosim.spec.scenario import Expectation, Scenario
-from cosim.spec.vehicle import aircraft_names, is_file, is_own
+from cosim.spec.vehicle import aircraft_names, is_aircraft_path, is_file
 
 
 def check_expected(scenario: Scenario) -> None:
@@ -20,7 +20,7 @@ def check_expected(scenario: Scenario) -> None:
         where = f"scenario {scenario.name}: expect.{index}"
         checks = (
             ("controller", [entry.controller], _controllers_like(entry.controller)),
-            ("aircraft", [] if is_own(entry.aircraft) else [entry.aircraft], aircraft_names()),
+            ("aircraft", [] if is_aircraft_path(entry.aircraft) else [entry.aircraft], aircraft_names()),
             ("metrics", list(entry.metrics), allowed_metrics),
         )
         for key, names, allowed in checks:

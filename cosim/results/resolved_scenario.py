@@ -22,11 +22,11 @@ from cosim.spec.scenario import (
     SticksCommand,
     TableCommand,
     TrackCommand,
-    changes_of,
     copy_parameters,
     flown_parameters,
+    list_changes,
 )
-from cosim.spec.vehicle import VEHICLE, as_read, is_file, is_own, load_vehicle
+from cosim.spec.vehicle import VEHICLE, is_aircraft_path, is_file, load_vehicle, read_tables
 from cosim.vehicle.model_file import read_model
 
 
@@ -58,7 +58,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
         **{
             **controller,
             "parameter_files": copy_parameters(parameters, files, RUN_FILES),
-            "changed": changes_of(simulation.scenario, parameters),
+            "changed": list_changes(simulation.scenario, parameters),
             "command": commands,
             "engine": names[id(engine)],
             "engine_parameters": _floats(engine.parameters),
@@ -87,10 +87,10 @@ def copy_aircraft(simulation: Simulation, files: dict[str, Path | bytes]) -> tup
     """
     scenario, specs = simulation.flown_scenario, [simulation.engine, *simulation.stations]
     whole = simulation.vehicle.model_dump(mode="json", exclude_none=True)
-    if not is_own(scenario.aircraft):
+    if not is_aircraft_path(scenario.aircraft):
         return scenario.aircraft, whole, engine_files(specs, files)
     _, folder = scenario.resolved_vehicle()
-    table, written = as_read(scenario.aircraft, scenario.folder), dict[str, Path | bytes]()
+    table, written = read_tables(scenario.aircraft, scenario.folder), dict[str, Path | bytes]()
     model = simulation.vehicle.model
     if model is not None:
         written[Path(model).name] = read_model(folder / model)
@@ -132,7 +132,7 @@ def copy_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) ->
     where another file has the name of one of them.
     """
     vehicle, location = load_vehicle(aircraft, folder=folder)
-    table, written = as_read(aircraft, folder), dict[str, Path | bytes]()
+    table, written = read_tables(aircraft, folder), dict[str, Path | bytes]()
     if vehicle.model is not None:
         name = f"{vehicle.name}-{Path(vehicle.model).name}"
         written[name] = read_model(location / vehicle.model)

@@ -31,8 +31,8 @@ from cosim.simulation.notes import idle_notes, step_notes
 from cosim.simulation.step import Simulation
 from cosim.spec.controller_name import file_name, label
 from cosim.spec.scenario import FlownParameters, Scenario, flown_parameters
-from cosim.spec.vehicle import is_own
-from cosim.spec.vehicle.sensor_profile import profile_words
+from cosim.spec.vehicle import is_aircraft_path
+from cosim.spec.vehicle.sensor_profile import describe_profile
 from cosim.vehicle.airframe import IN_THE_AIR, METHODS, ON_THE_GROUND, POSITIONS
 
 
@@ -49,7 +49,7 @@ def setup_of(simulation: Simulation, resolved: Scenario, notes: bool = True) -> 
         for parameter, copy in zip(files, resolved.parameter_files, strict=True)
     ]  # fmt: skip
     model = simulation.vehicle.model or f"{simulation.vehicle.name}.xml"
-    model = Path(model).name if is_own(scenario.aircraft) else model
+    model = Path(model).name if is_aircraft_path(scenario.aircraft) else model
     return Setup(
         scenario=scenario.name,
         title=scenario.title,
@@ -66,7 +66,7 @@ def setup_of(simulation: Simulation, resolved: Scenario, notes: bool = True) -> 
             for source in sources
         ],
         seed=scenario.seed,
-        sensors=profile_words(scenario.sensor_profile),
+        sensors=describe_profile(scenario.sensor_profile),
         step_s=scenario.step_s,
         integration=integration(scenario),
         planned_s=scenario.duration_s,

@@ -31,7 +31,7 @@ from cosim.results.metrics import (
 from cosim.results.verdict import describe_end, judge, read_verdict
 from cosim.simulation.pacing import PaceReport
 from cosim.simulation.plugins import CustomMetric
-from cosim.spec.controller_name import SHORT, controller_words
+from cosim.spec.controller_name import SHORT, describe_controller
 from cosim.spec.scenario import Expectation
 
 _TITLED = ("aircraft", "engine", "controller", "design", "models")  # changes that a title states as what flies
@@ -158,7 +158,7 @@ class Setup(BaseModel):
     def controller_shown(self) -> str:
         """The controller for people: a design, models or a custom controller by file and first letters of the hash."""
         sha256 = "" if self.own_controller is None else self.own_controller.sha256
-        return controller_words(self.controller, sha256, self.parameter_files)
+        return describe_controller(self.controller, sha256, self.parameter_files)
 
     @property
     def engine_shown(self) -> str:

@@ -23,7 +23,7 @@ from cosim.identify.logs import is_flight_log
 from cosim.results.run import SUMMARY
 from cosim.results.summary import ParametersRecord
 from cosim.results.verdict import read_verdict
-from cosim.spec.controller_name import controller_words
+from cosim.spec.controller_name import describe_controller
 
 INDEX, TAGS = ".index.json", "tags.json"
 FORM = 3  # of the index; another one is read as none
@@ -175,7 +175,7 @@ def _summary_details(summary: Mapping[str, Any]) -> dict[str, str]:
     with suppress(KeyError, TypeError, ValueError):  # an older summary, or not quite one of ours
         digest = (summary.get("own_controller") or {}).get("sha256") or ""
         files = [ParametersRecord.model_validate(entry) for entry in summary.get("parameter_files") or ()]
-        details["controller"] = controller_words(details["controller"], digest, files)
+        details["controller"] = describe_controller(details["controller"], digest, files)
     return details
 
 

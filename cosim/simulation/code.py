@@ -13,7 +13,7 @@ from cosim.engine.make.controller_fmu import MAPPING
 from cosim.engine.spec import find_source
 from cosim.spec.controller_name import file_name
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import is_file, is_own, load_vehicle
+from cosim.spec.vehicle import is_aircraft_path, is_file, load_vehicle
 
 
 def need_trust_of(scenario: Scenario) -> None:
@@ -35,7 +35,7 @@ def scenario_code(scenario: Scenario) -> list[Code]:
 
 def aircraft_code(aircraft: str, folder: Path, with_engine: bool = False) -> list[Code]:
     """Return the code of the engines at single jets of an aircraft; ``with_engine``: and of the one for all."""
-    if not is_own(aircraft):
+    if not is_aircraft_path(aircraft):
         return []
     try:
         vehicle, own_folder = load_vehicle(aircraft, folder=folder)

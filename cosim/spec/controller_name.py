@@ -18,7 +18,7 @@ _NAMED = re.compile(
 
 
 class FlownFile(Protocol):
-    """Fields of a flown parameter file that :func:`controller_words` reads."""
+    """Fields of a flown parameter file that :func:`describe_controller` reads."""
 
     @property
     def kind(self) -> str:
@@ -101,18 +101,18 @@ def short_name(controller: str) -> str:
     return Path(controller).stem if is_design(controller) else label(controller)
 
 
-def file_words(file: str, sha256: str) -> str:
+def describe_file(file: str, sha256: str) -> str:
     """Return a parameter file's name without folder and suffix, followed by the first letters of its hash."""
     return f"{Path(file).stem} {sha256[:SHORT]}"
 
 
-def controller_words(law: str, sha256: str, files: Iterable[FlownFile]) -> str:
+def describe_controller(law: str, sha256: str, files: Iterable[FlownFile]) -> str:
     """Return the flown controller for display: ``my-design 1ada07e5 (smith)``, ``smith, models roll 5b0c2e11``.
 
     ``law`` is the controller's label and ``sha256`` the hash of its files, or empty; it is left out of a bare name.
     """
     text = f"{law} {sha256[:SHORT]}" if sha256 and set(law) & {".", ":"} else law
     for file in files:
-        words = file_words(file.file, file.sha256) + (", changed" if file.changed else "")
+        words = describe_file(file.file, file.sha256) + (", changed" if file.changed else "")
         text = f"{words} ({text})" if file.kind == "design" else f"{text}, models {words}"
     return text

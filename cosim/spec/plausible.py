@@ -16,7 +16,9 @@ FARTHEST_M = 100.0  # chosen by us: no vehicle here has a part farther from its 
 GYRATION = (0.02, 3.0)
 
 
-def implausible(mass: float, inertia: Vector3, positions: Mapping[str, Vector3], legs: Mapping[str, Vector3]) -> str:
+def find_implausible(
+    mass: float, inertia: Vector3, positions: Mapping[str, Vector3], legs: Mapping[str, Vector3]
+) -> str:
     """Return the first implausible value as one line (key, value, allowed range), or an empty string if there is none.
 
     ``mass`` [kg], ``inertia`` [kg m^2], positions of all parts and of the ``legs`` [m, body frame] by their keys.

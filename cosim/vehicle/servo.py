@@ -23,7 +23,7 @@ class TiltServo:
         else:
             self._most_change = servo.rate_limit_rad_s * step
             if isinstance(servo, Hinge):
-                self._low, self._high = servo.least_most
+                self._low, self._high = servo.angle_limits
                 self._rest = servo.rest_rad
             else:
                 self._low, self._high = -servo.range_rad, servo.range_rad

@@ -9,7 +9,7 @@ from pilot_flights import Asked
 
 from cosim.campaign.surveys import failsafe_table as tables
 from cosim.campaign.surveys import failsafes as table
-from cosim.campaign.surveys.survey import subject_of
+from cosim.campaign.surveys.survey import load_subject
 from cosim.control.autopilot import requests as rq
 from cosim.flight import fly
 from cosim.results.autopilot.request_log import Entry
@@ -45,7 +45,7 @@ class Flight(Asked):
     def __init__(
         self, aircraft: str = "hexjet", height: float = 3.0, *, recorded: bool = False, **changes: Any
     ) -> None:
-        subject = subject_of(aircraft)
+        subject = load_subject(aircraft)
         scenario = table.scenario_of(subject, table.default_controller(subject), height, 0.0).replace(**changes)
         self.simulation = build(scenario)
         self.pilot = with_autopilot(self.simulation, airborne=not scenario.initial.on_ground)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.campaign.analysis.sensitivity import Ranking
-from cosim.campaign.analysis.statistics import Proportion, classes, wilson
+from cosim.campaign.analysis.statistics import Proportion, assign_classes, wilson
 from cosim.campaign.analysis.summary import controller_indices
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.results.report.plot import ABOVE, GREEN, GREY, MAGENTA, ORANGE, RED, layout, run_colour
@@ -46,7 +46,7 @@ def outcomes(table: FlightTable) -> Figure:
     """Return the figure of how the flights of each controller ended, in percent of its flights."""
     counts = np.array(
         [
-            np.bincount(table.kind[table.of(controller)], minlength=len(KINDS))
+            np.bincount(table.kind[table.rows_of(controller)], minlength=len(KINDS))
             for controller in controller_indices(table)
         ]
     )
@@ -177,7 +177,7 @@ def _percent(fraction: float) -> float:
 
 
 def wrap_label(label: str, width: int = 24) -> str:
-    """Return a label broken into lines at its dots, of at most ``most`` characters where the parts allow it."""
+    """Return a label broken into lines at its dots, of at most ``width`` characters where the parts allow it."""
     lines = [""]
     for part in label.replace(".", ".\0").split("\0"):
         if lines[-1] and len(lines[-1]) + len(part) > width:
@@ -190,12 +190,12 @@ def success_over(table: FlightTable, key: KeyColumn) -> Figure:
     """Return the figure of the fraction of successes over one key, with 95 % intervals; other keys vary as drawn."""
     data = []
     for controller in controller_indices(table):
-        rows = table.of(controller) & np.isfinite(key.numbers)
+        rows = table.rows_of(controller) & np.isfinite(key.numbers)
         count = int(np.sum(rows))
         if not count:
             continue
         values = key.numbers[rows]
-        numbered = classes(values, int(np.clip(count // 40, 4, 16)) if not table.grid else count)
+        numbered = assign_classes(values, int(np.clip(count // 40, 4, 16)) if not table.grid else count)
         of, hits = np.bincount(numbered), np.bincount(numbered, table.success[rows])
         low, high = wilson(hits, of)
         fraction = hits / of
@@ -281,7 +281,7 @@ def distribution(table: FlightTable, metric: Metric) -> Figure:
     data = []
     largest: list[float] = []
     for controller in controller_indices(table):
-        rows = table.of(controller)
+        rows = table.rows_of(controller)
         values = np.sort(metric.factor * table.values[metric.name][rows])  # NaN comes last
         finite = values[np.isfinite(values)]
         if not finite.size:

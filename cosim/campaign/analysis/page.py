@@ -18,16 +18,16 @@ from cosim.campaign.analysis.stability_map import MAP_KEYS, map_tables
 from cosim.campaign.analysis.statistics import Interval, MedianDifference
 from cosim.campaign.analysis.summary import (
     SUCCESS,
-    comparisons,
+    compare_controllers,
     controller_indices,
-    kinds,
+    count_kinds,
+    count_reasons,
+    find_spread,
     rank_keys,
-    reasons,
-    result,
-    spread,
+    ranked_result,
     success_fractions,
 )
-from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn, describe_criterion, read
+from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn, describe_criterion, read_flight_table
 from cosim.campaign.analysis.worst_cases import case_rows
 from cosim.campaign.folder import REPORT
 from cosim.results.report.page import render
@@ -66,14 +66,14 @@ def write_campaign_report(campaign: Campaign) -> Path:
     Raises FlightError if a file cannot be written.
     """
     path = campaign.folder / REPORT
-    figures, values = page(campaign)
+    figures, values = report_contents(campaign)
     render(TEMPLATE, path, figures, **values)
     return path
 
 
-def page(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]:
+def report_contents(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the figures of the report and the values for its template; write the scenario files of its cases."""
-    table, study = read(campaign), campaign.study
+    table, study = read_flight_table(campaign), campaign.study
     proportions = success_fractions(table)
     names = [SUCCESS, *(metric.name for metric in table.metrics)]
     rankings = {
@@ -90,7 +90,12 @@ def page(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]:
     return figures, {
         "study": study,
         "controllers": [
-            {"name": name, "colour": run_colour(controller), "share": proportion, "kinds": kinds(table, controller)}
+            {
+                "name": name,
+                "colour": run_colour(controller),
+                "share": proportion,
+                "kinds": count_kinds(table, controller),
+            }
             for controller, (name, proportion) in enumerate(zip(table.controllers, proportions, strict=True))
         ],
         "table": table,
@@ -281,13 +286,13 @@ def strongest_pair(
 
     The first two, which explain most one at a time, unless others are above them by more than chance.
     """
-    values = result(table, name)
+    values = ranked_result(table, name)
     together = {}
     for first, second in combinations(keys, 2):
         a, b = table.keys[first].numbers, table.keys[second].numbers
         finite = np.isfinite(values) & np.isfinite(a) & np.isfinite(b)
         together[first, second] = sum(
-            _joint(finite & table.of(controller), a, b, values) for controller in controller_indices(table)
+            _joint(finite & table.rows_of(controller), a, b, values) for controller in controller_indices(table)
         )
     default_pair = (keys[0], keys[1])
     best = max(together, key=lambda pair: together[pair])
@@ -365,7 +370,7 @@ def comparison_rows(table: FlightTable) -> list[dict[str, Any]]:
                 if (difference := comparison.metrics[metric.name]) is not None
             ],
         }
-        for comparison in comparisons(table)
+        for comparison in compare_controllers(table)
     ]
 
 
@@ -405,9 +410,9 @@ def metric_rows(table: FlightTable) -> list[dict[str, Any]]:
     for number, metric in enumerate(table.metrics):
         cells = []
         for controller in controller_indices(table):
-            quartiles = spread(table, controller, metric.name)
+            quartiles = find_spread(table, controller, metric.name)
             cells.append(
-                {"text": NONE, "none": 0, "flights": 0, "of": int(np.sum(table.of(controller)))}
+                {"text": NONE, "none": 0, "flights": 0, "of": int(np.sum(table.rows_of(controller)))}
                 if quartiles is None
                 else {
                     "text": f"{metric.factor * quartiles.median:.3g}",
@@ -423,7 +428,10 @@ def metric_rows(table: FlightTable) -> list[dict[str, Any]]:
 
 def reason_rows(campaign: Campaign, table: FlightTable) -> list[dict[str, Any]]:
     """Return the reasons of flights without success, the commonest first, with the count of every controller."""
-    counted = [reasons(table, table.of(controller), campaign.study.success) for controller in controller_indices(table)]
+    counted = [
+        count_reasons(table, table.rows_of(controller), campaign.study.success)
+        for controller in controller_indices(table)
+    ]
     names = sorted(
         {name for counter in counted for name in counter},
         key=lambda name: (-sum(counter[name] for counter in counted), name),

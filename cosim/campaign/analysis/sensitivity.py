@@ -21,7 +21,7 @@ import numpy as np
 from scipy import stats
 
 from cosim.base.arrays import Array
-from cosim.campaign.analysis.statistics import Counts, Interval, Z, classes
+from cosim.campaign.analysis.statistics import Counts, Interval, Z, assign_classes
 
 FEWEST = 30  # flights; with fewer, chance alone looks like an effect of a quarter
 SHUFFLES = 200
@@ -56,7 +56,7 @@ class Ranking:
         return min(1.0, sum(effect.index for effect in self.effects if effect.real))
 
 
-def ranking(keys: Mapping[str, Array], choices: Sequence[str], result: Array) -> Ranking | None:
+def rank_effects(keys: Mapping[str, Array], choices: Sequence[str], result: Array) -> Ranking | None:
     """Return the effect of each key on ``result``; the keys in ``choices`` are codes without an order.
 
     None if there are too few flights, or if they all came out alike.
@@ -64,7 +64,7 @@ def ranking(keys: Mapping[str, Array], choices: Sequence[str], result: Array) ->
     n = result.size
     if n < FEWEST or not keys or np.ptp(result) == 0.0:
         return None
-    classed = {key: classes(values, max_classes(n)) for key, values in keys.items()}
+    classed = {key: assign_classes(values, max_classes(n)) for key, values in keys.items()}
     floor = noise_floor(list(classed.values()), result)
     numbers = [key for key in keys if key not in choices]
     ranks = rank_correlations([keys[key] for key in numbers], result)
@@ -139,7 +139,7 @@ def noise_floor(classed: Sequence[Counts], result: Array) -> float:
 def joint(first: Array, second: Array, result: Array) -> float:
     """Return the fraction of a result's variance that two keys explain together in cells, corrected for chance."""
     count = max(2, int(sqrt(max_classes(result.size))) + 1)
-    of_first, of_second = classes(first, count), classes(second, count)
+    of_first, of_second = assign_classes(first, count), assign_classes(second, count)
     _, numbered = np.unique(of_first * (of_second.max() + 1) + of_second, return_inverse=True)
     return first_order(numbered.astype(np.intp), result)[0]
 

@@ -82,7 +82,7 @@ def _sides(table: FlightTable, key: KeyColumn, pairs: int) -> tuple[Array, Count
     finite = np.isfinite(key.numbers)
     if key.levels:
         return np.arange(-0.5, len(key.levels)), np.where(finite, key.numbers, -1).astype(np.intp)
-    flights = max((int(np.sum(table.of(controller))) for controller in controller_indices(table)), default=0)
+    flights = max((int(np.sum(table.rows_of(controller))) for controller in controller_indices(table)), default=0)
     count = int(np.clip(isqrt(flights // FLIGHTS_PER_CELL), 3, max(16, min(40, isqrt(MAP_CELLS // pairs)))))
     numbers = np.where(finite, key.numbers, key.numbers[finite][0] if finite.any() else 1.0)
     levels = np.unique(numbers)
@@ -116,7 +116,7 @@ def _cells(
     fewest: int,
 ) -> Figure:
     width, height = across[0].size - 1, upwards[0].size - 1
-    rows = table.of(controller) & (across[1] >= 0) & (upwards[1] >= 0)
+    rows = table.rows_of(controller) & (across[1] >= 0) & (upwards[1] >= 0)
     cell = (upwards[1] * width + across[1])[rows]
     total = width * height
     return {
@@ -139,7 +139,7 @@ def _medians(cell: Counts, values: Array, total: int, fewest: int) -> list[float
 
 def _points(table: FlightTable, controller: int, keys: Sequence[KeyColumn], metrics: Sequence[Metric]) -> Figure:
     generator = np.random.default_rng(SEED)
-    flown = table.of(controller)
+    flown = table.rows_of(controller)
     samples = []
     for group in (flown & table.success, flown & ~table.success):
         rows = np.flatnonzero(group)

@@ -80,7 +80,7 @@ class Pairs(NamedTuple):
         return (self.second - self.first) / self.draws if self.draws else None
 
 
-def pairs(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> Pairs:
+def count_pairs(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> Pairs:
     """Count the outcomes of draws, one element a draw."""
     counts = np.bincount(2 * first.astype(np.intp) + second, minlength=4)
     return Pairs(int(counts[3]), int(counts[2]), int(counts[1]), int(counts[0]))
@@ -162,8 +162,8 @@ def median_difference(differences: Array) -> MedianDifference | None:
     return MedianDifference(differences.size, float(np.median(differences)), interval, p)
 
 
-def classes(values: Array, count: int) -> Counts:
-    """Return the class of each value, numbered from 0 in order: one per level, or at most ``most`` of equal count."""
+def assign_classes(values: Array, count: int) -> Counts:
+    """Return the class of each value, numbered from 0 in order: one per level, or at most ``count`` of equal size."""
     levels, numbers = np.unique(values, return_inverse=True)
     if levels.size > count:
         inner = np.quantile(values, np.linspace(0.0, 1.0, count + 1)[1:-1])

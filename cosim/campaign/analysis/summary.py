@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.campaign.analysis.sensitivity import Ranking, ranking
+from cosim.campaign.analysis.sensitivity import Ranking, rank_effects
 from cosim.campaign.analysis.statistics import (
     Interval,
     MedianDifference,
     Pairs,
     Proportion,
+    count_pairs,
     holm,
     mcnemar,
     median_difference,
     newcombe,
-    pairs,
     proportion,
 )
-from cosim.campaign.analysis.table import KINDS, FlightTable, Mask, describe_criterion, read
+from cosim.campaign.analysis.table import KINDS, FlightTable, Mask, describe_criterion, read_flight_table
 from cosim.results.wording import metric
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ class Spread(NamedTuple):
 def success_fractions(table: FlightTable) -> list[Proportion]:
     """Return the fraction of successes of every controller; a failed flight counts as no success."""
     return [
-        proportion(int(np.sum(table.success & table.of(controller))), int(np.sum(table.of(controller))))
+        proportion(int(np.sum(table.success & table.rows_of(controller))), int(np.sum(table.rows_of(controller))))
         for controller in controller_indices(table)
     ]
 
@@ -74,15 +74,15 @@ def controller_indices(table: FlightTable) -> range:
     return range(len(table.controllers))
 
 
-def kinds(table: FlightTable, controller: int) -> dict[str, int]:
+def count_kinds(table: FlightTable, controller: int) -> dict[str, int]:
     """Return how many flights of a controller ended in each kind of outcome."""
-    counts = np.bincount(table.kind[table.of(controller)], minlength=len(KINDS))
+    counts = np.bincount(table.kind[table.rows_of(controller)], minlength=len(KINDS))
     return {name: int(count) for name, count in zip(KINDS, counts, strict=True)}
 
 
-def spread(table: FlightTable, controller: int, name: str) -> Spread | None:
+def find_spread(table: FlightTable, controller: int, name: str) -> Spread | None:
     """Return the spread of a metric of a controller; None if no flight has it."""
-    flown = table.of(controller)
+    flown = table.rows_of(controller)
     values = table.values[name][flown & table.completed]
     finite = values[np.isfinite(values)]
     if not finite.size:
@@ -92,7 +92,7 @@ def spread(table: FlightTable, controller: int, name: str) -> Spread | None:
     return Spread(finite.size, values.size - finite.size, of, float(low), float(median), float(high))
 
 
-def comparisons(table: FlightTable) -> list[Comparison]:
+def compare_controllers(table: FlightTable) -> list[Comparison]:
     """Compare every two controllers on the draws that both have flown."""
     compared = [_compared(table, first, second) for first, second in combinations(controller_indices(table), 2)]
     corrected = holm([comparison.p for comparison in compared])
@@ -101,7 +101,7 @@ def comparisons(table: FlightTable) -> list[Comparison]:
 
 def _compared(table: FlightTable, first: int, second: int) -> Comparison:
     rows, others = common_draws(table, first, second)
-    counted = pairs(table.success[rows], table.success[others])
+    counted = count_pairs(table.success[rows], table.success[others])
     completed = table.completed[rows] & table.completed[others]
     metrics = {}
     for name in (metric_spec.name for metric_spec in table.metrics):
@@ -113,29 +113,29 @@ def _compared(table: FlightTable, first: int, second: int) -> Comparison:
 
 def common_draws(table: FlightTable, first: int, second: int) -> tuple[Any, Any]:
     """Return the row numbers of two controllers, draw by draw, of the draws that both have flown."""
-    rows, others = np.flatnonzero(table.of(first)), np.flatnonzero(table.of(second))
+    rows, others = np.flatnonzero(table.rows_of(first)), np.flatnonzero(table.rows_of(second))
     _, first_rows, second_rows = np.intersect1d(
         table.draw[rows], table.draw[others], assume_unique=True, return_indices=True
     )
     return rows[first_rows], others[second_rows]
 
 
-def result(table: FlightTable, name: str) -> Array:
+def ranked_result(table: FlightTable, name: str) -> Array:
     """Return the ranked result of each row: success as 0 and 1, or a metric, NaN where there is none."""
     return table.success.astype(np.float64) if name == SUCCESS else table.values[name]
 
 
 def rank_keys(table: FlightTable, controller: int, name: str) -> Ranking | None:
     """Return the effect of each key on the success or on a metric of a controller; None if it cannot be estimated."""
-    values = result(table, name)
-    rows = table.of(controller) & np.isfinite(values)
+    values = ranked_result(table, name)
+    rows = table.rows_of(controller) & np.isfinite(values)
     for key in table.keys:
         rows &= np.isfinite(key.numbers)
     numbers = {key.path: key.numbers[rows] for key in table.keys}
-    return ranking(numbers, [key.path for key in table.keys if key.levels], values[rows])
+    return rank_effects(numbers, [key.path for key in table.keys if key.levels], values[rows])
 
 
-def reasons(table: FlightTable, rows: Mask, success: Mapping[str, Range]) -> Counter[str]:
+def count_reasons(table: FlightTable, rows: Mask, success: Mapping[str, Range]) -> Counter[str]:
     """Count the reasons of flights without success, similar ones as one: without their numbers and brackets."""
     counts: Counter[str] = Counter()
     missed = table.kind == KINDS.index("missed")
@@ -171,7 +171,7 @@ def unmet_criteria(table: FlightTable, row: int, success: Mapping[str, Range]) -
 
 def campaign_summary(campaign: Campaign) -> dict[str, Any]:
     """Return everything that a program may need of a campaign, ready for JSON; a fraction of nothing is null."""
-    table = read(campaign)
+    table = read_flight_table(campaign)
     study = campaign.study
     return {
         "study": study.name,
@@ -188,9 +188,9 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
                 zip(table.controllers, success_fractions(table), strict=True)
             )
         },
-        "comparisons": [_comparison(table, comparison) for comparison in comparisons(table)],
+        "comparisons": [_comparison(table, comparison) for comparison in compare_controllers(table)],
         "reasons": {
-            name: dict(reasons(table, table.of(controller), study.success).most_common(10))
+            name: dict(count_reasons(table, table.rows_of(controller), study.success).most_common(10))
             for controller, name in enumerate(table.controllers)
         },
         "drives_success": {
@@ -201,10 +201,10 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
 
 
 def _controller(table: FlightTable, controller: int, success: Proportion) -> dict[str, Any]:
-    spreads = {metric_spec.name: spread(table, controller, metric_spec.name) for metric_spec in table.metrics}
+    spreads = {metric_spec.name: find_spread(table, controller, metric_spec.name) for metric_spec in table.metrics}
     return {
         "flights": success.of,
-        "outcomes": kinds(table, controller),
+        "outcomes": count_kinds(table, controller),
         "success": success.value,
         "wilson_95": None if table.grid or not success.of else list(success.wilson),
         "clopper_pearson_95": None if table.grid or not success.of else list(success.exact),

@@ -89,12 +89,12 @@ class FlightTable(NamedTuple):
         """Whether each flight came to its planned end."""
         return self.kind <= KINDS.index("missed")
 
-    def of(self, controller: int) -> Mask:
+    def rows_of(self, controller: int) -> Mask:
         """Return the mask of the rows of one controller."""
         return np.equal(self.controller, controller)
 
 
-def read(campaign: Campaign) -> FlightTable:
+def read_flight_table(campaign: Campaign) -> FlightTable:
     """Read the rows of a campaign that is finished or still being flown."""
     columns, study = campaign.columns, campaign.study
     outcomes = np.array(columns.get("outcome", []), dtype=str)

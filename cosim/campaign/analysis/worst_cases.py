@@ -54,7 +54,7 @@ def worst_flights(study: Study, table: FlightTable, controller: int) -> list[Cas
 
     Then the successes with the worst of the first metric; a flight is named once.
     """
-    flown = table.of(controller)
+    flown = table.rows_of(controller)
     lost = flown & np.isin(table.kind, [KINDS.index("crashed"), KINDS.index("diverged")])
     bad = lost | (flown & (table.kind == KINDS.index("missed")))
     order = [

@@ -17,12 +17,12 @@ from typing import Any
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import lock_file, map_os_errors, write_whole
 from cosim.base.storage.toml import read_toml, toml_text
-from cosim.campaign.folder import Frozen, freeze
+from cosim.campaign.folder import FrozenStudy, freeze
 from cosim.campaign.folder import load as load_study
 from cosim.campaign.search.page import write_page
 from cosim.campaign.search.probe import Journal, Point, Prober
-from cosim.campaign.search.result import Case, SavedSearch, question
-from cosim.campaign.search.search import Edge, Joint, Plan, SearchResult, SecondKey, describe_flight, search
+from cosim.campaign.search.result import Case, SavedSearch, plan_table
+from cosim.campaign.search.search import Edge, JointResult, Plan, SearchResult, SecondKey, describe_flight, search
 from cosim.campaign.search.span import span
 from cosim.campaign.study.distributions import Vary, first_repeated, parse_number, parse_vary
 from cosim.campaign.study.options import open_study
@@ -142,7 +142,7 @@ def run_search(
     return searched
 
 
-def _holds_search(out: Path, frozen: Frozen, plan: Plan, resume: bool) -> bool:
+def _holds_search(out: Path, frozen: FrozenStudy, plan: Plan, resume: bool) -> bool:
     """Return whether the folder holds this very search, to be resumed; InputError if it holds anything else."""
     if not out.exists() or not any(out.iterdir()):
         return False
@@ -152,7 +152,7 @@ def _holds_search(out: Path, frozen: Frozen, plan: Plan, resume: bool) -> bool:
         raise InputError(f"{out}: already holds a search; choose another folder, or --resume goes on with it")
     difference = next(iter(frozen.differences(out / STUDY)), None)
     saved = read_toml(out / QUESTION)
-    current = question(plan)
+    current = plan_table(plan)
     differing = [key for key in current.keys() | saved.keys() if current.get(key) != saved.get(key)]
     if difference is None and differing:
         key = min(differing)
@@ -162,11 +162,11 @@ def _holds_search(out: Path, frozen: Frozen, plan: Plan, resume: bool) -> bool:
     return True
 
 
-def _begin(out: Path, frozen: Frozen, plan: Plan) -> None:
+def _begin(out: Path, frozen: FrozenStudy, plan: Plan) -> None:
     (out / STUDY).mkdir(parents=True)
     frozen.write(out / STUDY)
     (out / JOURNAL).touch()
-    write_whole(out / QUESTION, toml_text(question(plan)))  # the last: a folder that has it has all
+    write_whole(out / QUESTION, toml_text(plan_table(plan)))  # the last: a folder that has it has all
 
 
 def _cases(result: SearchResult, prober: Prober, folder: Path) -> Iterator[Case]:
@@ -221,7 +221,7 @@ def _edges(result: SearchResult, controller: str) -> list[Edge]:
     return list(nearest.values())
 
 
-def _is_joint(joint: Joint) -> bool:
+def _is_joint(joint: JointResult) -> bool:
     return sum(value != 0.0 for value in joint.deviations.values()) > 1
 
 

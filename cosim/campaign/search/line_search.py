@@ -25,7 +25,7 @@ class Scan:
 
     positions: tuple[float, ...]
     breaks: tuple[bool, ...]
-    change: tuple[float, float] | None  # the last place that is as the start is, and the first that is not
+    change: tuple[float, float] | None  # the last position that is as the start is, and the first that is not
 
     @property
     def start_breaks(self) -> bool:
@@ -45,10 +45,11 @@ class Scan:
 
 
 def scan_outward(positions: Sequence[float], between: Between, at_once: int | None = None) -> Walk:
-    """Evaluate ``places``, the start first, and bisect the first change.
+    """Evaluate ``positions``, the start first, and bisect the first change.
 
-    ``between(a, b)`` is the place to look at next between two, None where they are close enough.  ``at_once``: so many
-    places at a time, and none beyond the first change; by default all of them, for what comes back further out.
+    ``between(a, b)`` is the next position to evaluate between two, None where they are close enough.  ``at_once``:
+    the number of positions evaluated at a time, none beyond the first change; by default all positions, which also
+    finds what holds again further out.
     """
     evaluated: dict[float, bool] = {}
     rest = list(positions)
@@ -72,14 +73,14 @@ def _first_change(evaluated: Mapping[float, bool]) -> tuple[float, float] | None
 
 
 def run_walks(
-    walks: Mapping[Name, Walk], look: Callable[[Sequence[tuple[Name, float]]], Sequence[bool]]
+    walks: Mapping[Name, Walk], evaluate: Callable[[Sequence[tuple[Name, float]]], Sequence[bool]]
 ) -> dict[Name, Scan]:
-    """Run all walks to their ends; ``look`` evaluates at one time all positions that they need next."""
+    """Run all walks to their ends; ``evaluate`` is given all positions that they need next at a time."""
     scans: dict[Name, Scan] = {}
     pending: dict[Name, Sequence[float]] = {name: next(walk) for name, walk in walks.items()}
     while pending:
         requests = [(name, position) for name, positions in pending.items() for position in positions]
-        results = iter(look(requests))
+        results = iter(evaluate(requests))
         for name, positions in list(pending.items()):
             del pending[name]
             try:

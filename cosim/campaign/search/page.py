@@ -10,14 +10,14 @@ from typing import Any
 
 from cosim.campaign.search.probe import Point
 from cosim.campaign.search.result import SavedSearch
-from cosim.campaign.search.search import Edge, Joint, Plan, SearchResult
+from cosim.campaign.search.search import Edge, JointResult, Plan, SearchResult
 from cosim.campaign.search.span import Span
 from cosim.campaign.study.key import Value
 from cosim.results.report.page import render
 from cosim.results.report.plot import ABOVE, GREEN, GREY, RED, layout, run_colour
 from cosim.results.run import REPORT, SCENARIO
 from cosim.spec.controller_name import short_name
-from cosim.spec.scenario import changes_of, flown_parameters
+from cosim.spec.scenario import flown_parameters, list_changes
 
 Figure = dict[str, Any]
 
@@ -47,10 +47,10 @@ def write_page(searched: SavedSearch, path: Path) -> None:
     render(
         TEMPLATE,
         path,
-        figures(result, searched.looked),
+        figures(result, searched.points),
         result=result,
         base=base,
-        title="" if changes_of(base, flown_parameters(base)) else base.title,
+        title="" if list_changes(base, flown_parameters(base)) else base.title,
         controllers=[short_name(name) for name in result.study.controller_names],
         labels={name: short_name(name) for name in result.study.controller_names},
         columns=columns,
@@ -115,8 +115,8 @@ def describe_resolution(span: Span) -> str:
     outside = isinstance(nominal, int | float) and not span.low <= nominal <= span.high
     nearest = f", the end nearest to the scenario's {text(nominal)}," if outside else ""
     return (
-        f"{span.key.path} from {text(span.at(0.0))}{nearest} within {text(span.low)} to {text(span.high, unit)}: "
-        f"scanned in steps of {span.step}, the first change bisected {fine}; "
+        f"{span.key.path} from {text(span.value_at(0.0))}{nearest} within {text(span.low)} to {text(span.high, unit)}: "
+        f"scanned in steps of {span.step_text}, the first change bisected {fine}; "
         "what lasts for less than a step may be missed"
     )
 
@@ -126,7 +126,7 @@ def joint_lines(result: SearchResult) -> list[str]:
     return [_joint(result, joint) for joint in result.joints]
 
 
-def _joint(result: SearchResult, joint: Joint) -> str:
+def _joint(result: SearchResult, joint: JointResult) -> str:
     name = short_name(joint.controller)
     effort = f"{joint.rays} directions, {joint.flights} flights" + (", all that were allowed" if joint.spent else "")
     if joint.distance is None:
@@ -257,7 +257,7 @@ def _branch(edges: list[Edge], colour: str, name: str, first: bool) -> list[Figu
     return [line, free] if ends else [line]
 
 
-def _pair(plan: Plan, joint: Joint, looked: list[tuple[Point, bool]]) -> Figure:
+def _pair(plan: Plan, joint: JointResult, looked: list[tuple[Point, bool]]) -> Figure:
     """Return the figure of every flown point of two keys, the smallest that breaks, and the circle of its deviation."""
     first, second = plan.spans
     data: list[Figure] = []
@@ -307,7 +307,7 @@ def _value_at(span: Span, deviation: float) -> float | None:
     """Return the value at a deviation on the unit circle; None where the range ends before it."""
     if abs(deviation) > 1.0 or (1 if deviation > 0.0 else -1) not in span.sides:
         return None if abs(deviation) > 1e-9 else span.start
-    return span.exact(deviation)
+    return span.number_at(deviation)
 
 
 def _deviations(result: SearchResult) -> Figure:

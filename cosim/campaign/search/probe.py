@@ -42,7 +42,7 @@ class PointResult:
     worst: Row  # of the first seed that broke, or else of the first
 
 
-class SpentError(Exception):
+class BudgetSpentError(Exception):
     """None of the allowed flights is left."""
 
 
@@ -87,7 +87,7 @@ class Prober:
         """Every point that was flown, in order."""
         return list(dict.fromkeys(point for point, _ in self._requests))
 
-    def look(self, points: Sequence[Point]) -> list[bool]:
+    def evaluate(self, points: Sequence[Point]) -> list[bool]:
         """Return whether each point breaks.  Raises SpentError if that takes more flights than are allowed."""
         self._fly(points)
         return [self.result(point).breaks for point in points]
@@ -113,7 +113,7 @@ class Prober:
             # interrupted
             self.remaining -= len(new)
             if self.remaining < 0:
-                raise SpentError
+                raise BudgetSpentError
         self._requests.update(dict.fromkeys(new))
         missing = [key for key in new if key not in self._rows]
         first = len(self._rows)

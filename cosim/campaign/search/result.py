@@ -37,7 +37,7 @@ class SavedSearch:
     folder: Path
     result: SearchResult
     cases: tuple[Case, ...]
-    looked: list[tuple[Point, bool]]  # every point that was flown, and whether it breaks
+    points: list[tuple[Point, bool]]  # every point that was flown, and whether it breaks
 
     @property
     def confirmed(self) -> bool:
@@ -55,7 +55,7 @@ class SavedSearch:
             "controllers": result.study.controller_names,
             "controller_sha256": {name: _sha256(base, name) for name in result.study.controller_names},
             "criterion": result.criterion,
-            **question(result.plan),
+            **plan_table(result.plan),
             "flights": result.flights,
             "alone": [asdict(edge) | {"comes_back": edge.comes_back} for edge in result.edges],
             "together": [asdict(joint) for joint in result.joints],
@@ -72,7 +72,7 @@ def _sha256(base: Scenario, controller: str) -> str | None:
     return None if source is None else source.sha256
 
 
-def question(plan: Plan) -> dict[str, Any]:
+def plan_table(plan: Plan) -> dict[str, Any]:
     """Return a plan as a table."""
     table: dict[str, Any] = {
         "seeds": list(plan.seeds),

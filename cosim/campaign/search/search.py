@@ -17,7 +17,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.campaign.search.line_search import Between, Scan, run_walks, scan_outward
-from cosim.campaign.search.probe import Point, Prober, SpentError, count_needed
+from cosim.campaign.search.probe import BudgetSpentError, Point, Prober, count_needed
 from cosim.campaign.search.span import Span
 from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.study import Study
@@ -56,7 +56,7 @@ class Plan:
 
     def point(self, controller: str, changed: Mapping[str, Value], level: Value | None = None) -> Point:
         """Return the point where every key is at its start but the ``changed`` ones; ``level``: of the second key."""
-        values = {span.key.path: span.at(0.0) for span in self.spans} | dict(changed)
+        values = {span.key.path: span.value_at(0.0) for span in self.spans} | dict(changed)
         if self.over and level is not None:
             values[self.over.key.path] = level
         return Point.of(controller, values)
@@ -91,7 +91,7 @@ class Edge:
 
 
 @dataclass(frozen=True)
-class Joint:
+class JointResult:
     """The smallest deviation of several keys together that was found to break one controller.
 
     ``distance`` is the root of the sum of squares of the deviations, each a share of its range: an upper bound on the
@@ -118,7 +118,7 @@ class SearchResult:
     study: Study
     plan: Plan
     edges: tuple[Edge, ...]
-    joints: tuple[Joint, ...]
+    joints: tuple[JointResult, ...]
     flights: int
 
     @property
@@ -147,7 +147,7 @@ def search(plan: Plan, prober: Prober) -> SearchResult:
     """Search every controller of the study.  Raises FlightError if flights cannot be flown."""
     study = prober.study
     edges = search_singly(plan, prober, study.controller_names)
-    joints: tuple[Joint, ...] = ()
+    joints: tuple[JointResult, ...] = ()
     if len(plan.spans) > 1:
         joints = tuple(search_jointly(plan, prober, controller, edges) for controller in study.controller_names)
     return SearchResult(study, plan, tuple(edges), joints, prober.flights)
@@ -178,7 +178,7 @@ class _Line:
     def point(self, plan: Plan, position: float) -> Point:
         span = plan.spans[self.span]
         level = plan.over.levels[self.level] if plan.over else None
-        return plan.point(self.controller, {span.key.path: span.at(self.side * position)}, level)
+        return plan.point(self.controller, {span.key.path: span.value_at(self.side * position)}, level)
 
 
 def search_singly(plan: Plan, prober: Prober, controllers: Sequence[str]) -> list[Edge]:
@@ -191,10 +191,12 @@ def search_singly(plan: Plan, prober: Prober, controllers: Sequence[str]) -> lis
         for level in range(len(plan.over.levels) if plan.over else 1)
     ]
     walks = {
-        line: scan_outward(plan.spans[line.span].positions(line.side), plan.spans[line.span].between(line.side))
+        line: scan_outward(plan.spans[line.span].positions(line.side), plan.spans[line.span].bisector(line.side))
         for line in lines
     }
-    scans = run_walks(walks, lambda requests: prober.look([line.point(plan, position) for line, position in requests]))
+    scans = run_walks(
+        walks, lambda requests: prober.evaluate([line.point(plan, position) for line, position in requests])
+    )
     return [_edge(plan, prober, line, scan) for line, scan in scans.items()]
 
 
@@ -204,7 +206,7 @@ def _edge(plan: Plan, prober: Prober, line: _Line, scan: Scan) -> Edge:
     broken, holds = (0.0, far) if scan.start_breaks else (far, near)
 
     def at(position: float | None) -> Value | None:
-        return None if position is None else span.at(side * position)
+        return None if position is None else span.value_at(side * position)
 
     flown = prober.result(line.point(plan, scan.positions[-1] if broken is None else broken))
     value = at(broken)
@@ -214,13 +216,13 @@ def _edge(plan: Plan, prober: Prober, line: _Line, scan: Scan) -> Edge:
         unit=span.key.unit,
         side=SIDES[side],
         level=plan.over.levels[line.level] if plan.over else None,
-        start=span.at(0.0),
+        start=span.value_at(0.0),
         start_breaks=scan.start_breaks,
         holds=at(holds),
         breaks=value,
-        end=span.end(side),
+        end=span.end_value(side),
         deviation=None if value is None else span.deviation(float(value)),
-        bands=tuple((span.at(side * a), span.at(side * b), breaks) for a, b, breaks in scan.bands),
+        bands=tuple((span.value_at(side * a), span.value_at(side * b), breaks) for a, b, breaks in scan.bands),
         flown=flown.flights,
         broken=flown.broken,
         outcome=str(flown.worst["outcome"]),
@@ -242,7 +244,7 @@ class _Ray:
 
     def values(self, position: float) -> dict[str, Value]:
         return {
-            span.key.path: span.at(position * float(part))
+            span.key.path: span.value_at(position * float(part))
             for span, part in zip(self._plan.spans, self._to_end, strict=True)
         }
 
@@ -254,7 +256,7 @@ class _Ray:
         count = int(np.ceil(min(self.reach, limit) / ring - 1e-9))
         return [min(1.0, number * ring / self.reach) for number in range(count + 1)]
 
-    def between(self, gap: float) -> Between:
+    def bisector(self, gap: float) -> Between:
         def middle(near: float, far: float) -> float | None:
             if (far - near) * self.reach <= gap * (1.0 + 1e-9):
                 return None
@@ -304,11 +306,12 @@ class _Rays:
             if np.linalg.norm(column) > 1e-9
         }
         walks = {
-            number: scan_outward(ray.positions(ring, limit), ray.between(gap), RAY_BATCH)
+            number: scan_outward(ray.positions(ring, limit), ray.bisector(gap), RAY_BATCH)
             for number, ray in rays.items()
         }
         scans = run_walks(
-            walks, lambda requests: self._prober.look([rays[number].point(position) for number, position in requests])
+            walks,
+            lambda requests: self._prober.evaluate([rays[number].point(position) for number, position in requests]),
         )
         distances = np.full(directions.shape[1], limit)
         for number, scan in scans.items():
@@ -326,7 +329,7 @@ class _Rays:
             self.distances(self.best.direction[:, None], RAY_STEP / 2.0, FINE_STEP)
 
 
-def search_jointly(plan: Plan, prober: Prober, controller: str, edges: Sequence[Edge]) -> Joint:
+def search_jointly(plan: Plan, prober: Prober, controller: str, edges: Sequence[Edge]) -> JointResult:
     """Return the smallest deviation of all keys together that is found within the flights allowed."""
     flights_before = prober.flights
     broken = [e for e in edges if e.controller == controller and e.breaks is not None]
@@ -338,10 +341,10 @@ def search_jointly(plan: Plan, prober: Prober, controller: str, edges: Sequence[
         prober.remaining = plan.budget
         try:
             _evolve(plan, rays)
-        except SpentError:
+        except BudgetSpentError:
             spent = True
         prober.remaining = None
-    start = {span.key.path: span.at(0.0) for span in plan.spans}
+    start = {span.key.path: span.value_at(0.0) for span in plan.spans}
     breaks: Mapping[str, Value] = {}
     holds: Mapping[str, Value] = {}
     if nearest is not None and nearest.breaks is not None:
@@ -351,7 +354,7 @@ def search_jointly(plan: Plan, prober: Prober, controller: str, edges: Sequence[
     if rays.best is not None and (single is None or rays.best.distance < single):
         breaks, holds = rays.best.breaks, rays.best.holds
     worst = prober.result(plan.point(controller, breaks)).worst if breaks else {}
-    return Joint(
+    return JointResult(
         controller=controller,
         distance=distance(plan, breaks) if breaks else None,
         breaks=breaks,

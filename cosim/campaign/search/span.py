@@ -40,28 +40,28 @@ class Span:
         return tuple(side for side in (1, -1) if self._reach(side) > 0.0)
 
     @property
-    def whole(self) -> float | None:
+    def quantum(self) -> float | None:
         """The step of which the key takes whole multiples only; None without one."""
         return quantum(self.key)
 
     @property
-    def step(self) -> str:
+    def step_text(self) -> str:
         """The scan's step in words: a band that is narrower may be missed."""
         if self.logarithmic:
             return f"a factor of {(self.high / self.low) ** (1.0 / (self.points - 1)):.4g}"
         step = (self.high - self.low) / (self.points - 1)
-        return f"{ceil(step / self.whole - 1e-9) * self.whole if self.whole else step:.4g}"
+        return f"{ceil(step / self.quantum - 1e-9) * self.quantum if self.quantum else step:.4g}"
 
-    def end(self, side: int) -> Value:
+    def end_value(self, side: int) -> Value:
         """Return the last value on a side."""
-        return self.at(float(side))
+        return self.value_at(float(side))
 
-    def at(self, deviation: float) -> Value:
+    def value_at(self, deviation: float) -> Value:
         """Return the value at a deviation, rounded and limited to one that the key accepts."""
         # twelve digits: 0.3 and not 0.30000000000000004; the ends are themselves
-        return self.key.fit(min(max(float(f"{self.exact(deviation):.12g}"), self.low), self.high))
+        return self.key.fit(min(max(float(f"{self.number_at(deviation):.12g}"), self.low), self.high))
 
-    def exact(self, deviation: float) -> float:
+    def number_at(self, deviation: float) -> float:
         """Return the number at a deviation, whether or not the key accepts it."""
         number = self._forward(self.start) + deviation * self._reach(1 if deviation >= 0.0 else -1)
         return exp(number) if self.logarithmic else number
@@ -74,7 +74,7 @@ class Span:
 
     def positions(self, side: int) -> list[float]:
         """Return the positions of a scan from the start to the end of a side, 0 to 1, all of different values."""
-        whole = self.whole
+        whole = self.quantum
         reach = self._reach(side)
         step = (self._forward(self.high) - self._forward(self.low)) / (self.points - 1)
         count = max(1, ceil(reach / step - 1e-9))
@@ -83,18 +83,18 @@ class Span:
         else:
             steps = round(reach / whole)
             positions = [min(steps, round(number * step / whole)) / steps for number in range(count + 1)]
-        by_value = {self.at(side * position): position for position in positions}
+        by_value = {self.value_at(side * position): position for position in positions}
         return list(by_value.values())
 
-    def between(self, side: int) -> Between:
+    def bisector(self, side: int) -> Between:
         """Return the function that halves an interval of positions on a side.
 
         It returns None where the values of the two positions are within the tolerance, or neighbours.
         """
-        whole = self.whole
+        whole = self.quantum
 
         def middle(near: float, far: float) -> float | None:
-            a, b = float(self.at(side * near)), float(self.at(side * far))
+            a, b = float(self.value_at(side * near)), float(self.value_at(side * far))
             if abs(b - a) <= max(self.tolerance, whole or 0.0) * (1.0 + 1e-9):
                 return None
             if whole is None:

@@ -7,7 +7,7 @@ from math import inf, isfinite
 from typing import Literal
 
 from cosim.base.errors import InputError
-from cosim.spec.vehicle import is_file, is_own
+from cosim.spec.vehicle import is_aircraft_path, is_file
 
 Value = float | int | str | bool
 Kind = Literal["float", "int", "bool", "choice"]
@@ -88,7 +88,7 @@ class Key:
                 return self.choices[self.choices.index(value)]
             if self._takes_files and (is_file(str(value)) or ":" in str(value)):
                 return value
-            if self.path == "aircraft" and is_own(str(value)):
+            if self.path == "aircraft" and is_aircraft_path(str(value)):
                 return value
         elif self.kind in ("float", "int") and isinstance(value, (int, float)) and not isinstance(value, bool):
             number = self._rounded(float(value)) if isfinite(value) else value

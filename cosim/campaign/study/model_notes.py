@@ -50,7 +50,7 @@ def model_notes(study: Study) -> list[str]:
     ]
 
 
-def designs_off(study: Study) -> list[str]:
+def design_warnings(study: Study) -> list[str]:
     """Return what is said of the designs that a study flies: a proof that failed or is not there, another engine.
 
     Of the first draw with each controller; one that cannot be built is passed over, and is a row of the campaign.

@@ -13,7 +13,7 @@ from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import parse_setting, read_toml, validate
 from cosim.base.trust import mention
 from cosim.campaign.study.distributions import parse_number, parse_vary
-from cosim.campaign.study.study import DESIGNS, Correlation, Study, dotted, study_names
+from cosim.campaign.study.study import DESIGNS, Correlation, Study, flatten_settings, study_names
 from cosim.spec.controller_name import seen_from, short_name
 from cosim.spec.scenario import Range, Scenario, scenario_names
 from cosim.spec.vehicle import aircraft_seen_from, file_seen_from
@@ -49,7 +49,7 @@ def open_study(
         **{metric: span.model_dump(exclude_none=True) for metric, span in parse_success(success).items()},
     }
     data["settings"] = {
-        **dict(dotted(data.get("settings", {}))),
+        **dict(flatten_settings(data.get("settings", {}))),
         **{".".join(path): value for path, value in map(parse_setting, settings)},
     }
     if controllers:

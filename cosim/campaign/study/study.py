@@ -120,7 +120,7 @@ class Study(Model):
             path = _scenario_path(self.scenario, self.folder)
             data = read_toml(path)
             origin = Scenario.as_filed(path) if self.settings else None
-            for key, value in dotted(self.settings):
+            for key, value in flatten_settings(self.settings):
                 set_path(data, split_key(key), value, f"{self._where}: settings")
             where = f"{self._where}: settings" if self.settings else str(path)
             self._base = Scenario.from_table({**data, "expect": []}, path.parent, where, origin)
@@ -142,7 +142,7 @@ class Study(Model):
             self._keys[name] = find_key(base, name)
         return self._keys[name]
 
-    def know(self, keys: Mapping[str, Key]) -> None:
+    def set_keys(self, keys: Mapping[str, Key]) -> None:
         """Set these varied keys, instead of finding them in the scenario and the code that it names."""
         self._keys |= keys
 
@@ -317,7 +317,7 @@ def check(study: Study, where: str) -> None:
     Raises InputError: one line with the key, the value and what is allowed.
     """
     _check_names(study, where)
-    custom = [name for name, _ in dotted(study.settings) if name.startswith(CUSTOM_PARAMETERS)]
+    custom = [name for name, _ in flatten_settings(study.settings) if name.startswith(CUSTOM_PARAMETERS)]
     try:
         for name in custom:
             study.key(name)
@@ -369,11 +369,11 @@ def find_study(name: str | Path) -> Path:
     return data_folder("studies") / f"{name}.toml"
 
 
-def dotted(settings: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, Any]]:
+def flatten_settings(settings: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, Any]]:
     """Return nested tables as dotted keys, as the command line has them."""
     for key, value in settings.items():
         if isinstance(value, Mapping) and value:
-            yield from dotted(value, f"{above}{key}.")
+            yield from flatten_settings(value, f"{above}{key}.")
         else:
             yield f"{above}{key}", value
 

@@ -21,7 +21,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES, ZERO3, Disturbance, Vector3
 from cosim.base.storage.files import write_files
 from cosim.campaign.surveys.authority_drawing import attainable_moments
-from cosim.campaign.surveys.survey import subject_of
+from cosim.campaign.surveys.survey import load_subject
 from cosim.control.allocation.authority import Authority, Range, Reach, compute_reach
 from cosim.control.predictors.registry import BASELINE
 from cosim.engine import engine_names
@@ -66,7 +66,7 @@ class AircraftCheck:
     drawing: Path | None = None
 
     @property
-    def exact(self) -> bool:
+    def is_exact(self) -> bool:
         """Whether the attained authority is all that there is, to three digits; else it is a lower bound."""
         return all(
             authority.cannot_hover or all(authority.moment_range(axis).is_exact for axis in range(3))
@@ -74,7 +74,7 @@ class AircraftCheck:
         )
 
     @property
-    def fit(self) -> bool:
+    def is_fit(self) -> bool:
         """Whether nothing is at fault."""
         return not any(line.fault for line in self.lines)
 
@@ -83,10 +83,10 @@ class AircraftCheck:
         return {
             "aircraft": self.aircraft,
             "engine": self.engine,
-            "fit": self.fit,
+            "fit": self.is_fit,
             "checks": [{"name": line.name, "said": line.text, "fault": line.fault} for line in self.lines],
             "authority": [_authority_json(authority) for authority in self.authority],
-            "authority_exact": self.exact,
+            "authority_exact": self.is_exact,
             "inertia_kg_m2": self.inertia,
             "drawing": None if self.drawing is None else str(self.drawing),
         }
@@ -120,7 +120,7 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
     engine = file_seen_from(engine, Path()) if engine else engine_of(aircraft)
     if engine is None:
         raise InputError(f"{aircraft}: vehicle.toml names no engine: name one with --engine")
-    subject = subject_of(aircraft, engine)
+    subject = load_subject(aircraft, engine)
     scenario, vehicle = subject.scenario("aircraft-check", BASELINE.name, HEIGHT_M, FLIGHT_S), subject.vehicle
     with build(scenario) as simulation:
         lines = [_forces(simulation), _masses(simulation), *_sizes(vehicle)]

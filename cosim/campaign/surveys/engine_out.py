@@ -21,7 +21,7 @@ from cosim.base.storage.files import map_os_errors, to_json_record, write_files,
 from cosim.base.storage.toml import toml_text
 from cosim.campaign.surveys.faults import HEIGHT_M, SETTLED_S
 from cosim.campaign.surveys.lean_bound import STEP_S, Bound, RollAxis, make_roll_axis, measure_courses
-from cosim.campaign.surveys.survey import Progress, Subject, fly_all, measure_flight, verdict_of
+from cosim.campaign.surveys.survey import Progress, Subject, fly_all, judge_outcome, measure_flight
 from cosim.design.controller_table import controller_table
 from cosim.design.design import design
 from cosim.engine import engine_names, load_engine
@@ -210,7 +210,7 @@ def _fly(task: tuple[Scenario, int, Means]) -> Flight:
     north, east = (run.log[name][begin:] for name in ("north_m", "east_m"))
     drift = max((hypot(n - north[0], e - east[0]) for n, e in zip(north, east, strict=True)), default=nan)
     sink = float(run.log["velocity_down_m_s"][-1])
-    verdict = verdict_of(run.outcome, run.log, STEP_S)
+    verdict = judge_outcome(run.outcome, run.log, STEP_S)
     if verdict is Verdict.HELD and sink > SINK_M_S:
         verdict = Verdict.AIRBORNE
     detection = None if detected is None else detected - begin + 1

@@ -129,7 +129,7 @@ def grid(result: Failsafes) -> list[list[str]]:
 
     def cell(name: str, column: str) -> str:
         flights = cells.get((name, column))
-        return "-" if flights is None else cell_of_several(flights)
+        return "-" if flights is None else format_cell(flights)
 
     names = dict.fromkeys(row.failsafe for row in result.rows)
     return [["failsafe", *columns], *([name, *(cell(name, column) for column in columns)] for name in names)]
@@ -140,7 +140,7 @@ def _column(row: Row) -> str:
     return f"{row.height_m:g} m" + (f", moving at {row.speed_m_s:g} m/s" if row.speed_m_s else "")
 
 
-def cell_of_several(rows: Sequence[Row]) -> str:
+def format_cell(rows: Sequence[Row]) -> str:
     """Return the cell of several flights of the page's table: how many ended how, and the worst numbers of all."""
     counts: dict[str, list[Row]] = {}
     for row in sorted(rows, key=lambda row: row.verdict not in ("landed", "holds")):

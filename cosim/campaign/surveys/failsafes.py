@@ -28,7 +28,7 @@ from cosim.campaign.surveys.failsafe_flight import (
     Task,
     fly_case,
 )
-from cosim.campaign.surveys.survey import Progress, Subject, choose, fly_all, subject_of
+from cosim.campaign.surveys.survey import Progress, Subject, choose, fly_all, load_subject
 from cosim.campaign.surveys.tipping import tip_speed
 from cosim.control.autopilot.requests import (
     Goto,
@@ -183,7 +183,7 @@ def failsafes(
     conditions.check()
     plans = []
     for name in aircraft:
-        subject = subject_of(name, engine)
+        subject = load_subject(name, engine)
         plans.append((subject, *_plan(subject, controller, kinds, conditions)))
     finished, total = 0, sum(len(tasks) for *_, tasks in plans)
     for subject, flown, tasks in plans:

@@ -15,7 +15,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from cosim.base.constants import GRAVITY
 from cosim.base.outcomes import Verdict
 from cosim.base.storage.toml import merge
-from cosim.campaign.surveys.survey import Progress, Subject, choose, fly_all, measure_flight, subject_of, verdict_of
+from cosim.campaign.surveys.survey import (
+    Progress,
+    Subject,
+    choose,
+    fly_all,
+    judge_outcome,
+    load_subject,
+    measure_flight,
+)
 from cosim.control.allocation.reallocation import Attainable, attainable_sets
 from cosim.control.predictors.registry import BASELINE
 from cosim.flight import fly
@@ -106,7 +114,7 @@ class Survival:
     scenarios: tuple[Scenario, ...] = ()  # of the rows
 
     @property
-    def unwatched(self) -> list[str]:
+    def unmonitored_controllers(self) -> list[str]:
         """The controllers with which no monitor watches the engines: they have to see to it themselves."""
         return [
             custom_controllers.label
@@ -193,7 +201,7 @@ def survival(
     are, and of how many.
     Raises InputError for an unknown kind, aircraft, engine or controller.
     """
-    subject = subject_of(aircraft, engine)
+    subject = load_subject(aircraft, engine)
     vehicle = subject.vehicle
     chosen = choose(cases(vehicle), kinds, "fault", lambda case: case.kind)
     controllers = controllers or subject.controllers()
@@ -273,7 +281,7 @@ def _fly(flight: _Flight) -> Row:
         case.place,
         start,
         controller,
-        verdict_of(run.outcome, run.log, scenario.step_s),
+        judge_outcome(run.outcome, run.log, scenario.step_s),
         lean,
         lost,
         None if detected is None or case.fault is None else (detected - begin + 1) * scenario.step_s,
@@ -293,7 +301,7 @@ def _scan(task: tuple[Subject, str, str, str]) -> Limit:
         if quantity != LOSS:
             scenario = scenario.replace(vehicle=merge(scenario.vehicle, {"control": {"monitor": {"confirm_s": value}}}))
         run = fly(scenario)
-        verdict = verdict_of(run.outcome, run.log, scenario.step_s)
+        verdict = judge_outcome(run.outcome, run.log, scenario.step_s)
         if verdict is Verdict.LOST:
             lost_at = value
             break

@@ -103,7 +103,7 @@ class RollAxis:
         """
         vehicle, courses = self.vehicle, self.courses
         sign = 1.0 if vehicle.jets[jet - 1].position_m[1] > 0.0 else -1.0
-        opposite = opposite_of(vehicle, jet) if shut_at is not None else 0
+        opposite = find_opposite(vehicle, jet) if shut_at is not None else 0
         before = [self.hover] * after
         shut_course = courses.shut(shut_at) if shut_at is not None else []
         inertia = self.inertia * vehicle.inertia_kg_m2[0]
@@ -157,14 +157,14 @@ def _damping(vehicle: Vehicle) -> float:
     return damping
 
 
-def opposite_of(vehicle: Vehicle, jet: int) -> int:
+def find_opposite(vehicle: Vehicle, jet: int) -> int:
     """Return the jet, from 1, across the centre of gravity."""
 
     return opposites(vehicle)[jet - 1] + 1
 
 
 def measure_courses(simulation: Simulation, fraction: float, seconds: float = FOLLOWED_S) -> ThrustCourses:
-    """Return the courses of a built flight's engines, all alike, from a ``share`` of their range of thrust on."""
+    """Return the courses of a built flight's engines, all alike, from a ``fraction`` of their range of thrust on."""
     limits = simulation.vehicle.control.allocation
     count = len(simulation.vehicle.jets)
     hover, lowest, highest = (

@@ -48,7 +48,7 @@ class Subject(NamedTuple):
         return [name for name, spec in PREDICTORS.items() if spec.compared and (modelled or not spec.needs_model)]
 
 
-def subject_of(aircraft: str, engine: str | None = None) -> Subject:
+def load_subject(aircraft: str, engine: str | None = None) -> Subject:
     """Return an aircraft with an engine, None: the one that it is made for.  Raises InputError for unknown names."""
     aircraft = aircraft_seen_from(aircraft, Path())
     vehicle, _ = load_vehicle(aircraft)
@@ -92,7 +92,7 @@ def measure_flight(log: Log, begin: int) -> tuple[float, float, int | None]:
     return lean, max(0.0, float(height[0] - height.min())), int(ill[0]) if ill.size else None
 
 
-def verdict_of(outcome: str, log: Log, step: float) -> Verdict:
+def judge_outcome(outcome: str, log: Log, step: float) -> Verdict:
     """Return whether a vehicle is held (level to a few degrees), airborne and no more than that, or lost."""
     if outcome != "completed":
         return Verdict.LOST

@@ -30,7 +30,7 @@ from uuid import uuid4
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.scratch import scratch
-from cosim.campaign.folder import Frozen, freeze
+from cosim.campaign.folder import FrozenStudy, freeze
 from cosim.campaign.workers import remote
 from cosim.campaign.workers.flight_row import Row, failed_row
 from cosim.campaign.workers.protocol import time_limit, update_mean
@@ -69,7 +69,7 @@ class DaskWorkers:
         self._dask = _dask()
         self._time_limit = time_limit_s
         self._where = address or "the cluster of this process"
-        self._frozen: tuple[Study, Frozen] | None = None
+        self._frozen: tuple[Study, FrozenStudy] | None = None
         self._cluster: Any = None
         self._client: Any = None
         self._quiet = _LogFilter()
@@ -137,7 +137,7 @@ class DaskWorkers:
         finally:
             tasks.cancel()
 
-    def _packed(self, study: Study) -> Frozen:
+    def _packed(self, study: Study) -> FrozenStudy:
         """Return everything that flying ``study`` elsewhere takes."""
         if self._frozen is None or self._frozen[0] is not study:
             self._frozen = study, freeze(study)
@@ -208,7 +208,7 @@ class _Threads:
 class _Tasks:
     """The flights of one study as tasks: so many at a time, and their rows as they come."""
 
-    def __init__(self, client: Any, study: Study, frozen: Frozen, flights: Iterable[Flight], limit: float) -> None:
+    def __init__(self, client: Any, study: Study, frozen: FrozenStudy, flights: Iterable[Flight], limit: float) -> None:
         self._client = client
         self._study = study
         self._frozen = frozen
@@ -321,12 +321,14 @@ class _Tasks:
                 self._mean_s = update_mean(self._mean_s, seconds)
 
 
-def _identity_task(frozen: Frozen) -> Frozen:
+def _identity_task(frozen: FrozenStudy) -> FrozenStudy:
     """Return the study itself, as a task that Dask repeats where its result was lost."""
     return frozen
 
 
-def _fly(frozen: Frozen, digest: str, expected: Mapping[str, str], flights: list[Flight], limit: float) -> list[Row]:
+def _fly(
+    frozen: FrozenStudy, digest: str, expected: Mapping[str, str], flights: list[Flight], limit: float
+) -> list[Row]:
     """Fly these flights on a worker of the cluster.  Raises FlightError if its packages are not the expected ones."""
     worker = _dask().get_worker()
     wrong = remote.differences(remote.installed(), expected)
@@ -340,7 +342,7 @@ async def _end_idle() -> None:
     remote.end_idle()
 
 
-def _digest(frozen: Frozen) -> str:
+def _digest(frozen: FrozenStudy) -> str:
     digest = hashlib.sha256(json.dumps([frozen.study, frozen.scenario], sort_keys=True, default=str).encode())
     for name, content in sorted(frozen.files.items()):
         digest.update(f"{name} {hashlib.sha256(content).hexdigest()}".encode())

@@ -55,7 +55,7 @@ _KINDS: Kinds = {"float": float, "int": int, "bool": bool, "choice": str}
 
 
 def kinds(study: Study, custom: Sequence[str] | None = None) -> Kinds:
-    """Return the columns of a study's rows in order, with types; ``own``: names of the custom metrics, if known.
+    """Return the columns of a study's rows in order, with types; ``custom``: names of the custom metrics, if known.
 
     What was not measured is None; flight, draw, controller, seed, what was varied, outcome, reason and success always
     have a value.

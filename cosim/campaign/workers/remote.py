@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from cosim.base.storage.cache import Memory
 from cosim.base.storage.paths import data_folder
 from cosim.base.trust import trust
-from cosim.campaign.folder import STUDY, Frozen, load
+from cosim.campaign.folder import STUDY, FrozenStudy, load
 from cosim.campaign.workers.flight_row import Row
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.results.summary import versions
@@ -76,7 +76,7 @@ _processes = _Processes()
 atexit.register(_processes.end_idle)
 
 
-def fly_together(frozen: Frozen, digest: str, flights: Sequence[Flight], limit: float, folder: Path) -> list[Row]:
+def fly_together(frozen: FrozenStudy, digest: str, flights: Sequence[Flight], limit: float, folder: Path) -> list[Row]:
     """Fly some flights of the study with this digest; ``folder`` is one that goes when the worker goes."""
     with _unpacking:  # a worker has several threads
         _unpack(frozen, folder / digest)
@@ -114,7 +114,7 @@ def differences(remote: Mapping[str, str], local: Mapping[str, str]) -> list[str
     ]
 
 
-def _unpack(frozen: Frozen, folder: Path) -> None:
+def _unpack(frozen: FrozenStudy, folder: Path) -> None:
     """Write the study down if that was not done yet, or somebody has cleaned up since."""
     if not (folder / STUDY).is_file():  # the last that is written
         folder.mkdir(parents=True, exist_ok=True)

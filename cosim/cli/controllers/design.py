@@ -12,7 +12,7 @@ import click
 from cosim.base.errors import InputError
 from cosim.cli import opt
 from cosim.cli.console import output_to_stderr, part_progress, say, show_table, terminal
-from cosim.cli.options import DONE, FLIGHT_FAILED, engine_for, example, offer_to_compile, warn_of_blemishes
+from cosim.cli.options import DONE, FLIGHT_FAILED, engine_for, example, offer_to_compile, warn_of_fmu_defects
 
 if TYPE_CHECKING:
     from cosim.design.design import Design
@@ -106,7 +106,7 @@ def design(options: DesignOptions) -> int:
         options.controller = BASELINE.name
         options.lead = options.scheduled = options.proof = False
     offer_to_compile(engine)
-    warn_of_blemishes(engine)
+    warn_of_fmu_defects(engine)
     need = Requirements(
         max_sensitivity=options.max_sensitivity,
         delay_tolerance=options.delay_tolerance,

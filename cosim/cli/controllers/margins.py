@@ -10,7 +10,7 @@ import click
 from cosim.base.signals import AXES
 from cosim.cli import opt
 from cosim.cli.console import output_to_stderr, part_progress, say, show_table
-from cosim.cli.options import DONE, Flight, example, offer_to_compile, warn_of_blemishes
+from cosim.cli.options import DONE, Flight, example, offer_to_compile, warn_of_fmu_defects
 
 if TYPE_CHECKING:
     from cosim.design.measured import MeasuredMargins
@@ -54,7 +54,7 @@ def margins(options: Margins) -> int:
 
     offer_to_compile(*options.engines)
     loaded, axes = options.load(), options.axes or AXES
-    warn_of_blemishes(loaded.engine, folder=loaded.folder)
+    warn_of_fmu_defects(loaded.engine, folder=loaded.folder)
     with output_to_stderr(options.as_json), part_progress("margins", options.as_json) as progress:
         done = 0
 

@@ -13,7 +13,7 @@ import click
 from cosim.base.errors import InputError
 from cosim.cli import opt
 from cosim.cli.console import on_terminal, output_to_stderr, say, show_table, terminal
-from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, offer_to_compile, refuse_others, warn_of_blemishes
+from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, offer_to_compile, refuse_others, warn_of_fmu_defects
 
 if TYPE_CHECKING:
     from cosim.base.protocols import Observer
@@ -134,7 +134,7 @@ def _warn(scenario: Scenario, controller: str | None) -> None:
     for text in scenario.after_the_end():
         click.echo(f"hexjet: warning: scenario {scenario.name}: {text}", err=True)
     engines = (station.engine for station in scenario.stations.values() if station.engine)
-    warn_of_blemishes(scenario.engine, *engines, folder=scenario.folder)
+    warn_of_fmu_defects(scenario.engine, *engines, folder=scenario.folder)
 
 
 def _repeat_flight(folder: Path, number: int, output: opt.Output) -> int:

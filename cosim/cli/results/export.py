@@ -109,7 +109,7 @@ def log(options: Log) -> int:
     return DONE
 
 
-class Exporting(Flight, opt.Output):
+class ExportOptions(Flight, opt.Output):
     """Options of ``hexjet export controller`` and ``vehicle``."""
 
     scenario = opt.word(
@@ -124,7 +124,7 @@ class Exporting(Flight, opt.Output):
     settings = opt.words("--set", "KEY=VALUE", "Write a value over the scenario's.")
 
 
-class ExportController(Exporting):
+class ExportController(ExportOptions):
     """Options of ``hexjet export controller``."""
 
     scenario = opt.word(
@@ -196,7 +196,7 @@ def _warn_of_licences(licence: str | None, inside: tuple[str, ...]) -> None:
             )
 
 
-class ExportVehicle(Exporting):
+class ExportVehicle(ExportOptions):
     """Options of ``hexjet export vehicle``."""
 
     outside = opt.choices(

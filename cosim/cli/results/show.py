@@ -254,7 +254,7 @@ def _hinges(vehicle: Vehicle) -> Iterator[Number]:
     for hinge in vehicle.hinges:
         effects = [f"carries {', '.join(map(str, hinge.carries))}"] if hinge.carries else []
         effects += [f"deflects {', '.join(map(str, hinge.deflects))}"] if hinge.deflects else []
-        lowest, highest = hinge.least_most
+        lowest, highest = hinge.angle_limits
         name, motion = f"hinge {hinge.name}", " and ".join(effects)
         if lowest == -highest:
             yield Number(name, highest, "rad", f"either way; {motion}")

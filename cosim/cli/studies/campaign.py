@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cosim.campaign.study.key import Key
 
 
-class Many(opt.Output):
+class CampaignOptions(opt.Output):
     """Options of ``hexjet sweep`` and ``search`` that are not those of the study."""
 
     name: str
@@ -46,7 +46,7 @@ _WORKERS = opt.whole("--workers", "N", "Processes.  [default: one a processor]",
 _JSON = opt.json("Print one JSON object at the end and nothing else.")
 
 
-class Sweep(Many):
+class Sweep(CampaignOptions):
     """Options of ``hexjet sweep``."""
 
     name = opt.argument(metavar="SCENARIO|STUDY|DIR")
@@ -87,14 +87,14 @@ def sweep(options: Sweep) -> int:
     from cosim.campaign.analysis.page import write_campaign_report
     from cosim.campaign.analysis.summary import campaign_summary
     from cosim.campaign.run import choose_workers, resolve_campaign, run_campaign
-    from cosim.campaign.study.model_notes import designs_off, model_notes
+    from cosim.campaign.study.model_notes import design_warnings, model_notes
 
     settings = options.study_settings()
     if options.keys is not None:
         return _list_keys(settings, options.keys, options)
     varied = options.chosen("vary", "runs", "repeats", "design", "controllers", "correlate", "success", "seed")
     study, folder = resolve_campaign(options.name, options.out, options.resume, settings=settings, **varied)
-    notes = (*study.notes(), *designs_off(study), *model_notes(study)) if study is not None else ()
+    notes = (*study.notes(), *design_warnings(study), *model_notes(study)) if study is not None else ()
     with output_to_stderr(options.as_json), sweep_progress(folder, quiet=options.as_json) as tell:
         with choose_workers(options.workers, options.cluster, options.time_limit) as flying:
             for text in notes:
@@ -119,7 +119,7 @@ def _list_keys(settings: list[str], pattern: str, options: Sweep) -> int:
     return DONE
 
 
-class Search(Many):
+class Search(CampaignOptions):
     """Options of ``hexjet search``."""
 
     name = opt.argument(metavar="SCENARIO")

@@ -214,7 +214,7 @@ def print_survival(result: Survival, report: Path) -> None:
     titles = ("fault", "from", *map(label, controllers), "detected, s")
     show_table(titles, rows, range(2, len(titles)))
     say("held at so many of the places where it can happen; the largest lean and the most height lost there")
-    for name in result.unwatched:
+    for name in result.unmonitored_controllers:
         say(f"no engine monitor with {name}: a whole controller sees to lost engines itself")
     if result.moments is not None:
         moments = result.moments

@@ -385,7 +385,7 @@ def _servo_room(servo: Servo | Hinge | None) -> float:
     if servo is None:
         return inf
     if isinstance(servo, Hinge):
-        least, most = servo.least_most
+        least, most = servo.angle_limits
         reach = min(most - servo.rest_rad, servo.rest_rad - least)
     else:
         reach = servo.range_rad

@@ -67,7 +67,7 @@ def _by_effectiveness(
     lead_factor = 0.0 if layout.moves else 1.0
     effectors = [
         Effector(
-            *hinge.least_most,
+            *hinge.angle_limits,
             hinge.rest_rad,
             hinge.rate_limit_rad_s * step,
             hinge.effort,

@@ -47,10 +47,10 @@ from cosim.spec.scenario.mismatch import Mismatch
 from cosim.spec.scenario.parameter_file import ParameterFile, parameter_files
 from cosim.spec.scenario.provenance import (
     FlownParameters,
-    changes_of,
     controller_shown,
     copy_parameters,
     flown_parameters,
+    list_changes,
 )
 from cosim.spec.scenario.scenario import Scenario
 from cosim.spec.scenario.sections import Environment, Expectation, FlightLimits, Initial, Range, Station
@@ -100,11 +100,11 @@ __all__ = [
     "Waypoint",
     "WaypointsCommand",
     "WindDisturbance",
-    "changes_of",
     "controller_shown",
     "copy_parameters",
     "find_scenario",
     "flown_parameters",
+    "list_changes",
     "measured_errors",
     "parameter_files",
     "scenario_names",

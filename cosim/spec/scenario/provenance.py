@@ -8,10 +8,10 @@ from typing import Any, Literal, NamedTuple
 
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import merge
-from cosim.spec.controller_name import SHORT, controller_words, label
+from cosim.spec.controller_name import SHORT, describe_controller, label
 from cosim.spec.scenario.parameter_file import ParameterFile, parse_table, read_verified
 from cosim.spec.scenario.scenario import Scenario
-from cosim.spec.vehicle import is_file, is_own
+from cosim.spec.vehicle import is_aircraft_path, is_file
 from cosim.spec.vehicle.sensor_profile import load_with_profile
 
 # These keys say how a flight is observed, evaluated or reproduced; they do not change the flight.
@@ -71,7 +71,7 @@ def controller_shown(scenario: Scenario, law: str = "") -> str:
     Raises InputError as :func:`flown_parameters`.
     """
     own = scenario.controller_sha256 or ""
-    return controller_words(law or label(scenario.controller), own, flown_parameters(scenario))
+    return describe_controller(law or label(scenario.controller), own, flown_parameters(scenario))
 
 
 def copy_parameters(
@@ -92,7 +92,7 @@ def copy_parameters(
     return entries
 
 
-def changes_of(scenario: Scenario, parameters: list[FlownParameters]) -> list[str]:
+def list_changes(scenario: Scenario, parameters: list[FlownParameters]) -> list[str]:
     """Return the changes to the scenario's own file as ``key = value``, values of ``parameters`` left out.
 
     Aircraft, engine and controller come first, where they changed.
@@ -123,7 +123,7 @@ def _comparable(scenario: Scenario) -> dict[str, Any]:
     """Return the keys that affect the flight; files as absolute paths, so that two paths to one file compare equal."""
     table = {key: value for key, value in scenario.stated("json").items() if key not in _NO_EFFECT_ON_FLIGHT}
     table["substeps"] = scenario.substeps
-    if is_own(scenario.aircraft):
+    if is_aircraft_path(scenario.aircraft):
         table["aircraft"] = str((scenario.folder / scenario.aircraft).resolve())
     if is_file(scenario.engine):
         table["engine"] = str((scenario.folder / scenario.engine).resolve())

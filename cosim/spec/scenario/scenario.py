@@ -17,7 +17,7 @@ from cosim.spec.scenario.mismatch import Mismatch
 from cosim.spec.scenario.parameter_file import ParameterFile
 from cosim.spec.scenario.sections import Environment, Expectation, FlightLimits, Initial, Station
 from cosim.spec.scenario.substeps import SUBSTEPS, runs_for
-from cosim.spec.vehicle import STEP_S, Step, Vehicle, is_own
+from cosim.spec.vehicle import STEP_S, Step, Vehicle, is_aircraft_path
 from cosim.spec.vehicle.sensor_profile import STATED, load_with_profile, profile_names, refuse_restated
 
 
@@ -151,7 +151,7 @@ class Scenario(Model):
     @property
     def aircraft_name(self) -> str:
         """Name of the aircraft, also where the scenario gives a path."""
-        return self.resolved_vehicle()[0].name if is_own(self.aircraft) else self.aircraft
+        return self.resolved_vehicle()[0].name if is_aircraft_path(self.aircraft) else self.aircraft
 
     @property
     def step_error(self) -> str | None:

@@ -15,7 +15,7 @@ from pydantic import Field
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import Model, read_toml, validate
-from cosim.spec.vehicle import is_own, load_vehicle
+from cosim.spec.vehicle import is_aircraft_path, load_vehicle
 
 SUBSTEPS = 4  # of who states none
 CAMPAIGN = "campaign"
@@ -32,7 +32,7 @@ class StepErrors(Model):
     attitude_deg: list[_POSITIVE]
     place_mm: list[_POSITIVE]
 
-    def fewest(self, size: float, unit: str) -> int | None:
+    def fewest_runs(self, size: float, unit: str) -> int | None:
         """Return the fewest runs from which on the error is at most ``size`` [deg or mm], or None."""
         kept = None
         for runs, error in reversed(list(zip(self.runs, self._errors(unit), strict=True))):
@@ -98,7 +98,7 @@ def runs_for(error: str, aircraft: str, where: str) -> int:
         raise InputError(f"{said}: a whole number, {CAMPAIGN!r}, or the error to keep to, such as '0.01 deg' or '1 mm'")
     measured = measured_errors(aircraft)
     if measured is None:
-        if not is_own(aircraft):
+        if not is_aircraft_path(aircraft):
             load_vehicle(aircraft)  # says which there are
         raise InputError(
             f"{said}: errors are measured for shipped aircraft, and not for {aircraft}; state a number, and compare a "
@@ -106,7 +106,7 @@ def runs_for(error: str, aircraft: str, where: str) -> int:
         )
     if form is None:
         return measured.for_campaigns()
-    runs = measured.fewest(float(form["size"]), form["unit"])
+    runs = measured.fewest_runs(float(form["size"]), form["unit"])
     if runs is None:
         raise InputError(
             f"{said}: {aircraft} is off by {measured.least(form['unit']):g} {form['unit']} with {measured.runs[-1]}, "

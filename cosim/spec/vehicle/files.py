@@ -9,14 +9,14 @@ from cosim.base.errors import InputError, nearest
 from cosim.base.storage.cache import Memory
 from cosim.base.storage.paths import data_folder, names_in
 from cosim.base.storage.toml import Model, Positive, merge, read_toml, validate
-from cosim.spec.plausible import implausible
+from cosim.spec.plausible import find_implausible
 from cosim.spec.scaling import scale_vehicle
 from cosim.spec.vehicle.vehicle import Vehicle
 
 VEHICLE = "vehicle.toml"  # in an aircraft's folder
 
 
-class Scaled(Model):
+class ScaledFrom(Model):
     """The table ``scaled``: keys that the file does not have are taken from ``base``, scaled to this mass."""
 
     base: str
@@ -28,19 +28,19 @@ def aircraft_names() -> list[str]:
     return names_in("aircraft", VEHICLE)
 
 
-def is_own(aircraft: str) -> bool:
+def is_aircraft_path(aircraft: str) -> bool:
     """Return whether an aircraft is named by a path: a folder with a ``vehicle.toml``, or such a file."""
     return "/" in aircraft or aircraft.lower().endswith(".toml") or aircraft in (".", "..")
 
 
 def aircraft_seen_from(aircraft: str, folder: Path) -> str:
     """Return an aircraft's name; a path is made absolute, taken relative to ``folder``."""
-    return str((folder / aircraft).absolute()) if is_own(aircraft) else aircraft
+    return str((folder / aircraft).absolute()) if is_aircraft_path(aircraft) else aircraft
 
 
 def aircraft_name(aircraft: str, folder: Path = Path()) -> str:
     """Return an aircraft's name, read from its file where a path is given; raise InputError as :func:`load_vehicle`."""
-    return load_vehicle(aircraft, folder=folder)[0].name if is_own(aircraft) else aircraft
+    return load_vehicle(aircraft, folder=folder)[0].name if is_aircraft_path(aircraft) else aircraft
 
 
 def engine_of(aircraft: str, folder: Path = Path()) -> str | None:
@@ -67,7 +67,7 @@ def find_aircraft(aircraft: str, folder: Path = Path()) -> Path:
 
     Raises InputError for an unknown aircraft (lists the known ones) and for a path where none is.
     """
-    if not is_own(aircraft):
+    if not is_aircraft_path(aircraft):
         path = data_folder("aircraft") / aircraft / VEHICLE
         if not path.is_file():
             suggestion = nearest(aircraft, aircraft_names())
@@ -117,7 +117,7 @@ def load_vehicle(
     return vehicle, path.parent
 
 
-def as_read(name: str, folder: Path = Path()) -> dict[str, Any]:
+def read_tables(name: str, folder: Path = Path()) -> dict[str, Any]:
     """Return the tables of an aircraft's file, scaling applied; raise InputError as :func:`load_vehicle`."""
     return _read_cached(find_aircraft(name, folder))[0]
 
@@ -161,7 +161,7 @@ def _refuse_implausible(vehicle: Vehicle, path: Path) -> None:
     legs = {key: position for contact, (key, position) in zip(vehicle.contacts, contacts.items(), strict=True)
             if contact.kind == "leg"}  # fmt: skip
     fuel = {"fuel.position_m": vehicle.fuel.position_m} if vehicle.fuel else {}
-    if why := implausible(vehicle.mass_kg, vehicle.inertia_kg_m2, positions | contacts | fuel, legs):
+    if why := find_implausible(vehicle.mass_kg, vehicle.inertia_kg_m2, positions | contacts | fuel, legs):
         raise InputError(f"{path}: {why}")
 
 
@@ -174,7 +174,7 @@ def _read_tables(path: Path) -> dict[str, Any]:
     table = tables.pop("scaled")
     if not isinstance(table, dict):
         raise InputError(f"{where} = {table!r}: must be a table with base and mass_kg")
-    law = validate(Scaled, table, where)
+    law = validate(ScaledFrom, table, where)
     folder = data_folder("aircraft") / law.base
     if law.base not in aircraft_names():
         raise InputError(f"{where}.base: unknown aircraft {law.base!r}; {nearest(law.base, aircraft_names())}")

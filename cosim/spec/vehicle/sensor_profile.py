@@ -24,7 +24,7 @@ def profile_names() -> list[str]:
     return [STATED, *read_toml(_file())]
 
 
-def profile_words(profile: str) -> str:
+def describe_profile(profile: str) -> str:
     """Return a profile's name with its file and the first letters of that file's SHA-256; nothing for ``stated``."""
     if profile == STATED:
         return ""

@@ -86,13 +86,13 @@ class Hinge(Model):
     effort: Positive = 1.0
 
     @property
-    def least_most(self) -> tuple[float, float]:
+    def angle_limits(self) -> tuple[float, float]:
         """Least and greatest angle [rad]."""
         return self.range_rad if isinstance(self.range_rad, tuple) else (-self.range_rad, self.range_rad)
 
     @model_validator(mode="after")
     def _can_be(self) -> Self:
-        least, most = self.least_most
+        least, most = self.angle_limits
         if least >= most:
             raise ValueError(f"range_rad [{least:g}, {most:g}]: the first must be below the second")
         if not least <= self.rest_rad <= most:

@@ -169,7 +169,7 @@ class Vehicle(Model):
         """Least and greatest value of each angle of :meth:`layout` [rad]; empty where no thrust turns."""
         if self.servo is not None:
             return ((-self.servo.range_rad, self.servo.range_rad),) * len(SERVOS)
-        return tuple(hinge.least_most for hinge in self.hinges)
+        return tuple(hinge.angle_limits for hinge in self.hinges)
 
     @property
     def ranges(self) -> tuple[tuple[float, float], ...]:

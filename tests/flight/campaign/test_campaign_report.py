@@ -21,34 +21,34 @@ from scipy.stats import qmc
 
 from cosim.base.errors import InputError
 from cosim.campaign.analysis.figures import distribution, group_medians
-from cosim.campaign.analysis.page import metric_rows, page, write_campaign_report
+from cosim.campaign.analysis.page import metric_rows, report_contents, write_campaign_report
 from cosim.campaign.analysis.sensitivity import (
     first_order,
     joint,
     max_classes,
     noise_floor,
     rank_correlations,
+    rank_effects,
     rank_interval,
-    ranking,
 )
 from cosim.campaign.analysis.stability_map import MAX_POINTS, MIN_PER_CELL, map_tables
 from cosim.campaign.analysis.statistics import (
     Pairs,
     Z,
-    classes,
+    assign_classes,
+    count_pairs,
     holm,
     mcnemar,
     median_difference,
     newcombe,
-    pairs,
     proportion,
     wilson,
 )
 from cosim.campaign.analysis.summary import (
     campaign_summary,
+    compare_controllers,
     comparison_lines,
-    comparisons,
-    reasons,
+    count_reasons,
     spread_table,
     strip_numbers,
     success_lines,
@@ -57,7 +57,7 @@ from cosim.campaign.analysis.table import (
     KINDS,
     describe_criterion,
     metric,
-    read,
+    read_flight_table,
     short_names,
 )
 from cosim.campaign.analysis.worst_cases import eccentricity, worst_flights, write_case
@@ -117,9 +117,9 @@ def test_a_share_of_nothing_may_be_anything() -> None:
 def test_pairs_are_counted_by_who_succeeds() -> None:
     first = np.array([True, True, False, False, True])
     second = np.array([True, False, True, False, False])
-    assert pairs(first, second) == Pairs(both=1, first=2, second=1, neither=1)
-    assert pairs(first, second).difference == -0.2
-    assert pairs(first[:0], second[:0]).difference is None
+    assert count_pairs(first, second) == Pairs(both=1, first=2, second=1, neither=1)
+    assert count_pairs(first, second).difference == -0.2
+    assert count_pairs(first[:0], second[:0]).difference is None
 
 
 def test_mcnemars_test_is_a_toss_of_coins() -> None:
@@ -214,7 +214,7 @@ def test_first_order_indices_of_ishigamis_function() -> None:
     kept = in_classes(max_classes(4096))
     np.testing.assert_allclose(kept, INDICES, rtol=0.014)
     for side, index in zip(x.T, kept, strict=True):
-        found, deviation = first_order(classes(side, max_classes(4096)), result)
+        found, deviation = first_order(assign_classes(side, max_classes(4096)), result)
         assert abs(found - index) < 3.0 * deviation
         assert deviation < 0.015
 
@@ -248,7 +248,7 @@ def test_the_interval_of_an_index_holds_what_it_says() -> None:
         x = cube(chance.random((500, 4)))
         result = ishigami(x)
         for key in range(4):
-            found, deviation = first_order(classes(x[:, key], max_classes(500)), result)
+            found, deviation = first_order(assign_classes(x[:, key], max_classes(500)), result)
             held[key] += max(0.0, found - Z * deviation) <= kept[key] <= found + Z * deviation
     assert np.all(held / 200 > 0.95 - 0.046)
 
@@ -258,7 +258,7 @@ def test_a_key_that_does_nothing_is_below_the_floor_in_nineteen_of_twenty() -> N
     chance = np.random.default_rng(2)
     above = 0
     for _ in range(100):
-        keys = [classes(chance.random(120), 10) for _ in range(3)] + [chance.integers(0, 2, 120)]
+        keys = [assign_classes(chance.random(120), 10) for _ in range(3)] + [chance.integers(0, 2, 120)]
         result = (chance.random(120) < 0.1).astype(float)
         above += max(first_order(key, result)[0] for key in keys) > noise_floor(keys, result)
     assert 0 < above < 13
@@ -267,7 +267,7 @@ def test_a_key_that_does_nothing_is_below_the_floor_in_nineteen_of_twenty() -> N
 def test_keys_are_ranked_by_effects_of_any_shape() -> None:
     """The second key of Ishigami's function acts most although its rank correlation is 0; the others do not pass."""
     x = cube(np.random.default_rng(4).random((2000, 4)))
-    found = ranking({f"x{key + 1}": x[:, key] for key in range(4)}, [], ishigami(x))
+    found = rank_effects({f"x{key + 1}": x[:, key] for key in range(4)}, [], ishigami(x))
     assert found is not None
     assert [effect.key for effect in found.effects if effect.real] == ["x2", "x1"]
     second = found.effects[0]
@@ -280,7 +280,7 @@ def test_choices_are_ranked_without_an_order() -> None:
     chance = np.random.default_rng(6)
     choice = chance.integers(0, 3, 600).astype(float)
     success = (chance.random(600) < np.array([0.2, 0.9, 0.2])[choice.astype(int)]).astype(float)
-    found = ranking({"engine": choice, "mass": chance.random(600)}, ["engine"], success)
+    found = rank_effects({"engine": choice, "mass": chance.random(600)}, ["engine"], success)
     assert found is not None
     assert [(effect.key, effect.real) for effect in found.effects] == [("engine", True), ("mass", False)]
     assert found.effects[0].rank is None
@@ -288,10 +288,10 @@ def test_choices_are_ranked_without_an_order() -> None:
 
 
 def test_nothing_is_ranked_where_there_is_nothing_to_rank() -> None:
-    assert ranking({"a": np.arange(100.0)}, [], np.ones(100)) is None
-    assert ranking({"a": np.arange(29.0)}, [], np.arange(29.0)) is None
-    assert ranking({}, [], np.arange(100.0)) is None
-    constant = ranking({"a": np.zeros(100)}, [], np.arange(100.0))
+    assert rank_effects({"a": np.arange(100.0)}, [], np.ones(100)) is None
+    assert rank_effects({"a": np.arange(29.0)}, [], np.arange(29.0)) is None
+    assert rank_effects({}, [], np.arange(100.0)) is None
+    constant = rank_effects({"a": np.zeros(100)}, [], np.arange(100.0))
     assert constant is not None
     assert (constant.effects[0].real, constant.effects[0].rank, constant.effects[0].partial) == (False, 0.0, 0.0)
 
@@ -324,7 +324,7 @@ def test_two_keys_that_act_only_together_explain_it_together() -> None:
     """A chequerboard: no key alone explains any of it, both together all."""
     x = np.random.default_rng(9).random((4000, 2))
     result = ((x[:, 0] > 0.5) ^ (x[:, 1] > 0.5)).astype(float)
-    assert abs(first_order(classes(x[:, 0], 20), result)[0]) < 0.02
+    assert abs(first_order(assign_classes(x[:, 0], 20), result)[0]) < 0.02
     assert joint(x[:, 0], x[:, 1], result) > 0.8  # the classes do not end at the middle
 
 
@@ -345,7 +345,7 @@ def test_a_flight_that_did_not_complete_has_no_metric(tmp_path: Path) -> None:
         return {"roll.rmse_rad": 100.0 if lost else 0.01 * (1 + flight.number % 3)} | lost
 
     made = campaign(tmp_path, study(runs=50, success={}), outcome)
-    flown = read(made)
+    flown = read_flight_table(made)
     assert np.isnan(flown.values["roll.rmse_rad"][::4]).all()
     summary = campaign_summary(made)
     assert summary["controllers"]["baseline"]["outcomes"]["crashed"] == 25
@@ -373,10 +373,10 @@ def test_a_flight_beyond_its_own_limits_is_missed_and_says_by_which(tmp_path: Pa
         away = flight.number % 5 == 0
         return {"beyond": "position.drift_m speed.max_m_s" if away else "", "success": not away}
 
-    flown = read(campaign(tmp_path, study(runs=50, success={}), outcome))
+    flown = read_flight_table(campaign(tmp_path, study(runs=50, success={}), outcome))
     missed = flown.kind == KINDS.index("missed")
     assert np.count_nonzero(missed) == 20
-    (found,) = reasons(flown, flown.of(0), {}).items()
+    (found,) = count_reasons(flown, flown.rows_of(0), {}).items()
     assert found == (
         "drift from the start beyond the flight's own limit and largest ground speed beyond the flight's own limit",
         10,
@@ -398,7 +398,7 @@ def test_a_campaign_from_before_there_were_limits_is_read(tmp_path: Path) -> Non
     old = {
         name: values for name, values in made.columns.items() if name != "beyond" and not name.startswith("position")
     }
-    flown = read(Campaign(made.folder, made.study, old, made.of))
+    flown = read_flight_table(Campaign(made.folder, made.study, old, made.of))
     assert flown.beyond == [[] for _ in flown.reason]
     table = tmp_path / "part.parquet"
     write_table(table, {"flight": [1, 2]})
@@ -446,8 +446,8 @@ def test_a_terminal_has_each_against_the_first_and_one_controller_with_its_sprea
 
 
 def test_only_draws_that_both_have_flown_are_compared(tmp_path: Path) -> None:
-    flown = read(campaign(tmp_path, study(runs=40), finished=61))  # the last draw with one controller only
-    (compared,) = comparisons(flown)
+    flown = read_flight_table(campaign(tmp_path, study(runs=40), finished=61))  # the last draw with one controller only
+    (compared,) = compare_controllers(flown)
     assert compared.pairs.draws == 30
 
 
@@ -458,7 +458,7 @@ def test_metrics_are_compared_draw_by_draw(tmp_path: Path) -> None:
         base = 0.05 + 0.01 * float(flight.values[DELAY])
         return {"roll.rmse_rad": base - 0.01 * (flight.controller == "smith")}
 
-    (compared,) = comparisons(read(campaign(tmp_path, study(runs=30, success={}), outcome)))
+    (compared,) = compare_controllers(read_flight_table(campaign(tmp_path, study(runs=30, success={}), outcome)))
     found = compared.metrics["roll.rmse_rad"]
     assert found is not None
     assert found.median == pytest.approx(-0.01)
@@ -491,9 +491,9 @@ def test_reasons_that_differ_in_numbers_are_one(tmp_path: Path) -> None:
         == "engine …: thrust is not finite at step …"
     )
     assert strip_numbers("") == "no reason given"
-    flown = read(made := campaign(tmp_path, study(runs=100)))
-    counted = reasons(flown, flown.of(0), made.study.success)
-    assert counted.total() == int(np.sum(flown.of(0) & ~flown.success))
+    flown = read_flight_table(made := campaign(tmp_path, study(runs=100)))
+    counted = count_reasons(flown, flown.rows_of(0), made.study.success)
+    assert counted.total() == int(np.sum(flown.rows_of(0) & ~flown.success))
     assert {"leaned past … deg at … s", "roll overshoot above 60 %"} <= set(counted)
 
 
@@ -517,7 +517,7 @@ def test_what_success_is_in_words() -> None:
 
 
 def test_plotly_accepts_every_figure(tmp_path: Path) -> None:
-    figures, _ = page(campaign(tmp_path, study(runs=120, vary=SIX)))
+    figures, _ = report_contents(campaign(tmp_path, study(runs=120, vary=SIX)))
     names = set(figures) - {"map-tables"}
     assert {"outcomes", "probability", "ranking-success", "key-0", "key-5", "metric-0"} <= names
     for name in names:
@@ -527,19 +527,21 @@ def test_plotly_accepts_every_figure(tmp_path: Path) -> None:
 
 def test_the_map_counts_every_flight_once(tmp_path: Path) -> None:
     """Cells of two keys against a count by hand; those of too few flights have no metric."""
-    flown = read(campaign(tmp_path, study(runs=400, vary=SIX)))
+    flown = read_flight_table(campaign(tmp_path, study(runs=400, vary=SIX)))
     tables = map_tables(flown, range(6), (0, 1), "success")
     assert tables["pair"] == [0, 1]
     assert len(tables["cells"]) == 15
     for controller in range(2):
         for cells in tables["cells"].values():
             assert sum(cells[controller]["n"]) == 400
-            assert sum(cells[controller]["k"]) == int(np.sum(flown.success & flown.of(controller)))
+            assert sum(cells[controller]["k"]) == int(np.sum(flown.success & flown.rows_of(controller)))
     across, up = (np.array(tables["keys"][key]["edges"]) for key in (0, 1))
     cells = tables["cells"]["0,1"][1]
     x, y = (flown.keys[key].numbers for key in (0, 1))
     for row, column in product(range(up.size - 1), range(across.size - 1)):
-        inside = flown.of(1) & (x >= across[column]) & (x < across[column + 1]) & (y >= up[row]) & (y <= up[row + 1])
+        inside = (
+            flown.rows_of(1) & (x >= across[column]) & (x < across[column + 1]) & (y >= up[row]) & (y <= up[row + 1])
+        )
         place = row * (across.size - 1) + column
         # the edges on the page have six digits: a value may lie beyond one by as much
         assert abs(cells["n"][place] - int(np.sum(inside))) <= 1
@@ -551,7 +553,7 @@ def test_the_map_counts_every_flight_once(tmp_path: Path) -> None:
 
 
 def test_the_cells_of_whole_numbers_hold_as_many_of_them(tmp_path: Path) -> None:
-    flown = read(campaign(tmp_path, study(runs=200)))
+    flown = read_flight_table(campaign(tmp_path, study(runs=200)))
     (delay, *_) = map_tables(flown, [0, 1], (0, 1), "success")["keys"]
     widths = np.diff(delay["edges"])
     assert np.all(widths == widths[0])
@@ -560,7 +562,7 @@ def test_the_cells_of_whole_numbers_hold_as_many_of_them(tmp_path: Path) -> None
 
 
 def test_single_flights_are_a_sample_where_there_are_many(tmp_path: Path) -> None:
-    flown = read(campaign(tmp_path, study(runs=3000, controllers=["baseline"])))
+    flown = read_flight_table(campaign(tmp_path, study(runs=3000, controllers=["baseline"])))
     points = map_tables(flown, [0, 1], (0, 1), "success")["points"][0]
     assert points["shown"] == [MAX_POINTS, MAX_POINTS]
     assert sum(points["of"]) == 3000
@@ -573,7 +575,7 @@ def test_single_flights_are_a_sample_where_there_are_many(tmp_path: Path) -> Non
 
 def test_the_worst_are_named(tmp_path: Path) -> None:
     made = campaign(tmp_path, study(runs=150, controllers=["baseline"]))
-    flown = read(made)
+    flown = read_flight_table(made)
     cases = worst_flights(made.study, flown, 0)
     assert len({case.row for case in cases}) == len(cases)
     by_why = {case.why: case.row for case in reversed(cases)}  # the first of each
@@ -595,7 +597,7 @@ def test_the_middle_of_the_draws(tmp_path: Path) -> None:
         controllers=["baseline"],
         vary=[{"key": MASS, "range": [4.0, 6.0], "levels": 101}, {"key": NOISE, "values": [True, False]}],
     )
-    flown = read(campaign(tmp_path, of))
+    flown = read_flight_table(campaign(tmp_path, of))
     far = eccentricity(flown)
     assert far[np.argmin(np.abs(flown.keys[0].numbers - 5.0))] == pytest.approx(0.0, abs=1e-12)
     assert far.max() == pytest.approx(1.0 - 1.0 / 101)  # the last of 101 levels, seen at the middle of its own share

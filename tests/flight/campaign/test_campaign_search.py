@@ -20,10 +20,10 @@ from cosim.campaign.search.folder import resolve_search, run_search
 from cosim.campaign.search.line_search import run_walks, scan_outward
 from cosim.campaign.search.page import describe_resolution
 from cosim.campaign.search.probe import (
+    BudgetSpentError,
     Journal,
     Point,
     Prober,
-    SpentError,
 )
 from cosim.campaign.search.search import Edge, SearchResult, search
 from cosim.campaign.study.plan import Flight
@@ -120,8 +120,8 @@ def test_whole_numbers_are_found_exactly(edge: int) -> None:
 def test_how_closely_a_key_is_looked_at_is_told(vary: str, said: str) -> None:
     _, plan = resolve_search("gust", vary=[vary])
     (span,) = plan.spans
-    values = sorted(float(span.at(side * place)) for side in span.sides for place in span.positions(side))
-    assert max(b - a for a, b in pairwise(values)) == pytest.approx(float(span.step))
+    values = sorted(float(span.value_at(side * place)) for side in span.sides for place in span.positions(side))
+    assert max(b - a for a, b in pairwise(values)) == pytest.approx(float(span.step_text))
     assert describe_resolution(span).startswith(said)
 
 
@@ -288,10 +288,10 @@ def test_flights_that_are_known_cost_nothing_and_count_once() -> None:
     one, two, three = (plan.point("smith", {X: value}) for value in (1.0, 2.0, 3.0))
     prober.remaining = 4
     for _ in range(3):
-        assert prober.look([one, two, one]) == [False, False, False]
+        assert prober.evaluate([one, two, one]) == [False, False, False]
     assert len(rule.flown) == prober.flights == 4
-    with pytest.raises(SpentError):
-        prober.look([one, three])
+    with pytest.raises(BudgetSpentError):
+        prober.evaluate([one, three])
     assert len(rule.flown) == 4
 
 

@@ -22,7 +22,7 @@ from cosim.base.protocols import EngineState
 from cosim.campaign.surveys import failsafe_flight
 from cosim.campaign.surveys import failsafe_table as tables
 from cosim.campaign.surveys import failsafes as table
-from cosim.campaign.surveys.survey import subject_of
+from cosim.campaign.surveys.survey import load_subject
 from cosim.campaign.surveys.tipping import ABOVE_M, tip_speed
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import LandedState, Mode
@@ -41,7 +41,7 @@ def case(name: str) -> table.Case:
 def flown(
     name: str, aircraft: str = "hexjet", height: float = 3.0, wind: float = 0.0, speed: float = 0.0
 ) -> table.FailsafeFlight:
-    subject = subject_of(aircraft)
+    subject = load_subject(aircraft)
     scenario = table.scenario_of(subject, table.default_controller(subject), height, wind)
     return table.fly_case(table.Task(case(name), table.Start(height, wind, speed), scenario))
 
@@ -542,7 +542,7 @@ def test_who_holds_is_where_and_as_high_as_it_was_to_hold(aircraft: str, wind: f
 def test_who_is_in_hold_elsewhere_does_not_hold(moved: rq.Goto, monkeypatch: pytest.MonkeyPatch) -> None:
     """A place or a height that jumps when HOLD begins: the mode alone would say that all is well."""
     monkeypatch.setattr(failsafe_flight, "LONGEST_HOLD_S", 12.0)
-    scenario = table.scenario_of(subject_of("hexjet"), "smith", 3.0, 0.0)
+    scenario = table.scenario_of(load_subject("hexjet"), "smith", 3.0, 0.0)
     elsewhere = table.Case("elsewhere", (), (moved,), True)
     row = table.fly_case(table.Task(elsewhere, table.Start(3.0, 0.0), scenario)).row
     assert row.verdict == "flies on"
@@ -630,7 +630,7 @@ def test_what_is_drawn_is_the_same_again_and_other_for_every_flight() -> None:
     assert tall == [3.0, 3.0, 10.0, 10.0, 30.0, 30.0, 100.0, 300.0]
     stated("docs/failsafes.md", "What takes long, from {} and {} m, is one flight", *table.TALL_M)
     stated("docs/failsafes.md", "A flight takes off, hovers for {} to {} s, and then something fails", *table.HOVER_S)
-    scenario = table.scenario_of(subject_of("hexjet-p220", "p220"), "smith", 30.0, 0.0)
+    scenario = table.scenario_of(load_subject("hexjet-p220", "p220"), "smith", 30.0, 0.0)
     with Flight("hexjet-p220") as flight:
         energy = flight.pilot.energy
 
@@ -674,9 +674,7 @@ def test_a_cell_of_several_flights_tells_how_many_landed_and_the_worst() -> None
         dataclasses.replace(base, touchdown_m_s=0.7, thrust_n=float("nan"), number=2),
         dataclasses.replace(base, verdict="slid", sideways_m_s=2.5, wind_m_s=10.0, number=3),
     ]
-    assert (
-        tables.cell_of_several(rows) == "2 of 3 landed, 1 of 3 slid (wind 10 m/s), 0.70 m/s, sideways 2.50 m/s, 0.1 N"
-    )
+    assert tables.format_cell(rows) == "2 of 3 landed, 1 of 3 slid (wind 10 m/s), 0.70 m/s, sideways 2.50 m/s, 0.1 N"
 
 
 def rows_of_the_page(aircraft: str) -> tuple[list[str], list[list[str]]]:
@@ -755,7 +753,7 @@ def test_flights_after_a_take_off_are_the_pages(aircraft: str, kind: str, height
     flights = int(re.match(r"\d+ of (\d+)", cell)[1])  # type: ignore[index]
     conditions = table.Conditions(heights=(height,), flights=flights)
     (survey,) = table.failsafes([aircraft], kinds=[kind], conditions=conditions, workers=1)
-    assert tables.cell_of_several(survey.rows) == cell
+    assert tables.format_cell(survey.rows) == cell
 
 
 def test_docs_failsafes_md_states_what_an_engine_lost_between_its_heights_does() -> None:

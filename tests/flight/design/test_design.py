@@ -21,7 +21,7 @@ from stored_designs import LINEAR, small_step, stored
 from cosim import open_run
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml, toml_text
-from cosim.campaign.study.model_notes import designs_off
+from cosim.campaign.study.model_notes import design_warnings
 from cosim.campaign.study.options import open_study
 from cosim.cli.main import cli, main
 from cosim.control.predictors.linear import model_response, observer_response
@@ -592,7 +592,7 @@ def test_a_file_without_a_proof_is_told(tmp_path: Path) -> None:
     assert note in run.summary.notes
     assert note in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert fly(tmp_path / "run" / "scenario.toml").summary.notes == run.summary.notes
-    assert designs_off(
+    assert design_warnings(
         open_study("roll-doublet", controllers=[str(path)], vary=["environment.ground_m=0:10"], runs=2)
     ) == [note]
 

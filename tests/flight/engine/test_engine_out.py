@@ -39,11 +39,11 @@ from cosim.campaign.surveys.lean_bound import (
     STEP_S,
     RollAxis,
     ThrustCourses,
+    find_opposite,
     make_roll_axis,
     measure_courses,
-    opposite_of,
 )
-from cosim.campaign.surveys.survey import subject_of
+from cosim.campaign.surveys.survey import load_subject
 from cosim.control.autopilot import requests as rq
 from cosim.engine import EngineBank, engine_names, load_engine
 from cosim.flight import fly
@@ -66,7 +66,7 @@ HOME = {
 
 
 def flight(engine: str, jet: int, means: Any) -> Scenario:
-    return _scenario(subject_of(HOME[engine], engine), read_controller(DESIGNS / f"{engine}.toml"), jet, means)
+    return _scenario(load_subject(HOME[engine], engine), read_controller(DESIGNS / f"{engine}.toml"), jet, means)
 
 
 # ---- the bound
@@ -298,7 +298,7 @@ def test_tilts_and_an_earlier_shut_off_can_only_help() -> None:
     leans = [found.least_lean(2, shut_at=at).lean_deg for at in (0, 10, 20, 30)]
     assert leans == sorted(leans)
     assert leans[-1] < plain.lean_deg
-    assert opposite_of(simulation.vehicle, 2) == 1
+    assert find_opposite(simulation.vehicle, 2) == 1
 
 
 # ---- the verdicts
@@ -382,10 +382,10 @@ def test_a_vehicle_without_opposite_jets_is_refused() -> None:
 
 
 def test_what_cannot_be_flown_says_why() -> None:
-    assert find_obstacle(subject_of("hexjet-p220", "edf")) == "cannot lift it: 120 N at most for 608 N of weight"
-    assert find_obstacle(subject_of("hexjet", "p220")) == "cannot stay down: 90 N at idle for 54 N of weight"
-    assert find_obstacle(subject_of("hexjet", "turbine-100")) == "too strong: it would hover at 7 % of its range"
-    assert all(find_obstacle(subject_of(aircraft, engine)) == "" for engine, aircraft in HOME.items())
+    assert find_obstacle(load_subject("hexjet-p220", "edf")) == "cannot lift it: 120 N at most for 608 N of weight"
+    assert find_obstacle(load_subject("hexjet", "p220")) == "cannot stay down: 90 N at idle for 54 N of weight"
+    assert find_obstacle(load_subject("hexjet", "turbine-100")) == "too strong: it would hover at 7 % of its range"
+    assert all(find_obstacle(load_subject(aircraft, engine)) == "" for engine, aircraft in HOME.items())
 
 
 # ---- the command and the pages

@@ -22,7 +22,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import EngineOutput, PerJet, Sample
 from cosim.campaign.surveys.fault_page import MARKS, write, write_page
 from cosim.campaign.surveys.faults import LOSS, Case, Limit, cases, scenario_of, summary, survival
-from cosim.campaign.surveys.survey import measure_flight, subject_of
+from cosim.campaign.surveys.survey import load_subject, measure_flight
 from cosim.control.allocation.engine_monitor import EngineMonitor, EngineReference
 from cosim.engine import EngineBank, load_engine
 from cosim.engine.rundown import ELECTRIC, OWN, FlameOutLaw
@@ -779,7 +779,7 @@ def test_the_table_has_every_fault_at_every_place() -> None:
     assert [case.place for case in found if case.kind == "flame-out"] == [f"jet {jet}" for jet in range(1, 7)]
     assert not [case for case in cases(load_vehicle("quadrotor")[0]) if "servo" in case.kind or case.place == "jet 5"]
     for case in found:
-        scenario_of(subject_of("hexjet", "edf-as-flown"), case, "roll", "smith")  # is a scenario
+        scenario_of(load_subject("hexjet", "edf-as-flown"), case, "roll", "smith")  # is a scenario
 
 
 def test_the_page_has_every_kind() -> None:
@@ -789,7 +789,7 @@ def test_the_page_has_every_kind() -> None:
 
 def test_the_judge_reads_lean_height_and_detection() -> None:
     case = Case("flame-out", "jet 1", {"kind": "flame_out", "jet": 1})
-    run = fly(scenario_of(subject_of("hexjet", "edf-as-flown"), case, "hover", "smith"))
+    run = fly(scenario_of(load_subject("hexjet", "edf-as-flown"), case, "hover", "smith"))
     lean, lost, detected = measure_flight(run.log, 250)
     assert lean == pytest.approx(np.degrees(np.abs(run.log["roll_rad"]).max()), abs=2.0)
     assert lost == pytest.approx(run.log["altitude_m"][250] - run.log["altitude_m"][250:].min())
@@ -845,11 +845,11 @@ def test_the_gains_of_a_design_are_flown_and_its_file_is_kept(tmp_path: Path) ->
     page = write(found, tmp_path / "table")["report"].read_text(encoding="utf-8")
     assert "designed for engine turbojet" in page
     assert (tmp_path / "table" / "turbojet.toml").read_bytes() == path.read_bytes()
-    scenario = scenario_of(subject_of("hexjet", "edf"), Case("none", "", None), "hover", str(path))
+    scenario = scenario_of(load_subject("hexjet", "edf"), Case("none", "", None), "hover", str(path))
     made = tomllib.loads(path.read_text(encoding="utf-8"))
     assert scenario.controller == made["controller"]
     assert scenario.vehicle["control"]["rate"] == made["vehicle"]["control"]["rate"]
     with pytest.raises(InputError, match=r"turbojet.toml: designed for steps of 0.004 s, not of 0.002 s"):
-        scenario_of(subject_of("hexjet", "edf"), Case("none", "", None), "hover", str(path), 0.002)
+        scenario_of(load_subject("hexjet", "edf"), Case("none", "", None), "hover", str(path), 0.002)
     with pytest.raises(InputError, match=r"turbojet.toml: designed for aircraft 'hexjet', not for 'quadjet'"):
         survival("quadjet", None, (str(path),), ("none",), workers=1)

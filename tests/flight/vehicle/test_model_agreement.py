@@ -12,7 +12,7 @@ from command_tools import Hexjet
 from places import DOCS, ROOT
 
 from cosim import Scenario, fly
-from cosim.campaign.study.model_notes import designs_off, model_notes
+from cosim.campaign.study.model_notes import design_warnings, model_notes
 from cosim.campaign.study.options import open_study
 from cosim.campaign.surveys.aircraft_check import check_aircraft
 from cosim.simulation.build import build
@@ -264,10 +264,10 @@ def test_a_study_says_it_once() -> None:
 def test_a_study_says_which_design_is_for_another_engine() -> None:
     design = str(ROOT / "tests" / "designs" / "edf.toml")
     study = open_study("roll-doublet", controllers=[design, "smith"], vary=["environment.ground_m=0:10"], runs=2)
-    (note,) = designs_off(study)
+    (note,) = design_warnings(study)
     assert note.startswith("edf.toml: designed for engine edf (")
     quiet = open_study("roll-doublet", controllers=["smith"], vary=["mismatch.delay_samples=0:20"], runs=2)
-    assert designs_off(quiet) == []
+    assert design_warnings(quiet) == []
 
 
 def test_an_edit_after_new_is_not_fit_to_fly(hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -278,7 +278,7 @@ def test_an_edit_after_new_is_not_fit_to_fly(hexjet: Hexjet, monkeypatch: pytest
     assert "its identified models" not in hexjet("aircraft", "new", "tri", "--from", "trijet").err
     path = Path("mine/vehicle.toml")
     text = path.read_text()
-    assert check_aircraft("./mine").fit
+    assert check_aircraft("./mine").is_fit
     lines = [
         "inertia_kg_m2 = [0.08, 0.09, 0.12]" if line.startswith("inertia_kg_m2") else line for line in text.splitlines()
     ]

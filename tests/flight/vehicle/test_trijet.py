@@ -128,7 +128,7 @@ def test_nothing_balances_it_without_an_engine() -> None:
     """In closed form: where the thrusts that are left would have to point, and where they can."""
     x, y, z = VEHICLE.jets[1].position_m
     low = VEHICLE.hinges[0].position_m[2]
-    tilt, vane = (VEHICLE.hinges[k].least_most[1] for k in (0, 2))
+    tilt, vane = (VEHICLE.hinges[k].angle_limits[1] for k in (0, 2))
     needed = atan2(y * cos(tilt), low + (z - low) * cos(tilt))  # it falls with the tilt
     assert needed < atan2(y, z)
     assert f"would have to stand at {degrees(needed):.0f}°" in PAGE

@@ -445,7 +445,7 @@ def test_a_search_and_a_survey_of_faults_fly_it_and_say_which_it_was(mine: str, 
     assert {(row.controller, row.controller_sha256) for row in found.rows} == set(sha256.items())
     by_start = {(row.start, row.controller): row for row in found.rows}
     assert by_start["hover", mine].verdict == by_start["hover", whole].verdict == "held"
-    assert found.unwatched == ["cascade.py:Cascade"]
+    assert found.unmonitored_controllers == ["cascade.py:Cascade"]
     assert [each["engine_monitor"] for each in found.to_dict()["own_controllers"]] == [True, False]
     out = tmp_path / "survey"
     page = write_survey(found, out)["report"].read_text(encoding="utf-8")

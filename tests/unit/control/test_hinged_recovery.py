@@ -27,12 +27,12 @@ def jetwing(*surfaces: Effector) -> tuple[HingedRecovery, Layout, list[tuple[flo
     """The jetwing's hinges, with its mass and inertia, and engines of 0.5 to 24.5 N; and their ranges."""
     vehicle, _ = load_vehicle("jetwing")
     layout, step = vehicle.layout(), 0.004
-    movers = [Effector(*h.least_most, h.rest_rad, h.rate_limit_rad_s * step, h.effort) for h in vehicle.hinges]
+    movers = [Effector(*h.angle_limits, h.rest_rad, h.rate_limit_rad_s * step, h.effort) for h in vehicle.hinges]
     effectors = AllocationModel(
         "jetwing", layout, vehicle.mass_kg, vehicle.tensor, 0.5, 24.0, [(0.0, 1.0)] * 4, [20.0] * 4,
         [*movers, *surfaces], vehicle.control.allocation.horizontal,
     )  # fmt: skip
-    return HingedRecovery(effectors, LATE), layout, [hinge.least_most for hinge in vehicle.hinges]
+    return HingedRecovery(effectors, LATE), layout, [hinge.angle_limits for hinge in vehicle.hinges]
 
 
 def wrench(layout: Layout, thrust: list[float], angles: list[float]) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ from pyulog import ULog
 from cosim.base.frames import to_euler
 from cosim.base.geodesy import Geodesy
 from cosim.campaign.surveys.failsafes import scenario_of
-from cosim.campaign.surveys.survey import subject_of
+from cosim.campaign.surveys.survey import load_subject
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.estimation.estimates import LEAN_SURE, SPEED_SURE
 from cosim.control.autopilot.requests import Answer, Result
@@ -44,7 +44,7 @@ class Flight:
     """A hover at 10 m that a station looks at."""
 
     def __init__(self) -> None:
-        self.simulation = build(scenario_of(subject_of("hexjet", "edf-as-flown"), "smith", 10.0, 0.0))
+        self.simulation = build(scenario_of(load_subject("hexjet", "edf-as-flown"), "smith", 10.0, 0.0))
         self.pilot = with_autopilot(self.simulation, airborne=True)
         self.ok(rq.SetParameter("SYS_FAILURE_EN", 1.0))
 

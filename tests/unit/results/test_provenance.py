@@ -16,7 +16,7 @@ from cosim.flight import opened
 from cosim.results.report.comparison import compare_report, run_labels
 from cosim.shelf.index import read_entry
 from cosim.simulation.controllers.controller_file import with_controller
-from cosim.spec.scenario import changes_of, flown_parameters
+from cosim.spec.scenario import flown_parameters, list_changes
 from cosim.spec.vehicle import load_vehicle
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -173,7 +173,7 @@ def test_models_from_a_file_are_recorded(tmp_path: Path) -> None:
 @pytest.mark.unit
 def test_a_scenario_as_its_file_states_it_keeps_title_and_description() -> None:
     scenario = Scenario.load("roll-doublet")
-    assert changes_of(scenario, []) == []
+    assert list_changes(scenario, []) == []
     run = fly(scenario.replace(seed=5, expect=[]), report=False)
     assert (run.summary.title, run.summary.description) == (scenario.title, scenario.description)
 
@@ -211,7 +211,7 @@ def test_a_flight_of_a_study_names_its_design(design: Path) -> None:
     (given,) = flown_parameters(flown)
     assert given.changed == []
     assert Path(given.file).name == "my-design.toml"
-    assert "vehicle.mass_kg = 5.6" in changes_of(flown, [given])
+    assert "vehicle.mass_kg = 5.6" in list_changes(flown, [given])
 
 
 @pytest.mark.unit

@@ -40,11 +40,11 @@ def errors(*degrees: float) -> StepErrors:
     ],
 )
 def test_the_fewest_runs_that_keep_to_an_error(size: float, unit: str, runs: int | None) -> None:
-    assert errors(5.0, 0.5, 0.2, 0.1, 0.05, 0.02).fewest(size, unit) == runs
+    assert errors(5.0, 0.5, 0.2, 0.1, 0.05, 0.02).fewest_runs(size, unit) == runs
 
 
 def test_an_error_that_is_kept_to_by_chance_does_not_count() -> None:
-    assert errors(5.0, 0.1, 0.2, 0.1, 0.05, 0.02).fewest(0.1, "deg") == 4
+    assert errors(5.0, 0.1, 0.2, 0.1, 0.05, 0.02).fewest_runs(0.1, "deg") == 4
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from cosim.base.signals import State
 from cosim.campaign.study.keys import all_keys, with_values
 from cosim.results.report.marks import parts_of
 from cosim.spec.vehicle import Sensors, load_vehicle
-from cosim.spec.vehicle.sensor_profile import profile_names, profile_words
+from cosim.spec.vehicle.sensor_profile import describe_profile, profile_names
 from cosim.vehicle.sensors import SensorSuite
 
 DOUBLET = Scenario.load("roll-doublet")
@@ -138,7 +138,7 @@ def test_bias_is_one_constant_a_flight_from_its_seed() -> None:
 
 def test_a_run_says_which_sensors_and_flies_again(tmp_path: Path) -> None:
     run = fly(DOUBLET.replace(sensors="measured", **SHORT), out=tmp_path / "run")
-    assert run.summary.sensors == profile_words("measured")
+    assert run.summary.sensors == describe_profile("measured")
     assert run.summary.sensors.startswith("measured (sensors.toml ")
     assert run.summary.sensors in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     again = fly(Scenario.load(tmp_path / "run" / "scenario.toml"))
