@@ -27,6 +27,7 @@ class Stream:
     build: Build
 
 
+# A new one goes to the end: the slots of each depend on its place.
 STREAMS = (
     Stream("HEARTBEAT", 1.0, telemetry.heartbeat),
     Stream("SYS_STATUS", 2.0, telemetry.sys_status),

@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 from places import ROOT, TESTS
 
+from cosim.base.compiled import MODULES
+
 PACKAGE = ROOT / "cosim"
 PAPER = ROOT / "hexjet_paper"
 BENCHMARKS = ROOT / "benchmarks"
@@ -135,6 +137,18 @@ def test_a_folder_holds_some_twelve_files() -> None:
     counted = Counter(path.parent for path in modules() if path.name not in made)
     assert counted
     assert not {str(folder): number for folder, number in counted.items() if number > 14}
+
+
+def test_laws_and_effects_are_compiled() -> None:
+    """What is not runs slower than the others, and nothing else tells."""
+    found = {
+        place(path)
+        for path in modules()
+        if path.parent in (PACKAGE / "control" / "phases", PACKAGE / "vehicle" / "effects")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef) and {"FlightLaw", "Effect"} & {ast.unparse(base) for base in node.bases}
+    }
+    assert {"control/phases/wing.py", "vehicle/effects/banks.py"} <= found <= set(MODULES)
 
 
 def test_a_file_has_at_most_500_lines() -> None:
