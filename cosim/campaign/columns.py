@@ -23,7 +23,7 @@ from cosim.simulation.plugins import PREFIX
 
 def write_columns(folder: Path, study: Study) -> None:
     """Write what is known of a study's columns into its folder.  Raises OSError, and InputError as the study's code."""
-    keys = [asdict(study.key(vary.key)) for vary in study.vary]
+    keys = [asdict(study.key(name)) for name in study.drawn]
     write_whole(folder / COLUMNS, json.dumps({"own": custom_metric_names(study), "keys": keys}, indent=1) + "\n")
 
 

@@ -181,7 +181,7 @@ def fly_again(campaign: Campaign, number: int, out: Path | str | None = None, **
 
 def flight_of(study: Study, row: Row) -> Flight:
     """Return the flight that a row describes."""
-    values = {vary.key: row[vary.key] for vary in study.vary}
+    values = {name: row[name] for name in study.drawn}
     return Flight(row["flight"], row["draw"], row["controller"], row["seed"], values)  # type: ignore[arg-type]
 
 

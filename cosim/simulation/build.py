@@ -16,7 +16,7 @@ from cosim.simulation.controllers.plugged import Plugged, find_controller, own_p
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.delay_ledger import delay_ledger
 from cosim.simulation.ending import TerminationCheck
-from cosim.simulation.engines import engines_of, make_engines
+from cosim.simulation.engines import engines_of, flown_engines, make_engines
 from cosim.simulation.plugins import load_plugins
 from cosim.simulation.script.commander import Commander
 from cosim.simulation.script.disturber import Disturber
@@ -51,7 +51,8 @@ def build(scenario: Scenario, controller: Source | None = None) -> Simulation:
     engine, *stations = specs = engines_of(scenario, vehicle)
     step, environment, seed = scenario.step_s, scenario.environment, scenario.seed
     flown = as_flown(vehicle, scenario.mismatch)
-    effects = make_effects(vehicle, flown, stations, step)
+    flown_stations = flown_engines(scenario, vehicle, stations)
+    effects = make_effects(vehicle, flown, flown_stations, step)
     spinning = any(isinstance(effect, RotorDynamics) for effect in effects)
     with ExitStack() as stack:
         plugged = None
@@ -62,7 +63,7 @@ def build(scenario: Scenario, controller: Source | None = None) -> Simulation:
         cascade = make_cascade(scenario, vehicle, engine, stations, plugged)
         airframe = Airframe(flown, folder, environment, step, scenario.substeps, seed, spinning)
         stack.callback(airframe.close)
-        engines = make_engines(scenario, stations)
+        engines = make_engines(scenario, flown_stations)
         stack.callback(engines.close)
         propulsion = make_propulsion(vehicle, flown, engines, effects, airframe.air, step, scenario.initial.fuel)
         suite: Sensors = SensorSuite(vehicle.sensors, step, seed, scenario.sensor_noise)
@@ -75,7 +76,7 @@ def build(scenario: Scenario, controller: Source | None = None) -> Simulation:
                 scenario=scenario,
                 vehicle=vehicle,
                 specs=specs,
-                ledger=delay_ledger(scenario, vehicle, stations, cascade.allocator, flies_ahead),
+                ledger=delay_ledger(scenario, vehicle, flown_stations, cascade.allocator, flies_ahead),
                 commander=commander,
                 pilot=place_pilot(scenario, vehicle, commander, cascade),
                 disturber=Disturber(scenario),

@@ -22,40 +22,84 @@ def engines_of(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
     They are measured in the still air at the height where the flight starts.  Raises InputError as a flight.
     """
     jets = len(vehicle.jets)
-    air = Air(*standard_air(scenario.environment.ground_m + start_height(vehicle, scenario.initial)), 0.0)
-    for number in scenario.stations:
+    for number in (*scenario.stations, *scenario.mismatch.stations):
         if int(number) > jets:
-            where = f"scenario {scenario.name}: stations.{number}"
+            key = "stations" if number in scenario.stations else "mismatch.stations"
+            where = f"scenario {scenario.name}: {key}.{number}"
             raise InputError(f"{where}: {scenario.aircraft_name} has stations 1 to {jets}")
-    loaded: dict[tuple[str, frozenset[tuple[str, float]]], EngineSpec] = {}
-
-    def load(engine: str, parameters: dict[str, float]) -> EngineSpec:
-        key = engine, frozenset(parameters.items())
-        if key not in loaded:
-            # a file is seen from the scenario's folder
-            source = str(scenario.folder / engine) if is_file(engine) else engine
-            unchecked, apart = scenario.engine_unchecked, scenario.engine_isolated
-            loaded[key] = load_engine(source, parameters, scenario.step_s, unchecked=unchecked, air=air, apart=apart)
-        return loaded[key]
-
-    def load_station(station: Station) -> EngineSpec:
-        if station.engine is None:
-            return load(scenario.engine, {**scenario.engine_parameters, **station.parameters})
-        return load(station.engine, station.parameters)
-
-    engine = load(scenario.engine, scenario.engine_parameters)
-    _, folder = scenario.resolved_vehicle()
-    own = [None if jet.engine is None else Station(engine=file_seen_from(jet.engine, folder)) for jet in vehicle.jets]
-    stations = [scenario.stations.get(str(number), own[number - 1]) for number in range(1, jets + 1)]
-    specs = [engine if station is None else load_station(station) for station in stations]
-    for spec in specs:
+    loader = _Loader(scenario, vehicle)
+    engine = loader.load(scenario.engine, scenario.engine_parameters)
+    stated = [
+        engine if station is None else loader.load(*loader.parameters_of(station))
+        for station in _stations(scenario, vehicle)
+    ]
+    for spec in stated:
         count = len(spec.archive.engines)
         if jets % count:
             raise InputError(
                 f"scenario {scenario.name}: engine {spec.name}: its FMU holds {count} engines, and "
                 f"{scenario.aircraft_name} has {jets} stations, which is no whole multiple"
             )
-    return [engine, *(spec.at(station) for station, spec in enumerate(specs))]
+    return [engine, *(spec.at(station) for station, spec in enumerate(stated))]
+
+
+def flown_engines(scenario: Scenario, vehicle: Vehicle, stated: Sequence[EngineSpec]) -> Sequence[EngineSpec]:
+    """Return the engines that fly at the stations where the controller assumes ``stated``.
+
+    These are the same without parameters in the scenario's mismatch.  Raises InputError as a flight.
+    """
+    common, single = scenario.mismatch.engine_parameters, scenario.mismatch.stations
+    if not common and not single:
+        return stated
+    loader, flown = _Loader(scenario, vehicle), []
+    for index, station in enumerate(_stations(scenario, vehicle)):
+        engine, parameters = loader.parameters_of(station or Station.model_construct())
+        unknown = {} if station is not None and station.engine is not None else common
+        unknown = {**unknown, **single.get(str(index + 1), {})}
+        spec = stated[index]
+        if unknown:  # the archive was tried when the engine that is assumed was loaded
+            spec = loader.load(engine, {**parameters, **unknown}, spec.isolated).at(index)
+        flown.append(spec)
+    return flown
+
+
+def _stations(scenario: Scenario, vehicle: Vehicle) -> list[Station | None]:
+    """Return what is stated of each station, by the scenario or else by the vehicle; None: the scenario's engine."""
+    _, folder = scenario.resolved_vehicle()
+    own = [None if jet.engine is None else Station(engine=file_seen_from(jet.engine, folder)) for jet in vehicle.jets]
+    return [scenario.stations.get(str(number), station) for number, station in enumerate(own, 1)]
+
+
+class _Loader:
+    """The engines of a flight by file and parameters, each measured once, in the still air where the flight starts."""
+
+    def __init__(self, scenario: Scenario, vehicle: Vehicle) -> None:
+        self._scenario = scenario
+        height = scenario.environment.ground_m + start_height(vehicle, scenario.initial)
+        self._air = Air(*standard_air(height), 0.0)
+        self._loaded: dict[tuple[str, frozenset[tuple[str, float]]], EngineSpec] = {}
+
+    def parameters_of(self, station: Station) -> tuple[str, dict[str, float]]:
+        """Return the engine of a station and its parameters."""
+        if station.engine is None:
+            return self._scenario.engine, {**self._scenario.engine_parameters, **station.parameters}
+        return station.engine, station.parameters
+
+    def load(self, engine: str, parameters: dict[str, float], tried: bool | None = None) -> EngineSpec:
+        """Load an engine; ``tried``: its archive was found fit, and asks for a process of its own or does not."""
+        scenario, key = self._scenario, (engine, frozenset(parameters.items()))
+        if key not in self._loaded:
+            # a file is seen from the scenario's folder
+            source = str(scenario.folder / engine) if is_file(engine) else engine
+            self._loaded[key] = load_engine(
+                source,
+                parameters,
+                scenario.step_s,
+                unchecked=scenario.engine_unchecked or tried is not None,
+                air=self._air,
+                apart=scenario.engine_isolated or bool(tried),
+            )
+        return self._loaded[key]
 
 
 def _starts_in_flight(scenario: Scenario, stations: Sequence[EngineSpec]) -> bool:

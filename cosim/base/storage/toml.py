@@ -75,7 +75,7 @@ Axis3 = tuple[NotNegative, NotNegative, NotNegative]
 M = TypeVar("M", bound=BaseModel)
 
 _DOTTED_NAMES = re.compile(
-    r"(?P<head>engine_parameters|stations\.[^.]+\.parameters)\.(?P<name>.+)"
+    r"(?P<head>(?:mismatch\.)?engine_parameters|stations\.[^.]+\.parameters|mismatch\.stations\.[^.]+)\.(?P<name>.+)"
     r"|(?P<file>vehicle\.identified)\.(?P<family>.+)\.(?P<axis>roll|pitch|yaw)\.(?P<rest>.+)"
 )
 _parsed: Memory[dict[str, Any]] = Memory(64)

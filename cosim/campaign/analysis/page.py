@@ -30,6 +30,8 @@ from cosim.campaign.analysis.summary import (
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn, describe_criterion, read_flight_table
 from cosim.campaign.analysis.worst_cases import case_rows
 from cosim.campaign.folder import REPORT
+from cosim.campaign.study.engine_draw import DRAWN_BY
+from cosim.campaign.study.keys import FLOWN_STATIONS
 from cosim.results.report.page import render
 from cosim.results.report.plot import run_colour
 from cosim.results.wording import Metric
@@ -160,16 +162,19 @@ def key_rows(study: Study, table: FlightTable) -> list[dict[str, str]]:
     """Return for each varied key its distribution, its nominal value and the range of values that were flown."""
     columns = {key.path: key for key in table.keys}
     rows = []
-    for vary in study.vary:
-        key = columns.get(vary.key)
+    by_key = {vary.key: describe_draws(vary) for vary in study.vary}
+    for name in study.drawn:
+        key = columns.get(name)
+        if key is None and name.startswith(FLOWN_STATIONS):
+            continue
         try:
-            nominal = study.key(vary.key).nominal
+            nominal = study.key(name).nominal
         except InputError:  # flown elsewhere: the scenario or one of its files is not here
             nominal = None
         rows.append(
             {
-                "path": vary.key,
-                "drawn": describe_draws(vary),
+                "path": name,
+                "drawn": by_key.get(name, DRAWN_BY),
                 "nominal": NONE if nominal is None else _value_text(nominal),
                 "observed": NONE if key is None else _observed_range(key),
                 "unit": "" if key is None else key.unit,
@@ -194,6 +199,8 @@ def describe_draws(vary: Vary) -> str:
 
 
 def _distribution(vary: Vary) -> str:
+    if vary.uncertainty:
+        return DRAWN_BY
     if vary.values is not None:
         return f"one of {', '.join(map(_value_text, vary.values))}"
     if vary.range is not None:

@@ -12,6 +12,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.campaign.analysis.statistics import Counts
+from cosim.campaign.study.keys import FLOWN_PARAMETERS, FLOWN_STATIONS
 from cosim.campaign.study.plan import controllers as controllers_of
 from cosim.results.metrics import metric_names
 from cosim.results.wording import Metric, metric
@@ -134,23 +135,29 @@ def numbers(values: Sequence[Any]) -> Array:
 
 
 def key_columns(campaign: Campaign) -> list[KeyColumn]:
-    """Return the columns of the varied keys in the study's order."""
-    varied = [vary for vary in campaign.study.vary if vary.key in campaign.columns]
-    labels = short_names([vary.key for vary in varied])
+    """Return the columns of the varied keys in the study's order.
+
+    Those of single stations are left out where one of all engines says nearly the same.
+    """
+    common = {name.removeprefix(FLOWN_PARAMETERS) for name in campaign.study.drawn if name.startswith(FLOWN_PARAMETERS)}
+    varied = [name for name in campaign.study.drawn if name in campaign.columns]
+    varied = [name for name in varied if not (name.startswith(FLOWN_STATIONS) and name.endswith(tuple(common)))]
+    by_key = {vary.key: vary for vary in campaign.study.vary}
     columns = []
-    for vary, label in zip(varied, labels, strict=True):
-        column = campaign.columns[vary.key]
+    for name, label in zip(varied, short_names(varied), strict=True):
+        column, vary = campaign.columns[name], by_key.get(name)
         if any(isinstance(value, (str, bool)) for value in column):
-            listed = [choice_text(value) for value in vary.values or []]
+            listed = [choice_text(value) for value in (vary and vary.values) or []]
             texts = [choice_text(value) for value in column]
             levels = list(dict.fromkeys([*listed, *sorted(set(texts))]))
             code_of = {level: number for number, level in enumerate(levels)}
             coded = np.array([code_of[text] for text in texts], dtype=np.float64)
-            columns.append(KeyColumn(vary.key, label, "", coded, levels))
+            columns.append(KeyColumn(name, label, "", coded, levels))
         else:
             values = numbers(column)
-            log = (vary.scale == "log" or vary.lognormal is not None) and bool(np.all(values > 0.0))
-            columns.append(KeyColumn(vary.key, label, key_unit(campaign.study, vary.key), values, [], log))
+            log = vary is not None and (vary.scale == "log" or vary.lognormal is not None)
+            log = log and bool(np.all(values > 0.0))
+            columns.append(KeyColumn(name, label, key_unit(campaign.study, name), values, [], log))
     return columns
 
 

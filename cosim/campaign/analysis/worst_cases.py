@@ -131,7 +131,7 @@ def write_case(campaign: Campaign, row: int) -> tuple[str, str]:
     """
     from cosim.campaign.run import flight_of
 
-    names = ("flight", "draw", "controller", "seed", *(vary.key for vary in campaign.study.vary))
+    names = ("flight", "draw", "controller", "seed", *campaign.study.drawn)
     try:
         flight = flight_of(campaign.study, {name: campaign.columns[name][row] for name in names})
         name = f"flight-{flight.number:06d}"

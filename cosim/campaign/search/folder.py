@@ -62,6 +62,10 @@ def resolve_search(
     ``seeds`` flights a point have the scenario's seed, or ``seed``, and those that follow it.  Raises InputError.
     """
     varied = [parse_vary(text) for text in vary]
+    if any(entry.uncertainty for entry in varied):
+        raise InputError(
+            "--vary engine: an engine's [uncertainty] is drawn, hexjet sweep does; a search needs KEY=LO:HI"
+        )
     over_entries = _parse_over(over)
     keys = [entry.key for entry in (*varied, *over_entries)]
     repeated = first_repeated(keys)

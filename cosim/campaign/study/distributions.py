@@ -14,11 +14,13 @@ from cosim.base.errors import InputError, nearest
 from cosim.base.storage.toml import Model, Positive, validate
 
 T = TypeVar("T")
-FORMS = ("range", "values", "normal", "lognormal", "triangular")
+FORMS = ("range", "values", "normal", "lognormal", "triangular", "uncertainty")
+UNCERTAIN = "engine"  # the one key that may be drawn by the uncertainty that its file states
 RELATIVE: dict[str, Literal["", "factor", "offset"]] = {"=": "", "*=": "factor", "+=": "offset"}
 USAGE = (
     "write it as KEY=LO:HI, KEY=LO:HI:LEVELS, KEY=A,B,C, KEY=log(LO:HI), KEY=normal(MEAN,SD,LO,HI), "
-    "KEY=lognormal(MEDIAN,SIGMA,LO,HI) or KEY=triangular(LO,MODE,HI); *= for factors, += for offsets"
+    "KEY=lognormal(MEDIAN,SIGMA,LO,HI) or KEY=triangular(LO,MODE,HI); *= for factors, += for offsets; engine alone: by "
+    "its [uncertainty]"
 )
 
 
@@ -70,6 +72,7 @@ class Vary(Model):
     it, both ends among them.  Of ``values`` each is equally likely.  With ``relative`` what is drawn is a factor on the
     key's nominal value, or an offset to it.  Where the key holds an integer, the integers within the bounds are drawn:
     the distribution between k - 1/2 and k + 1/2 becomes k, so that under a uniform one all are equally likely.
+    ``uncertainty`` draws the engine's parameters by the table of that name in its mapping file, all at once.
     """
 
     key: str
@@ -80,15 +83,21 @@ class Vary(Model):
     normal: Normal | None = None
     lognormal: LogNormal | None = None
     triangular: Triangular | None = None
+    uncertainty: Literal[True] | None = None  # engine: its parameters, as its mapping file says how well they are known
     relative: Literal["", "factor", "offset"] = ""
 
     @model_validator(mode="after")
     def _one_form(self) -> Vary:
         forms = [form for form in FORMS if getattr(self, form) is not None]
         if len(forms) != 1:
-            raise ValueError(f"{self.key}: give one of {', '.join(FORMS)}; {' and '.join(forms) or 'none'} given")
+            allowed = ", ".join(form for form in FORMS if form != "uncertainty" or self.key == UNCERTAIN)
+            raise ValueError(f"{self.key}: give one of {allowed}; {' and '.join(forms) or 'none'} given")
         if self.range is None and (self.levels is not None or self.scale != "linear"):
             raise ValueError(f"{self.key}: levels and scale go with a range, not with {forms[0]}")
+        if self.uncertainty and (self.key != UNCERTAIN or self.relative):
+            raise ValueError(
+                f"{self.key}: only engine is drawn by its uncertainty, and neither as factor nor as offset"
+            )
         return self
 
     @model_validator(mode="after")
@@ -137,8 +146,15 @@ class Vary(Model):
         return self.values is not None or self.levels is not None
 
     @property
+    def is_ordered(self) -> bool:
+        """Whether what is drawn is a number, of which one can be more than another."""
+        return not self.uncertainty and not any(isinstance(value, (str, bool)) for value in self.values or [])
+
+    @property
     def text(self) -> str:
         """The text of the command line; :func:`parse_vary` makes the same of it."""
+        if self.uncertainty:
+            return self.key
         sign = next(sign for sign, relative in RELATIVE.items() if relative == self.relative)
         return f"{self.key}{sign}{self._form_text()}"
 
@@ -173,11 +189,32 @@ def _has_probability(form: Normal | LogNormal) -> bool:
     return (low is None or low < 8.0) and (high is None or high > -8.0)
 
 
+def vary_tables(value: Any) -> Any:
+    """Return the tables of a study's ``vary``, of which each may be a text of the command line, or all be one."""
+    listed = [value] if isinstance(value, str) else value
+    if not isinstance(listed, list):
+        return value
+    tables = [_table_of(each) if isinstance(each, str) else each for each in listed]
+    return [
+        each | {"uncertainty": True} if isinstance(each, dict) and each == {"key": UNCERTAIN} else each
+        for each in tables
+    ]
+
+
+def _table_of(text: str) -> dict[str, Any]:
+    try:
+        return parse_vary(text).model_dump(mode="json", exclude_none=True)
+    except InputError as error:
+        raise ValueError(str(error).removeprefix("--vary ")) from error
+
+
 def parse_vary(text: str) -> Vary:
     """Read ``KEY=LO:HI`` and its relatives, see ``USAGE``.
 
     Bounds of ``normal`` and ``lognormal`` may be left out, one of them or both.  Raises InputError: one line.
     """
+    if text.strip() == UNCERTAIN:
+        return Vary(key=UNCERTAIN, uncertainty=True)
     match = re.fullmatch(r"\s*([^=*+\s]+)\s*(\*=|\+=|=)\s*(.+?)\s*", text)
     if match is None:
         raise InputError(f"--vary {text}: {USAGE}")

@@ -4,7 +4,8 @@ A design spreads points over the unit cube, one side for each varied key: those 
 ``latin-hypercube`` of n runs has one in each nth of every side; those of ``sobol`` fill the cube evenly (scrambled).
 Each side is then bent into what its key is drawn from by the inverse of the distribution.  Correlated keys are bent
 together, through normal variables of that correlation (a Gaussian copula); in a Latin hypercube the points of a side
-change places instead (Iman and Conover, 1982), so that it stays one.
+change places instead (Iman and Conover, 1982), so that it stays one.  An engine that is drawn by its uncertainty has
+sides of its own behind those of the keys (:mod:`cosim.campaign.study.engine_draw`).
 
 A longer ``random`` or ``sobol`` study begins with the draws of the shorter one.  A Latin hypercube of another size is
 another one.
@@ -21,6 +22,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.campaign.study.distributions import Normal, Vary
+from cosim.campaign.study.engine_draw import EngineDraw
 from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.study import Study
 from cosim.campaign.study.values import absolute_support, levels, quantum, round_to_steps, whole_bounds
@@ -45,11 +47,16 @@ class Draws(Sequence[Draw]):
     def __init__(self, study: Study) -> None:
         self._count = study.draws
         self._seed = study.seed
-        self._names = [vary.key for vary in study.vary]
-        keys = [study.key(name) for name in self._names]
-        self._points: Points = DESIGNS[study.design](study)
-        sides = [level if study.design == "grid" else inverse] * len(keys)
-        self._bend = [side(vary, key) for side, vary, key in zip(sides, study.vary, keys, strict=True)]
+        self._names = study.drawn
+        engine = study.engine_draw()
+        sides = len(study.vary) + (0 if engine is None else engine.sides)
+        self._points: Points = DESIGNS[study.design](study, sides)
+        side = level if study.design == "grid" else inverse
+        self._bend = [
+            _bend_engine(engine, len(study.vary)) if vary.uncertainty and engine is not None
+            else _bend_side(index, side(vary, study.key(vary.key)))
+            for index, vary in enumerate(study.vary)
+        ]  # fmt: skip
         self._block: tuple[int, list[Draw]] = (-1, [])
 
     def __len__(self) -> int:
@@ -72,7 +79,7 @@ class Draws(Sequence[Draw]):
 
     def _make(self, first: int, end: int) -> Iterator[Draw]:
         points = self._points(first, end)
-        columns = [bend(points[:, column]) for column, bend in enumerate(self._bend)]
+        columns = [column for bend in self._bend for column in bend(points)]
         for number, values in enumerate(zip(*columns, strict=True), start=first):
             yield Draw(number, flight_seed(self._seed, number), dict(zip(self._names, values, strict=True)))
 
@@ -90,6 +97,16 @@ def flight_seed(seed: int, number: int) -> int:
     return int(np.random.SeedSequence(seed, spawn_key=(SEEDS, number)).generate_state(1, np.uint64)[0] >> 11)
 
 
+def _bend_side(index: int, values: Callable[[Array], list[Value]]) -> Callable[[Array], list[list[Value]]]:
+    """Map points to the values of one key, from its side."""
+    return lambda points: [values(points[:, index])]
+
+
+def _bend_engine(engine: EngineDraw, first: int) -> Callable[[Array], list[list[Value]]]:
+    """Map points to the values of the engine's keys, from its sides, of which the first is ``first``."""
+    return lambda points: engine.values(points[:, first : first + engine.sides])
+
+
 class Points(Protocol):
     """The positions of the draws ``first`` to ``end - 1`` in their block: a row for each, a column a key."""
 
@@ -99,7 +116,7 @@ class Points(Protocol):
 class Grid:
     """Every combination of the levels, by their indices; the last key's changes fastest, a repeat begins anew."""
 
-    def __init__(self, study: Study) -> None:
+    def __init__(self, study: Study, sides: int) -> None:
         self._sides = [len(levels(vary, study.key(vary.key))) for vary in study.vary]
 
     def __call__(self, first: int, end: int) -> Array:
@@ -110,8 +127,8 @@ class Grid:
 class Random:
     """Independent points; each block of them has its own generator, so that any can be had without those before it."""
 
-    def __init__(self, study: Study) -> None:
-        self._seed, self._sides = study.seed, len(study.vary)
+    def __init__(self, study: Study, sides: int) -> None:
+        self._seed, self._sides = study.seed, sides
         self._correlate = _copula(study)
 
     def __call__(self, first: int, end: int) -> Array:
@@ -122,8 +139,8 @@ class Random:
 class Sobol:
     """Sobol's sequence, scrambled."""
 
-    def __init__(self, study: Study) -> None:
-        self._seed, self._sides = study.seed, len(study.vary)
+    def __init__(self, study: Study, sides: int) -> None:
+        self._seed, self._sides = study.seed, sides
         self._correlate = _copula(study)
         self._engine, self._next = self._begin()
 
@@ -145,8 +162,8 @@ class Sobol:
 class LatinHypercube:
     """All points at once: 8 bytes for each key of each draw."""
 
-    def __init__(self, study: Study) -> None:
-        self._study = study
+    def __init__(self, study: Study, sides: int) -> None:
+        self._study, self._sides = study, sides
         self._points: Array | None = None
 
     def __call__(self, first: int, end: int) -> Array:
@@ -154,12 +171,12 @@ class LatinHypercube:
             from scipy.stats import qmc
 
             study = self._study
-            points = qmc.LatinHypercube(len(study.vary), rng=_generator(study.seed)).random(study.draws)
-            self._points = reorder_points(np.maximum(points, SMALLEST), study.correlations())
+            points = qmc.LatinHypercube(self._sides, rng=_generator(study.seed)).random(study.draws)
+            self._points = reorder_points(np.maximum(points, SMALLEST), study.correlations(self._sides))
         return self._points[first:end]
 
 
-DESIGNS: dict[str, Callable[[Study], Points]] = {
+DESIGNS: dict[str, Callable[[Study, int], Points]] = {
     "grid": Grid,
     "latin-hypercube": LatinHypercube,
     "random": Random,

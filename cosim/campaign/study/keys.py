@@ -2,7 +2,8 @@
 
 A key names one value of a scenario (``environment.wind_ned_m_s.1``), of one of its entries by place
 (``disturbance.0.mass_kg``), of its vehicle (``vehicle.sensors.gyro.noise_rad_s``), of its engine
-(``engine_parameters.delay_samples``) or of one station's (``stations.3.parameters.gain``).  Places in lists are counted
+(``engine_parameters.delay_samples``) or of one station's (``stations.3.parameters.gain``), and of either as no
+controller knows it (``mismatch.engine_parameters.gain``, ``mismatch.stations.3.gain``).  Places in lists are counted
 from 0, stations from 1 as they are numbered on the aircraft.
 """
 
@@ -15,7 +16,7 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
@@ -28,16 +29,13 @@ from cosim.campaign.study.key import Key, Value, unit_of
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import engine_names
 from cosim.engine.fmu.variables import INTEGERS
-from cosim.engine.spec import find_source
+from cosim.engine.spec import EngineSource, find_source
 from cosim.simulation.controllers.source import find
 from cosim.simulation.controllers.source import names as custom_controllers
 from cosim.spec.controller_name import is_design
 from cosim.spec.scenario import Scenario, parameter_files
 from cosim.spec.vehicle import PredictorTuning, aircraft_names, engine_of, is_file
 from cosim.spec.vehicle.sensor_profile import STATED, profile_names
-
-if TYPE_CHECKING:
-    from cosim.engine.fmu.archive import Archive
 
 WHOLE_STEPS = ("start_s", "duration_s", "width_s", "delay_s")  # of entries: counted in control steps
 LISTS = ("command", "disturbance", "fault")
@@ -58,6 +56,8 @@ NOT_VARIED = (
     "limits",
 )
 CUSTOM_PARAMETERS = "controller_parameters."
+FLOWN_PARAMETERS, FLOWN_STATIONS = "mismatch.engine_parameters", "mismatch.stations."
+OF_ENGINE = ("engine_parameters.", "stations.", f"{FLOWN_PARAMETERS}.", FLOWN_STATIONS)
 CUSTOM_TUNING = "vehicle.control.predictor.own."
 LIST_INDEX = re.compile(r"(?<=\.)\d+(?=\.|$)")
 MAX_SUGGESTIONS = 4  # names in a message
@@ -96,13 +96,14 @@ def all_keys(scenario: Scenario) -> list[Key]:
     of_scenario = [
         key for name, field in Scenario.model_fields.items() for key in _scenario_keys(scenario, name, field)
     ]
-    archive = _archive(scenario, scenario.engine)
+    source = engine_source(scenario, scenario.engine)
     return [
         *of_scenario,
         *custom_keys(scenario),
         *(key for key in _table_keys("vehicle", vehicle) if not key.path.startswith(CUSTOM_TUNING)),
         *_predictor_keys(vehicle.control.predictor),
-        *_parameters("engine_parameters", archive, scenario.engine_parameters),
+        *_parameters("engine_parameters", source, scenario.engine_parameters),
+        *_parameters(FLOWN_PARAMETERS, source, {**scenario.engine_parameters, **scenario.mismatch.engine_parameters}),
         *_station_keys(scenario, len(vehicle.jets)),
     ]
 
@@ -208,7 +209,7 @@ def _check_together(scenario: Scenario, values: Mapping[str, Value]) -> None:
     """Refuse another aircraft or engine under values that were meant for the one that the scenario has."""
     rules: list[tuple[str, str, Mapping[str, Any], tuple[str, ...]]] = [
         ("aircraft", scenario.aircraft, scenario.vehicle, ("vehicle.",)),
-        ("engine", scenario.engine, scenario.engine_parameters, ("engine_parameters.", "stations.")),
+        ("engine", scenario.engine, scenario.engine_parameters, OF_ENGINE),
     ]
     for path in [key for key in values if key.startswith("stations.") and key.endswith(".engine")]:
         station = scenario.stations.get(path.split(".")[1])
@@ -232,6 +233,8 @@ def _scenario_keys(scenario: Scenario, name: str, field: FieldInfo) -> Iterator[
     value = getattr(scenario, name)
     if name in NOT_VARIED or name in ("controller_parameters", "vehicle", "engine_parameters", "stations"):
         return
+    if name == "mismatch":
+        value = value.model_copy(update={"engine_parameters": {}, "stations": {}})  # these are the engine's keys
     if name in ("aircraft", "engine", "controller"):
         yield Key(name, "choice", value, choices=tuple(_names(name)))
     elif name == "sensors":
@@ -362,17 +365,15 @@ def _is_union(annotation: Any) -> bool:
     return get_origin(annotation) in (Union, UnionType)
 
 
-def _archive(scenario: Scenario, engine: str) -> Archive:
-    """Return an engine's archive; a file's path is relative to the scenario's folder."""
+def engine_source(scenario: Scenario, engine: str) -> EngineSource:
+    """Return where an engine is from; a file's path is relative to the scenario's folder.  Raises InputError."""
+    return find_source(str(scenario.folder / engine) if is_file(engine) else engine)
 
-    return find_source(str(scenario.folder / engine) if is_file(engine) else engine).archive
 
-
-def _parameters(path: str, archive: Archive, values: Mapping[str, float]) -> Iterator[Key]:
+def _parameters(path: str, source: EngineSource, values: Mapping[str, float]) -> Iterator[Key]:
     """Yield the parameters that an engine declares and the simulation does not set itself."""
-
-    start = archive.start
-    for variable in archive.parameters:
+    start, values = source.archive.start, {**source.mapping.parameters, **values}
+    for variable in source.archive.parameters:
         if variable.name == start or variable.start is None:
             continue
         whole = variable.type in {*INTEGERS, "Boolean", "Enumeration"}
@@ -402,8 +403,12 @@ def _station_keys(scenario: Scenario, jets: int) -> Iterator[Key]:
         values = station.parameters if station else {}
         yield Key(f"stations.{number}.engine", "choice", engine or scenario.engine, choices=names)
         common = scenario.engine_parameters if engine is None else {}
-        archive = _archive(scenario, engine or scenario.engine)
-        yield from _parameters(f"stations.{number}.parameters", archive, {**common, **values})
+        source = engine_source(scenario, engine or scenario.engine)
+        known = {**common, **values}
+        yield from _parameters(f"stations.{number}.parameters", source, known)
+        flown = scenario.mismatch.engine_parameters if engine is None else {}
+        flown = {**known, **flown, **scenario.mismatch.stations.get(str(number), {})}
+        yield from _parameters(f"{FLOWN_STATIONS}{number}", source, flown)
 
 
 def _nearest(name: str, keys: Iterable[str]) -> str:

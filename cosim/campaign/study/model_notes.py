@@ -80,9 +80,9 @@ def _extreme_flights(study: Study) -> Iterator[Flight]:
     controllers += [k for k, name in enumerate(names) if name not in PREDICTORS]
     first_flights = [planned[n] for n in range(0, min(len(planned), MAX_DRAWN * count), count)]
     chosen = {0}
-    for vary in study.vary:
-        if not vary.key.startswith(UNSEEN):
-            values = [flight.values[vary.key] for flight in first_flights]
+    for key in study.drawn:
+        if not key.startswith(UNSEEN):
+            values = [flight.values[key] for flight in first_flights]
             chosen |= _extremes(values)
     for n in sorted(chosen):
         for k in controllers if n == 0 else controllers[:1]:

@@ -12,7 +12,7 @@ from cosim.base.errors import InputError, nearest, similar
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import parse_setting, read_toml, validate
 from cosim.base.trust import mention
-from cosim.campaign.study.distributions import parse_number, parse_vary
+from cosim.campaign.study.distributions import parse_number, parse_vary, vary_tables
 from cosim.campaign.study.study import DESIGNS, Correlation, Study, flatten_settings, study_names
 from cosim.spec.controller_name import seen_from, short_name
 from cosim.spec.scenario import Range, Scenario, scenario_names
@@ -41,7 +41,11 @@ def open_study(
     mention([*controllers, *settings, *vary], Path())
     data, folder, where = _read_source(name)
     listed = [_resolve_files(parse_vary(text).model_dump(mode="json", exclude_none=True)) for text in vary]
-    data["vary"] = _merge_by_key(data.get("vary", []), listed, lambda table: table.get("key"))
+    try:
+        stated = vary_tables(data.get("vary", []))
+    except ValueError as error:
+        raise InputError(f"{where}: vary: {error}") from error
+    data["vary"] = _merge_by_key(stated, listed, lambda table: table.get("key"))
     pairs = [parse_correlate(text).model_dump(mode="json") for text in correlate]
     data["correlate"] = _merge_by_key(data.get("correlate", []), pairs, lambda table: frozenset(table.get("keys", [])))
     data["success"] = {

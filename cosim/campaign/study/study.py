@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, PrivateAttr, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
 
 from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.storage.files import write_whole
@@ -21,7 +21,8 @@ from cosim.base.storage.paths import data_folder, files_in
 from cosim.base.storage.toml import Model, read_toml, set_path, split_key, toml_text, validate
 from cosim.base.trust import Code, code_of, is_looking, need_trust
 from cosim.campaign.study.autopilot import StudyAutopilot
-from cosim.campaign.study.distributions import Vary, first_repeated, parse_vary
+from cosim.campaign.study.distributions import Vary, first_repeated, parse_vary, vary_tables
+from cosim.campaign.study.engine_draw import ENGINE, EngineDraw, engine_draw
 from cosim.campaign.study.key import Key
 from cosim.campaign.study.keys import CUSTOM_PARAMETERS, custom_keys, find_key, with_values
 from cosim.campaign.study.values import check_vary
@@ -81,7 +82,7 @@ class Study(Model):
     runs: Annotated[int, Field(ge=1, le=MAX_DRAWS)] | None = None  # draws; a grid has as many as it has points
     repeats: Annotated[int, Field(ge=1, le=MAX_DRAWS)] = 1  # of a whole grid, with other seeds
     seed: Annotated[int, Field(ge=0, lt=2**53)] = 1
-    vary: Annotated[list[Vary], Field(min_length=1)]
+    vary: Annotated[list[Vary], Field(min_length=1), BeforeValidator(vary_tables)]
     correlate: list[Correlation] = Field(default_factory=list)
     success: dict[str, Range] = Field(default_factory=dict)  # metrics that must hold beside a completed flight
     autopilot: StudyAutopilot | None = None  # flies in the place of the controller, whose gains go into it
@@ -90,6 +91,7 @@ class Study(Model):
     _where: str = PrivateAttr(default="study")
     _base: Scenario | None = PrivateAttr(default=None)  # once it is needed
     _keys: dict[str, Key] = PrivateAttr(default_factory=dict)
+    _drawn: list[str] | None = PrivateAttr(default=None)
 
     @property
     def folder(self) -> Path:
@@ -143,13 +145,31 @@ class Study(Model):
         return self._keys[name]
 
     def set_keys(self, keys: Mapping[str, Key]) -> None:
-        """Set these varied keys, instead of finding them in the scenario and the code that it names."""
+        """Set the keys that get values, instead of finding them in the scenario and the code that it names."""
         self._keys |= keys
+        self._drawn = list(keys)
 
-    def correlations(self) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """Return the normal variables' correlation matrix for the requested rank correlations, ordered as ``vary``."""
+    def engine_draw(self) -> EngineDraw | None:
+        """Return how the engine is drawn by its uncertainty; None where it is not.  Raises InputError."""
+        return engine_draw(self.base()) if any(vary.uncertainty for vary in self.vary) else None
+
+    @property
+    def drawn(self) -> list[str]:
+        """The keys that get a value in each draw, in the order of a row's columns: an uncertain engine has several."""
+        if self._drawn is None:
+            engine = self.engine_draw()
+            of_engine = {} if engine is None else {key.path: key for key in engine.keys}
+            self._keys |= of_engine
+            self._drawn = [name for vary in self.vary for name in (list(of_engine) if vary.uncertainty else [vary.key])]
+        return self._drawn
+
+    def correlations(self, sides: int | None = None) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """Return the normal variables' correlation matrix for the requested rank correlations, ordered as ``vary``.
+
+        ``sides``: the size of the matrix, where more is drawn than there are keys; the rest is independent.
+        """
         indices = {vary.key: index for index, vary in enumerate(self.vary)}
-        matrix = np.eye(len(self.vary))
+        matrix = np.eye(len(self.vary) if sides is None else sides)
         for correlation in self.correlate:
             a, b = (indices[key] for key in correlation.keys)
             matrix[a, b] = matrix[b, a] = correlation.normal
@@ -197,7 +217,7 @@ class Study(Model):
     def changed(self, **changes: Any) -> Study:
         """Return a copy with these fields changed, not checked against the scenario."""
         copy = self.model_copy(update=changes)
-        copy._base, copy._keys = None, {}
+        copy._base, copy._keys, copy._drawn = None, {}, None
         return copy
 
     def save(self, path: Path) -> None:
@@ -252,8 +272,9 @@ class Study(Model):
             return self
         for vary in self.vary:
             if not vary.discrete:
+                example = "engine=A,B" if vary.uncertainty else f"{vary.key}=LO:HI:5"
                 raise ValueError(
-                    f"{vary.key} needs levels or values in a grid, such as {vary.key}=LO:HI:5; distributions belong to "
+                    f"{vary.key} needs levels or values in a grid, such as {example}; distributions belong to "
                     "latin-hypercube, random and sobol"
                 )
         if self.runs is not None:
@@ -273,7 +294,7 @@ class Study(Model):
             for key in correlation.keys:
                 if key not in by_key:
                     raise ValueError(f"correlate: {key!r} is not varied; {nearest(key, by_key)}")
-                if any(isinstance(value, (str, bool)) for value in by_key[key].values or []):
+                if not by_key[key].is_ordered:
                     raise ValueError(f"correlate: the values of {key} have no order, and no correlation")
             if correlation.keys[0] == correlation.keys[1]:
                 raise ValueError(f"correlate: {correlation.keys[0]} with itself")
@@ -322,12 +343,25 @@ def check(study: Study, where: str) -> None:
         for name in custom:
             study.key(name)
         for vary in study.vary:
-            check_vary(vary, study.key(vary.key))
+            if vary.uncertainty:
+                _check_uncertain_engine(study)
+            else:
+                check_vary(vary, study.key(vary.key))
         for controller in study.tried:  # files exist, and are for this aircraft
             with_values(study.base(), {"controller": controller})
         _check_together(study)
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(where) else f"{where}: {error}") from error
+
+
+def _check_uncertain_engine(study: Study) -> None:
+    """Refuse an engine that states no uncertainty, and keys that are drawn with it already or bring another engine."""
+    drawn = study.drawn
+    for key in [vary.key for vary in study.vary if not vary.uncertainty]:
+        if drawn.count(key) > 1:
+            raise InputError(f"vary {key}: engine draws it by its [uncertainty] already; leave one of them out")
+        if key == "aircraft" or (key.startswith("stations.") and key.endswith(f".{ENGINE}")):
+            raise InputError(f"vary {key}: brings another engine than the one that is drawn; leave one of them out")
 
 
 def _check_names(study: Study, where: str) -> None:

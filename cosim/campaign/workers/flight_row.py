@@ -60,7 +60,7 @@ def kinds(study: Study, custom: Sequence[str] | None = None) -> Kinds:
     What was not measured is None; flight, draw, controller, seed, what was varied, outcome, reason and success always
     have a value.
     """
-    varied = {vary.key: _kind(study, vary.key) for vary in study.vary}
+    varied = {name: _kind(study, name) for name in study.drawn}
     measured = dict.fromkeys([*_metrics(), *(custom_metric_names(study) if custom is None else custom)], float)
     lockstep = _LOCKSTEP if study.autopilot is not None else {}
     return _FIRST | varied | _OUTCOME | measured | _LAST | _plugin_kinds(study) | lockstep

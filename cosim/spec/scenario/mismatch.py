@@ -1,13 +1,18 @@
 """Differences between the simulated vehicle and the one the controller is designed for."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 
 from cosim.base.signals import JETS
 from cosim.base.storage.toml import Model, Vector
+from cosim.spec.scenario.faults import StationNumber
 
 Factor = Annotated[float, Field(gt=0.0, le=10.0)]
+
+
+def _is_empty(table: dict[str, Any]) -> bool:
+    return not table
 
 
 class Mismatch(Model):
@@ -27,6 +32,10 @@ class Mismatch(Model):
     thrust_factor_5: Factor = 1.0
     thrust_factor_6: Factor = 1.0
     delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # control steps by which every engine is later
+    # of every engine that is the scenario's, by the FMU's names
+    engine_parameters: Annotated[dict[str, float], Field(exclude_if=_is_empty)] = {}
+    # of one station's engine, over those of all
+    stations: Annotated[dict[StationNumber, dict[str, float]], Field(exclude_if=_is_empty)] = {}
 
     @property
     def single_factors(self) -> tuple[float, ...]:

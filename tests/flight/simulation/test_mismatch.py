@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from cosim.engine.wrappers import EngineChain
 from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.simulation.build import build
+from cosim.simulation.engines import engines_of, flown_engines
 from cosim.simulation.script.mismatch import as_flown, engines_as_flown
 from cosim.spec.scenario import Mismatch, Scenario
 from cosim.spec.vehicle import load_vehicle
@@ -190,3 +192,37 @@ def test_what_cannot_be_is_refused_in_one_line(changes: dict[str, Any], words: s
         build(Scenario.load("hover").replace(expect=[], controller="baseline", **changes)).close()
     assert words in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_parameter_that_is_not_known_flies_as_the_mismatch_of_its_effect() -> None:
+    """A delay behind the same commands is the same to the last bit, whoever adds it."""
+    later = fly(doublet(controller="baseline", mismatch={"engine_parameters": {"delay_samples": 35}}))
+    assert same(later, fly(doublet(controller="baseline", mismatch={"delay_samples": 10})))
+    assert not same(later, fly(doublet(controller="baseline")))
+
+
+def test_parameters_of_a_station_that_are_not_known() -> None:
+    unknown = {"engine_parameters": {"gain": 0.3, "pole": 0.9}, "stations": {"2": {"gain": 0.2}}}
+    scenario = doublet(mismatch=unknown, stations={"3": {"engine": "edf"}, "4": {"parameters": {"gain": 0.25}}})
+    vehicle, _ = scenario.resolved_vehicle()
+    _, *stated = engines_of(scenario, vehicle)
+    flown = flown_engines(scenario, vehicle, stated)
+    assert [spec.parameters["gain"] for spec in stated] == [0.2554, 0.2554, 0.2554, 0.25, 0.2554, 0.2554]
+    assert [spec.parameters["gain"] for spec in flown] == [0.3, 0.2, 0.2554, 0.3, 0.3, 0.3]
+    assert [spec.parameters["pole"] for spec in flown] == [0.9, 0.9, 0.8748, 0.9, 0.9, 0.9]
+    with build(scenario) as simulation:
+        assert [spec.parameters for spec in simulation.stations] == [spec.parameters for spec in stated]
+    assert flown_engines(doublet(), vehicle, stated) is stated
+
+
+@pytest.mark.parametrize(
+    ("unknown", "message"),
+    [
+        ({"engine_parameters": {"gian": 1.0}}, "gian: no such parameter; did you mean 'gain'"),
+        ({"stations": {"7": {"gain": 1.0}}}, "mismatch.stations.7: hexjet has stations 1 to 6"),
+        ({"stations": {"2": {"pole": 2.0}}}, "pole = 2: must be a number from 0 to 0.999999"),
+    ],
+)
+def test_parameters_that_no_engine_has(unknown: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=re.escape(message)):
+        build(doublet(mismatch=unknown))

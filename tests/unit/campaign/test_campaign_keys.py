@@ -216,8 +216,9 @@ def test_names_with_dots_of_their_own() -> None:
 
 def test_list_for_people() -> None:
     keys = all_keys(Scenario.load("hover"))
+    names = ("gain", "pole", "delay_samples", "newton_per_unit")
     assert [key.path for key in matching(keys, "engine_parameters")] == [
-        *(f"engine_parameters.{name}" for name in ("gain", "pole", "delay_samples", "newton_per_unit"))
+        f"{table}.{name}" for table in ("engine_parameters", "mismatch.engine_parameters") for name in names
     ]
     assert [key.path for key in matching(keys, "*.gain") if key.path.startswith("eng")] == ["engine_parameters.gain"]
     with pytest.raises(InputError, match=r"no key matches 'gryo'; did you mean vehicle\.sensors\.gyro"):

@@ -1,0 +1,120 @@
+"""An engine drawn by its own ``[uncertainty]``: one draw for all engines of the vehicle, and one of spread for each.
+
+What is drawn flies and is not known to the controller: it stands under ``mismatch``.  Each parameter is normal about
+its nominal value, cut off at :data:`cosim.engine.fmu.uncertainty.CUT` standard deviations and at the FMU's limits.  The
+common deviations are correlated through normal variables (a Gaussian copula), so that each keeps its distribution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil, floor, inf, isfinite
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from cosim.campaign.study.key import Key, Value
+from cosim.campaign.study.keys import FLOWN_PARAMETERS, FLOWN_STATIONS, all_keys, engine_source
+from cosim.engine.fmu.uncertainty import CUT, Uncertainty
+from cosim.spec.scenario import Scenario
+
+ENGINE = "engine"  # the key that is varied so
+DRAWN_BY = "by the engine's [uncertainty]"
+HOW = (
+    "hexjet identify bench writes one, docs/own-engine.md says how; or list engines, --vary engine=A,B, or vary single "
+    "parameters, --vary mismatch.engine_parameters.NAME=LO:HI"
+)
+
+
+@dataclass(frozen=True)
+class _Parameter:
+    """One uncertain parameter: its deviation and spread, the key of all engines, and those of single stations."""
+
+    deviation: float
+    spread: float
+    common: Key
+    stations: tuple[Key, ...]
+
+
+class EngineDraw:
+    """The draws of a scenario's engine.
+
+    ``sides``: how many numbers between 0 and 1 make one.  ``keys``: what gets a value in each, in order.
+    """
+
+    def __init__(self, table: Uncertainty, parameters: Sequence[_Parameter]) -> None:
+        self._parameters = parameters
+        self._factor = table.factor
+        self.keys = [key for of in parameters for key in (*([of.common] if of.deviation else []), *of.stations)]
+        self.sides = len(parameters) + sum(len(of.stations) for of in parameters)
+
+    def values(self, points: Array) -> list[list[Value]]:
+        """Return a column of values for each key from ``points``, a row a draw and a column a side."""
+        from scipy.special import ndtr, ndtri
+
+        count = len(self._parameters)
+        normal = ndtri(points[:, :count])
+        side, columns = count, []
+        for row, of in enumerate(self._parameters):
+            # summed here and not by a matrix product, whose order of additions is the machine's
+            together = sum(self._factor[row][column] * normal[:, column] for column in range(row + 1))
+            centre = np.full(len(points), _nominal(of.common))
+            drawn = _cut_normal(ndtr(together), centre, of.deviation, of.common)
+            if of.deviation:
+                columns.append(_fit(drawn, of.common))
+            for key in of.stations:
+                centre = np.clip(drawn + (_nominal(key) - _nominal(of.common)), key.low, key.high)
+                columns.append(_fit(_cut_normal(points[:, side], centre, of.spread, key), key))
+                side += 1
+        return columns
+
+
+def engine_draw(scenario: Scenario) -> EngineDraw:
+    """Return the draws of a scenario's engine.  Raises InputError for an engine that states no uncertainty."""
+    table = engine_source(scenario, scenario.engine).mapping.uncertainty
+    if table is None:
+        raise InputError(f"vary engine: {scenario.engine} has no [uncertainty] in a mapping file; {HOW}")
+    keys = {key.path: key for key in all_keys(scenario)}
+    vehicle, _ = scenario.resolved_vehicle()
+    stated = {number: station for number, station in scenario.stations.items() if station.engine is not None}
+    stations = [
+        str(number)
+        for number, jet in enumerate(vehicle.jets, 1)
+        if str(number) not in stated and (jet.engine is None or str(number) in scenario.stations)
+    ]
+    parameters = []
+    for name, deviation, spread in zip(table.parameters, table.deviation, table.spreads, strict=True):
+        common = keys[f"{FLOWN_PARAMETERS}.{name}"]
+        own = [keys[f"{FLOWN_STATIONS}{number}.{name}"] for number in stations]
+        # a station that states another value is drawn about that
+        single = tuple(key for key in own if spread or key.nominal != common.nominal)
+        parameters.append(_Parameter(deviation, spread, common, single))
+    return EngineDraw(table, parameters)
+
+
+def _nominal(key: Key) -> float:
+    assert isinstance(key.nominal, (int, float))
+    return float(key.nominal)
+
+
+def _cut_normal(quantiles: Array, centre: Array, deviation: float, key: Key) -> Array:
+    """Return the quantiles of a normal distribution about each centre, cut off at its ends and at the key's bounds."""
+    if not deviation:
+        return centre
+    from scipy.special import ndtr, ndtri
+
+    low = ndtr(np.maximum((key.low - centre) / deviation, -CUT))
+    high = ndtr(np.minimum((key.high - centre) / deviation, CUT))
+    drawn = centre + deviation * ndtri(low + quantiles * (high - low))
+    return np.asarray(np.clip(drawn, key.low, key.high))  # rounding may have left the bounds by a bit
+
+
+def _fit(drawn: Array, key: Key) -> list[Value]:
+    """Return what was drawn as the key takes it: whole numbers within the bounds where it counts something."""
+    if key.kind != "int":
+        return list(drawn.tolist())
+    low = ceil(key.low) if isfinite(key.low) else -inf
+    high = floor(key.high) if isfinite(key.high) else inf
+    return [int(min(max(floor(value + 0.5), low), high)) for value in drawn.tolist()]
