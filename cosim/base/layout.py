@@ -41,6 +41,21 @@ class HingeAxis(NamedTuple):
     effect: float = 1.0  # angle of the thrust over that of the hinge, of what it deflects
 
 
+class TurnedHinge(NamedTuple):
+    """A hinge of a jet as it stands: its number from 0, its effect on the thrust's angle, whether it carries the jet.
+
+    ``axis`` (unit, body) is what the thrust turns about, ``station_axis`` through ``point`` [m] what the station does:
+    a deflecting hinge between body and hinge turns the thrust alone, and so the first and not the second.
+    """
+
+    number: int
+    effect: float
+    carries: bool
+    axis: Vector3
+    station_axis: Vector3
+    point: Vector3
+
+
 def rotate_about(axis: Vector3, angle: float, vector: Vector3) -> Vector3:
     """Return ``vector`` turned about the unit vector ``axis`` by ``angle`` rad, right-handed: Rodrigues' formula."""
     x, y, z = axis
@@ -149,20 +164,22 @@ class Layout:
             result.append(position)
         return result
 
-    def hinge_axes(self, angles: Sequence[float], jet: int) -> list[tuple[int, float, bool, Vector3, Vector3]]:
-        """Return the hinges of a jet at ``angles`` rad: number, effect, whether it carries, axis and point of each."""
+    def hinge_axes(self, angles: Sequence[float], jet: int) -> list[TurnedHinge]:
+        """Return the hinges of a jet at ``angles`` rad, from the body outwards."""
         chain, carriers = self.chains[jet], self._carriers[jet]
         result = []
         for index, (number, effect) in enumerate(chain):
             axis, point = self.turns[number].axis, self.turns[number].point
+            station_axis = axis
             for outer, outer_effect in reversed(chain[:index]):
-                axis = rotate_about(self.turns[outer].axis, outer_effect * angles[outer], axis)
+                about, angle = self.turns[outer].axis, outer_effect * angles[outer]
+                axis = rotate_about(about, angle, axis)
                 if outer in carriers:
-                    other = self.turns[outer]
-                    px, py, pz = other.point
-                    x, y, z = rotate_about(other.axis, angles[outer], (point[0] - px, point[1] - py, point[2] - pz))
+                    station_axis = rotate_about(about, angle, station_axis)
+                    px, py, pz = self.turns[outer].point
+                    x, y, z = rotate_about(about, angle, (point[0] - px, point[1] - py, point[2] - pz))
                     point = (px + x, py + y, pz + z)
-            result.append((number, effect, number in carriers, axis, point))
+            result.append(TurnedHinge(number, effect, number in carriers, axis, station_axis, point))
         return result
 
     def wrench(self, thrust: Sequence[float], angles: Sequence[float]) -> tuple[Vector3, Vector3]:

@@ -270,15 +270,15 @@ class Reach:
         for jet, group in enumerate(layout.groups):
             axis, twist = axes[group], layout.stations[jet].twist
             columns.append([*axis, *_moment(positions[jet], axis, twist)])
-            for number, effect, carries, about, (px, py, pz) in layout.hinge_axes(angles, jet):
+            for hinge in layout.hinge_axes(angles, jet):
                 # the thrust turns with the hinge, and the station where it is carried
-                fx, fy, fz = cross(about, axis)
-                force = (effect * fx, effect * fy, effect * fz)
+                fx, fy, fz = cross(hinge.axis, axis)
+                force = (hinge.effect * fx, hinge.effect * fy, hinge.effect * fz)
                 change = np.array([*force, *_moment(positions[jet], force, twist)])
-                if carries:
-                    x, y, z = positions[jet]
-                    change[3:] += cross(cross(about, (x - px, y - py, z - pz)), axis)
-                turns[:, number] += thrust[jet] * change
+                if hinge.carries:
+                    (x, y, z), (px, py, pz) = positions[jet], hinge.point
+                    change[3:] += cross(cross(hinge.station_axis, (x - px, y - py, z - pz)), axis)
+                turns[:, hinge.number] += thrust[jet] * change
         return np.array(columns).T, turns
 
 

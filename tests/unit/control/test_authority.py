@@ -45,6 +45,20 @@ def layout(seed: int) -> Layout:
     )
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_the_change_by_each_hinge_is_that_of_finite_differences(seed: int) -> None:
+    # with odd seeds a hinge that deflects stands between the body and one that carries
+    made, rng = layout(seed), np.random.default_rng(seed)
+    thrust, angles = rng.uniform(1.0, 3.0, 3), rng.uniform(-1.0, 1.0, 4)
+    reach = Reach(made, [0.0] * 3, [3.0] * 3, [(-1.0, 1.0)] * 4, [0.0] * 4, WEIGHT)
+    _, turns = reach._linear(thrust, angles)
+    small = 1e-5 * np.eye(4)
+    for hinge in range(4):
+        ends = [made.wrench(thrust.tolist(), (angles + sign * small[hinge]).tolist()) for sign in (1.0, -1.0)]
+        above, below = (np.concatenate(end) for end in ends)
+        assert turns[:, hinge] == pytest.approx((above - below) / 2e-5, abs=1e-8)
+
+
 @given(seed=st.integers(0, 10**6))
 def test_no_thrusts_and_angles_give_more_than_the_hull(seed: int) -> None:
     made, rng = layout(seed), np.random.default_rng(seed)
