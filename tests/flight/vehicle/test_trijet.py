@@ -71,7 +71,7 @@ def test_each_kind_of_engine_swallows_its_own_air() -> None:
     assert moment == pytest.approx((jet.intake_m * pushes[0] + fan.intake_m * pushes[2], 0.0, 0.0), rel=1e-12)
     alone = IntakeDrag(None, VEHICLE.jets, VEHICLE.hinges)  # the fan states its own
     forces, _ = acted(alone, [ZERO3] * 3, (0.0,) * 4, thrust, wind=(0.0, 8.0, 0.0))
-    assert alone.any
+    assert alone.is_active
     assert [y for _, y, _ in forces] == pytest.approx([0.0, 0.0, pushes[2]], rel=1e-12)
 
 

@@ -61,9 +61,9 @@ def log_maker() -> None:
     store = LogStore(lambda: [run])
     try:
         end = time.monotonic() + PATIENCE
-        store.look(0.0)
-        while (store.looking or store.making) and time.monotonic() < end:
-            store.work(0.0)
+        store.search(0.0)
+        while (store.is_searching or store.is_converting) and time.monotonic() < end:
+            store.poll(0.0)
             time.sleep(0.01)
         assert [bool(log.file and log.file.size) for log in store.logs] == [True]
     finally:
