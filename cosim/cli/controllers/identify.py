@@ -12,6 +12,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.cli import opt
 from cosim.cli.console import output_to_stderr, say, show_table
+from cosim.cli.controllers.bench import identify_bench
 from cosim.cli.options import DONE, FLIGHT_FAILED, example
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 @click.group()
 def identify() -> None:
-    """Sweep an engine or an axis in flight, or take a flight's log, and fit a model with a delay."""
+    """Sweep an engine or an axis in flight, or take a log of a flight or a bench, and fit a model with a delay."""
 
 
 class Sweep(opt.Output):
@@ -107,6 +108,7 @@ def _axis_command(axis: str) -> None:
 
 for _axis in AXES:
     _axis_command(_axis)
+identify.add_command(identify_bench)
 
 
 def _finish_identification(identification: Identification, name: str, output: opt.Output) -> int:
@@ -167,7 +169,7 @@ def identify_from_log(options: FromLog) -> int:
 
 def _identify_log(log: FlightLog, options: FromLog) -> int:
     from cosim.base.storage.toml import parse_numbers
-    from cosim.identify.logs import LogSignals, signals_of
+    from cosim.identify.logs import LogSignals, signals_of, unit_of
     from cosim.identify.prediction_error.identify_log import identify_log
     from cosim.identify.prediction_error.result import write
 
@@ -178,9 +180,8 @@ def _identify_log(log: FlightLog, options: FromLog) -> int:
         raise InputError("--lags 0: an axis has one at least")
     subject = axis or f"engine:{number}"
     if command_text and output_text:
-        signals = LogSignals(
-            command_text, output_text, options.setpoint_text or "", "command", "rad/s" if axis else "output"
-        )
+        unit = "rad/s" if axis else unit_of(output_text, log.signal(output_text).unit) or "output"
+        signals = LogSignals(command_text, output_text, options.setpoint_text or "", "command", unit)
     elif command_text or output_text:
         raise InputError("--command and --output: both or none")
     else:
@@ -222,6 +223,8 @@ def print_from_log(identified: LogIdentification, paths: dict[str, Path]) -> Non
     _show_side_by_side([estimate.form.label for estimate in identified.estimates], rows(identified))
     for note in identified.notes:
         say(f"note: {note}")
+    if identified.engine and "engine" not in paths:
+        say(f"no engine: the output is in {identified.signals.output_unit}, and an engine's is a thrust in N")
     for name in ("model", "engine", "report"):
         if name in paths:
             say(f"{name}: {paths[name]}", wrap=False)

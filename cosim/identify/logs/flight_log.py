@@ -16,6 +16,7 @@ from cosim.base.errors import InputError, nearest
 _QUOTED = r"""'[^']*'|"[^"]*\""""
 _NAME = rf"(?:deg|square)\(\s*(?:{_QUOTED})\s*\)|{_QUOTED}|[A-Za-z_][^\s+*'\"]*"
 _TERM = re.compile(rf"\s*([+-])?\s*(?:([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*\*\s*)?({_NAME})")
+UNIT_AT_END = re.compile(r"(?:.*_)?(N|kN|mN|kgf|gf|lbf|rpm|krpm|V|percent|pct|us)")
 DEGREE = np.pi / 180.0
 SEARCHED = 2**16  # bytes of a file in which the head of a log is looked for, behind what does not belong to it
 LEAST_SHARED = 0.5  # of the rows of the shorter of two channels: with fewer equal stamps they are of two clocks
@@ -177,3 +178,11 @@ def terms(text: str) -> list[tuple[float, str]]:
     if not summands:
         raise InputError("a channel, or a sum of channels, is needed")
     return summands
+
+
+def unit_of(name: str, unit: str) -> str:
+    """Return a channel's unit, by its log or by the end of its name; "" where neither says one."""
+    if unit:
+        return {"%": "percent", "pct": "percent"}.get(unit, unit)
+    match = UNIT_AT_END.fullmatch(name)
+    return {"pct": "percent"}.get(match.group(1), match.group(1)) if match else ""

@@ -205,7 +205,7 @@ def test_valgrind_finds_nothing(name: str, driver: tuple[int, Path], tmp_path: P
 
 
 # one engine for each C source: the others are the same code with other numbers
-@pytest.mark.parametrize("name", ["edf-as-flown", "p220", "p220-2025", "turbine-100"])
+@pytest.mark.parametrize("name", ["edf-as-flown", "fitted", "p220", "p220-2025", "turbine-100"])
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_the_sanitizers_find_nothing(name: str, fmi: int, tmp_path: Path) -> None:
     fmpy.extract(str(archive(name, fmi)), str(tmp_path))
@@ -218,7 +218,7 @@ def test_the_sanitizers_find_nothing(name: str, fmi: int, tmp_path: Path) -> Non
     assert len(done.stdout.splitlines()) == len(arguments(name, fmi, library)) - 7
 
 
-@pytest.mark.parametrize("name", ["edf", "p220", "p220-2025", "turbine-220"])
+@pytest.mark.parametrize("name", ["edf", "fitted", "p220", "p220-2025", "turbine-220"])
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_the_sources_compile_without_a_warning(name: str, fmi: int, tmp_path: Path) -> None:
     fmpy.extract(str(archive(name, fmi)), str(tmp_path))

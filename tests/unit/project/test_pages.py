@@ -70,6 +70,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "benchmarks/README.md": ("test_pages.py",),
     "docs/accuracy.md": ("marks", "test_accuracy.py"),
     "docs/api.md": ("marks", "test_docstrings.py"),
+    "docs/bench.md": ("test_identify_bench.py",),
     "docs/autopilots.md": ("test_adapters.py", "test_arducopter.py", "test_betaflight.py", "test_lockstep.py"),
     "docs/benchmarks.md": ("marks", "test_bench.py", "test_flight_page.py"),
     "docs/campaigns.md": ("test_pages.py", "test_campaign_docs.py", "test_campaign_limits.py"),
@@ -119,6 +120,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "engines/README.md": ("test_pages.py",),
     "engines/edf/README.md": ("test_pages.py",),
     "engines/edf-as-flown/README.md": ("test_pages.py",),
+    "engines/fitted/README.md": ("test_engine_fitted.py",),
     "engines/motor/README.md": ("test_pages.py",),
     "engines/p220/README.md": ("test_pages.py", "test_engine_p220.py"),
     "engines/p220-2025/README.md": ("test_engine_p220_2025.py",),
@@ -662,7 +664,7 @@ def ends(name: str, folder: Path) -> list[float]:
     return found
 
 
-@pytest.mark.parametrize("name", [*LINEAR, "p220", "p220-2025", *TURBINES])
+@pytest.mark.parametrize("name", [*LINEAR, "p220", "p220-2025", *TURBINES, "fitted"])
 def test_the_table_of_engines(name: str, tmp_path: Path) -> None:
     """Delay, lag at half throttle, thrust from idle to full."""
     _, late, lag, thrust = rows(ENGINES, 5)[f"[`{name}`]({name}/README.md)"]

@@ -1,0 +1,81 @@
+"""hexjet identify bench: an engine out of its bench logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from cosim.cli import opt
+from cosim.cli.console import output_to_stderr, say, show_table
+from cosim.cli.options import DONE, example
+
+if TYPE_CHECKING:
+    from cosim.identify.bench import BenchIdentification
+
+
+class Bench(opt.LogPart, opt.Output):
+    """Options of ``hexjet identify bench``."""
+
+    logs: tuple[Path, ...] = opt.argument(metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+    command_text = opt.word("--command", "SUM", "Throttle or set-point.  [default: the column called so]")
+    output_text = opt.word("--output", "SUM", "Thrust or speed.  [default: the column called so]")
+    limits: tuple[float, float] | None = opt.option(
+        "--range", type=(opt.Number(), opt.Number()), metavar="LOW HIGH", help="What throttle 0 and 1 are in the log."
+    )
+    between = opt.choice(
+        "--between", ("auto", "held", "straight"), "What the command does between two rows.", default="auto"
+    )
+    longest_delay = opt.number("--longest-delay", "S", "Looked for.", min=0.0, max=4.0, min_open=True, default=2.0)
+    time_column, time_unit, begin, end = opt.LOG_PART
+    out = opt.OUT
+    as_json = opt.JSON
+
+
+@click.command("bench", epilog=example("hexjet identify bench bench.csv --out my-engine"))
+@opt.takes(Bench)
+def identify_bench(options: Bench) -> int:
+    """Identify an engine from its bench logs: delay, one lag or two, gain, static curve, with bounds.
+
+    Reads CSV and Parquet: steps, staircases, ramps, chirps, whatever moved the throttle.  Leaves a page,
+    identification.json and, of a thrust in N, an engine with its uncertainty.  Says what the logs do not tell, and the
+    next test.  Several logs are taken for one engine's.  Status 1: the logs do not tell.
+    """
+    from cosim.base.runtime.threads import one_thread
+
+    one_thread()
+    from cosim.identify.bench import Choices, Columns, read_records
+    from cosim.identify.bench import identify_bench as identify
+    from cosim.identify.bench.result import write
+
+    columns = Columns(
+        options.command_text, options.output_text, options.time_column, options.time_unit, options.begin, options.end
+    )
+    with output_to_stderr(options.as_json):
+        found = identify(read_records(options.logs, columns), Choices(*_choices(options)))
+        paths = write(found, options.run_folder("identify-bench"))
+    options.answer(found.to_dict, lambda: print_bench(found, paths))
+    return DONE
+
+
+def _choices(options: Bench) -> tuple[tuple[float, float] | None, str, float]:
+    return options.limits, options.between, options.longest_delay
+
+
+def print_bench(found: BenchIdentification, paths: dict[str, Path]) -> None:
+    """Print the forms beside each other, what is to be said of them, what the log does not tell, and the files."""
+    from cosim.identify.bench.result import rows, summary, why_no_engine
+
+    say(summary(found))
+    labels = [estimate.form.label for estimate in found.estimates[:2]]
+    show_table(("with 95 % bounds", *labels), [row[:3] for row in rows(found)], range(1, 1 + len(labels)))
+    for note in found.notes:
+        say(f"note: {note}")
+    for line in found.untold:
+        say(f"not told: {line}")
+    if reason := why_no_engine(found):
+        say(f"no engine: {reason}")
+    for name in ("engine", "report"):
+        if name in paths:
+            say(f"{name}: {paths[name]}", wrap=False)

@@ -1,0 +1,408 @@
+"""Output-error fit of a bench log: a static curve, a dead time and lags, behind noise that remembers itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.arrays import Array
+from cosim.identify.bench.command import LARGEST_RATIO, Command, make_command
+from cosim.identify.bench.record import BenchRecord
+
+CHI2_95 = 3.841458820694124  # one parameter: by how much the deviance rises to the end of a 95 % bound
+EXPONENTS = (0.2, 6.0)
+LONGEST_MEMORY = 0.9999  # of the noise from one row to the next
+ROUNDS = 3  # of fit and memory of the noise in turn
+SMALLEST_NOISE = 1e-9  # of the output's swing: below it is rounding
+COARSE_ROWS = 1500  # of all logs, in the search for where to begin
+COARSE_LAGS, COARSE_DELAYS = 12, 40
+STARTS = 3
+MEMORY_TOLD = 2.0  # standard errors of an autocorrelation up to which it is nothing
+HALVINGS = 9  # of the interval in which the end of a bound lies
+
+
+class Form(NamedTuple):
+    """What is fitted: one lag or two, the static curve straight or with an exponent."""
+
+    lags: int = 1
+    curve: bool = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters that are searched for."""
+        return ("delay_s", "lag_s", *(("ratio",) if self.lags == 2 else ()), *(("exponent",) if self.curve else ()))
+
+    @property
+    def label(self) -> str:
+        """The form in words."""
+        return ("delay and one lag" if self.lags == 1 else "delay and two lags") + (", curve" if self.curve else "")
+
+    def split(self, x: Array) -> tuple[float, float, float, float]:
+        """Return delay [s], lag [s], ratio of a second lag to it, and the curve's exponent."""
+        ratio = float(x[2]) if self.lags == 2 else 0.0
+        return float(x[0]), float(x[1]), ratio, float(x[-1]) if self.curve else 1.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One form, fitted; ``covariance`` is that of ``x``, then of the gain, then of each log's offset."""
+
+    form: Form
+    x: Array
+    gain: float
+    offsets: Array
+    drifts: Array  # output's unit a second; 0 where none is looked for
+    covariance: Array
+    memory: float
+    loss: float
+    rows: int
+    deviance: float
+    parameters: int
+    delay_bounds: tuple[float, float] = (float("nan"), float("nan"))
+
+    @property
+    def bic(self) -> float:
+        """Schwarz' criterion."""
+        return self.deviance + self.parameters * float(np.log(self.rows))
+
+    @property
+    def delay(self) -> float:
+        """Dead time, s."""
+        return float(self.x[0])
+
+    def deviation(self, index: int) -> float:
+        """Return the standard deviation of a parameter of ``x``, or of the gain behind them."""
+        return float(np.sqrt(max(self.covariance[index, index], 0.0)))
+
+    @property
+    def lags(self) -> tuple[float, ...]:
+        """Lags, s, the longer first."""
+        _, lag, ratio, _ = self.form.split(self.x)
+        return (lag, ratio * lag) if self.form.lags == 2 else (lag,)
+
+    @property
+    def total(self) -> tuple[float, float]:
+        """Delay and lags together, s, and their standard deviation."""
+        _, lag, ratio, _ = self.form.split(self.x)
+        slope = np.zeros(len(self.covariance))
+        slope[:2] = 1.0, 1.0 + ratio
+        if self.form.lags == 2:
+            slope[2] = lag
+        return self.delay + sum(self.lags), float(np.sqrt(max(float(slope @ self.covariance @ slope), 0.0)))
+
+
+@dataclass(frozen=True)
+class Part:
+    """Rows of one log that count, with its command as a share of the throttle's range."""
+
+    command_times: Array
+    command: Array
+    times: Array
+    output: Array
+    step: float
+    straight: bool
+
+    def piecewise(self, exponent: float) -> Command:
+        """Return the command behind the static curve."""
+        known = self._commands
+        if exponent not in known:
+            values = self.command if exponent == 1.0 else np.maximum(self.command, 0.0) ** exponent
+            known.clear()
+            known[exponent] = make_command(self.command_times, values, self.straight)
+        return known[exponent]
+
+    @cached_property
+    def _commands(self) -> dict[float, Command]:
+        return {}
+
+    def chosen(self, use: NDArray[Any]) -> Part:
+        """Return it with some of its rows."""
+        return Part(self.command_times, self.command, self.times[use], self.output[use], self.step, self.straight)
+
+
+def part_of(record: BenchRecord, limits: tuple[float, float], straight: bool) -> Part:
+    """Return a log with its command as a share of a range."""
+    low, high = limits
+    command = (record.command - low) / (high - low)
+    times = record.command_times if straight else _between_lost_rows(record.command_times, command)
+    return Part(times, command, record.times, record.output, record.step, straight)
+
+
+def _between_lost_rows(times: Array, command: Array) -> Array:
+    """Return a held command's times, a movement behind lost rows in the middle of where it may have been."""
+    gap = np.diff(times, prepend=times[0])
+    row = float(np.median(gap[1:]))
+    unknown = (gap > 1.5 * row) & (np.diff(command, prepend=command[0]) != 0.0)
+    return np.asarray(times - np.where(unknown, 0.5 * (gap - row), 0.0))
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Logs of one engine, fitted together: what each form leaves over of them."""
+
+    parts: Sequence[Part]
+    longest_delay: float
+    drift: bool = False
+    _spans: list[slice] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        ends = np.cumsum([0, *(len(part.times) for part in self.parts)])
+        self._spans.extend(slice(int(a), int(b)) for a, b in pairwise(ends))
+
+    @cached_property
+    def output(self) -> Array:
+        """All logs' output, one behind the other."""
+        return np.concatenate([part.output for part in self.parts])
+
+    @cached_property
+    def floor(self) -> float:
+        """Least sum of squares that means anything."""
+        return len(self.output) * (SMALLEST_NOISE * max(float(np.ptp(self.output)), 1e-300)) ** 2
+
+    def regressors(self, form: Form, x: Array) -> Array:
+        """Return the columns that gain, offsets, starts and drifts multiply; rows as ``output``."""
+        delay, lag, ratio, exponent = form.split(x)
+        count = len(self.parts)
+        columns = np.zeros((len(self.output), 1 + (3 if self.drift else 2) * count))
+        for n, (part, span) in enumerate(zip(self.parts, self._spans, strict=True)):
+            at = part.times - delay
+            command = part.piecewise(exponent)
+            columns[span, 0] = command.twice_lagged(lag, ratio, at) if ratio else command.lagged(lag, at)
+            columns[span, 1 + n] = 1.0
+            columns[span, 1 + count + n] = np.exp(-(part.times - part.times[0]) / lag)
+            if self.drift:
+                columns[span, 1 + 2 * count + n] = part.times - part.times.mean()
+        return columns
+
+    def whiten(self, rows: Array, memory: float) -> Array:
+        """Return rows less what the row before says of them, all of one size; gaps make that less."""
+        white = np.empty_like(rows)
+        for part, span in zip(self.parts, self._spans, strict=True):
+            kept, scale = _kept(part, memory)
+            own = rows[span]
+            shape = (-1,) + (1,) * (own.ndim - 1)
+            white[span] = own
+            white[span][1:] -= kept.reshape(shape) * own[:-1]
+            white[span][1:] /= scale.reshape(shape)
+            white[span][0] *= np.sqrt(1.0 - memory**2)
+        return white
+
+    def scales(self, memory: float) -> float:
+        """Return what the whitening adds to the deviance."""
+        total = 0.0
+        for part in self.parts:
+            total += 2.0 * float(np.log(_kept(part, memory)[1]).sum()) - float(np.log(1.0 - memory**2))
+        return total
+
+    def memory_of(self, residual: Array) -> float:
+        """Return the correlation of a residual with the row before, of rows that follow each other."""
+        above = below = 0.0
+        for part, span in zip(self.parts, self._spans, strict=True):
+            own = residual[span]
+            near = np.diff(part.times) < 1.5 * part.step
+            above += float((own[1:] * own[:-1])[near].sum())
+            below += float((0.5 * (own[1:] ** 2 + own[:-1] ** 2))[near].sum())
+        return float(np.clip(above / below, 0.0, LONGEST_MEMORY)) if below > 0.0 else 0.0
+
+    def shares(self, form: Form, x: Array, memory: float) -> tuple[Array, Array]:
+        """Return the linear parameters that suit ``x`` best, and what is left over, made white."""
+        matrix = self.whiten(self.regressors(form, x), memory)
+        output = self.whiten(self.output, memory)
+        linear = np.linalg.lstsq(matrix, output, rcond=1e-12)[0]
+        return np.asarray(linear), np.asarray(output - matrix @ linear)
+
+    def residual(self, estimate: Estimate) -> Array:
+        """Return what an estimate leaves over of the output, in its unit."""
+        matrix = self.regressors(estimate.form, estimate.x)
+        linear = np.linalg.lstsq(self.whiten(matrix, estimate.memory), self.whiten(self.output, estimate.memory))[0]
+        return np.asarray(self.output - matrix @ linear)
+
+    def limits(self, form: Form) -> tuple[Array, Array]:
+        """Return the least and the greatest of each parameter that is searched for."""
+        step = min(part.step for part in self.parts)
+        span = max(float(part.times[-1] - part.times[0]) for part in self.parts)
+        low, high = [0.0, 0.05 * step], [self.longest_delay, span]
+        if form.lags == 2:
+            low, high = [*low, 0.0], [*high, LARGEST_RATIO]
+        if form.curve:
+            low, high = [*low, EXPONENTS[0]], [*high, EXPONENTS[1]]
+        return np.array(low), np.array(high)
+
+
+def _kept(part: Part, memory: float) -> tuple[Array, Array]:
+    """Return what each row keeps of the noise of the one before, and the size of what is new in it, relative."""
+    if memory == 0.0:
+        return np.zeros(len(part.times) - 1), np.ones(len(part.times) - 1)
+    kept = memory ** (np.diff(part.times) / part.step)
+    return kept, np.sqrt((1.0 - kept**2) / (1.0 - memory**2))
+
+
+def fit(problem: Problem, form: Form, near: Estimate | None = None) -> Estimate:
+    """Fit one form; from ``near``, a simpler one, or from a search over all delays and lags."""
+    starts = _starts(problem) if near is None else [near.x[:2]]
+    memory = 0.0 if near is None else near.memory
+    best = min((_solve(problem, form, _complete(form, start), memory) for start in starts), key=lambda one: one[1])[0]
+    if form.lags == 2:
+        others = [np.array([max(best[0] - 0.3 * best[1], 0.0), 0.7 * best[1], 0.5, *best[3:]])]
+        tried = [_solve(problem, form, x, memory) for x in (best, *others)]
+        best = min(tried, key=lambda one: one[1])[0]
+    for _ in range(ROUNDS):
+        linear = problem.shares(form, best, memory)[0]
+        memory = problem.memory_of(problem.output - problem.regressors(form, best) @ linear)
+        best = _solve(problem, form, best, memory)[0]
+    return _estimate(problem, form, best, memory)
+
+
+def _complete(form: Form, start: Array) -> Array:
+    return np.array([*start[:2], *((0.2,) if form.lags == 2 else ()), *((1.0,) if form.curve else ())])
+
+
+def _starts(problem: Problem) -> list[Array]:
+    """Return the delays and lags with which the rows, thinned, are best explained."""
+    every = max(1, len(problem.output) // COARSE_ROWS)
+    thin = [part.chosen(np.arange(0, len(part.times), every)) for part in problem.parts]
+    coarse = Problem(thin, problem.longest_delay, problem.drift)
+    low, high = problem.limits(Form())
+    lags = np.geomspace(max(low[1], 2e-3), 0.5 * high[1], COARSE_LAGS)
+    delays = np.concatenate([[0.0], np.geomspace(0.02 * high[0], 0.95 * high[0], COARSE_DELAYS)])
+    found = []
+    for lag in lags:
+        losses = [float(np.sum(coarse.shares(Form(), np.array([d, lag]), 0.0)[1] ** 2)) for d in delays]
+        best = int(np.argmin(losses))
+        found.append((losses[best], np.array([delays[best], lag])))
+    return [x for _, x in sorted(found, key=lambda one: one[0])[:STARTS]]
+
+
+def _solve(
+    problem: Problem, form: Form, start: Array, memory: float, delay: float | None = None
+) -> tuple[Array, float]:
+    """Return the parameters nearest ``start`` that leave least, and what they leave; ``delay`` [s] is kept."""
+    from scipy.optimize import least_squares
+
+    low, high = problem.limits(form)
+    free = np.arange(len(start)) >= (0 if delay is None else 1)
+    x = start.copy()
+    if delay is not None:
+        x[0] = delay
+    size = np.sqrt(max(problem.floor / len(problem.output), 1e-300))
+
+    def left(values: Array) -> Array:
+        x[free] = values
+        return np.asarray(problem.shares(form, x, memory)[1] / size)
+
+    inside = np.clip(x, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+    scale = np.maximum(0.1 * np.abs(inside), 1e-3 * (high - low))
+    answer = least_squares(
+        left, inside[free], bounds=(low[free], high[free]), x_scale=scale[free], xtol=1e-10, ftol=1e-12, max_nfev=60
+    )
+    x[free] = answer.x
+    return x.copy(), max(float(2.0 * answer.cost) * size**2, problem.floor)
+
+
+def _estimate(problem: Problem, form: Form, x: Array, memory: float) -> Estimate:
+    linear, white = problem.shares(form, x, memory)
+    rows, count = len(white), len(problem.parts)
+    loss = max(float(white @ white), problem.floor)
+    matrix = problem.whiten(problem.regressors(form, x), memory)
+    jacobian = np.column_stack([_slopes(problem, form, x, memory, linear), matrix])
+    covariance = loss / max(rows - jacobian.shape[1], 1) * _inverse(jacobian.T @ jacobian)
+    wider = _robust_factor(jacobian, white, covariance, memory_rows(white))
+    covariance = covariance * np.outer(wider, wider)
+    keep = np.arange(len(x) + 1 + count)
+    parameters = jacobian.shape[1] + 2
+    deviance = rows * float(np.log(loss / rows)) + problem.scales(memory)
+    drifts = linear[1 + 2 * count :] if problem.drift else np.zeros(count)
+    return Estimate(
+        form, x, float(linear[0]), linear[1 : 1 + count], drifts, covariance[np.ix_(keep, keep)],
+        memory, loss, rows, deviance, parameters,
+    )  # fmt: skip
+
+
+def _inverse(matrix: Array) -> Array:
+    """Return the inverse of normal equations whose columns are of very different size."""
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.asarray(np.linalg.pinv(matrix / np.outer(size, size), rcond=1e-13, hermitian=True) / np.outer(size, size))
+
+
+def _slopes(problem: Problem, form: Form, x: Array, memory: float, linear: Array) -> Array:
+    low, high = problem.limits(form)
+    widths = np.maximum(1e-4 * np.abs(x), 1e-6 * (high - low))
+    widths[0] = 0.02 * min(part.step for part in problem.parts)
+    columns = []
+    for i, width in enumerate(widths):
+        above, below = x.copy(), x.copy()
+        above[i], below[i] = min(x[i] + width, high[i]), max(x[i] - width, low[i])
+        change = problem.regressors(form, above) @ linear - problem.regressors(form, below) @ linear
+        columns.append(problem.whiten(change, memory) / (above[i] - below[i]))
+    return np.column_stack(columns)
+
+
+def memory_rows(white: Array) -> int:
+    """Return over how many rows residuals that should be white still remember themselves."""
+    rows = len(white)
+    least = MEMORY_TOLD / np.sqrt(rows)
+    power = float(white @ white)
+    longest = 0
+    for lag in range(1, max(2, rows // 20)):
+        if lag > longest + 20:
+            break
+        if abs(float(white[lag:] @ white[:-lag])) > least * power:
+            longest = lag
+    return longest
+
+
+def _robust_factor(jacobian: Array, white: Array, covariance: Array, memory: int) -> Array:
+    """Return by how much what the residuals really do widens each deviation, at least 1 (Newey and West, 1987)."""
+    if memory == 0:
+        return np.ones(len(covariance))
+    scores = jacobian * white[:, None]
+    spread = scores.T @ scores
+    for lag in range(1, 2 * memory + 1):
+        part = (1.0 - lag / (2.0 * memory + 1.0)) * (scores[lag:].T @ scores[:-lag])
+        spread += part + part.T
+    inverse = _inverse(jacobian.T @ jacobian)
+    robust = np.diag(inverse @ spread @ inverse)
+    return np.asarray(np.sqrt(np.maximum(robust / np.maximum(np.diag(covariance), 1e-300), 1.0)))
+
+
+def plain_factor(problem: Problem, estimate: Estimate) -> float:
+    """Return by how much wider the delay's deviation was made than white residuals would have it."""
+    linear = problem.shares(estimate.form, estimate.x, estimate.memory)[0]
+    matrix = problem.whiten(problem.regressors(estimate.form, estimate.x), estimate.memory)
+    slopes = _slopes(problem, estimate.form, estimate.x, estimate.memory, linear)
+    jacobian = np.column_stack([slopes, matrix])
+    plain = estimate.loss / estimate.rows * _inverse(jacobian.T @ jacobian)[0, 0]
+    return float(max(estimate.deviation(0) / np.sqrt(max(plain, 1e-300)), 1.0))
+
+
+def bound_delay(problem: Problem, estimate: Estimate) -> tuple[float, float]:
+    """Return 95 % bounds of the delay [s] by its profile likelihood, between 0 and the longest that is looked for."""
+    rise = CHI2_95 * plain_factor(problem, estimate) ** 2
+    low, high = problem.limits(estimate.form)
+
+    def above(delay: float, start: Array) -> tuple[float, Array]:
+        x, loss = _solve(problem, estimate.form, start, estimate.memory, delay)
+        return estimate.rows * float(np.log(loss / estimate.loss)) - rise, x
+
+    ends = []
+    width = max(1.5 * estimate.deviation(0), 1e-3 * min(part.step for part in problem.parts))
+    for sign, limit in ((-1.0, float(low[0])), (1.0, float(high[0]))):
+        inside, outside, x, step = estimate.delay, estimate.delay, estimate.x, width
+        over = False
+        while not over and outside != limit:
+            inside, outside = outside, float(np.clip(outside + sign * step, low[0], high[0]))
+            value, found = above(outside, x)
+            over, step = value > 0.0, 2.0 * step
+            x = x if over else found
+        for _ in range(HALVINGS if over else 0):
+            middle = 0.5 * (inside + outside)
+            value, found = above(middle, x)
+            inside, outside = (inside, middle) if value > 0.0 else (middle, outside)
+        ends.append(outside)
+    return ends[0], ends[1]

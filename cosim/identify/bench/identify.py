@@ -1,0 +1,280 @@
+"""A model of an engine out of its bench logs: the form by evidence, how sure each number is, and what is not told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cosim.base.errors import InputError, NotIdentifiedError
+from cosim.identify.bench.command import moves_on
+from cosim.identify.bench.evidence import Misfit, predict_held_back, test_residuals
+from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, part_of
+from cosim.identify.bench.record import BenchRecord
+from cosim.identify.bench.untold import say_untold
+
+LONGEST_DELAY_S = 2.0
+LEAST_DEVIANCE_FALL = 30.0  # that the command is worth, as of a flight's log
+LEAST_LEVELS = 3  # of the command, from which on a curve can be told from a straight line
+APART = 3.29  # standard deviations by which logs of one engine may differ: p = 0.001
+LONG_RANGE = 100.5  # up to which a throttle without a unit is taken for percent
+UNIT_RANGE = 1.05  # and up to which for a share of full throttle
+CLEAR = 10.0  # by which Schwarz' criterion has to fall for a zero that drifts
+POOR_PREDICTION = 1.5  # times the residual of what was fitted, above which the part held back is ill explained
+
+
+class Choices(NamedTuple):
+    """What a user may state of bench logs."""
+
+    limits: tuple[float, float] | None = None  # of the command: what throttle 0 and 1 are
+    between: str = "auto"  # rows, the command is: "held", "straight", or "auto": by how it moves
+    longest_delay: float = LONGEST_DELAY_S
+
+
+@dataclass(frozen=True)
+class BenchIdentification:
+    """What bench logs tell of an engine; ``estimates`` has the chosen form first."""
+
+    records: tuple[BenchRecord, ...]
+    problem: Problem
+    limits: tuple[float, float]
+    limits_known: bool
+    straight: bool
+    estimates: tuple[Estimate, ...]
+    misfit: Misfit
+    held_back: tuple[float, float] | None  # rms of what was fitted, and of what was not
+    spread: dict[str, float]  # standard deviations between several logs, of what one engine would have alike
+    notes: tuple[str, ...]
+    untold: tuple[str, ...]
+
+    @property
+    def chosen(self) -> Estimate:
+        """The form that the evidence chooses."""
+        return self.estimates[0]
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether what is left over no longer follows the command."""
+        return not self.misfit.failed
+
+    @property
+    def offset(self) -> float:
+        """Output at throttle 0, the mean of all logs."""
+        return float(np.mean(self.chosen.offsets))
+
+    @property
+    def residual_rms(self) -> float:
+        """Root mean square of what is left over, in the output's unit."""
+        return float(np.sqrt(np.mean(self.problem.residual(self.chosen) ** 2)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything but the signals, for JSON."""
+        first = self.records[0]
+        return {
+            "logs": [str(record.path) for record in self.records],
+            "command": first.command_name,
+            "output": first.output_name,
+            "command_unit": first.command_unit,
+            "output_unit": first.output_unit,
+            "throttle_range": list(self.limits),
+            "throttle_range_known": self.limits_known,
+            "between_rows": "straight" if self.straight else "held",
+            "row_s": max(record.step for record in self.records),
+            "lost_fraction": max(record.lost_fraction for record in self.records),
+            "explained": self.is_explained,
+            "misfit": self.misfit._asdict() | {"failed": self.misfit.failed},
+            "residual_rms": self.residual_rms,
+            "held_back_rms": None if self.held_back is None else list(self.held_back),
+            "delay_s": self.chosen.delay,
+            "delay_bounds_95_s": list(self.chosen.delay_bounds),
+            "estimates": [estimate_dict(estimate) for estimate in self.estimates],
+            "spread": self.spread,
+            "notes": list(self.notes),
+            "not_told": list(self.untold),
+        }
+
+
+def estimate_dict(estimate: Estimate) -> dict[str, Any]:
+    """Return one form's parameters, standard deviations and criteria, for JSON."""
+    names = (*estimate.form.names, "gain")
+    low, high = estimate.delay_bounds
+    return {
+        "form": estimate.form.label,
+        **{name: float(value) for name, value in zip(names, [*estimate.x, estimate.gain], strict=True)},
+        "offsets": [float(value) for value in estimate.offsets],
+        "standard_deviations": {name: estimate.deviation(i) for i, name in enumerate(names)},
+        "delay_bounds_95_s": [low, high] if np.isfinite(low) else None,
+        "noise_memory": estimate.memory,
+        "rows": estimate.rows,
+        "bic": estimate.bic,
+    }
+
+
+def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = None) -> BenchIdentification:
+    """Identify command to output of an engine's bench logs.
+
+    Raises NotIdentifiedError where the logs do not tell, and InputError for a range that cannot be.
+    """
+    choices = choices or Choices()
+    where = ", ".join(str(record.path) for record in records)
+    for record in records:
+        _check_moves(record)
+    notes = list(dict.fromkeys(note for record in records for note in record.notes))
+    limits, known = _limits(records, choices.limits, notes)
+    straight = _is_straight(records, choices.between, notes)
+    parts = [part_of(record, limits, straight) for record in records]
+    problem = Problem(parts, _longest(records, choices.longest_delay))
+    base = fit(problem, Form())
+    _check_answer(problem, base, where)
+    estimates = _choose(problem, base, records)
+    drifting = Problem(problem.parts, problem.longest_delay, True)
+    other = fit(drifting, estimates[0].form, estimates[0])
+    if other.bic < estimates[0].bic - CLEAR:
+        problem, estimates = drifting, _choose(drifting, fit(drifting, Form(), base), records)
+        rates = ", ".join(f"{value:.3g}" for value in estimates[0].drifts)
+        notes.append(f"the zero drifts, {rates} a second; taken out")
+    chosen = replace(estimates[0], delay_bounds=_delay_bounds(problem, estimates))
+    estimates = (chosen, *estimates[1:])
+    spread, doubts = _compare_logs(problem, chosen, records)
+    misfit = test_residuals(problem, chosen)
+    held_back = predict_held_back(problem, chosen)
+    found = BenchIdentification(
+        tuple(records), problem, limits, known, straight, estimates, misfit, held_back, spread,
+        (*notes, *doubts, *_doubts(chosen, misfit, held_back, records[0])), (),
+    )  # fmt: skip
+    return replace(found, untold=tuple(say_untold(chosen, records, limits, problem.longest_delay, straight)))
+
+
+def _check_moves(record: BenchRecord) -> None:
+    inside = record.command_times <= record.times[-1]
+    if not inside.any() or not np.ptp(record.command[inside]) > 0.0:
+        raise NotIdentifiedError(
+            f"{record.path}: {record.command_name} does not move; step it: a step up and one down, "
+            "each held until the output stands still"
+        )
+    if not np.ptp(record.output) > 0.0:
+        raise NotIdentifiedError(f"{record.path}: {record.output_name} does not move")
+
+
+def _longest(records: Sequence[BenchRecord], longest: float) -> float:
+    span = min(float(record.times[-1] - record.times[0]) for record in records)
+    return min(longest, 0.5 * span)
+
+
+def _limits(
+    records: Sequence[BenchRecord], given: tuple[float, float] | None, notes: list[str]
+) -> tuple[tuple[float, float], bool]:
+    """Return what throttle 0 and 1 are, and whether that is known: as given, by the unit, or by how far it goes."""
+    if given is not None:
+        if not given[1] > given[0]:
+            raise InputError(f"--range {given[0]:g} {given[1]:g}: the second must be above the first")
+        return given, True
+    low = min(float(record.command.min()) for record in records)
+    high = max(float(record.command.max()) for record in records)
+    record = records[0]
+    throttle = "throttle" in record.command_name.lower() or record.command_unit in ("percent", "", "1")
+    if record.command_unit == "percent":
+        return (0.0, 100.0), True
+    if throttle and low >= 0.0 and high <= UNIT_RANGE:
+        return (0.0, 1.0), True
+    if throttle and low >= 0.0 and high <= LONG_RANGE:
+        notes.append(
+            f"{record.command_name} goes from {low:g} to {high:g} and has no unit: taken for percent; "
+            "--range LOW HIGH says what throttle 0 and 1 are"
+        )
+        return (0.0, 100.0), True
+    notes.append(
+        f"what throttle 0 and 1 are is not known ({record.command_name} goes from {low:g} to {high:g}): the gain is "
+        "that of this range, and no engine is left; --range LOW HIGH says it"
+    )
+    return (low, high), False
+
+
+def _is_straight(records: Sequence[BenchRecord], between: str, notes: list[str]) -> bool:
+    if between != "auto":
+        return between == "straight"
+    straight = any(moves_on(record.command) for record in records)
+    if straight:
+        half = 500.0 * max(float(np.median(np.diff(record.command_times))) for record in records)
+        notes.append(
+            f"{records[0].command_name} moves from row to row: taken for straight between rows; if it is held, the "
+            f"delay is {half:.3g} ms less (--between held)"
+        )
+    return straight
+
+
+def _check_answer(problem: Problem, base: Estimate, where: str) -> None:
+    output = problem.output
+    matrix = problem.regressors(base.form, base.x)[:, 1:]
+    linear = np.linalg.lstsq(matrix, output, rcond=None)[0]
+    left = output - matrix @ linear
+    memory = problem.memory_of(left)
+    white = problem.whiten(left, memory)
+    without = len(white) * float(np.log(max(float(white @ white), problem.floor) / len(white)))
+    fall = without + problem.scales(memory) - base.deviance
+    if not fall >= LEAST_DEVIANCE_FALL:
+        raise NotIdentifiedError(
+            f"{where}: the output does not show the command (it lowers the deviance by {fall:.1f}, "
+            f"{LEAST_DEVIANCE_FALL:g} are needed); step it farther, or look at other columns"
+        )
+
+
+def _choose(problem: Problem, base: Estimate, records: Sequence[BenchRecord]) -> tuple[Estimate, ...]:
+    """Return all forms that were tried, the least of Schwarz' criterion first; of a tie the simplest."""
+    estimates = [base, fit(problem, Form(2), base)]
+    levels = {level for record in records for level in np.round(np.unique(record.command), 6)}
+    if len(levels) >= LEAST_LEVELS:
+        curve = fit(problem, Form(1, True), base)
+        estimates += [curve, fit(problem, Form(2, True), curve)]
+    return tuple(sorted(estimates, key=lambda one: one.bic))
+
+
+def _delay_bounds(problem: Problem, estimates: Sequence[Estimate]) -> tuple[float, float]:
+    """Return bounds of the delay, s, by the form with two lags, which contains that with one: no log refutes it."""
+    curve = estimates[0].form.curve
+    return bound_delay(problem, next(one for one in estimates if one.form == Form(2, curve)))
+
+
+def _compare_logs(
+    problem: Problem, chosen: Estimate, records: Sequence[BenchRecord]
+) -> tuple[dict[str, float], list[str]]:
+    """Return how far several logs of one engine are apart, and what is to be said of that."""
+    if len(problem.parts) < 2:
+        return {}, []
+    names = (*chosen.form.names, "gain")
+    alone = [fit(Problem([part], problem.longest_delay, problem.drift), chosen.form, chosen) for part in problem.parts]
+    spread, doubts = {}, []
+    for i, name in enumerate(names):
+        values = np.array([one.gain if name == "gain" else one.x[i] for one in alone])
+        deviations = np.array([one.deviation(i) for one in alone])
+        more = float(np.var(values, ddof=1) - np.mean(deviations**2))
+        spread[name] = float(np.sqrt(max(more, 0.0)))
+        order = np.argsort(values)
+        first, last = int(order[0]), int(order[-1])
+        if values[last] - values[first] > APART * float(np.hypot(deviations[first], deviations[last])):
+            doubts.append(
+                f"{name} is {values[first]:.4g} in {records[first].path.name} and {values[last]:.4g} in "
+                f"{records[last].path.name}, farther apart than noise: two engines, or another day; the spread is kept"
+            )
+    return spread, doubts
+
+
+def _doubts(chosen: Estimate, misfit: Misfit, held_back: tuple[float, float] | None, record: BenchRecord) -> list[str]:
+    doubts = []
+    if chosen.gain < 0.0:
+        doubts.append(
+            f"{record.output_name} falls where {record.command_name} rises; if the load cell's sign is the other one: "
+            f"--output=-{record.output_name}"
+        )
+    if misfit.failed:
+        doubts.append(misfit.words)
+    if held_back is not None and held_back[1] > POOR_PREDICTION * held_back[0]:
+        doubts.append(
+            f"fitted on the first half of the movements it is off by {held_back[1]:.3g} in the second, "
+            f"and by {held_back[0]:.3g} where it was fitted"
+        )
+    if chosen.delay_bounds[0] == 0.0:
+        doubts.append("no delay at all is within the bounds")
+    return doubts

@@ -1,0 +1,211 @@
+"""Bench logs as records of one command and one output, without the rows that are not to be believed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from cosim.identify.logs.flight_log import Channel, FlightLog, unit_of
+from cosim.identify.logs.read import read_flight_log
+
+LEAST_ROWS = 20  # with fewer no noise is told from an answer
+MOST_ROWS = 20_000  # more are averaged, which costs nothing where lags are long
+COMMANDS = (r"throttle", r"pla\b", r"set.?point|demand|target", r"command|cmd", r"pwm|servo")  # the likeliest first
+OUTPUTS = (r"thrust|schub|pouss", r"force|load", r"rpm|speed|\bn1\b|\bn\b")
+NO_OUTPUT = r"clip|flag|set.?point|demand|target|command|cmd|throttle|pump|air.?speed"
+NEWTONS = {"N": 1.0, "kN": 1e3, "mN": 1e-3, "kgf": 9.80665, "gf": 9.80665e-3, "lbf": 4.4482216152605}
+CLIPPED = re.compile(r"(.*[_ ])?clip(ped|s)?", re.IGNORECASE)
+LEAST_CLIPPED = 5  # equal values in a row at the end of an output's range, where its noise repeats no other value
+NOISY = 0.5  # share of an output's values that differ from all others, from which on it is no row of a few levels
+FINE = 20.0  # smallest steps of an output in its usual change: of one that is coarser, values repeat by themselves
+LEAST_REPEATED = 0.005  # share of the rows that repeat the one before, from which on that is no chance
+LONGEST_GAP = 4.0  # rows: what is missing longer is said
+
+
+class Columns(NamedTuple):
+    """Which columns to take, where they are not to be found by name: sums as ``FlightLog.signal`` takes them."""
+
+    command: str | None = None
+    output: str | None = None
+    time: str | None = None
+    time_unit: str | None = None
+    begin: float | None = None  # s, in the log's own time
+    end: float | None = None
+
+
+@dataclass(frozen=True)
+class BenchRecord:
+    """One log: rows of time [s], command and output; those of the output that are lost or clipped are not there."""
+
+    path: Path
+    command_name: str
+    output_name: str
+    command_unit: str
+    output_unit: str
+    command_times: Array
+    command: Array
+    times: Array
+    output: Array
+    step: float  # s from row to row
+    lost_fraction: float
+    notes: tuple[str, ...] = ()
+
+    @property
+    def newtons(self) -> float | None:
+        """Newtons in the output's unit, or None where it is no thrust."""
+        return NEWTONS.get(self.output_unit)
+
+
+def read_records(paths: Sequence[Path], columns: Columns | None = None) -> list[BenchRecord]:
+    """Read bench logs, one record a file.  Raises InputError: one line with file, column and what is allowed."""
+    records = [_read_record(path, columns or Columns()) for path in paths]
+    first = records[0]
+    for other in records[1:]:
+        if (other.output_unit, other.command_unit) != (first.output_unit, first.command_unit):
+            raise InputError(
+                f"{other.path}: {other.command_name} [{other.command_unit}] to {other.output_name} "
+                f"[{other.output_unit}], and {first.path} has [{first.command_unit}] to [{first.output_unit}]: "
+                "several logs of one engine need the same units"
+            )
+    return records
+
+
+def _read_record(path: Path, columns: Columns) -> BenchRecord:
+    log = read_flight_log(path, columns.time, columns.time_unit)
+    command_name = columns.command or _find(log, COMMANDS, "", "--command")
+    output_name = columns.output or _find(log, OUTPUTS, NO_OUTPUT, "--output")
+    notes = list(log.remarks)
+    if columns.command is None or columns.output is None:
+        notes.append(f"taken: {command_name} to {output_name}; --command and --output say otherwise")
+    command, output = log.signal(command_name, notes), log.signal(output_name, notes)
+    command = _cut(command, columns)
+    output = _cut(output, columns)
+    _check(path, command_name, command)
+    flagged = _flagged(log, columns)
+    return _clean(path, (command_name, command), (output_name, output), flagged, notes)
+
+
+def _find(log: FlightLog, patterns: Sequence[str], never: str, option: str) -> str:
+    """Return the channel that is called as one of these; the first of the patterns that any fits decides."""
+    names = [name for name in log.channels if not (never and re.search(never, name, re.IGNORECASE))]
+    for pattern in patterns:
+        found = [name for name in names if re.search(pattern, name.replace("_", " "), re.IGNORECASE)]
+        if len(found) > 1:
+            raise InputError(f"{log.path}: {', '.join(found[:6])}: {option} NAME says which")
+        if found:
+            return found[0]
+    have = ", ".join(list(log.channels)[:12])
+    raise InputError(f"{log.path}: no column is called like what {option} needs; {option} NAME, one of: {have}")
+
+
+def _cut(channel: Channel, columns: Columns) -> Channel:
+    use = np.isfinite(channel.times) & np.isfinite(channel.values)
+    if columns.begin is not None:
+        use &= channel.times >= columns.begin
+    if columns.end is not None:
+        use &= channel.times <= columns.end
+    return channel._replace(times=channel.times[use], values=channel.values[use])
+
+
+def _check(path: Path, name: str, channel: Channel) -> None:
+    if len(channel.times) < LEAST_ROWS:
+        raise InputError(f"{path}: {len(channel.times)} rows of {name} that can be used; at least {LEAST_ROWS}")
+    back = np.flatnonzero(np.diff(channel.times) < 0.0)
+    if back.size:
+        at = channel.times[back[0]]
+        raise InputError(
+            f"{path}: the time goes back after {at:g} s; two logs in one file? --from and --to take a part"
+        )
+
+
+def _flagged(log: FlightLog, columns: Columns) -> Array:
+    """Return the times of rows that a column called ``clipped`` marks."""
+    marked = [_cut(channel, columns) for name, channel in log.channels.items() if CLIPPED.fullmatch(name)]
+    return np.concatenate([np.empty(0), *(channel.times[channel.values != 0.0] for channel in marked)])
+
+
+def _clean(
+    path: Path, command: tuple[str, Channel], output: tuple[str, Channel], flagged: Array, notes: list[str]
+) -> BenchRecord:
+    """Return a record without repeated frames and clipped rows, averaged where there are very many."""
+    (command_name, given), (output_name, measured) = command, output
+    _check(path, output_name, measured)
+    commands = given.times, given.values
+    fresh = np.diff(given.times, prepend=-np.inf) > 0.0
+    commands = given.times[fresh], given.values[fresh]
+    times, values = measured.times, measured.values
+    use = np.diff(times, prepend=-np.inf) > 0.0
+    if _is_fine(values):
+        repeated = use & (np.diff(values, prepend=np.nan) == 0.0)
+        clipped = _at_the_stop(values)
+        repeated &= ~clipped & (repeated.mean() > LEAST_REPEATED)
+        use &= ~repeated & ~clipped
+        if repeated.any():
+            notes.append(f"{output_name}: {int(repeated.sum())} rows repeat the one before; left out")
+        if clipped.any():
+            where = "at the end of its range (clipped) or next to such"
+            notes.append(f"{output_name}: {int(clipped.sum())} rows are {where}; left out")
+    if flagged.size:
+        marked = np.isin(times, flagged)
+        notes.append(f"{output_name}: {int(marked.sum())} rows are marked as clipped; left out")
+        use &= ~marked
+    times, values = times[use], values[use]
+    if len(times) < LEAST_ROWS:
+        raise InputError(f"{path}: {len(times)} rows of {output_name} that can be used; at least {LEAST_ROWS}")
+    step = float(np.median(np.diff(times)))
+    lost = max(0.0, 1.0 - len(times) * step / (float(times[-1] - times[0]) + step))
+    longest = float(np.diff(times).max())
+    if longest > LONGEST_GAP * step:
+        notes.append(f"{output_name}: {100.0 * lost:.2g} % of the rows are missing, up to {longest:.3g} s at a time")
+    times, values = _average(times, values)
+    unit = unit_of(output_name, measured.unit)
+    return BenchRecord(
+        path, command_name, output_name, unit_of(command_name, given.unit), unit,
+        *commands, times, values, float(np.median(np.diff(times))), lost, tuple(notes),
+    )  # fmt: skip
+
+
+def _is_fine(values: Array) -> bool:
+    """Return whether an output has noise far above its resolution, so that no value comes twice by itself."""
+    changes = np.abs(np.diff(np.unique(values)))
+    steps = np.abs(np.diff(values))
+    fine = len(changes) > 0 and float(np.median(steps[steps > 0.0])) > FINE * float(np.percentile(changes, 1.0))
+    return bool(fine) and len(np.unique(values)) > NOISY * len(values)
+
+
+def _at_the_stop(values: Array) -> NDArray[np.bool_]:
+    """Return which rows stand at the greatest or the least value, several in a row, or a few rows from such."""
+    at = np.zeros(len(values), bool)
+    for stop in (values.max(), values.min()):
+        here = (values == stop).astype(int)
+        if np.convolve(here, np.ones(LEAST_CLIPPED), "valid").max(initial=0.0) >= LEAST_CLIPPED:
+            at |= np.convolve(here, np.ones(2 * LEAST_CLIPPED + 1), "same") > 0.5
+    return at
+
+
+def _average(times: Array, values: Array) -> tuple[Array, Array]:
+    """Return means over as many rows as bring their count below what is fitted at once."""
+    many = -(-len(times) // MOST_ROWS)
+    if many < 2:
+        return times, values
+    whole = len(times) // many * many
+    return times[:whole].reshape(-1, many).mean(axis=1), values[:whole].reshape(-1, many).mean(axis=1)
+
+
+def levels_of(record: BenchRecord) -> Mapping[float, float]:
+    """Return the levels at which the command stands, with the longest time [s] for which it does."""
+    begins = np.flatnonzero(np.diff(record.command, prepend=np.inf) != 0.0)
+    ends = np.append(record.command_times[begins[1:]], record.command_times[-1])
+    longest: dict[float, float] = {}
+    for begin, end in zip(begins, ends, strict=True):
+        level = float(record.command[begin])
+        longest[level] = max(longest.get(level, 0.0), float(end - record.command_times[begin]))
+    return longest

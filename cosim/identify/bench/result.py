@@ -1,0 +1,302 @@
+"""What an identification from a bench leaves in a folder: numbers, page, engine; and what a terminal is told."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import FlightError
+from cosim.base.storage.paths import data_folder
+from cosim.base.storage.toml import toml_text
+from cosim.identify.bench.fit import Estimate
+from cosim.identify.bench.identify import BenchIdentification
+from cosim.results.report.page import render
+from cosim.results.report.plot import BLUE, GREY, HOVER, MAGENTA, ORANGE, beneath, panels, trace
+
+ENGINE, ENGINE_STEP_S = "fitted", 0.004  # the library's engine that is filled in, and its internal step
+DEVIATIONS_95 = 1.96
+LARGEST_SAMPLES = 1000  # of that engine's delay
+TEMPLATE = Path(__file__).parent / "templates" / "bench.html"
+MOST_POINTS = 4000  # a curve
+
+
+def why_no_engine(result: BenchIdentification) -> str:
+    """Return why no engine is left, or an empty string where one is."""
+    record = result.records[0]
+    if record.newtons is None:
+        return f"{record.output_name} is in {record.output_unit or 'no unit'}; an engine's output is a thrust in N"
+    if not result.limits_known:
+        return "what throttle 0 and 1 are is not known: --range LOW HIGH"
+    if not result.is_explained:
+        return "the model does not explain the log"
+    if not result.chosen.gain > 0.0:
+        return "the thrust falls where the throttle rises"
+    if result.chosen.delay > LARGEST_SAMPLES * ENGINE_STEP_S:
+        return f"its delay is longer than {LARGEST_SAMPLES * ENGINE_STEP_S:g} s"
+    return ""
+
+
+def write(result: BenchIdentification, folder: Path) -> dict[str, Path]:
+    """Write ``identification.json``, ``report.html`` and, where there is an engine, ``engine.toml``, ``.fmu``, README.
+
+    Raises FlightError if a file cannot be written.
+    """
+    paths = {"json": folder / "identification.json"}
+    texts = {"json": json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"}
+    if not why_no_engine(result):
+        paths |= {"engine": folder / "engine.toml", "readme": folder / "README.md"}
+        texts |= {"engine": toml_text(engine_table(result)), "readme": readme(result)}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in ("engine.toml", "engine.fmu", "README.md"):  # of an earlier call that had one
+            (folder / name).unlink(missing_ok=True)
+        for name, path in paths.items():
+            path.write_text(texts[name], encoding="utf-8")
+        if "engine" in paths:
+            shutil.copyfile(data_folder("fmus") / f"{ENGINE}.fmu", folder / "engine.fmu")
+    except OSError as error:
+        raise FlightError(f"{folder}: {error.strerror or error}") from error
+    paths["report"] = folder / "report.html"
+    render(
+        TEMPLATE,
+        paths["report"],
+        {"signals": draw_signals(result), "curve": draw_curve(result)},
+        result=result,
+        title=", ".join(record.path.name for record in result.records),
+        columns=[estimate.form.label for estimate in result.estimates],
+        rows=rows(result),
+        summary=summary(result),
+        no_engine=why_no_engine(result),
+    )
+    return paths
+
+
+def engine_table(result: BenchIdentification) -> dict[str, object]:
+    """Return the mapping file's table: the library's engine ``fitted`` with the numbers found and ``[uncertainty]``."""
+    chosen, unit = result.chosen, result.records[0].newtons or 1.0
+    _, lag, ratio, exponent = chosen.form.split(chosen.x)
+    parameters: dict[str, object] = {
+        "gain": unit * chosen.gain,
+        "offset": unit * result.offset,
+        "lag": lag,
+        "delay_samples": round(chosen.delay / ENGINE_STEP_S),
+    }
+    parameters |= {"lag_2": ratio * lag} if chosen.form.lags == 2 else {}
+    parameters |= {"exponent": exponent} if chosen.form.curve else {}
+    return {
+        "fmu": "engine.fmu",
+        "title": f"Engine fitted to {', '.join(record.path.name for record in result.records)}",
+        "parameters": parameters,
+        "uncertainty": uncertainty(result),
+    }
+
+
+def uncertainty(result: BenchIdentification) -> dict[str, object]:
+    """Return the parameters' standard deviations and correlation, and their spread between several logs.
+
+    The delay's deviation is that of its bounds, and of the row within which a held command moved.
+    """
+    chosen, unit = result.chosen, result.records[0].newtons or 1.0
+    names, slope = ["delay_samples", "lag"], [np.eye(1, len(chosen.covariance), 0)[0] / ENGINE_STEP_S]
+    slope.append(np.eye(1, len(chosen.covariance), 1)[0])
+    if chosen.form.lags == 2:
+        names.append("lag_2")
+        second = np.zeros(len(chosen.covariance))
+        second[1], second[2] = float(chosen.x[2]), float(chosen.x[1])
+        slope.append(second)
+    if chosen.form.curve:
+        names.append("exponent")
+        slope.append(np.eye(1, len(chosen.covariance), len(chosen.x) - 1)[0])
+    names += ["gain", "offset"]
+    count = len(result.records)
+    slope.append(unit * np.eye(1, len(chosen.covariance), len(chosen.x))[0])
+    slope.append(np.concatenate([np.zeros(len(chosen.x) + 1), np.full(count, unit / count)]))
+    matrix = np.array(slope)
+    covariance = matrix @ chosen.covariance @ matrix.T
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    size = np.where(deviation > 0.0, deviation, 1.0)
+    correlation = np.round(np.clip(covariance / np.outer(size, size), -1.0, 1.0), 4)
+    correlation = np.tril(correlation, -1) + np.tril(correlation, -1).T + np.eye(len(names))
+    deviation[0] = max(deviation[0], _delay_deviation(result))
+    table: dict[str, object] = {
+        "source": _describe_logs(result),
+        "parameters": names,
+        "deviation": [float(f"{value:.6g}") for value in deviation],
+        "correlation": correlation.tolist(),
+    }
+    if result.spread:
+        table["spread"] = [_spread_of(result, name) for name in names]
+    return table
+
+
+def _delay_deviation(result: BenchIdentification) -> float:
+    """Return the deviation of the delay in the engine's steps, of its bounds and of the command's row."""
+    low, high = result.chosen.delay_bounds
+    row = max(float(np.median(np.diff(record.command_times))) for record in result.records)
+    return float(np.hypot((high - low) / (2.0 * DEVIATIONS_95), row / np.sqrt(12.0)) / ENGINE_STEP_S)
+
+
+def _spread_of(result: BenchIdentification, name: str) -> float:
+    unit = result.records[0].newtons or 1.0
+    known = result.spread
+    lag, ratio = float(result.chosen.x[1]), result.chosen.form.split(result.chosen.x)[2]
+    values = {
+        "delay_samples": known["delay_s"] / ENGINE_STEP_S,
+        "lag": known["lag_s"],
+        "lag_2": float(np.hypot(ratio * known["lag_s"], lag * known.get("ratio", 0.0))),
+        "exponent": known.get("exponent", 0.0),
+        "gain": unit * known["gain"],
+        "offset": unit * float(np.std(result.chosen.offsets, ddof=1)),
+    }
+    return float(f"{values[name]:.6g}")
+
+
+def _describe_logs(result: BenchIdentification) -> str:
+    names = ", ".join(record.path.name for record in result.records)
+    moves = sum(int(np.count_nonzero(np.diff(record.command))) for record in result.records)
+    seconds = sum(float(record.times[-1] - record.times[0]) for record in result.records)
+    return f"{names}: {seconds:.4g} s, {moves} rows in which the command moves, {result.chosen.form.label}"
+
+
+def readme(result: BenchIdentification) -> str:
+    """Return the page of the engine in Markdown: where it comes from, where it holds, what was left over."""
+    first = result.records[0]
+    low = min(float(record.command.min()) for record in result.records)
+    high = max(float(record.command.max()) for record in result.records)
+    table = "\n".join(f"| {row[0]} | {row[1]} |" for row in rows(result))
+    lines = [
+        "# Engine from a bench log",
+        f"**Source.** {summary(result)} `hexjet identify bench`; the engine is the library's `{ENGINE}`.",
+        f"| with 95 % bounds | |\n| --- | --- |\n{table}",
+        f"**Validity.** {first.command_name} from {low:.4g} to {high:.4g}, with throttle 0 at {result.limits[0]:g} and "
+        f"1 at {result.limits[1]:g}; nothing was seen outside, nor in other air, nor with air speed.",
+        f"**Residuals.** {result.residual_rms:.3g} {first.output_unit} (rms); they "
+        + ("no longer follow the command." if result.is_explained else "still follow the command."),
+        "**Not told by the log**\n\n" + "\n".join(f"- {line}" for line in result.untold or ("nothing that was asked",)),
+    ]
+    return "\n\n".join(lines) + "\n"
+
+
+def summary(result: BenchIdentification) -> str:
+    """Describe the logs in a line."""
+    first = result.records[0]
+    rows_, seconds = 0, 0.0
+    for record in result.records:
+        rows_, seconds = rows_ + len(record.times), seconds + float(record.times[-1] - record.times[0])
+    lost = max(record.lost_fraction for record in result.records)
+    missing = f", {100.0 * lost:.2g} % of the rows missing" if lost > 0.005 else ""
+    names = ", ".join(record.path.name for record in result.records)
+    return (
+        f"{names}: {first.command_name} to {first.output_name}; {seconds:.4g} s, {rows_} rows, one each "
+        f"{1e3 * first.step:.4g} ms{missing}; the command is {'straight' if result.straight else 'held'} between rows."
+    )
+
+
+def rows(result: BenchIdentification) -> list[list[str]]:
+    """Return the table of the forms beside each other, a row a quantity, with 95 % bounds."""
+    unit = result.records[0].output_unit
+    low, high = result.limits
+    estimates = result.estimates
+    best = estimates[0].bic
+    return [
+        ["delay, ms", *(_delay(estimate) for estimate in estimates)],
+        ["lag, ms", *(_about(1e3 * one.x[1], 1e3 * one.deviation(1)) for one in estimates)],
+        ["second lag, ms", *(_second(one) for one in estimates)],
+        ["delay and lags together, ms", *(_about(1e3 * v, 1e3 * s) for v, s in (one.total for one in estimates))],
+        [
+            f"gain, {unit} from {low:g} to {high:g}",
+            *(_about(one.gain, one.deviation(len(one.x))) for one in estimates),
+        ],
+        [f"output at {low:g}, {unit}", *(f"{float(np.mean(one.offsets)):.4g}" for one in estimates)],
+        ["exponent of the static curve", *(_exponent(one) for one in estimates)],
+        ["Schwarz' criterion, above the best", *(f"{one.bic - best:.1f}" for one in estimates)],
+    ]
+
+
+def _delay(estimate: Estimate) -> str:
+    low, high = estimate.delay_bounds
+    bounds = f" ({1e3 * low:.4g} to {1e3 * high:.4g})" if np.isfinite(low) else ""
+    return f"{1e3 * estimate.delay:.4g}{bounds}"
+
+
+def _second(estimate: Estimate) -> str:
+    if estimate.form.lags < 2:
+        return ""
+    lag, ratio = float(estimate.x[1]), float(estimate.x[2])
+    slope = np.zeros(len(estimate.covariance))
+    slope[1], slope[2] = ratio, lag
+    return _about(1e3 * ratio * lag, 1e3 * float(np.sqrt(max(float(slope @ estimate.covariance @ slope), 0.0))))
+
+
+def _exponent(estimate: Estimate) -> str:
+    return _about(float(estimate.x[-1]), estimate.deviation(len(estimate.x) - 1)) if estimate.form.curve else ""
+
+
+def _about(value: float, deviation: float) -> str:
+    half = DEVIATIONS_95 * deviation
+    if not half <= abs(value):
+        return "not determined"
+    return f"{value:.4g} ±{float(f'{half:.2g}'):g}"
+
+
+def draw_signals(result: BenchIdentification) -> dict[str, Any]:
+    """Draw command, measured and modelled output, and what is left over, over time; logs behind each other."""
+    problem, chosen, first = result.problem, result.chosen, result.records[0]
+    left = problem.residual(chosen)
+    low, high = result.limits
+    data: list[dict[str, Any]] = []
+    begin, shift = 0, 0.0
+    for n, part in enumerate(problem.parts):
+        count = len(part.times)
+        keep = np.arange(0, count, max(1, count // MOST_POINTS))
+        residual = left[begin : begin + count][keep]
+        times, measured = part.times[keep] + shift, part.output[keep]
+        named = {"showlegend": n == 0}
+        moved = _corners(part.command_times, low + (high - low) * part.command, part.straight)
+        dots = {"mode": "markers", "marker": {"size": 3, "color": MAGENTA}}
+        data += [
+            trace("command", GREY, moved[0] + shift, moved[1], 0, **named),
+            trace("measured", ORANGE, times, measured, 1, **named, **beneath(ORANGE)),
+            trace("model, of the command alone", BLUE, times, measured - residual, 1, **named),
+            trace("left over", MAGENTA, times, residual, 2, **named, **dots),
+        ]
+        begin += count
+        shift += float(part.times[-1]) + 5.0
+    titles = (first.command_unit or first.command_name, first.output_unit, first.output_unit)
+    layout = panels(660, "time [s]", titles, log=False, domains=((0.72, 1.0), (0.3, 0.68), (0.0, 0.24)))
+    return {"data": data, "layout": layout | HOVER}
+
+
+def _corners(times: Array, values: Array, straight: bool) -> tuple[Array, Array]:
+    """Return a command's corners for a drawing, thinned where there are very many."""
+    if straight:
+        keep = np.arange(0, len(times), max(1, len(times) // MOST_POINTS))
+        return times[keep], values[keep]
+    moved = np.flatnonzero(np.diff(values))
+    at = np.concatenate([[0], np.column_stack([moved, moved + 1]).ravel(), [len(times) - 1]])
+    when = times[at].copy()
+    when[1:-1:2] = times[moved + 1]
+    return when, values[at]
+
+
+def draw_curve(result: BenchIdentification) -> dict[str, Any]:
+    """Draw the static curve over the throttle's range."""
+    chosen, first = result.chosen, result.records[0]
+    exponent = chosen.form.split(chosen.x)[3]
+    throttle = np.linspace(0.0, 1.0, 101)
+    low, high = result.limits
+    values = result.offset + chosen.gain * throttle**exponent
+    seen = np.concatenate([part.command for part in result.problem.parts])
+    inside = (throttle >= seen.min() - 1e-9) & (throttle <= seen.max() + 1e-9)
+    at = low + (high - low) * throttle
+    data = [
+        trace("outside of what the log has", GREY, at, values),
+        trace("as identified", BLUE, at[inside], values[inside]),
+    ]
+    title = f"{first.command_name} {f'[{first.command_unit}]' if first.command_unit else ''}".strip()
+    return {"data": data, "layout": panels(320, title, (first.output_unit,), log=False) | HOVER}

@@ -1,0 +1,243 @@
+"""An engine out of its bench logs: the truth where it is known, and words where a log does not tell (docs/bench.md)."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_tools import Hexjet
+from known_benches import EXCITATIONS, Truth, bench_log
+from scipy.stats import binom
+
+from cosim.base.errors import NotIdentifiedError
+from cosim.engine import EngineBank, load_engine
+from cosim.identify.bench import BenchIdentification, Choices, Columns, identify_bench, read_records
+
+RECORDINGS = Path(__file__).parents[4] / "shared" / "data" / "jetcat-p300" / "recordings"
+ONE = Truth()
+TWO = Truth(lags=(0.4, 0.2))
+SLEWING = Truth(lags=(0.2,), slew=(30.0, 20.0))
+
+
+def write(path: Path, command: np.ndarray, thrust: np.ndarray, times: np.ndarray, names: str = "") -> Path:
+    head = names or "time_s,throttle,thrust_N"
+    np.savetxt(path, np.column_stack([times, command, thrust]), "%.9g", ",", header=head, comments="")
+    return path
+
+
+def found(tmp_path: Path, kind: str, rate: float, truth: Truth = ONE, **choices: object) -> BenchIdentification:
+    times, command, thrust, _ = bench_log(kind, rate, truth, **choices)  # type: ignore[arg-type]
+    return identify_bench(read_records([write(tmp_path / "bench.csv", command, thrust, times)]))
+
+
+@pytest.mark.parametrize("rate", [10.0, 50.0])
+@pytest.mark.parametrize("kind", EXCITATIONS)
+def test_delay_and_lag_come_out_of_every_excitation(tmp_path: Path, kind: str, rate: float) -> None:
+    """Within a row, where the log can tell; a slow ramp in this noise cannot, and that is said."""
+    result = found(tmp_path, kind, rate)
+    low, high = result.chosen.delay_bounds
+    assert abs(0.1 - 0.5 * (low + high)) <= high - low  # twice as wide: 14 cases, and 1 in 20 may be outside
+    assert result.is_explained
+    value, deviation = result.chosen.total
+    assert abs(value - 0.5) < 4.0 * deviation
+    assert any(line.startswith("the delay: anything from") for line in result.untold) == (kind == "ramp")
+    if kind != "ramp":
+        assert abs(result.chosen.delay - 0.1) <= 1.0 / rate
+        assert abs(result.chosen.lags[0] - 0.4) < 4.0 * result.chosen.deviation(1)
+
+
+def test_a_load_cell_at_a_kilohertz_tells_the_delay_to_a_millisecond(tmp_path: Path) -> None:
+    result = found(tmp_path, "stairs of 5 s", 1000.0, seconds=20.0)
+    assert result.chosen.delay == pytest.approx(0.1, abs=0.001)
+    assert result.records[0].step == pytest.approx(0.001, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["step", "stairs of 5 s", "prbs", "chirp"])
+def test_two_lags_are_told_from_one(tmp_path: Path, kind: str) -> None:
+    chosen = found(tmp_path, kind, 50.0, TWO).chosen
+    assert chosen.form.lags == 2
+    assert chosen.delay_bounds[0] <= 0.1 <= chosen.delay_bounds[1]
+    assert sum(chosen.lags) == pytest.approx(0.6, abs=4.0 * chosen.total[1])
+
+
+def test_a_ramp_does_not_tell_two_lags_from_delay_and_its_bounds_know(tmp_path: Path) -> None:
+    low, high = found(tmp_path, "ramp", 50.0, TWO).chosen.delay_bounds
+    assert low <= 0.1 <= high
+
+
+@pytest.mark.parametrize("kind", ["step", "stairs of 5 s", "stairs of 15 s", "prbs", "chirp"])
+def test_a_limit_of_acceleration_is_not_explained_and_leaves_no_engine(tmp_path: Path, kind: str) -> None:
+    from cosim.identify.bench.result import why_no_engine
+
+    result = found(tmp_path, kind, 50.0, SLEWING)
+    assert not result.is_explained
+    assert any("an acceleration limit, or lag and gain that change" in note for note in result.notes)
+    assert why_no_engine(result) == "the model does not explain the log"
+
+
+@pytest.mark.parametrize("kind", ["stairs of 5 s", "ramp", "chirp"])
+def test_the_static_curve_comes_out_with_its_exponent(tmp_path: Path, kind: str) -> None:
+    chosen = found(tmp_path, kind, 50.0, Truth(exponent=1.7)).chosen
+    assert chosen.form.curve
+    assert abs(chosen.x[-1] - 1.7) < 4.0 * chosen.deviation(len(chosen.x) - 1)
+
+
+def held_by_bounds(count: int, tmp_path: Path) -> tuple[int, int]:
+    """In how many logs, each of another excitation and noise, the bounds of delay and of the lags' sum have the truth."""
+    kinds = [kind for kind in EXCITATIONS if kind != "ramp"]
+    delays = sums = 0
+    for seed in range(count):
+        truth = (Truth(), TWO)[seed % 2]
+        result = found(tmp_path, kinds[seed % len(kinds)], (10.0, 25.0, 100.0)[seed % 3], truth, seed=seed)
+        low, high = result.chosen.delay_bounds
+        delays += low <= truth.delay <= high
+        value, deviation = result.chosen.total
+        sums += abs(value - truth.delay - sum(truth.lags)) <= 1.96 * deviation
+    return delays, sums
+
+
+@pytest.mark.parametrize("count", [40, pytest.param(500, marks=pytest.mark.long)])
+def test_the_bounds_hold_the_truth_as_often_as_they_say(count: int, tmp_path: Path) -> None:
+    """95 in a hundred, less what chance alone makes of it once in a thousand."""
+    least = int(binom.ppf(0.001, count, 0.95))
+    delays, sums = held_by_bounds(count, tmp_path)
+    assert delays >= least
+    assert sums >= least
+
+
+def test_lost_repeated_and_clipped_rows_cost_nothing_but_rows(tmp_path: Path) -> None:
+    times, command, thrust, _ = bench_log("stairs of 5 s", 50.0)
+    rng = np.random.default_rng(1)
+    thrust = np.minimum(thrust, 88.0)
+    repeated = np.flatnonzero(rng.random(len(times)) < 0.05)[1:]
+    thrust[repeated] = thrust[repeated - 1]
+    keep = rng.random(len(times)) > 0.1
+    path = write(tmp_path / "poor.csv", command[keep], thrust[keep], times[keep])
+    result = identify_bench(read_records([path]))
+    words = " ".join(result.notes)
+    assert "repeat the one before; left out" in words
+    assert "(clipped) or next to such; left out" in words
+    assert result.chosen.delay == pytest.approx(0.1, abs=0.004)  # a step within lost rows is known to a row of 20 ms
+    assert result.chosen.gain == pytest.approx(100.0, abs=0.5)
+
+
+def test_a_zero_that_drifts_is_taken_out(tmp_path: Path) -> None:
+    times, command, thrust, _ = bench_log("stairs of 5 s", 50.0)
+    path = write(tmp_path / "drifts.csv", command, thrust + 0.1 * times, times)
+    result = identify_bench(read_records([path]))
+    assert any("the zero drifts, 0.1" in note for note in result.notes)
+    assert result.chosen.gain == pytest.approx(100.0, abs=0.5)
+
+
+def test_one_choice_of_what_is_between_rows_is_half_a_row_of_delay(tmp_path: Path) -> None:
+    times, command, thrust, _ = bench_log("chirp", 20.0)
+    records = read_records([write(tmp_path / "bench.csv", command, thrust, times)])
+    straight, held = (identify_bench(records, Choices(between=each)) for each in ("straight", "held"))
+    assert straight.chosen.delay - held.chosen.delay == pytest.approx(0.025, abs=0.002)
+    assert any("taken for straight between rows; if it is held, the delay is 25 ms less" in note
+               for note in identify_bench(records).notes)  # fmt: skip
+
+
+def test_the_command_leaves_an_engine_that_answers_as_the_log(hexjet: Hexjet, tmp_path: Path) -> None:
+    times, command, thrust, _ = bench_log("stairs of 5 s", 50.0, Truth(exponent=1.7))
+    write(tmp_path / "bench.csv", command, thrust, times)
+    done = hexjet("identify", "bench", "bench.csv", "--out", "mine")
+    assert done.status == 0
+    assert {path.name for path in (tmp_path / "mine").iterdir()} == {
+        "engine.fmu", "engine.toml", "README.md", "identification.json", "report.html",
+    }  # fmt: skip
+    table = tomllib.loads((tmp_path / "mine" / "engine.toml").read_text(encoding="utf-8"))
+    assert table["parameters"]["delay_samples"] == 25
+    assert table["parameters"]["lag"] == pytest.approx(0.4, abs=0.01)
+    known = table["uncertainty"]
+    assert known["parameters"] == ["delay_samples", "lag", "exponent", "gain", "offset"]
+    assert len(known["deviation"]) == len(known["correlation"]) == 5
+    with EngineBank(load_engine(str(tmp_path / "mine" / "engine.toml"), {}, 0.02), 1, 0.02) as bank:
+        answered = [bank.reset(float(command[0])).thrust[0]]
+        answered += [bank.step(k, (float(u),)).thrust[0] for k, u in enumerate(command[:-1])]
+    assert np.sqrt(np.mean((np.array(answered) - thrust) ** 2)) < 0.55  # of which 0.5 N are noise
+    told = json.loads((tmp_path / "mine" / "identification.json").read_text(encoding="utf-8"))
+    assert told["explained"]
+    assert told["delay_bounds_95_s"][0] <= 0.1 <= told["delay_bounds_95_s"][1]
+
+
+def test_channels_that_are_given_leave_an_engine_where_the_output_is_a_thrust(hexjet: Hexjet, tmp_path: Path) -> None:
+    times, command, thrust, _ = bench_log("chirp", 50.0, seconds=30.0)
+    write(tmp_path / "bench.csv", command, thrust, times, "t_ms,throttle,thrust_N")
+    given = ("--engine", "1", "--time", "t_ms", "--time-unit", "s", "--command", "throttle")
+    done = hexjet("identify", "log", "bench.csv", *given, "--output", "thrust_N", "--out", "mine")
+    assert done.status == 0
+    assert "engine: " in done.out
+    table = tomllib.loads((tmp_path / "mine" / "engine.toml").read_text(encoding="utf-8"))
+    assert table["parameters"]["pole"] == pytest.approx(np.exp(-0.004 / 0.4), abs=2e-4)
+    write(tmp_path / "bench.csv", command, thrust, times, "t_ms,throttle,speed_rpm")
+    done = hexjet("identify", "log", "bench.csv", *given, "--output", "speed_rpm", "--out", "none")
+    assert "no engine: the output is in rpm, and an engine's is a thrust in N" in " ".join(done.out.split())
+
+
+@pytest.mark.parametrize(
+    ("name", "changed", "status", "words"),
+    [
+        ("three rows", lambda t, u, y: (t[:3], u[:3], y[:3]), 2, "3 rows of throttle that can be used; at least 20"),
+        ("no step", lambda t, u, y: (t, 0 * u, y), 1, "throttle does not move; step it: a step up and one down"),
+        ("noise alone", lambda t, u, y: (t, u, y - y + np.sin(1e4 * t**2)), 1, "the output does not show the command"),
+        ("percent", lambda t, u, y: (t, 100 * u, y), 0, "has no unit: taken for percent; --range LOW HIGH says"),
+        ("negative", lambda t, u, y: (t, u, -y), 0, "if the load cell's sign is the other one: --output=-thrust_N"),
+        ("backwards", lambda t, u, y: (np.where(t > 30, t - 30, t), u, y), 2, "the time goes back after 30 s"),
+        ("microseconds", lambda t, u, y: (t, 1000 + 1000 * u, y), 0, "no engine: what throttle 0 and 1 are"),
+    ],
+)  # fmt: skip
+def test_wrong_logs_are_told_in_a_line(
+    hexjet: Hexjet, tmp_path: Path, name: str, changed: object, status: int, words: str
+) -> None:
+    times, command, thrust, _ = bench_log("stairs of 5 s", 20.0)
+    times, command, thrust = changed(times, command, thrust)  # type: ignore[operator]
+    write(tmp_path / "bench.csv", command, thrust, times)
+    done = hexjet("identify", "bench", "bench.csv", "--out", "mine")
+    assert done.status == status
+    assert words in " ".join((done.out + done.err).split())
+    assert "Traceback" not in done.err
+
+
+def test_two_engines_mixed_are_named_and_their_bounds_wide(tmp_path: Path) -> None:
+    paths = []
+    for n, truth in enumerate((Truth(), Truth(delay=0.15, lags=(0.6,), gain=130.0))):
+        times, command, thrust, _ = bench_log("stairs of 5 s", 20.0, truth, seed=n)
+        paths.append(write(tmp_path / f"{n}.csv", command, thrust, times))
+    result = identify_bench(read_records(paths))
+    assert sum("farther apart than noise: two engines" in note for note in result.notes) == 3
+    assert result.spread["gain"] == pytest.approx(30.0 / 2**0.5, rel=0.05)
+    assert result.chosen.deviation(len(result.chosen.x)) > 1.0
+
+
+def test_columns_that_are_called_alike_are_asked_for(tmp_path: Path) -> None:
+    times, command, thrust, _ = bench_log("stairs of 5 s", 20.0)
+    path = tmp_path / "two.csv"
+    np.savetxt(path, np.column_stack([times, command, thrust, thrust]), "%.9g", ",",
+               header="time_s,throttle,thrust_1_N,thrust_2_N", comments="")  # fmt: skip
+    with pytest.raises(Exception, match="thrust_1_N, thrust_2_N: --output NAME says which"):
+        read_records([path])
+    assert read_records([path], Columns(output="thrust_2_N"))[0].output_unit == "N"
+
+
+def test_an_output_that_does_not_move_is_refused(tmp_path: Path) -> None:
+    times, command, thrust, _ = bench_log("stairs of 5 s", 20.0)
+    path = write(tmp_path / "still.csv", command, 0.0 * thrust, times)
+    with pytest.raises(NotIdentifiedError, match="thrust_N does not move"):
+        identify_bench(read_records([path]))
+
+
+# ---- a real one
+
+
+@pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the recordings of a JetCat P300-PRO are not at hand")
+@pytest.mark.parametrize(
+    ("name", "begin", "end"), [("run-2023-01-09-a.csv", 80.0, 290.0), ("run-2023-02-22-b.csv", 250.0, 1150.0)]
+)
+def test_a_real_turbojet_is_no_lag_and_that_is_said(name: str, begin: float, end: float) -> None:
+    """Its ECU ramps fuel by error and level: delay and lags are 2 to 4 s together, and do not explain it."""
+    result = identify_bench(read_records([RECORDINGS / name], Columns("setpoint_rpm", "rpm", begin=begin, end=end)))
+    assert not result.is_explained
+    assert 2.0 < result.chosen.total[0] < 4.0
+    assert result.chosen.delay_bounds[0] < 0.4
