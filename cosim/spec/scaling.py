@@ -23,6 +23,7 @@ _AIR = {"kg_s": _MASS - _TIME, "at_thrust_n": _MASS, "intake_m": _LENGTH, "exhau
 _PID = {"p": _P, "i": _I, "d": _D, "d_filter_s": _TIME}
 _LAW: dict[str, Any] = {
     "inertia_kg_m2": _MASS + 2 * _LENGTH,
+    "products_kg_m2": _MASS + 2 * _LENGTH,
     "jets": {"position_m": _LENGTH, "reaction_m": _LENGTH, "airflow": _AIR},
     "fuel": {"mass_kg": _MASS, "position_m": _LENGTH},
     "panels": {"corners_m": _LENGTH},
