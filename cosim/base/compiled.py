@@ -68,8 +68,8 @@ MODULES = (
     "vehicle/effects/rotors.py",
 )
 # In the package's folder, one of each for every Python that it was compiled for:
-SHARED = f"_native__mypyc{EXTENSION_SUFFIXES[0]}"  # what all compiled modules share, by mypyc's name for it
-STAMP = f"_compiled{EXTENSION_SUFFIXES[0]}.sha256"  # what was compiled, as sha256sum writes it
+SHARED = f"_native__mypyc{EXTENSION_SUFFIXES[0]}"  # mypyc's shared library of all compiled modules
+STAMP = f"_compiled{EXTENSION_SUFFIXES[0]}.sha256"  # hashes of the compiled sources, in the format of sha256sum
 PURE = "HEXJET_PURE"  # environment: set, build without and run without
 
 

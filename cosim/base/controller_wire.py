@@ -32,7 +32,7 @@ _CONTROLLER_INPUTS = (
     *_RATES, *_ATTITUDE, "position_north", "position_east", "position_down", "velocity_north", "velocity_east",
     "velocity_down", "altitude", "specific_force_x", "specific_force_y", "specific_force_z", "fuel_burnt", "engines",
 )  # fmt: skip
-_AHEAD_INPUTS = ("ahead_commanded", "ahead_setpoint")  # m/s, along the heading over the ground
+_AHEAD_INPUTS = ("ahead_commanded", "ahead_setpoint")  # speeds along the heading over the ground, m/s
 _PER_JET = ("throttle_applied", "spool_speed", "exhaust_temperature", "fuel_flow")
 # What a whole controller may answer beside throttles and tilts: what it could not give, which jets it has shut off, and
 # what it shows of a cascade.

@@ -9,7 +9,7 @@ from pathlib import Path
 
 # Of a failed system call: the machine has no more to give, and nobody's input is wrong.
 MACHINE_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EMFILE, errno.ENFILE)
-OUTPUT = "standard output"  # as an error of it is named
+OUTPUT = "standard output"  # name of standard output in errors
 
 
 class InputError(ValueError):
@@ -32,7 +32,7 @@ class EngineError(FlightError):
     """An engine returned an error or a value that is not finite; the message names engine, step and time."""
 
 
-_IMPORT_MACHINERY = ("<frozen importlib", str(Path(importlib.__file__).parent))  # its lines say nothing to a user
+_IMPORT_MACHINERY = ("<frozen importlib", str(Path(importlib.__file__).parent))  # frames omitted from messages
 
 
 def describe_error(error: Exception) -> str:

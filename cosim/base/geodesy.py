@@ -17,7 +17,7 @@ FLATTENING = 1.0 / 298.257223563  # WGS 84
 _E2 = FLATTENING * (2.0 - FLATTENING)
 _EQUATOR, _SOMIGLIANA = 9.7803253359, 1.931852652458e-3  # m/s^2 and -, normal gravity of WGS 84
 _PER_HEIGHT = -3.086e-6  # 1/s^2, of gravity above the ellipsoid: within a mm/s^2 up to 10 km
-_ROUNDS = 8  # of fixed points that gain two digits or more each
+_ROUNDS = 8  # iterations, each of which gains two digits or more
 
 
 def gravity(latitude_deg: float, height: float) -> float:

@@ -79,8 +79,12 @@ class Layout:
 
     def __init__(self, stations: Sequence[Station], turns: Sequence[HingeAxis] = ()) -> None:
         self.stations, self.turns = tuple(stations), tuple(turns)
-        self.rest_positions: list[Vector3] = [station.position for station in stations]  # with all hinges at zero
-        chains: list[list[tuple[int, float]]] = []  # of each jet: hinges from the body outwards, and their effect on it
+        self.rest_positions: list[Vector3] = [
+            station.position for station in stations
+        ]  # positions with all hinges at zero
+        chains: list[
+            list[tuple[int, float]]
+        ] = []  # for each jet: its hinges from the body outwards, and their effect on it
         self._carriers: list[list[int]] = []
         for jet in range(len(stations)):
             chain = []

@@ -24,7 +24,7 @@ ZERO3: Vector3 = (0.0, 0.0, 0.0)
 UNKNOWN3: Vector3 = (nan, nan, nan)
 JETS = 6  # columns that every log has of what a jet has, so that logs can be laid side by side
 MOST_JETS = 16  # as many as MAVLink has servo outputs for; chosen by us
-ALL_WELL: Final[PerJet] = (1.0,) * MOST_JETS  # of engines that nobody watches, or that do as they are told
+ALL_WELL: Final[PerJet] = (1.0,) * MOST_JETS  # health of unmonitored or fully working engines
 NO_JETS: Final[frozenset[int]] = frozenset()
 # every jet of the log; left and right servo; gyro, attitude, GNSS, barometer
 NO_FAULTS: Final[tuple[float, ...]] = (0.0,) * (JETS + 2 + 4)
@@ -145,7 +145,7 @@ class JetHealth(NamedTuple):
 
     gain: float = 1.0  # thrust delivered per thrust commanded; 0: it does not follow its command
     fixed: float = 0.0  # thrust it delivers whatever the command
-    command: float = 0.0  # what it is told where it does not follow
+    command: float = 0.0  # throttle command of a jet that does not follow
 
 
 @quick
@@ -162,7 +162,7 @@ class Sample(NamedTuple):
     measured: Measured
     control: ControlSignals
     actuation: Actuation
-    tilt: PerServo  # where the servos stand
+    tilt: PerServo  # angles of the servos
     engines: EngineOutput  # delivered and reported
     disturbance: Disturbance
     fuel: float = nan  # kg on board at t_k; NaN without a tank

@@ -25,7 +25,7 @@ from cosim.base.storage.paths import data_folder
 from cosim.base.storage.user import settings_folder
 
 ENVIRONMENT = "HEXJET_TRUST"  # set to 1, it says --trust to every command and program
-REMEMBERED = "trusted"  # in the settings: lines as sha256sum writes them
+REMEMBERED = "trusted"  # file in the settings folder: lines as sha256sum writes them
 _SHIPPED = ("aircraft", "engines", "fmus", "scenarios", "studies")
 _MOST_NAMED = 4  # files in a refusal
 _HASH = re.compile(r"[0-9a-f]{64}")
@@ -48,7 +48,7 @@ class Code:
     path: Path
     sha256: str
     named_by: tuple[Path | str, ...] = ()
-    arguments: str = ""  # of a program, from the blank on
+    arguments: str = ""  # arguments of a program, with the leading blank
 
     def __str__(self) -> str:
         """Return the file with its arguments in one line, with nothing in it that a terminal would obey."""
@@ -66,7 +66,7 @@ class Decision:
     by_program: bool = True  # a program names code when it changes a scenario; a command names it in its arguments
 
 
-_hashes_by_file: dict[Path, tuple[tuple[int, int], frozenset[str]]] = {}  # with size and time of the file
+_hashes_by_file: dict[Path, tuple[tuple[int, int], frozenset[str]]] = {}  # hash by file, with the file's size and time
 _decision = Decision()
 _ask: Callable[[Sequence[Code]], bool] | None = None  # on a terminal
 _looking: ContextVar[bool] = ContextVar("looking", default=False)
@@ -191,7 +191,9 @@ def remember(code: Collection[Code]) -> None:
             file_path.parent.mkdir(parents=True, exist_ok=True)
             file = os.open(file_path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
             try:
-                os.write(file, "".join(lines).encode(errors="replace"))  # at once, beside other processes
+                os.write(
+                    file, "".join(lines).encode(errors="replace")
+                )  # in one write, safe against concurrent processes
             finally:
                 os.close(file)
 

@@ -27,7 +27,7 @@ from cosim.results.log.digest import log_digest
 from cosim.results.run import Run
 from cosim.spec.scenario import scenario_names
 
-Progress = Callable[[Tally, int, int], None]  # what became of the flights, how many are finished, of how many
+Progress = Callable[[Tally, int, int], None]  # called with the tally, the finished flights and the total
 
 
 def run_campaign(

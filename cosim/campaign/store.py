@@ -40,8 +40,8 @@ from cosim.campaign.workers.flight_row import Kinds, Row, Value, kinds
 from cosim.results.log.arrow import read_table, write_table
 
 PART_ROWS = 4096  # 2 MB
-WRITE_S = 15.0  # how often the last part is replaced: it costs 50 ms
-SYNC_S = 1.0  # how often the journal is sent to the disk: what a power cut may cost
+WRITE_S = 15.0  # s between replacements of the last part, each of which takes 50 ms
+SYNC_S = 1.0  # s between syncs of the journal to disk: what a power cut may cost
 _PARTS = "part-*.parquet"
 _TALLIED = ("flight", "controller", "success", "outcome")
 _CHECKED = 16  # finished flights whose draws are compared when a campaign is taken up

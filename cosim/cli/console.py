@@ -54,8 +54,8 @@ def output_to_stderr(active: bool) -> Iterator[None]:
     try:
         yield
     finally:
-        sys.stdout.flush()  # what Python code has printed
-        ctypes.CDLL(None).fflush(None)  # what C code has printed but not yet written
+        sys.stdout.flush()  # output of Python code
+        ctypes.CDLL(None).fflush(None)  # buffered output of C code
         os.dup2(saved, 1)
         os.close(saved)
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint, EntryPoints
 
 INTERRUPTED, TERMINATED = 130, 143  # as a shell has them
-COMMANDS = {  # where each is, so that none is read for another
+COMMANDS = {  # module of each command: only the one that runs is imported
     "aircraft": "aircraft:aircraft",
     "compare": "results.compare:compare",
     "design": "controllers.design:design",
@@ -115,7 +115,7 @@ def cli() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command ``hexjet``: exits with 0, 1 (the flight failed) or 2 (wrong input, one line)."""
-    for stream in (sys.stdout, sys.stderr):  # a sign that a terminal has not is no reason to fail
+    for stream in (sys.stdout, sys.stderr):  # a character that the terminal lacks must not fail a command
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
     output = sys.stdout
@@ -160,7 +160,7 @@ def _machine_trouble(error: OSError) -> str:
     if error.filename != OUTPUT:
         return f"{error.strerror}; temporary files are in {tempfile.gettempdir()}"
     nothing = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nothing, sys.stdout.fileno())  # else Python tries again at its end, and fails with words of its own
+    os.dup2(nothing, sys.stdout.fileno())  # otherwise Python flushes again at exit, and fails with words of its own
     os.close(nothing)
     return f"{OUTPUT}: {error.strerror}"
 

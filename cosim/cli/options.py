@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 DONE, FLIGHT_FAILED, WRONG_INPUT = 0, 1, 2
 
 
-REPORTED = "told"  # a note of an interruption: the command has said itself what is kept
+REPORTED = "told"  # note of an interruption: the command has reported what is kept
 
 
 class Terminated(KeyboardInterrupt):
@@ -37,7 +37,7 @@ def treat_sigterm_as_interrupt() -> Iterator[None]:
         raise Terminated
 
     handlers = {}
-    if threading.current_thread() is threading.main_thread():  # no other may say what a signal does
+    if threading.current_thread() is threading.main_thread():  # only the main thread may set signal handlers
         for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):  # not every system has the second
             if signal.getsignal(number) is not signal.SIG_IGN:
                 handlers[number] = signal.signal(number, end)
@@ -75,7 +75,7 @@ class Flight(opt.Record):
             self.scenario, self.controller, self.engines, self.seed, self.settings, self.model, self.aircraft
         )
         changes = plugin_changes(self.metrics, self.own_observers, self.sensors, self.wind)
-        if self.sensors or self.wind:  # what it expects was stated without them
+        if self.sensors or self.wind:  # its expectations do not apply with them
             changes["expect"] = []
         if self.unchecked_engine:
             changes["engine_unchecked"] = True

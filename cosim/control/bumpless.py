@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import exp
 
 TIME = 0.5  # s, over which the difference fades; chosen by us: slow against the rate loops, short for a pilot
-_NEGLIGIBLE = 1e-9  # of a command of the order of 1: below it the difference is dropped
+_NEGLIGIBLE = 1e-9  # for commands of order 1: below this the difference is dropped
 
 
 class Fade:

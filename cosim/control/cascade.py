@@ -35,7 +35,7 @@ from cosim.spec.vehicle import Vehicle
 # s from switching engines on to where they must run: chosen by us, longer than a jet takes to spool up to idle
 _LONGEST_START: Final = 10.0
 _FLY: Final = EngineState.FLY
-_SIGNALS: Final = ControlSignals  # compiled code finds this without looking in a dictionary
+_SIGNALS: Final = ControlSignals  # a module-level Final, which compiled code accesses directly
 
 
 class Cascade:
@@ -63,7 +63,9 @@ class Cascade:
         self._low = vehicle.control.allocation.throttle_min
         self._every_jet = frozenset(range(self._jets))
         self._throttle: PerJet = ()
-        self._predictor_columns: list[tuple[str, Predictor, tuple[Column, ...]]] = []  # of predictors that log some
+        self._predictor_columns: list[
+            tuple[str, Predictor, tuple[Column, ...]]
+        ] = []  # columns of the predictors that log any
         self._shown_blocks = self._find_shown_blocks()
         self._clear(0.0)
 
@@ -96,9 +98,9 @@ class Cascade:
         self.selector.reset()
         self.signals = ControlSignals(ZERO3, ZERO3, ZERO3, 0.0, 0.0)
         self._off = NO_JETS  # jets that are to be shut off
-        self._shut_by_law = NO_JETS  # those of them that a law shut off because others were lost
+        self._shut_by_law = NO_JETS  # jets that a flight law shut off because another one failed
         self._engines_off = self._is_idle = self._clears_losses = self._is_cold = False
-        self._starting = 0.0  # s for which engines that were off may still be starting
+        self._starting = 0.0  # s during which restarted engines may still be starting
 
     def reset(self, on_ground: bool, burnt: float) -> PerJet:
         """Start a flight at rest and return its first throttles.  See :class:`cosim.base.protocols.Controller`."""

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from cosim.base.limits import clip
 from cosim.spec.vehicle import EngineLead, Leads, Schedule, ScheduledGains
 
-FINE = 1e-3  # of the range of the schedule, by which the level moves before the gains do
+FINE = 1e-3  # fraction of the schedule's range by which the level moves before the gains do
 
 
 class Factors(NamedTuple):

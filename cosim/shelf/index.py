@@ -26,10 +26,10 @@ from cosim.results.verdict import read_verdict
 from cosim.spec.controller_name import describe_controller
 
 INDEX, TAGS = ".index.json", "tags.json"
-FORM = 3  # of the index; another one is read as none
+FORM = 3  # version of the index; other versions are ignored
 RUN, CAMPAIGN, PAGE, UNFINISHED, LOG = "run", "campaign", "page", "unfinished", "log"
 SCENARIO = "scenario.toml"
-LOGS = (".ulg", ".bin", ".bbl", ".bfl", ".cfusdlog")  # of other flight controllers, which can be compared
+LOGS = (".ulg", ".bin", ".bbl", ".bfl", ".cfusdlog")  # suffixes of logs of other flight controllers
 TAG = re.compile(r"[\w.+-]{1,40}")
 SUMMARY_KEYS = ("scenario", "title", "aircraft", "engine", "controller", "started", "outcome", "verdict", "reason")
 
@@ -128,7 +128,7 @@ class Shelf:
         with (
             suppress(OSError),
             replace_on_success(self.folder / INDEX) as temporary,
-        ):  # a folder that is not ours is looked at
+        ):  # the folder may not be writable
             temporary.write_text(json.dumps({"form": FORM, "rows": rows}), encoding="utf-8")
 
 

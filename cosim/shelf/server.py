@@ -45,16 +45,16 @@ from cosim.groundstation.web.loopback import (
 from cosim.shelf.index import Shelf
 
 LARGEST = 1 << 20  # bytes of a message from the page: ten thousand names
-HELLO_S = 5.0  # for the token to arrive
+HELLO_S = 5.0  # s until the token must have arrived
 TYPES = loopback.TYPES | {
     "png": "image/png",
     "json": "application/json",
     "toml": TEXT,
     "csv": "text/csv; charset=utf-8",
 }
-ASSETS = ("css", "js")  # which a page in a sandbox asks for as if from elsewhere
+ASSETS = ("css", "js")  # assets that a sandboxed page requests as if from elsewhere
 ALLOWED = "allow-scripts allow-downloads"  # to a run's page
-PAGES = ("html", "svg")  # which may hold scripts
+PAGES = ("html", "svg")  # types of files that may contain scripts
 FRAMED = "page"  # the query of a run's page inside its frame
 FRAME = """<!doctype html>
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
@@ -73,7 +73,7 @@ class ShelfServer:
         self._compare = compare
         self._token, self._key = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
         self._nonce = secrets.token_urlsafe(16)
-        self._busy = threading.Lock()  # one thing is done at a time
+        self._busy = threading.Lock()  # serialises changes of the folder
         self._server: Server | None = None
 
     @property

@@ -50,7 +50,7 @@ RECTANGULAR: Final = 1.0
 ADAMS_BASHFORTH_2: Final = 3.0
 ADAMS_BASHFORTH_3: Final = 4.0
 BUSS_2: Final = 7.0  # augmented second order, exact for a rate that does not change
-METHODS: Final = {  # as a run's summary and page call them
+METHODS: Final = {  # names in a run's summary and report
     RECTANGULAR: "rectangular rule",
     ADAMS_BASHFORTH_2: "Adams-Bashforth 2",
     ADAMS_BASHFORTH_3: "Adams-Bashforth 3",
@@ -61,7 +61,7 @@ RATES: Final = ("rotational", "translational")
 IN_THE_AIR: Final = ADAMS_BASHFORTH_2  # of both rates
 # JSBSim's friction is the force that stops a contact within one run of the rectangular rule.  Adams and Bashforth's
 # method would take half as much again and leave the rates swinging from run to run, for good.
-ON_THE_GROUND: Final = RECTANGULAR  # of both rates, while anything touches
+ON_THE_GROUND: Final = RECTANGULAR  # method of both rates while a contact touches
 # A surface is moved by this share of its range, for so many seconds, to see what it does; chosen by us: small beside
 # where tables bend, long beside actuators
 SETTLING: Final = (0.05, 2.0)
@@ -72,7 +72,7 @@ _RANKINE: Final = 5.0 / 9.0  # K, exact
 _NED = ("north", "east", "down")
 _NONE: Final[Any] = ZERO3  # as one object
 _STATE: Final = State  # compiled code finds this without looking in a dictionary
-_number = itertools.count()  # of the airframes of this process
+_number = itertools.count()  # numbers the airframes of this process
 
 Node = Callable[[str], Property]  # a property by its name
 Payload = tuple[float, float, float, float]  # kg, then its place, m from the centre of gravity as built, body
@@ -264,7 +264,7 @@ class Airframe:
         self._full = self._mass = self._get_mass() * SLUG
         self._burnt = 0.0
         self._spin = ZERO3
-        self._ahead = False  # whether fuel or rotors are, by what the first run has on top
+        self._ahead = False  # whether fuel or rotors include the first run's extra change
         if burnt:
             self.burn(burnt)
         turbulence = 4.0 if place.turbulence_severity else 0.0  # 4: MIL-F-8785C, Tustin form
@@ -292,7 +292,7 @@ class Airframe:
         """
         if self._touching != (self._method == ON_THE_GROUND):
             self._use(ON_THE_GROUND if self._touching else IN_THE_AIR)
-        old: Payload | None = None  # if there is another one now
+        old: Payload | None = None  # the previous payload, if it differs
         if disturbance is not self._disturbance:
             if disturbance.payload != self._disturbance.payload:
                 old = self._disturbance.payload

@@ -54,7 +54,7 @@ class _LogCapture(jsbsim.FGLogger):
 
 _log = _LogCapture()
 if threading.current_thread() is threading.main_thread():
-    jsbsim.set_logger(_log)  # of this thread; JSBSim's logger of another one prints
+    jsbsim.set_logger(_log)  # the logger of this thread only; JSBSim's logger of another one prints
 
 
 def _quiet_executive(folder: str) -> jsbsim.FGFDMExec:
@@ -84,7 +84,7 @@ class Executive:
         fdm.set_debug_level(0)
         fdm.set_aircraft_path(".")
         for forbidden in filter(None, map(self._manager.get_node, ACTING)):
-            forbidden.set_attribute(jsbsim.Attribute.WRITE, False)  # by whatever name the model finds it
+            forbidden.set_attribute(jsbsim.Attribute.WRITE, False)  # applies to every name of the property
         try:
             if not fdm.load_model(file.stem, add_model_to_path=False):  # answers False instead of raising
                 raise Complaint("")
@@ -159,5 +159,5 @@ def _property_names(root: ET.Element) -> Iterator[str]:
     )
     for element in (*inside, *root.iter("independentVar"), *root.iter("input")):
         name = (element.text or "").strip().removeprefix("-")
-        if name and "#" not in name:  # a number takes its place, of an engine
+        if name and "#" not in name:  # "#" stands for the number of an engine
             yield name

@@ -100,7 +100,7 @@ def _write_mass(root: ET.Element, vehicle: Vehicle) -> None:
     _write(balance, "emptywt", vehicle.mass_kg / SLUG * JSBSIM_POUNDS_PER_SLUG, "LBS")
     for axis, inertia in zip(("ixx", "iyy", "izz"), vehicle.inertia_kg_m2, strict=True):
         _write(balance, axis, inertia / SLUG_FT2, "SLUG*FT2")
-    if any(vehicle.products_kg_m2):  # else those of the file, if it has any
+    if any(vehicle.products_kg_m2):  # zero products keep those of the file
         balance.set("negated_crossproduct_inertia", "true")
         for axis, product in zip(PRODUCTS, vehicle.products_kg_m2, strict=True):
             if balance.find(axis) is None:

@@ -33,7 +33,7 @@ ACTING: Final = tuple(
         "jsbsim-debug",
     )
 )  # fmt: skip
-MOST_BYTES: Final = 2**26  # of one file; the largest of JSBSim's own aircraft has 400 kB
+MOST_BYTES: Final = 2**26  # most bytes of one file; the largest of JSBSim's own aircraft has 400 kB
 _NONE: Final = b"<fdm_config/>"
 _cache: Memory[bytes] = Memory(64)  # files that name no others, as they are handed on
 

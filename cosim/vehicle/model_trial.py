@@ -20,10 +20,10 @@ from cosim.base.storage.scratch import scratch
 from cosim.vehicle.executive import VERSION, Complaint, Executive
 from cosim.vehicle.model_file import FLOWN, find_line
 
-CPU_S: Final = 20  # that a child may take; JSBSim's own aircraft take 0.1 s
-MEGABYTES: Final = 4096  # of address space
-WALL_S: Final = 300.0  # on a machine that is busy
-RUNS: Final = 5  # of JSBSim, after its start
+CPU_S: Final = 20  # s of processor time of a trial; JSBSim's own aircraft take 0.1 s
+MEGABYTES: Final = 4096  # most address space of a trial
+WALL_S: Final = 300.0  # s of wall time of a trial, on a busy machine
+RUNS: Final = 5  # runs of JSBSim after its start
 _CODE: Final = "from cosim.vehicle.model_trial import try_model; try_model(sys.argv[1])"
 
 

@@ -50,7 +50,7 @@ class Propulsion:
         self._load = Load(self._layout)
         self._rest = tuple([servo.angle for servo in servos]) or (0.0, 0.0)
         self._wind = ZERO3
-        self.gusts: list[Vector3] = []  # m/s NED, of the wind at each jet beyond that at the vehicle; none: it is one
+        self.gusts: list[Vector3] = []  # wind at each jet less that at the vehicle [m/s, NED]
         self._clear()
 
     def _clear(self) -> None:

@@ -26,7 +26,7 @@ _DRAWS = 13  # standard normals a step: gyro 3, attitude 3, position 3, velocity
 _FORCE_DRAWS = 3  # of the accelerometer
 _BLOCK = 256  # steps drawn at once
 _MEASURED: Final = Measured  # compiled code finds this without looking in a dictionary
-_BIAS_KEY = 6  # of the random numbers that biases are drawn from; the others' are 0 and 1
+_BIAS_KEY = 6  # key of the random numbers for biases; the others' are 0 and 1
 
 
 class Latency(Generic[T]):
@@ -82,7 +82,7 @@ class LeanError:
         error = normalize(multiply(self._error, (1.0, n, e, d)))
         x, y, z = force
         size = sqrt(x * x + y * y + z * z)
-        if size > 0.0:  # in free fall nothing is felt, and the gyro is alone
+        if size > 0.0:  # in free fall only the gyro counts
             n, e, d = rotate(multiply(error, attitude), (-x / size, -y / size, -z / size))
             across = hypot(n, e)
             if across > 0.0:
@@ -90,7 +90,9 @@ class LeanError:
                 sine = sin(half) / across
                 error = multiply((cos(half), e * sine, -n * sine, 0.0), error)
         w, x, y, z = error
-        self._error = normalize((w * w + z * z, w * x + z * y, w * y - z * x, 0.0))  # without its turn about down
+        self._error = normalize(
+            (w * w + z * z, w * x + z * y, w * y - z * x, 0.0)
+        )  # the error without its rotation about down
         return multiply(self._error, attitude)
 
 

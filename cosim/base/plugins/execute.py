@@ -82,7 +82,7 @@ def _imports(path: Path, name: Path | str) -> list[Code]:
     """Return the files beside a Python file that it, or one of these, seems to import, as code that ``name`` names."""
     found, waiting = dict[Path, None](), [path]
     while waiting:
-        with suppress(OSError, SyntaxError, ValueError):  # what is wrong with it is said when it is run
+        with suppress(OSError, SyntaxError, ValueError):  # errors in it are reported when it runs
             for module in _names(waiting.pop()):
                 for file in _files_of(path.parent, module):
                     if file != path and file not in found:

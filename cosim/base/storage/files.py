@@ -19,7 +19,7 @@ def replace_on_success(path: Path) -> Iterator[Path]:
     """Yield a temporary file beside ``path``, which replaces it on success and is removed on failure."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with suppress(OSError):
-        temporary.unlink()  # what has the name already: a link, in a folder from elsewhere, that leads to another file
+        temporary.unlink()  # an existing link of this name may lead to another file
     try:
         yield temporary
         with open(temporary, "rb+") as file:

@@ -19,7 +19,7 @@ from cosim.base.storage.files import one_line, try_lock
 
 _PREFIX = "hexjet-scratch-"
 _LOCK = "lock"
-_made: dict[int, Path] = {}  # by process: one that was forked has its own
+_made: dict[int, Path] = {}  # by process id: a forked process has its own
 
 
 def scratch() -> Path:

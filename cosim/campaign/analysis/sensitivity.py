@@ -26,7 +26,7 @@ from cosim.campaign.analysis.statistics import Counts, Interval, Z, assign_class
 FEWEST = 30  # flights; with fewer, chance alone looks like an effect of a quarter
 SHUFFLES = 200
 SEED = 1  # of the shuffles
-LEVEL = 0.95  # of the largest index that chance gives to any key
+LEVEL = 0.95  # quantile of the largest index that chance gives to any key
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class KeyEffect:
     key: str
     index: float  # first order, corrected for chance; may come out a little below 0
     interval: Interval
-    real: bool  # above what chance gives
+    real: bool  # whether the index exceeds the noise floor
     rank: float | None  # Spearman's; None for choices
     rank_interval: Interval | None
     partial: float | None  # rank correlation with the ranks of the other numbers held; None for choices
@@ -47,7 +47,7 @@ class Ranking:
     """The keys in the order of their first-order indices."""
 
     flights: int
-    floor: float  # what chance alone gives to the largest of all keys, in 19 of 20 cases
+    floor: float  # largest index of all keys by chance alone, in 19 of 20 cases
     effects: list[KeyEffect]
 
     @property

@@ -22,9 +22,9 @@ FLIGHTS_PER_CELL = 15  # flights in a cell of draws, were they spread evenly
 MIN_PER_CELL = 5  # flights, before a cell's share is shown: with fewer the interval is wider than 60 points
 MAP_KEYS = 6
 MAP_METRICS = 6
-MAP_CELLS = 6000  # over all pairs of keys, for one controller: what a page can hold
-MAX_POINTS = 400  # of successes and of the others, for one controller
-SEED = 1  # of the sample of single flights
+MAP_CELLS = 6000  # most cells over all pairs of keys, for one controller: what a page can hold
+MAX_POINTS = 400  # most successes and most other flights shown for one controller
+SEED = 1  # seed of the sample of single flights
 
 
 def map_tables(table: FlightTable, keys: Sequence[int], pair: tuple[int, int], colour: str) -> Figure:

@@ -138,7 +138,7 @@ def holm(values: Sequence[float]) -> list[float]:
 class MedianDifference(NamedTuple):
     """The difference of a metric of the same draws between two controllers, second less first."""
 
-    draws: int  # that have the metric with both
+    draws: int  # draws with the metric under both controllers
     median: float
     interval: Interval | None  # None for fewer draws than an interval of 95 % needs, six
     p: float  # Wilcoxon's signed-rank test of differences that lie evenly about 0

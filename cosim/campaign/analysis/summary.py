@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import Range
 
 SUCCESS = "success"
-_PAIRS = 3  # of controllers, that a terminal has all of
+_PAIRS = 3  # most pairs of controllers that a terminal shows
 NUMBER = re.compile(r"(?<![A-Za-z_])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 BRACKETS = re.compile(r"\s*\([^()]*\)")
 
@@ -43,7 +43,7 @@ class Comparison(NamedTuple):
     first: int
     second: int
     pairs: Pairs
-    interval: Interval | None  # of the difference of success, second less first
+    interval: Interval | None  # interval of the difference of success, second less first
     p: float  # McNemar's
     p_holm: float  # corrected for the number of comparisons
     metrics: dict[str, MedianDifference | None]  # second less first, over draws that both completed

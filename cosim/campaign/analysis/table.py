@@ -28,7 +28,7 @@ Mask = NDArray[np.bool_]
 
 # What a flight came to, best first.  "missed": flew to its end, but not within its own limits and what the study asks.
 KINDS = ("success", "missed", "crashed", "diverged", "failed")
-MAX_METRICS = 8  # on the page; the data set has them all
+MAX_METRICS = 8  # most metrics in the report; the data set has all
 OF_AXES = (
     "overshoot_percent",
     "rmse_rad",
@@ -55,7 +55,7 @@ class KeyColumn(NamedTuple):
     label: str  # short enough for an axis, and no other key's
     unit: str
     numbers: Array
-    levels: list[str]  # of a choice; empty for a number
+    levels: list[str]  # names of the choices; empty for a number
     log: bool = False
 
     @property

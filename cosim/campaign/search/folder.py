@@ -138,7 +138,7 @@ def run_search(
         with lock_file(out / JOURNAL, f"{out}: another search is at work there"):
             prober = Prober(load_study(out / STUDY), plan.seeds, plan.share, workers, Journal(out / JOURNAL), progress)
             result = search(plan, prober)
-            shutil.rmtree(out / CASES, ignore_errors=True)  # of a search that was stopped while it flew them
+            shutil.rmtree(out / CASES, ignore_errors=True)  # left by a search stopped while it flew them
             cases = tuple(_cases(result, prober, out / CASES))
             looked = [(point, prober.result(point).breaks) for point in prober.points]
             searched = SavedSearch(out, result, cases, looked)

@@ -24,7 +24,7 @@ Figure = dict[str, Any]
 TEMPLATE = Path(__file__).parent / "templates" / "search.html"
 
 ROW_PX = 44
-MAX_POINTS = 1500  # of a controller, in a figure
+MAX_POINTS = 1500  # most points of a controller in a figure
 
 
 COLUMNS = ("controller", "key", "at", "from", "holds to", "breaks at", "change", "then")

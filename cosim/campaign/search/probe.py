@@ -39,7 +39,7 @@ class PointResult:
     broken: int
     flights: int
     breaks: bool
-    worst: Row  # of the first seed that broke, or else of the first
+    worst: Row  # row of the first seed that broke, or else of the first seed
 
 
 class BudgetSpentError(Exception):
@@ -75,7 +75,7 @@ class Prober:
         self._journal = journal
         self._progress = progress
         self._rows: Rows = journal.read() if journal else {}
-        self._requests: dict[tuple[Point, int], None] = {}  # in the order in which they were
+        self._requests: dict[tuple[Point, int], None] = {}  # keys are in the order of the requests
 
     @property
     def flights(self) -> int:

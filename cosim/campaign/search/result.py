@@ -20,14 +20,14 @@ from cosim.spec.scenario import Scenario
 class Case:
     """A flight of the result, flown again from its own scenario file."""
 
-    name: str  # of its folder in cases/
+    name: str  # name of its folder in cases/
     controller: str
     breaks: bool
     values: Mapping[str, Value]
     seed: int
     outcome: str
     reason: str  # in words
-    same: bool  # as in the search, bit for bit
+    same: bool  # whether the flight is as in the search, bit for bit
 
 
 @dataclass(frozen=True)

@@ -28,12 +28,12 @@ from cosim.results.wording import metric
 Side = Literal["up", "down"]
 SIDES: dict[int, Side] = {1: "up", -1: "down"}
 
-RAY_STEP = 0.1  # of the ranges: how far apart the places of a ray are looked at; chosen by us
-RAY_BATCH = 3  # places of a ray, outwards, at a time
-COARSE_STEP = 0.02  # of the ranges: to which every ray is bisected
-FINE_STEP = 0.005  # the same of the best one
-RANDOM_BATCH = 8  # directions at a time, as long as nothing that breaks is known
-FURTHEST_RATIO = 1.25  # times the nearest that breaks: further out a ray is not looked at
+RAY_STEP = 0.1  # spacing of the positions on a ray, as a fraction of the ranges; chosen by us
+RAY_BATCH = 3  # positions of a ray evaluated at a time, outwards
+COARSE_STEP = 0.02  # resolution of the bisection of every ray, as a fraction of the ranges
+FINE_STEP = 0.005  # the same for the best ray
+RANDOM_BATCH = 8  # directions tried at a time while nothing that breaks is known
+FURTHEST_RATIO = 1.25  # a ray is not evaluated beyond this multiple of the nearest breaking distance
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Plan:
     spans: tuple[Span, ...]
     over: SecondKey | None = None
     seeds: tuple[int, ...] = (1,)
-    share: float = 0.0  # of the flights of a point that have to break; 0: any of them
+    share: float = 0.0  # fraction of the flights of a point that have to break; 0: any of them
     budget: int = 1000  # flights of a search of several keys together, for each controller
 
     def point(self, controller: str, changed: Mapping[str, Value], level: Value | None = None) -> Point:
@@ -76,12 +76,12 @@ class Edge:
     holds: Value | None  # the last before ``breaks``; of a start that breaks, the first further out
     breaks: Value | None  # the first value that breaks; None: none up to the end
     end: Value
-    deviation: float | None  # of ``breaks``, as a share of the way to the end
+    deviation: float | None  # deviation of ``breaks``, as a fraction of the way to the end
     bands: tuple[tuple[Value, Value, bool], ...]  # first and last value, and whether it breaks there
     flown: int
-    broken: int  # of so many flights of the breaking point
+    broken: int  # number of flights that broke at the breaking point
     outcome: str
-    reason: str  # of the first of them, in words
+    reason: str  # reason of the first of them
 
     @property
     def comes_back(self) -> bool:

@@ -15,8 +15,8 @@ from cosim.campaign.study.distributions import Vary
 from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.values import absolute_support, check_vary, quantum, whole_bounds
 
-SCAN_POINTS = 21  # of a scan over the whole range where nobody says how many; chosen by us
-RESOLUTION = 200  # parts of the range to which is bisected where nobody says how far; chosen by us
+SCAN_POINTS = 21  # points of a scan over the whole range by default; chosen by us
+RESOLUTION = 200  # the default tolerance is the range over this; chosen by us
 
 
 @dataclass(frozen=True)

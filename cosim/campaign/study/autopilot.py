@@ -20,9 +20,11 @@ class StudyAutopilot(Model):
     name: Literal["betaflight", "px4", "ardupilot"]
     binary: str = ""  # its program, as seen from the study's folder; none: the one that the environment names
     gains: Literal["vehicle", "stock"] = "vehicle"  # stock: as it ships; Betaflight's alone
-    lines: list[str] = Field(default_factory=list)  # for Betaflight's console
-    parameters: dict[str, float] = Field(default_factory=dict)  # of PX4 and ArduPilot, over those from the vehicle
-    channels: list[str] = Field(default_factory=list)  # of ArduPilot's transmitter, as --channel takes them
+    lines: list[str] = Field(default_factory=list)  # commands for Betaflight's console
+    parameters: dict[str, float] = Field(
+        default_factory=dict
+    )  # parameters of PX4 and ArduPilot, over those from the vehicle
+    channels: list[str] = Field(default_factory=list)  # channels of ArduPilot's transmitter, as --channel takes them
     timeout_s: Annotated[float, Field(ge=0.1, le=600.0)] = 30.0  # for an answer, of the clock
 
     @model_validator(mode="after")

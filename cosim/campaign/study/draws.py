@@ -28,8 +28,8 @@ from cosim.campaign.study.study import Study
 from cosim.campaign.study.values import absolute_support, levels, quantum, round_to_steps, whole_bounds
 
 BLOCK = 1024  # draws made at a time: a power of two, for Sobol's sake
-POINTS, SEEDS = 0, 1  # what a study's seed is split into
-SMALLEST = 2.0**-54  # a share of 0 would be minus infinity under a normal distribution
+POINTS, SEEDS = 0, 1  # indices of the random streams of a study's seed
+SMALLEST = 2.0**-54  # a point at 0 would be minus infinity under a normal distribution
 
 
 @dataclass(frozen=True)

@@ -50,8 +50,8 @@ class Key:
 
     path: str
     kind: Kind
-    nominal: Value | None  # as the scenario flies; None where it states none
-    unit: str = ""  # where the name says it
+    nominal: Value | None  # value in the scenario; None where it has none
+    unit: str = ""  # unit by the suffix of the name; empty without one
     low: float = -inf
     high: float = inf
     open_low: bool = False  # ``low`` itself is not allowed

@@ -80,7 +80,7 @@ class Study(Model):
     )  # none: the scenario's
     design: Design
     runs: Annotated[int, Field(ge=1, le=MAX_DRAWS)] | None = None  # draws; a grid has as many as it has points
-    repeats: Annotated[int, Field(ge=1, le=MAX_DRAWS)] = 1  # of a whole grid, with other seeds
+    repeats: Annotated[int, Field(ge=1, le=MAX_DRAWS)] = 1  # repeats of a whole grid with other seeds
     seed: Annotated[int, Field(ge=0, lt=2**53)] = 1
     vary: Annotated[list[Vary], Field(min_length=1), BeforeValidator(vary_tables)]
     correlate: list[Correlation] = Field(default_factory=list)
@@ -240,7 +240,7 @@ class Study(Model):
         study._folder, study._where = folder, where
         files = [seen_from(name, folder) for name in study.controllers]
         study = study.model_copy(update={"controllers": files}) if files != study.controllers else study
-        if not is_looking():  # else it was checked when it was flown
+        if not is_looking():  # a displayed study was checked when it was flown
             need_trust(study_code(study), where)
             check(study, where)
         return study

@@ -14,7 +14,7 @@ from cosim.control.allocation.authority import Reach
 from cosim.results.report.svg import begin_drawing, finish_drawing, text
 from cosim.spec.vehicle import Vehicle
 
-DIRECTIONS = 24  # in which a section is looked at, the axes and the diagonals among them
+DIRECTIONS = 24  # directions of a section, the axes and the diagonals among them
 BOUND_GAP = 0.02  # of a moment, by which its bound is above it where that is drawn; a line is as wide
 VIEW, MARGIN, TITLE = 300.0, 58.0, 44.0  # px
 Corners = list[tuple[float, float]]

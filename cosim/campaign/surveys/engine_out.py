@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 AIRCRAFT = ("hexjet", "hexjet-100", "hexjet-p220")
 NOT_A_JET = ("motor",)  # the quadrotor's
 AFTER_S = 10.0  # flown with the engine out: long enough for the slowest engines to have brought the height back or not
-MIN_HOVER = 0.2  # of the range of thrust, chosen by us: below it an engine is the wrong one, slow near its idle
+MIN_HOVER = 0.2  # least hover thrust over the range, chosen by us: below it an engine is slow near its idle
 SINK_M_S = 0.5  # at the end: who sinks faster than an autopilot lands has not held; chosen by us
 LATE_S = 0.1  # about what a monitor that reads the spool needs
 Means = Literal["planned around", "opposite shut off", "opposite, found sooner"]
@@ -61,13 +61,15 @@ class Flight:
     means: Means
     verdict: Verdict
     lean_deg: float  # largest, from upright, from the fault on
-    lost_m: float  # of height, from the fault on
+    lost_m: float  # height lost from the fault on
     drift_m: float  # furthest over the ground from where it went out
     sink_m_s: float  # at the end
     detected_s: float | None  # from the fault to the monitor's first verdict
     reason: str
-    throttles_deg: float  # no throttles lean less; with the opposite engine shut off when this flight did it
-    bound_deg: float  # no throttles and tilts do
+    throttles_deg: (
+        float  # bound of the lean with throttles alone; with the opposite engine shut off when this flight did it
+    )
+    bound_deg: float  # bound of the lean with throttles and tilts
     limit_deg: float  # the lean at which a flight counts as lost
 
 
@@ -105,9 +107,9 @@ class Lever:
     engine: str
     limit_deg: float
     at_once_deg: float  # every throttle moves at the instant of the flame-out
-    tilts_deg: float  # so does the bank across from it: bound for throttles and tilts
-    late_deg: float  # nothing moves for LATE_S
-    half_thrust_deg: float  # the same engines on half the mass and inertia
+    tilts_deg: float  # bound for throttles and tilts, the opposite bank tilting at once too
+    late_deg: float  # bound if nothing moves for LATE_S
+    half_thrust_deg: float  # bound with the same engines on half the mass and inertia
     inertia: float  # by how much J_xx would have to grow, at the same lever, for a bound at the limit
     opposite_at_once_deg: float  # the opposite engine is shut off at the same instant
     opposite_s: float  # the latest moment for that, for a bound at the limit; nan where none is early enough
@@ -299,7 +301,7 @@ LEVERS = (
 )  # fmt: skip
 SKIPPED = ("aircraft", "engine", "not flown")
 TABLES = {"engine-out": HEAD, "engine-out-levers": LEVERS, "engine-out-left": SKIPPED}
-PAGES = {"faults.md": ("hexjet",), "full-scale.md": ("hexjet-100", "hexjet-p220")}  # which aircraft are on which
+PAGES = {"faults.md": ("hexjet",), "full-scale.md": ("hexjet-100", "hexjet-p220")}  # aircraft described on each page
 
 
 def rows(result: EngineOut, aircraft: Sequence[str]) -> dict[str, list[tuple[str, ...]]]:

@@ -32,18 +32,18 @@ if TYPE_CHECKING:
 
 # Chosen by us.
 MOVING_S = 10.0  # on the way before anything fails: twice what reaching the speed and learning the drag there take
-FAR_M = 1000.0  # where a moving start is on its way to
+FAR_M = 1000.0  # m to the target of a moving start
 SETTLED_S = 5.0  # holding before anything fails, at least
 SLOW_M_S, SLOW_S = 0.3, 1.0  # and slower than this for so long, so that it does hold where the wind took it at first
-LONGEST_SETTLING_S = 60.0  # it fails then, whatever the speed
+LONGEST_SETTLING_S = 60.0  # s after which the failure begins at any speed
 LONGEST_S = 180.0  # from the failure on: three times the descent from 30 m at the landing's rate
-PER_METRE_S = 4.0  # beside that, for each metre of height: slower than any vehicle climbs or descends
+PER_METRE_S = 4.0  # s in addition for each metre of height: slower than any vehicle climbs or descends
 LATER_S = 10.0  # after disarming
 DISARMED_S = 1.0  # the same of all flights of a cell but the first
-STANDING_S = 1.1  # on the ground before it is armed: home is known by then
+STANDING_S = 1.1  # s on the ground before arming: home is known by then
 HOLD_S = 8.0  # it is to hold for at least so long, and until it is slow near its place
 HOLD_RADIUS_M = 1.5  # and counts as holding within this of the place: what a waypoint is reached within (HJ_ACC_RADIUS)
-HOLD_HEIGHT_M = 0.4  # and within this of the height: what a climb is over within
+HOLD_HEIGHT_M = 0.4  # m of height error that counts as holding, and ends a climb
 LONGEST_HOLD_S = 60.0
 
 
@@ -53,9 +53,9 @@ class Case(NamedTuple):
     name: str
     first_requests: tuple[Request, ...]
     failing_requests: tuple[Request, ...]
-    holds: bool = False  # it ends in HOLD, not on the ground
+    holds: bool = False  # whether it ends in HOLD instead of on the ground
     moving: bool = False  # flown without a position from then on, so it also begins moving
-    waits: bool = False  # nothing is called: the fuel runs down until the autopilot acts
+    waits: bool = False  # whether the fuel runs down without a request until the autopilot acts
 
 
 class Start(NamedTuple):

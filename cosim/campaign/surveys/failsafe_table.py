@@ -68,7 +68,7 @@ class FailsafeSummary:
     failsafe: str
     wind_m_s: float
     speed_m_s: float
-    ends: str  # what became of the flights, the same words once
+    ends: str  # distinct outcomes of the flights
     touchdown_m_s: float  # the fastest; NaN: none touched
     sideways_m_s: float
     thrust_n: float  # the most; NaN: none was disarmed

@@ -51,10 +51,10 @@ if TYPE_CHECKING:
 # Of docs/failsafes.md, every one that ships with an autopilot; vehicles of one's own by their names.
 TABLED = ("hexjet", "hexjet-100", "hexjet-p220", "quadrotor", "octojet", "quadjet", "trijet", "jetwing")
 HEIGHTS_M = (3.0, 10.0, 30.0)
-TALL_M = (100.0, 300.0)  # for what waits for the fuel, one flight each
+TALL_M = (100.0, 300.0)  # heights [m] of flights that wait for the fuel, one flight each
 WINDS_M_S = (0.0, 5.0, 10.0)
 # Chosen by us.
-SPEED_M_S = 5.0  # of moving starts: above any vehicle's cruise, below any drag that the lean cannot hold
+SPEED_M_S = 5.0  # m/s, speed of moving starts: above any vehicle's cruise, below any drag that the lean cannot hold
 MOVING_FROM_M = 10.0  # they begin no lower
 HOVER_S = (2.0, 20.0)  # from the end of a take-off until something fails, drawn evenly
 GYRO_BIAS = radians(3.0)  # rad/s about the late axis: what a MEMS gyro's zero is off when it was never calibrated

@@ -68,7 +68,7 @@ class Row:
     controller: str
     verdict: Verdict
     lean_deg: float  # largest, from upright, from the fault on
-    lost_m: float  # of height, from the fault on
+    lost_m: float  # height lost from the fault on
     detected_s: float | None  # from the fault to the monitor's first verdict
     reason: str
     controller_sha256: str | None = None  # of one from outside

@@ -85,7 +85,7 @@ class RollAxis:
     vehicle: Vehicle
     courses: ThrustCourses
     hover: float  # N, of a jet
-    inertia: float = 1.0  # over that of the vehicle
+    inertia: float = 1.0  # moment of inertia over that of the vehicle
 
     def least_lean(self, jet: int, after: int = 0, shut_at: int | None = None, tilting: bool = False) -> Bound:
         """Return the lean that no throttles avoid with jet ``jet`` (from 1) out, knowing it from step ``after`` on.

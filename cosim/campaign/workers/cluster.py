@@ -40,15 +40,15 @@ if TYPE_CHECKING:
     from cosim.campaign.study.study import Study
 
 # Chosen by us.
-CONNECT_S = 4.0  # until a scheduler must have answered
-FIRST_WORKER_S = 10.0  # until it must have a worker
+CONNECT_S = 4.0  # s until a scheduler must have answered
+FIRST_WORKER_S = 10.0  # s until the scheduler must have a worker
 NO_WORKER_S = 120.0  # the same in the middle of a campaign: a batch system takes a machine away and brings another
 CHECK_S = 20.0  # until a worker should have said what is installed there; one that is busy says it with its first task
-CLOSE_S = 2.0  # for a connection to be closed as it should be
-LOOK_S = 1.0  # how often it is looked how many workers there are
-TASK_S = 0.5  # of work in a task: a hundred times what it takes to hand one out
+CLOSE_S = 2.0  # s allowed for closing a connection in order
+LOOK_S = 1.0  # s between counts of the workers
+TASK_S = 0.5  # s of work in a task: a hundred times what it takes to hand one out
 MAX_IN_TASK = 64  # flights
-TASKS_A_THREAD = 2  # one that is flown and one that waits
+TASKS_A_THREAD = 2  # one running and one waiting
 
 
 class DaskWorkers:

@@ -42,9 +42,9 @@ if TYPE_CHECKING:
 Fly = Callable[["Study", "Flight"], Row]
 Failed = Callable[["Study", "Flight", str], Row]
 
-AHEAD_S = 0.25  # of work that waits in a process, so that it need not wait for the next flight
+AHEAD_S = 0.25  # s of work queued in a process, so that it need not wait for the next flight
 MAX_AHEAD = 8  # flights
-LOOK_S = 1.0  # how often processes are looked at whose end nobody told
+LOOK_S = 1.0  # s between checks for processes that ended unnoticed
 BACKSTOP_S = 10.0  # after its limit a flight ends its process by itself, should nobody be there to do it
 START_LIMIT_S = 60.0  # chosen by us: until a process is ready, which takes half a second
 STARTS = 8  # processes in a row that end before they are ready: then something else is wrong
@@ -71,7 +71,7 @@ class LocalWorkers:
         self._time_limit = time_limit_s
         self._fly, self._failed = fly, failed
         self._processes: list[_Process] = []
-        self._starts = 0  # that came to nothing, in a row
+        self._starts = 0  # failed starts in a row
 
     def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
         """See :class:`cosim.campaign.workers.protocol.Workers`."""
@@ -273,7 +273,7 @@ class _Process:
         return {"worker": f"{os.uname().nodename}:{self._process.pid}", "wall_s": wall_s}
 
     def end(self) -> None:
-        self._process.end()  # with whatever an engine has started
+        self._process.end()  # ends the processes of its engines too
         self.connection.close()
         shutil.rmtree(self._folder, ignore_errors=True)
 

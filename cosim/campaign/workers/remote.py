@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from cosim.campaign.study.study import Study
 
 IDLE_S = 60.0  # chosen by us: after which a process without flights ends
-PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy")  # of what there is, those that make a flight's numbers
+PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy")  # packages that determine a flight's numbers
 FILES = "files of aircraft, engines and program"  # compared by their contents
 
 _studies: Memory[Study] = Memory(4)
@@ -78,7 +78,7 @@ atexit.register(_processes.end_idle)
 
 def fly_together(frozen: FrozenStudy, digest: str, flights: Sequence[Flight], limit: float, folder: Path) -> list[Row]:
     """Fly some flights of the study with this digest; ``folder`` is one that goes when the worker goes."""
-    with _unpacking:  # a worker has several threads
+    with _unpacking:  # several threads of a worker may unpack
         _unpack(frozen, folder / digest)
         trust(folder / digest)  # whoever sent it has looked at its code: that is what a cluster is for
         study = _studies.get((digest, folder), lambda: load(folder / digest))

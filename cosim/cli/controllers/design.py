@@ -152,7 +152,12 @@ def _prepare(out: Path) -> None:
         raise InputError(f"--out {out}: cannot be written to: {error.strerror or error}") from error
 
 
-AT_A_LEVEL = ("peak |S|", "phase deg", "bandwidth Hz", "tolerated")  # of fuel; the page has every column
+AT_A_LEVEL = (
+    "peak |S|",
+    "phase deg",
+    "bandwidth Hz",
+    "tolerated",
+)  # columns at a fuel level; the report has every column
 NAME_WIDTH = 32  # "altitude, 75% of fuel, scheduled"
 
 

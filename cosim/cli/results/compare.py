@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 PAGE = "comparison.html"
 _OUT = Out(".html")
-LETTERS = "ABCDEFGH"  # as many as there are colours that can be told apart
+LETTERS = "ABCDEFGH"  # one per distinguishable colour
 SIGNALS = ("roll_rad", "pitch_rad", "yaw_rad", "altitude_m", "north_m", "east_m", "collective")
-EARLIEST = 5  # beside those, the first that differ
+EARLIEST = 5  # number of further signals shown: the first that differ
 _MAX_INPUTS = 12  # lines in the terminal; the page has all
 
 

@@ -32,7 +32,7 @@ class Export(click.Group):
         return log if cmd_name == _LOG else super().get_command(ctx, cmd_name)
 
 
-_LOG = "DIR"  # what the help calls it
+_LOG = "DIR"  # name of the argument in the help
 
 
 @click.group(cls=Export, epilog=example("hexjet export runs/roll-doublet-smith-001 --to ulog"))

@@ -50,7 +50,7 @@ def _write_redirect(url: str) -> Path:
 
     from cosim.base.storage.scratch import scratch
 
-    page = scratch() / "open.html"  # in a folder that nobody else may enter
+    page = scratch() / "open.html"  # in a folder private to this user
     page.write_text(f'<!doctype html><meta http-equiv="refresh" content="0;url={escape(url)}">', encoding="utf-8")
     return page
 

@@ -228,7 +228,7 @@ def _sweep_bar(quiet: bool) -> Iterator[Callable[[Tally, int, int], None]]:
 
         def show(tally: Tally, done: int, of: int) -> None:
             if progress.tasks[0].total is None:
-                progress.reset(task, total=of, completed=done)  # what was flown before says nothing of the rate
+                progress.reset(task, total=of, completed=done)  # flights of an earlier run do not count for the rate
             speed = progress.tasks[0].speed
             rate = "" if speed is None else f"{speed:.1f}/s"
             shares = ", ".join(f"{name} {tally.successes[name] / n:.0%}" for name, n in sorted(tally.flights.items()))

@@ -21,8 +21,8 @@ from cosim.base.signals import AXES, NO_JETS, ZERO3, Actuation, JetHealth, PerJe
 from cosim.control.allocation.reallocation import Plan, plan
 from cosim.spec.vehicle import AllocationLimits, Jet
 
-LEAST_SHARE: Final = 0.25  # of hover thrust, below which tilts are not enlarged further
-_FLAT: Final = 1e-9  # of throttle per collective: does not follow it
+LEAST_SHARE: Final = 0.25  # fraction of hover thrust below which tilts are not enlarged further
+_FLAT: Final = 1e-9  # throttle per collective below which a jet counts as constant
 # compiled code finds these without looking in a dictionary
 _ACTUATION: Final = Actuation
 _UNALLOCATED: Final = Unallocated
@@ -52,7 +52,7 @@ class TiltAllocator:
         self._jets, self._limits, self._idle = jets, limits, idle
         self._plan: Plan | None = None
         self._lift = lift
-        self._extra = 0.0  # of the last allocation
+        self._extra = 0.0  # extra collective of the last allocation
         self._low, self._high = limits.throttle_min, limits.throttle_max
         self._range = tilt_range
         self.hover = hover
@@ -123,7 +123,7 @@ class TiltAllocator:
             y = room if y > 0.0 else -room
             residual_yaw = yaw - y * thrust_ratio
 
-        sides: tuple[Any, Any] = (right, left)  # an object each, not one for each jet
+        sides: tuple[Any, Any] = (right, left)  # one shared object per side
         return _ACTUATION(
             tuple([sides[1] if on_left else sides[0] for on_left in self.left]),
             (p + y, p - y),

@@ -23,9 +23,11 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 CELLS: Final = (16, 12, 8, 6, 4, 3, 2, 1)  # pieces of a hinge's range: as many as CORNERS allow
-CORNERS: Final = 400  # of one set of engines on common hinges; chosen by us: a program then takes milliseconds
-MOST_CORNERS: Final = 6000  # beyond which no bound is looked for
-WIDEST: Final = 0.5  # rad, of half a piece: its triangle is out by 14 %
+CORNERS: Final = (
+    400  # most corners of one set of engines on common hinges; chosen by us: a program then takes milliseconds
+)
+MOST_CORNERS: Final = 6000  # with more corners no bound is computed
+WIDEST: Final = 0.5  # rad, most half-width of a piece: its triangle is out by 14 %
 
 
 class Objective(NamedTuple):
@@ -50,7 +52,7 @@ class Hull:
 
     def __init__(self, columns: Array, sets: Array, thrusts: Array, angles: Array) -> None:
         self.columns = columns  # force and moment of each corner: shape (6, corners)
-        self._sets = sets  # which set of engines each is of, as rows of ones: shape (sets, corners)
+        self._sets = sets  # set of engines of each corner, as rows of ones: shape (sets, corners)
         self._thrusts, self._angles = thrusts, angles  # of each corner: shape (corners, jets), (corners, hinges)
 
     @classmethod

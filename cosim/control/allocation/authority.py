@@ -28,14 +28,12 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 DOWN: Final = 2  # the row of body z in force and moment
-TOLERANCE: Final = 1e-7  # of the weight, within which constraints are met
-RESOLUTION: Final = (
-    1e-3  # of what is attained, by which the bound may be above it: printed to three digits they are one
-)
-ROUNDING: Final = 1e-6  # of the weight, on a lever of 1 m: less is rounding
-CUTS: Final = 12  # of the hinges' ranges, to bring the bounds together; a few are the rule
-OFFSET: Final = 0.1  # of a range: the distance to another start where the linear programs of a climb may have no answer
-STARTS: Final = 8  # of climbs where there is no bound to begin at
+TOLERANCE: Final = 1e-7  # tolerance of the constraints, relative to the weight
+RESOLUTION: Final = 1e-3  # relative gap between bound and attained value that three digits do not show
+ROUNDING: Final = 1e-6  # moments below this fraction of the weight times 1 m are rounding
+CUTS: Final = 12  # most bisections of the hinges' ranges; a few are usual
+OFFSET: Final = 0.1  # fraction of a range to a second start, where the linear programs of a climb may have no answer
+STARTS: Final = 8  # starts of climbs where no bound gives one
 
 
 class Range(NamedTuple):
@@ -161,7 +159,7 @@ class Reach:
             return Range(self._search(objective), inf)
         root = self._hull.bound(objective, self._weight)
         if not len(self._rest):
-            return Range(root.upper, root.upper)  # nothing turns: it is exact
+            return Range(root.upper, root.upper)  # without hinges the bound is exact
         least, closed, number = -inf, -inf, 0
         queue: list[tuple[float, int, Array, Array, Bound]] = [(-root.upper, 0, self._low, self._high, root)]
         while queue:
@@ -179,7 +177,7 @@ class Reach:
                 ends = low.copy(), high.copy()
                 ends[1 - half][widest] = 0.5 * (low[widest] + high[widest])
                 hull = Hull.of(self._layout, self._least, self._most, *ends)
-                assert hull is not None  # as the whole was
+                assert hull is not None  # a part of a bounded hull is bounded
                 inside = hull.bound(objective, self._weight)
                 number += 1
                 heappush(queue, (-inside.upper, number, *ends, inside))

@@ -37,18 +37,18 @@ from cosim.base.signals import (
 )
 from cosim.control.allocation._effectiveness import Solver
 
-ROLL, PITCH, LIFT, YAW, FORWARD, RIGHT = range(6)  # the rows
+ROLL, PITCH, LIFT, YAW, FORWARD, RIGHT = range(6)  # indices of the rows
 LEVELS: Final = ((ROLL, PITCH), (LIFT,), (YAW,))
-HORIZONTAL: Final = ((FORWARD, RIGHT),)  # where it is asked for, below all others
-AHEAD: Final = ((FORWARD,),)  # in flight ahead
+HORIZONTAL: Final = ((FORWARD, RIGHT),)  # optional rows of the lowest priority
+AHEAD: Final = ((FORWARD,),)  # row added in forward flight
 # rad, of a tilt from the force that is wanted; chosen by us: the front turned back and the rear ahead, against each
 # other, is a solution that no small step leads out of
 ASTRAY: Final = 0.6
-FLATTEST: Final = 0.05  # lift over force ahead that jets are asked for at least, which allows for what surfaces lift
-GIVEN: Final = 1e-10  # of the weight, or the weight at the radius of gyration: what is missing less is rounding
-NEARLY: Final = 1e-4  # the same for a design, which asks for the largest that is given from far away
-PASSES: Final = 6  # of Newton's method in a step; from the step before two are the rule
-FIRST_PASSES: Final = 60  # without a step before
+FLATTEST: Final = 0.05  # least ratio of lift to forward force demanded of the jets, which allows for what surfaces lift
+GIVEN: Final = 1e-10  # residuals below this fraction of the weight, or times the radius of gyration, are rounding
+NEARLY: Final = 1e-4  # the same for a design, which searches for the largest demand that is met
+PASSES: Final = 6  # most Newton iterations in a step; two are usual from the previous solution
+FIRST_PASSES: Final = 60  # most Newton iterations without a previous solution
 
 
 class Effector(NamedTuple):
@@ -57,10 +57,10 @@ class Effector(NamedTuple):
     least: float
     most: float
     rest: float
-    step: float  # by how much its command may change in a step
+    step: float  # largest change of its command in a step
     effort: float
     wrench: tuple[float, ...] = ()  # of a surface: force and moment per unit and Pa of dynamic pressure, body
-    lead: float = 0.0  # by how much more, for the servo to move at its full rate: the rate times its lag
+    lead: float = 0.0  # additional change that lets the servo move at its full rate: the rate times its lag
 
 
 class AllocationModel(NamedTuple):
@@ -134,14 +134,14 @@ class EffectivenessAllocator:
         self.hover = (self._weight / self._jets - low) / span
         gyration = (max(tensor[0][0], tensor[1][1], tensor[2][2]) / mass) ** 0.5  # radius of gyration, m
         force, moment = 1.0 / self._weight, 1.0 / (self._weight * gyration)
-        self._norms = (moment, moment, force, moment, force, force)  # of the rows
+        self._norms = (moment, moment, force, moment, force, force)  # scales of the rows
         self._scales = [
             (most - least) * span / effort for (least, most), effort in zip(shares, efforts, strict=True)
         ] + [(effector.most - effector.least) / effector.effort for effector in effectors]
         self._described = _describe_effectors(model)
         self._solver = Solver(*self._described, self._scales, self._norms, self._weight, GIVEN)
         self.rest: PerServo = tuple([effector.rest for effector in effectors]) or (0.0, 0.0)
-        self.pressure = 0.0  # Pa, dynamic: what surfaces work with
+        self.pressure = 0.0  # dynamic pressure at the surfaces, Pa
         self._servo_limits = [(effector.least, effector.most) for effector in effectors]
         self._neutral = [
             effector.rest for effector in effectors
@@ -262,7 +262,7 @@ class EffectivenessAllocator:
             for row, inverse in zip((ROLL, PITCH, YAW), self._inverse[axis], strict=True):
                 turn += inverse * rows[row][j] / self._norms[row]
             effects.append(turn / scale)
-        given = 0.0  # along a line; the commands themselves bend, by the square of the small
+        given = 0.0  # linearised; the exact commands differ by the square of ``small``
         for m, s, effect in zip(moved, still, effects, strict=True):
             given += effect * (m - s)
         return [(m - s) / given if given else 0.0 for m, s in zip(moved, still, strict=True)], effects
@@ -320,11 +320,11 @@ class EffectivenessAllocator:
         jets, last = self._jets, self._last
         least = sum([low for low, _ in self._thrust_limits])
         asked = lift
-        for number in range(self._hinges, len(self._effectors)):  # what surfaces lift no jet takes away
+        for number in range(self._hinges, len(self._effectors)):  # jets do not counteract the lift of surfaces
             asked += self.pressure * last[jets + number] * self._effectors[number].wrench[2]
         asked = lift + max(0.0, FLATTEST * max(force, least) - asked)
         without = force
-        if asked < least:  # thrust that engines give at least has to go somewhere: ahead
+        if asked < least:  # the engines' least thrust points forward
             force = max(force, sqrt(least * least - asked * asked))
         wanted = self._wanted(asked, torque, ZERO3)
         wanted[PITCH] += pitch

@@ -15,9 +15,9 @@ from typing import NamedTuple
 from cosim.base.signals import EngineOutput, JetHealth, PerJet
 from cosim.spec.vehicle import MonitorSettings
 
-_LOST_GAIN = 0.2  # of the thrust commanded: an engine that gives less is not used any more; chosen by us
-_FOLLOWS = 0.3  # of what its command moved: an engine that moved less does not follow it; chosen by us
-_EXACT = 0.5  # of the threshold: an engine within it is taken to follow its command at that moment
+_LOST_GAIN = 0.2  # fraction of the commanded thrust below which an engine counts as lost; chosen by us
+_FOLLOWS = 0.3  # fraction of the commanded change; an engine that moved less does not follow it; chosen by us
+_EXACT = 0.5  # fraction of the threshold within which an engine is taken to follow its command at that moment
 # times the confirmation: over so long a fall is looked at by itself; chosen by us: the least with room for it
 _SUDDEN = 5
 
@@ -111,7 +111,7 @@ class EngineMonitor:
         # thrust that the commands ask for at rest, oldest first
         self._past = [at_rest] * (self._sudden + self._latest + 1)
         self._reports = [at_rest] * max(2, self._confirm)  # oldest first
-        self._window = [at_rest] * (2 * self._sudden + 1)  # the same, further back
+        self._window = [at_rest] * (2 * self._sudden + 1)  # reports over a longer window, oldest first
         self._high, self._low = list(at_rest), list(at_rest)
         self._outside = [0] * count
         self._agreement = [(x, x) for x in at_rest]  # report and reference when they last agreed

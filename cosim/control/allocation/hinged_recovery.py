@@ -51,23 +51,23 @@ from cosim.control.allocation.effectiveness import (
 )
 
 # Chosen by us.
-TRIMMED: Final = 0.7  # of the hinges' ranges, which they may balance thrusts with; the rest turns the vehicle
-PUSHED: Final = 1.0  # times what reported thrusts miss of the lift, asked for beside it: halves the engines' lag
+TRIMMED: Final = 0.7  # fraction of the hinges' ranges available to balance thrusts; the rest turns the vehicle
+PUSHED: Final = 1.0  # gain on the lift that reported thrusts lack, added to the demand: halves the engines' lag
 SLOPE_S: Final = 0.02  # time constant of the reports' slope: short against any jet
-SHORT: Final = 0.01  # of the weight, which the reported thrusts miss at least where hinges are kept near the most lift
+SHORT: Final = 0.01  # lift deficit over the weight from which on hinges are kept near the most lift
 LEAN_S: Final = 0.1  # time constant of the lean: hinges move as fast, and the lean is not to follow each
 LEAN_RAD: Final = 0.2  # the most lean while the reported thrusts cannot hold the weight
-HELD_LEAN_RAD: Final = 0.1  # the most lean from then on: it is to touch level
+HELD_LEAN_RAD: Final = 0.1  # the most lean from then on: the vehicle should touch down level
 # what hinges beside reported thrusts are for, where they carry engines, and where they only deflect thrust
 TURNING: Final = ((ROLL, PITCH), (YAW,), (LIFT,), (FORWARD, RIGHT))
 DEFLECTING: Final = ((ROLL, PITCH), (YAW,))
-UNBALANCED: Final = 100.0  # what missing roll and pitch count, to missing lift, where most lift is searched for
+UNBALANCED: Final = 100.0  # weight of missing roll and pitch against missing lift, where most lift is searched for
 
 
 class EngineLag(NamedTuple):
     """Delay of the engines, and the control step."""
 
-    delay: float  # s, after which a throttle has acted
+    delay: float  # s until a throttle command has acted
     step: float  # s
 
 
@@ -95,12 +95,12 @@ class HingedRecovery(EffectivenessAllocator):
 
     def reset(self) -> None:
         """All engines are healthy, hinges at rest."""
-        self._reported: list[float] = []  # N, of the engines without one of them; empty: all run
-        self._rising = [0.0] * self._jets  # N/s
+        self._reported: list[float] = []  # reported thrusts [N] after an engine is lost; empty: all run
+        self._rising = [0.0] * self._jets  # slopes of the reported thrusts, N/s
         self._carrying: list[float] = []  # thrusts [N] and servos that give the lift in balance
         self._lifting: list[float] = []  # servos that give the most lift in balance beside the reports; empty: unknown
-        self._short = True  # the reports cannot hold the weight in balance
-        self._turning_on = False  # the wrong way, hinges at their limits
+        self._short = True  # whether the reported thrusts cannot hold the weight in balance
+        self._turning_on = False  # whether the vehicle turns the wrong way with hinges at their limits
         self.lean = (0.0, 0.0)  # rad, roll and pitch: see the module's text
         super().reset()
 
@@ -134,7 +134,9 @@ class HingedRecovery(EffectivenessAllocator):
         """
         if not self._reported:
             return super().allocate(collective, torque, added)
-        self.pressure = 0.0  # that of the speed over the ground is wrong in wind, and far off where no heading is held
+        self.pressure = (
+            0.0  # the pressure of the speed over the ground is wrong in wind, and far off where no heading is held
+        )
         lift = self.force(collective)
         wanted = self._wanted(lift, torque, added)
         jets, servos = self._jets, self._last[self._jets :]

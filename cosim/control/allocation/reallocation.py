@@ -29,13 +29,22 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
-_KEPT = 0.15  # of hover thrust, kept either way for height while roll is used; chosen by us: 1.5 m/s^2 of climb
-_PARTS_KEPT = (1.0, 0.5, 0.25, 0.1)  # of that, tried in turn: an engine that runs away leaves little room downward
-_EXCESS_COST = 0.05  # of the most any jet departs from its usual command, against roll authority: spreads the load
+_KEPT = 0.15  # fraction of hover thrust kept either way for height while roll is used; chosen by us: 1.5 m/s^2 of climb
+_PARTS_KEPT = (
+    1.0,
+    0.5,
+    0.25,
+    0.1,
+)  # fractions of that reserve, tried in turn: an engine that runs away leaves little room downward
+_EXCESS_COST = (
+    0.05  # cost of the largest departure of a jet from its nominal command, against roll authority: spreads the load
+)
 _ROUNDING = 1e-9  # share m
-_LEAST_GAIN = 1e-6  # of collective, less than which is not worth a second direction
-_FLAT = 1e-9  # of throttle per collective: does not follow it
-_RESIDUAL_COST = 1e3  # of pitch left to the tilt, against roll authority: throttle balances pitch where it can
+_LEAST_GAIN = 1e-6  # gain in collective below which a second direction is not used
+_FLAT = 1e-9  # throttle per collective below which a jet counts as constant
+_RESIDUAL_COST = (
+    1e3  # cost of pitch moment left to the tilt, against roll authority: throttle balances pitch where it can
+)
 
 
 @dataclass(frozen=True)
@@ -47,11 +56,11 @@ class Plan:
     """
 
     centre: float
-    free: tuple[bool, ...]  # the jets that follow their commands; the others are told ``trim``
+    free: tuple[bool, ...]  # jets that follow their commands; the others get ``trim``
     trim: tuple[float, ...]
     up: tuple[float, ...]
     roll: tuple[float, ...]
-    roll_range: tuple[float, float]  # beyond it no collective is left
+    roll_range: tuple[float, float]  # roll range; beyond it no collective is left
     boost: tuple[float, ...]
     pitch: tuple[float, float, float, float]
 
@@ -87,7 +96,7 @@ def plan(
     if not free.size:
         return None
     given = rows[:, free] * gain[free]
-    stands = rows @ fixed + given.sum(axis=1) * idle  # without any command
+    stands = rows @ fixed + given.sum(axis=1) * idle  # force and moments at zero command
     per_collective, per_roll = rows.sum(axis=1), rows @ side
     at_zero = per_collective * idle - stands  # what the commands must add for c = 0
     top = _most_collective(given, at_zero, per_collective, low, high)
@@ -215,7 +224,7 @@ def command_to_torque(jets: int, allocator: Any) -> list[list[float]]:
     """
     import numpy as np
 
-    columns = np.zeros((jets + 2, 4))  # of collective, roll, pitch, yaw
+    columns = np.zeros((jets + 2, 4))  # columns: collective, roll, pitch, yaw
     columns[:jets, 0] = 1.0
     if hasattr(allocator, "pitch_sign"):
         columns[:jets, 1] = [1.0 if on_left else -1.0 for on_left in allocator.left]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from cosim.base.errors import InputError
 from cosim.base.signals import PerJet
 
-STRAIGHT = 1e-9  # of the thrust between throttle 0 and 1: a curve this close to its chord is a straight line
+STRAIGHT = 1e-9  # relative to the thrust between throttle 0 and 1: a curve this close to its chord is a straight line
 
 
 class StaticCurve(NamedTuple):
@@ -52,7 +52,7 @@ class ThrustMap:
             None if reference.is_straight and _same(curve, reference) else inverse[id(curve)] for curve in stations
         ]
         self.identity = not any(self.stations)
-        self.inverse = inverse[id(reference)] if reference.is_straight else None  # None: as the chord has it
+        self.inverse = inverse[id(reference)] if reference.is_straight else None  # None: a straight line
         # thrust at throttle 0 as a fraction: the thrust itself is proportional to c + idle
         self.idle = self.low / self.span if abs(self.low) > STRAIGHT * self.span else 0.0
 

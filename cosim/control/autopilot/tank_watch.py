@@ -9,12 +9,12 @@ from cosim.control.autopilot.modes import Mode
 from cosim.control.autopilot.parameters import LAND, NOTHING, Parameters
 
 # Chosen by us, with the reason.
-_LOOK_S = 0.1  # between two checks: a thousandth of a short-lived tank
-_DOWN_FRACTION = 0.5  # of the margin of the way home: the descent alone goes wrong in fewer ways
+_LOOK_S = 0.1  # s between checks: a thousandth of a short-lived tank
+_DOWN_FRACTION = 0.5  # fraction of the margin of the return: the descent alone goes wrong in fewer ways
 _LAST_FRACTION = 0.3  # of it, where a landing that was taken over begins again: the error of the estimate itself
-_LAST_FLOOR = 0.5  # of the floor of the landing, likewise
+_LAST_FLOOR = 0.5  # fraction of the landing's reserve, likewise
 _AGAIN = 1.1  # times a threshold: with more than that left it may act again, after a descent that a pilot flew
-_PATIENCE_S = 10.0  # between two warnings that nothing is left to wait for
+_PATIENCE_S = 10.0  # s between warnings that nothing is left to wait for
 _RETURNS, _LANDS, _LANDS_AGAIN = 1, 2, 3
 
 

@@ -17,7 +17,9 @@ from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.rate import RateController
 from cosim.spec.vehicle import AltitudeGains, AttitudeGains, Control, PredictorTuning, RateGains
 
-CATCH_UP_STEPS = 1000  # that a predictor that comes in flight is told of: 4 s at 250 Hz, 40 delays of a jet
+CATCH_UP_STEPS = (
+    1000  # steps of history that a predictor selected in flight starts from: 4 s at 250 Hz, 40 delays of a jet
+)
 
 PredictorMaker = Callable[[str, float, PredictorTuning], list[Predictor]]
 

@@ -27,7 +27,7 @@ from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, attitude_gain_parame
 from cosim.control.laws.lqg import discrete_model, kalman_filter
 
 BLOCKS = (1, 1, 1, 2, 2, 3, 4, 6, 8, 12)  # steps for which each command is kept; the last until the end
-TOLERANCE = 1e-9  # of the command, within which OSQP has to keep its answer
+TOLERANCE = 1e-9  # tolerance of OSQP's solution, relative to the command
 
 
 def osqp() -> Any:
@@ -53,7 +53,9 @@ class MpcAxis:
             powers.append(A @ powers[-1])
         self._of_state = powers[samples]
         self._of_sent = np.stack([powers[samples - 1 - i] @ B for i in range(samples)], axis=1)
-        responses = np.array([C @ power @ B for power in powers[:horizon]])  # of y to a command, step by step
+        responses = np.array(
+            [C @ power @ B for power in powers[:horizon]]
+        )  # response of y to a unit command at each step
         block = np.minimum(np.searchsorted(np.cumsum(BLOCKS), np.arange(horizon), side="right"), moves - 1)
         forced_response = np.zeros((horizon, moves))
         for j in range(horizon):
@@ -83,7 +85,7 @@ class MpcAxis:
         arrival = self._of_state @ state[:-1] + self._of_sent @ (sent[1:] + disturbance)
         of_arrival, of_setpoint, of_last = self._gradient
         gradient = of_arrival @ arrival - of_setpoint * setpoint - of_last * (applied + disturbance)
-        plan = self._solution @ gradient  # of command and disturbance together
+        plan = self._solution @ gradient  # plan for the command and the disturbance together
         if np.abs(plan - disturbance).max() > self._room:
             plan = self.solve_bounded(gradient, disturbance)
         return float(plan[0]) - disturbance
@@ -98,7 +100,7 @@ class MpcAxis:
         size = float(np.abs(self.hessian).max())
         if self._solver is None:
             self._solver = self._osqp.OSQP()
-            # a step length that is adapted by the clock would make flights differ
+            # step lengths adapted by the clock would make flights differ
             self._solver.setup(
                 csc_matrix(np.triu(self.hessian / size)), gradient / size, csc_matrix(np.eye(moves)), low, high,
                 eps_abs=TOLERANCE, eps_rel=TOLERANCE, adaptive_rho=False, rho=1.0, max_iter=20000,

@@ -36,10 +36,10 @@ _SLOPE_S: Final = 0.02  # time constant of the reports' slope; chosen by us: sho
 # more than eight tenths, and roll has to find it slower on one side than on the other
 _LEAST_LIFT: Final = 0.7
 # Within these bounds the recovery is complete and the usual loops fly again.  Chosen by us: they were designed for less
-_CLIMB: Final = 0.3  # m/s, error of the climb rate
+_CLIMB: Final = 0.3  # m/s, largest error of the climb rate
 _UPRIGHT: Final = 0.995  # cosine of the lean: 6 deg
 _ROLL: Final = 0.15  # rad/s
-_LIFT: Final = 0.03  # of the weight, between lift and weight
+_LIFT: Final = 0.03  # largest difference of lift and weight, as a fraction of the weight
 
 
 class _EngineResponse:

@@ -41,8 +41,8 @@ _MOST_SPIN: Final = 0.9
 # of less than half a radian, then takes less than the pair has to give beside the weight.
 _RATE_WEIGHT: Final = 0.1  # s
 _BEND: Final = 100.0  # rad/s^2 per rad
-_GRID: Final = 0.5  # rad/s between stored gains
-_STEP: Final = 0.01  # s of the recursion; short against the spin's turn and the loop's tenth of a second
+_GRID: Final = 0.5  # rad/s, spacing of the stored gains
+_STEP: Final = 0.01  # s, step of the recursion; short against the spin's turn and the loop's tenth of a second
 _LONGEST: Final = 10.0  # s of spin-up, and of the recursion before it at the last spin
 
 Gains = tuple[tuple[float, ...], ...]

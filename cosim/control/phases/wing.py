@@ -40,13 +40,13 @@ from cosim.spec.vehicle import WingControl
 
 # kg/m^3, at sea level in the standard atmosphere (ISO 2533): what is known of the air without a sensor for it
 DENSITY: Final = 1.225
-MOST_LEAD_M_S: Final = 2.0  # most difference of set-point and speed: at a limit it would run away; chosen by us
-ALPHA_MARGIN: Final = 0.005  # rad, above the least angle of attack, where the wing can lift no less
+MOST_LEAD_M_S: Final = 2.0  # largest lead of the set-point over the speed: at a limit it would run away; chosen by us
+ALPHA_MARGIN: Final = 0.005  # rad, margin above the least angle of attack, where the wing can lift no less
 LEAST_PRESSURE: Final = 1e-3  # Pa: less than this carries nothing
 # Of the largest angle of attack, the most lead of the nose.  Chosen by us, by flights in wind from behind: where lift
 # is missing the height loop asks for more for good, which bends no path, and the nose would rise until the wing stalls.
 MOST_LEAD: Final = 0.25
-STEEPEST_RAD: Final = 0.35  # of the path that pitch follows; chosen by us, well beyond the climb of the height loop
+STEEPEST_RAD: Final = 0.35  # steepest path that pitch follows; chosen by us, well beyond the climb of the height loop
 
 
 def dynamic_pressure(measured: Measured) -> float:

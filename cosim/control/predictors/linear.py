@@ -144,7 +144,7 @@ def cascade(model: RateModel) -> tuple[Array, Array, Array]:
         order = 2 if pole.imag else 1
         section_zeros = [zeros.pop() for _ in range(min(order, len(zeros)))]
         if len(section_zeros) == 1 and isinstance(section_zeros[0], complex) and section_zeros[0].imag:
-            zeros.append(section_zeros.pop())  # its conjugate would remain
+            zeros.append(section_zeros.pop())  # avoids leaving one zero of a conjugate pair
         sections.append(_section(pole, np.real(np.poly(section_zeros)) if section_zeros else np.array([1.0])))
     if zeros:
         raise InputError(f"identified model: more pairs of zeros ({model.zero_pairs}) than pairs of poles take")

@@ -43,10 +43,12 @@ class TuningParameter:
 
     name: str
     unit: str
-    text: str  # what it is, for a person
+    text: str  # meaning of the parameter, for users
     least: float
     most: float
-    search: tuple[float, float]  # a design looks here: times the channel's delay where the unit is s, over it for 1/s
+    search: tuple[
+        float, float
+    ]  # range that a design searches: times the channel's delay where the unit is s, over it for 1/s
     default: float | None = None
     mavlink: str | None = None  # the autopilot's parameter; None: not to be changed in flight
     decimals: int = 3
@@ -70,7 +72,7 @@ class PredictorSpec:
     name: str
     title: str
     make: Callable[[Any, Own], Predictor]
-    number: int | None = None  # over MAVLink, for ever; None: made from the name
+    number: int | None = None  # permanent number over MAVLink; None: made from the name
     needs_model: bool = True
     parameters: tuple[TuningParameter, ...] = ()
     response: Callable[[RateModel, Own], PairResponse] | None = None
@@ -213,7 +215,7 @@ class Registry(Mapping[str, PredictorSpec]):
             if not isinstance(spec, PredictorSpec) or spec.name != name:
                 raise InputError(f"{describe_entry(entry)}: must be a PredictorSpec of this name, not {spec!r}")
             self.register(spec)
-        if refused is not None and not is_looking():  # which goes without what is not installed
+        if refused is not None and not is_looking():  # a display omits what is not installed
             raise refused
 
 

@@ -156,7 +156,7 @@ class StatePredictor:
         weights = [0.0, float(row @ gamma), *(float((np.linalg.matrix_power(A, n - 1 - j) @ B)[0]) for j in range(n))]
         self.weights = weights
         self.of_disturbance = sum(weights)
-        self.diagnostics: Diagnostics = (nan, nan, model.delay_samples)  # its model has no output of its own
+        self.diagnostics: Diagnostics = (nan, nan, model.delay_samples)  # the modal model has no separate output
         self.reset()
 
     def reset(self) -> None:

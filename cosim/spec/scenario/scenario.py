@@ -69,8 +69,8 @@ class Scenario(Model):
     expect: list[Expectation] = []
 
     _folder: Path = PrivateAttr(default_factory=Path)
-    _origin: "Scenario | None" = PrivateAttr(default=None)  # as its file states it; None: as this is
-    _step_error: str | None = PrivateAttr(default=None)  # that substeps keeps to, where a number is not stated
+    _origin: "Scenario | None" = PrivateAttr(default=None)  # the scenario of its file; None: this one
+    _step_error: str | None = PrivateAttr(default=None)  # error that substeps keeps to, where it states no number
     _resolved: tuple[tuple[Any, ...], dict[str, Any], tuple[Vehicle, Path]] | None = PrivateAttr(default=None)
 
     @model_validator(mode="before")
@@ -328,7 +328,7 @@ class Scenario(Model):
         if step == self.step_s:
             return self
         changed = self.model_copy(update={"step_s": step})
-        changed.model_fields_set.discard("step_s")  # of another aircraft it is another
+        changed.model_fields_set.discard("step_s")  # step_s depends on the aircraft
         return changed
 
     def stated(self, mode: Literal["python", "json"] = "python") -> dict[str, Any]:

@@ -16,7 +16,7 @@ from cosim.spec.vehicle.sensors import Sensors
 from cosim.spec.vehicle.vehicle import Vehicle
 
 STATED = "stated"  # the profile that changes nothing
-_LATENCY = ("latency_s", "latency_samples")  # as a profile has it, and as a vehicle has it
+_LATENCY = ("latency_s", "latency_samples")  # key in a profile and key in a vehicle's file
 
 
 def profile_names() -> list[str]:

@@ -31,8 +31,8 @@ class Airflow(Model):
     kg_s: Positive
     at_thrust_n: Positive
     exponent: NotNegative
-    intake_m: float  # from the station along the thrust
-    exhaust_m: float  # the same for where it leaves
+    intake_m: float  # distance from the station along the thrust
+    exhaust_m: float  # the same for the exhaust
 
 
 class Jet(Model):

@@ -194,7 +194,7 @@ class Vehicle(Model):
 
         Inertia is about its own centre of gravity then; places stay stated from the old one, as those of a small part.
         """
-        shift = mass_kg * self.mass_kg / (self.mass_kg + mass_kg)  # by the theorem of parallel axes
+        shift = mass_kg * self.mass_kg / (self.mass_kg + mass_kg)  # parallel axis theorem
         squares = [x * x for x in position_m]
         inertia = [j + shift * (sum(squares) - own) for j, own in zip(self.inertia_kg_m2, squares, strict=True)]
         return self.model_copy(update={"mass_kg": self.mass_kg + mass_kg, "inertia_kg_m2": tuple(inertia)})

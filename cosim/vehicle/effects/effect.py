@@ -34,10 +34,10 @@ class Load:
         self.layout = layout
         self.axes: list[Vector3] = []
         self.positions: list[Vector3] = []
-        self.output = NO_OUTPUT  # of the engines, at the step's end
+        self.output = NO_OUTPUT  # output of the engines at the step's end
         self.tilt: PerServo = ()  # angles of the servos at the step's end, rad
-        self.state = _STILL  # of the airframe, at the step's beginning
-        self.gusts: list[Vector3] = []  # m/s NED, of the wind at each jet beyond that at the vehicle; none: it is one
+        self.state = _STILL  # state of the airframe at the step's beginning
+        self.gusts: list[Vector3] = []  # wind at each jet less that at the vehicle [m/s, NED]
         self.clear()
 
     def clear(self) -> None:

@@ -11,7 +11,7 @@ from cosim.vehicle.effects.effect import Effect, Load
 # as later reports quote it.
 COEFFICIENT = 0.012
 EXPONENT = 2.3
-LEAST_HEIGHT = 0.3  # of D - d; chosen: the law has no limit towards the ground, lift loss has
+LEAST_HEIGHT = 0.3  # least height over D - d; chosen: the law has no limit towards the ground, lift loss has
 
 
 def lift_loss(height: float, planform: float, jet: float) -> float:

@@ -25,10 +25,10 @@ _QUICK = (
     30.0  # times the attitude gain: a rate loop is some four times as fast, and has a tenth of its own time to wait
 )
 _NOMINAL_GAIN = 3.5  # 1/s
-_MEAN_S = 0.1  # over which the disagreement is averaged
+_MEAN_S = 0.1  # s over which the disagreement is averaged
 _SURPRISE = 8.0  # standard deviations of that mean
 _LEAST_SURPRISE = 2e-3  # rad; what a manoeuvre's filters and sampling leave unexplained
-_BETWEEN_S = 0.5  # surprises
+_BETWEEN_S = 0.5  # s between two surprises
 _JUMP = 0.02  # rad between two samples: the gyro saw nothing of it, and no noise of this sensor does it
 _STOPPED = 5  # repeated samples while the other sensor moves
 _BIASED = 0.02  # rad/s: four times the noise of a sample; the controllers would lean by less than a degree

@@ -9,7 +9,7 @@ from cosim.base.signals import Vector3
 from cosim.control.autopilot.geometry import Pair
 from cosim.spec.vehicle import Vehicle
 
-_LEAN_SHARE = 1.5  # of the lean that the vehicle may be asked for, chosen by us: it overshoots, but hovers still
+_LEAN_SHARE = 1.5  # multiple of the largest commanded lean, chosen by us: it overshoots, but hovers still
 
 
 def estimate_wind(

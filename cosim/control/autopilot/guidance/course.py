@@ -14,11 +14,11 @@ from cosim.control.autopilot.parameters import Parameters
 from cosim.control.autopilot.requests import RallyPoint
 
 # Chosen by us, with the reason.
-LOWEST_M = 1.0  # above the ground: nothing flies there by itself, and a stop ends no lower
-REACHED_M = 0.4  # of height; a take-off or climb is over, or a waypoint's height is reached
-ABOVE_M = 0.7  # from home and slower than 0.5 m/s: the descent begins
+LOWEST_M = 1.0  # m above the ground: no automatic flight is lower, and a stop ends no lower
+REACHED_M = 0.4  # m of height error at which a take-off or climb is over, or a waypoint's height is reached
+ABOVE_M = 0.7  # m from home: below 0.5 m/s the descent begins
 SLOW = 0.5  # m/s
-_NEAR_M = 2.0  # from home: no climb and no flight is needed to land there
+_NEAR_M = 2.0  # m from home: no climb and no flight is needed to land there
 
 
 class Landmarks:
@@ -31,7 +31,7 @@ class Landmarks:
     def reset(self, ground: float) -> None:
         """Start without a home, standing at the height ``ground`` [m]."""
         self.home: Home | None = None
-        self.home_is_set = False  # by a request
+        self.home_is_set = False  # whether a request has set home
         self.ground = ground  # height on its legs where it last took off
         self.take_off_position: Pair | None = None  # of the last take-off
 

@@ -14,7 +14,7 @@ from cosim.base.limits import clamp
 from cosim.control.autopilot.guidance.shaper import MEAN, ROOM_FRACTION
 
 # Chosen by us.
-_CATCH_FRACTION = 0.5  # of the thrust beyond the weight is planned for catching a fall; the rest is for lean and error
+_CATCH_FRACTION = 0.5  # fraction of the excess thrust planned for catching a fall; the rest is for lean and error
 _LEAST_UPRIGHT = 0.5  # thrust is not raised further for a lean beyond 60 degrees
 _TRIM = 0.4 * GRAVITY  # m/s^2, what the floor may learn of a weight that it is wrong about
 _SENSED_S = 0.15  # the climb rate is a GNSS receiver's: 0.1 s late, and 0.05 s old on average

@@ -13,10 +13,10 @@ from cosim.control.phases.wing import DENSITY
 from cosim.spec.vehicle import Vehicle
 
 # Chosen by us, with the reason.
-_MEAN_S = 10.0  # over so long the wind is estimated: gusts are shorter, and the estimated push is seconds late
-_STEADY = 0.2  # of HJ_ACC_HOR: while its speed changes faster than this, what pushes is not the wind alone
-_FOLLOWS = 1.0  # m/s that it may be off the set-point's velocity: beyond, its speed is still changing
-_RAMPS = 0.5 + 0.5 / BRAKE_FRACTION  # times v^2 / a: the way that speeding up to v and braking take
+_MEAN_S = 10.0  # s, averaging time of the wind: gusts are shorter, and the estimated push is seconds late
+_STEADY = 0.2  # fraction of HJ_ACC_HOR: while the speed changes faster than this, what pushes is not the wind alone
+_FOLLOWS = 1.0  # m/s, largest velocity error: beyond it the speed is still changing
+_RAMPS = 0.5 + 0.5 / BRAKE_FRACTION  # distance over v^2 / a that speeding up to v and braking take
 _LEAST_SPEED = 0.1  # m/s: it does not get home at all, so that the way takes longer than any tank lasts
 
 

@@ -13,7 +13,7 @@ from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Track, Tracker
 from cosim.control.autopilot.parameters import Parameters
 
-_LEAD = 1.0  # m that the height set-point may lead the vehicle beyond what its climb rate needs
+_LEAD = 1.0  # m, most by which the height set-point may lead the vehicle beyond what its climb rate needs
 
 
 class Guide:

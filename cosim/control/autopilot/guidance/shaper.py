@@ -22,7 +22,7 @@ from cosim.spec.vehicle import EngineLead, Vehicle
 
 # Chosen by us.
 LEAST_ACCELERATION = 0.02  # rad/s^2 about an axis that hardly anything turns: set-points creep there, and do not stand
-ROOM_FRACTION = 0.25  # of the torque's room goes to what is asked for; the rest is for wind, noise and overshoot
+ROOM_FRACTION = 0.25  # fraction of the available torque used for commands; the rest is for wind, noise and overshoot
 MEAN = 0.5  # of the attitude loop's time constant: the acceleration asked for takes this long to build up
 _SLOWEST = 0.1  # 1/s: an attitude loop with less gain than this is not flown
 

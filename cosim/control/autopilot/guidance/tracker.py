@@ -9,7 +9,7 @@ from typing import NamedTuple
 from cosim.control.autopilot.geometry import Pair
 
 _LONGEST_MEAN = 10.0  # s: a set-point that answers later than this is of no use to a pilot
-BRAKE_FRACTION = 0.75  # of the acceleration is planned for braking, so that some is left to turn with
+BRAKE_FRACTION = 0.75  # fraction of the acceleration planned for braking, so that some is left to turn with
 
 
 class Track(NamedTuple):

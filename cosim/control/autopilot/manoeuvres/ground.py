@@ -11,11 +11,11 @@ from cosim.control.autopilot.manoeuvres.touchdown import Touchdown
 from cosim.control.autopilot.modes import Home
 
 # Chosen by us, with the reason.
-_LIFT_M = 0.3  # above the ground with no leg in contact is in the air
+_LIFT_M = 0.3  # m above the ground at which a vehicle with no leg in contact is in the air
 _CLEAR_M = 1.0  # above the ground by three deviations more than this is in the air, whatever the legs say
 _LIFT_S = 10.0  # after spooling up without leaving the ground, the take-off is given up
 _DOUBTED_S = 1.0  # contact that neither height nor weight confirms, for so long: the switch is broken
-_SETTLE_S = 0.7  # from contact to idle
+_SETTLE_S = 0.7  # s from contact to idle
 
 
 class TakeOff:
@@ -102,13 +102,13 @@ class Landing:
     def reset(self) -> None:
         """Forget the last flight."""
         self.touchdown.reset()
-        self._doubt_s = 0.0  # for which the legs have reported a ground that cannot be there
+        self._doubt_s = 0.0  # s for which the legs have reported an impossible contact
         self.abort()
 
     def abort(self) -> None:
         """End the landing: another manoeuvre is flown."""
-        self.collective: float | None = None  # while the thrust is taken away
-        self.disarms = False  # as soon as it stands
+        self.collective: float | None = None  # collective while the thrust is reduced after touchdown
+        self.disarms = False  # whether to disarm as soon as it stands
 
     def update(self, report: Report, sure: bool) -> None:
         """Update the contact by one step; ``sure``: it is off the ground, and not about to touch it."""

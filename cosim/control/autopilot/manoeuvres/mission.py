@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from cosim.control.autopilot.requests import ItemKind, MissionItem
 
-_MOST_JUMPS = 10_000  # in one go: a circle of jumps without anything to fly
+_MOST_JUMPS = 10_000  # most jumps in a row: more are a circle without anything to fly
 
 
 class Mission:

@@ -17,8 +17,8 @@ Setpoint = OffboardAttitude | OffboardVelocity | OffboardPosition
 # Chosen by us, with the reason.
 _LOW = 0.05  # throttle below this is "off" on the ground
 _UP = 0.6  # throttle above this asks to leave the ground
-_DEAD = 0.05  # of full stick around the centre
-_CLIMBS = 0.1  # m/s: a climb or descent that is meant
+_DEAD = 0.05  # dead band around the centre, as a fraction of full stick
+_CLIMBS = 0.1  # m/s: slower commands count as level
 _HIGHER_M = 0.3  # a height above this one asks to leave the ground
 _NEVER = -(10**9)  # a step long before the first
 _CENTRED = Sticks(0.0, 0.0, 0.0, 0.5)

@@ -10,11 +10,11 @@ from __future__ import annotations
 from cosim.base.protocols import Report
 
 # Chosen by us; times are long against the bounce of a leg (damping ratio 0.6 at 7 Hz: gone in 0.1 s).
-_TOUCH_S = 0.2  # contact for so long counts
-_BOUNCE_S = 0.1  # no contact for so long ends it
+_TOUCH_S = 0.2  # s of contact that count as a touch
+_BOUNCE_S = 0.1  # s without contact that end a touch
 _BOUNCING_S = 1.0  # since the last contact: with nearly its weight in thrust it hops for so long at landing speed
-_STAND_S = 0.5  # with the thrust gone
-_FELT_S = 1.0  # for the touch that is felt without a switch
+_STAND_S = 0.5  # s without thrust until the vehicle stands
+_FELT_S = 1.0  # s of a touch that is felt without a switch
 _FALLING = 1.0  # m/s: faster than any landing, so a switch that reports contact here is broken
 _STILL = 0.2  # m/s
 _LIGHT = 0.6  # of hover thrust: less than the vehicle could descend with for long
@@ -22,7 +22,7 @@ _LOAD = 0.15  # of the weight on the legs: three times what lift and thrust are 
 _LOAD_S = 0.2
 _FREE_FALL = 0.7  # of the weight, felt for _CARRIED_S with the legs reporting contact: they report what is not so
 _REST_S = 2.0  # without motion while nothing is asked for; at a tenth less than its weight it would sink 2 m/s by then
-_SETTLED_S = 5.0  # over which the thrust of hover is learnt
+_SETTLED_S = 5.0  # s over which the hover thrust is estimated
 
 
 class Touchdown:
@@ -45,8 +45,8 @@ class Touchdown:
         self._contact_s = self._no_contact_s = self._felt_s = self._light_s = 0.0
         self._load_s = self._hanging_s = self._resting_s = 0.0
         self._since_contact = _BOUNCING_S  # s since the legs last reported contact
-        self._thrust = 1.0  # over weight, an upper bound of what the engines give
-        self._hover = 1.0  # of the nominal thrust of hover, what the vehicle hovers with
+        self._thrust = 1.0  # thrust over weight, an upper bound of what the engines give
+        self._hover = 1.0  # estimated over nominal hover thrust: what the vehicle hovers with
         self.switch_failed = False
 
     def update(self, sink: float, lift: float | None, report: Report, descending: bool, flying: bool = False) -> None:
