@@ -11,7 +11,7 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import Vector3
 from cosim.base.trust import code_of, remember
 from cosim.codegen.adapters import PROGRAM_LICENCES, adapter_texts
-from cosim.codegen.files import NO_LICENCE, TITLES, Labels, render, render_sources
+from cosim.codegen.files import NO_LICENCE, PREDICTOR_KINDS, Labels, render, render_sources
 from cosim.codegen.fmu import build_fmus
 from cosim.codegen.form import Form, form_of
 from cosim.codegen.measure import Measurements, measure
@@ -97,7 +97,7 @@ def _origin(scenario: Scenario, source: str, engine: str, sha256: str) -> tuple[
 def _readme(
     form: Form, vectors: Vectors, labels: Labels, measurements: Measurements | None, fmus: list[str], inside: list[str]
 ) -> str:
-    kinds = [f"{axis['name']}: {TITLES[axis['predictor']['kind']]}" for axis in form["axes"]]
+    kinds = [f"{axis['name']}: {PREDICTOR_KINDS[axis['predictor']['kind']][0]}" for axis in form["axes"]]
     leads = [axis["lead"] for axis in form["axes"]] + [form["altitude"]["lead"]]
     return render(
         "README.md",

@@ -19,14 +19,6 @@ from cosim.control.allocation.allocation import LEAST_SHARE
 from cosim.control.altitude import LEAST_UPRIGHT
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"
-TITLES = {
-    "none": "none",
-    "early-late": "Smith's predictor",
-    "early-late-filtered": "Smith's predictor with a robustness filter",
-    "double-integrator": "state predictor with a double-integrator observer",
-    "model-observer": "state predictor with an observer of the identified model",
-    "modes": "state predictor with an observer of the identified model, mode by mode",
-}
 # whose headers are included, by the C or by the adapter of the FMUs
 _RESERVED = ("math", "stdbool", "stdint", "stdio", "string", "time", "engine", "slave", "variables", "fmi2", "fmi3")
 
@@ -174,12 +166,13 @@ def _fields(predictor: Form) -> Form:
     kind = predictor["kind"]
     if kind == "none":
         return predictor
-    values, states = _FIELDS[kind](predictor)
+    title, fields = PREDICTOR_KINDS[kind]
+    values, states = fields(predictor)
     if "weights" in predictor:
         values["weights"] = predictor["weights"]
         states.append(("sent", len(predictor["weights"])))
     constants = [(name, _size(value)) for name, value in values.items()]
-    return {"line": 0} | predictor | {"title": TITLES[kind], "constants": constants, "states": states, "values": values}
+    return {"line": 0} | predictor | {"title": title, "constants": constants, "states": states, "values": values}
 
 
 def _smith_fields(predictor: Form) -> Fields:
@@ -223,12 +216,14 @@ def _observer_fields(predictor: Form) -> Fields:
     return values, [("x", len(predictor["gain"]))]
 
 
-_FIELDS: dict[str, Callable[[Form], Fields]] = {
-    "early-late": _smith_fields,
-    "early-late-filtered": _smith_fields,
-    "double-integrator": _integrator_fields,
-    "model-observer": _observer_fields,
-    "modes": _modal_fields,
+# By the kind in a form: the title, and what gives constants and states.
+PREDICTOR_KINDS: dict[str, tuple[str, Callable[[Form], Fields]]] = {
+    "none": ("none", lambda predictor: ({}, [])),
+    "early-late": ("Smith's predictor", _smith_fields),
+    "early-late-filtered": ("Smith's predictor with a robustness filter", _smith_fields),
+    "double-integrator": ("state predictor with a double-integrator observer", _integrator_fields),
+    "model-observer": ("state predictor with an observer of the identified model", _observer_fields),
+    "modes": ("state predictor with an observer of the identified model, mode by mode", _modal_fields),
 }
 
 
