@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import os
+import stat
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict, fields
+from errno import EINVAL
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,15 @@ from cosim.base.errors import FlightError, InputError
 
 @contextmanager
 def replace_on_success(path: Path) -> Iterator[Path]:
-    """Yield a temporary file beside ``path``, which replaces it on success and is removed on failure."""
+    """Yield a temporary file beside ``path``, which replaces it on success and is removed on failure.
+
+    A device or a pipe of that name is yielded itself, and stays what it is; raises OSError where a link leads to one.
+    """
+    if _is_special(path):
+        if path.is_symlink():
+            raise OSError(EINVAL, "is a link to a device or a pipe; name an ordinary file")
+        yield path
+        return
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with suppress(OSError):
         temporary.unlink()  # an existing link of this name may lead to another file
@@ -28,6 +38,15 @@ def replace_on_success(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def _is_special(path: Path) -> bool:
+    """Return whether there is something of this name that is neither an ordinary file nor a folder."""
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
 def open_without_links(path: str | Path, flags: int) -> int:

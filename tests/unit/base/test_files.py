@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from threading import Thread
 
 import pytest
+from patience import PATIENCE
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import open_without_links, replace_on_success, write_whole
@@ -56,3 +58,24 @@ def test_journals_are_not_written_through_a_link(theirs: Path, tmp_path: Path) -
     with pytest.raises(FlightError, match="symbolic links"):
         Journal(link).read()
     assert theirs.read_text() == "theirs"
+
+
+def test_a_pipe_is_written_to_and_not_replaced(tmp_path: Path) -> None:
+    """A device likewise: as root a file would take its place, for every program of the machine."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    read: list[str] = []
+    reader = Thread(target=lambda: read.append(pipe.read_text()))
+    reader.start()
+    write_whole(pipe, "through it")
+    reader.join(PATIENCE)
+    assert read == ["through it"]
+    assert pipe.is_fifo()
+
+
+def test_a_link_to_a_device_is_refused_and_stays(tmp_path: Path) -> None:
+    link = tmp_path / "report.html"
+    link.symlink_to(os.devnull)
+    with pytest.raises(InputError, match=r"report\.html: is a link to a device or a pipe; name an ordinary file$"):
+        write_whole(link, "ours", InputError)
+    assert link.is_symlink()
