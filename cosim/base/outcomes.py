@@ -9,7 +9,7 @@ Outcome = Literal["completed", "crashed", "diverged", "failed"]
 
 
 class Verdict(StrEnum):
-    """What a flight is worth.  Its value is the word in files and on pages."""
+    """The verdict on a flight.  Its value is the word in files and on pages."""
 
     # of a run, by its limits and by what its scenario expects
     AS_PLANNED = "as planned"

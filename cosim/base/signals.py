@@ -45,7 +45,7 @@ class Command(NamedTuple):
 
 @quick
 class Disturbance(NamedTuple):
-    """What acts on the vehicle from outside during one step."""
+    """The disturbances that act on the vehicle during one step."""
 
     force: Vector3 = ZERO3  # N, body, at the centre of gravity of the vehicle as built
     moment: Vector3 = ZERO3  # N m, body

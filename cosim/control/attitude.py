@@ -57,7 +57,7 @@ class AttitudeController:
         return self._rates_for(self.error(command, measured))
 
     def update_tilt_first(self, command: Command, measured: Measured, lean: tuple[float, float]) -> Vector3:
-        """As :meth:`update`, for a vehicle that holds no heading: about the body's z axis it is to stop turning.
+        """Return the body rates [rad/s] of a vehicle that holds no heading: zero about the body's z axis.
 
         The lean that is asked for is kept within ``MOST_LEAN_RAD``; ``lean`` [rad], roll and pitch, is added to it.
 

@@ -16,7 +16,7 @@ class Fade:
         self._value = 0.0
 
     def begin(self, difference: float) -> None:
-        """At the step of the change, instead of :meth:`update`."""
+        """Start a fade at the step of the change, instead of :meth:`update`."""
         self._value = difference
 
     def update(self) -> float:

@@ -219,7 +219,7 @@ class Cascade:
 
     @property
     def diagnostics(self) -> tuple[Diagnostics, Diagnostics, Diagnostics]:
-        """Those of :attr:`RateController.diagnostics`; NaN under a user's rate loop."""
+        """The diagnostics of :attr:`RateController.diagnostics`; NaN under a custom rate loop."""
         return self.loops.rate.diagnostics if self.loops.custom_rate is None else (UNKNOWN3, UNKNOWN3, UNKNOWN3)
 
     @property

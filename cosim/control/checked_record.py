@@ -20,12 +20,12 @@ _HINTS: dict[type[Any], dict[str, Any]] = {}
 class Bounds(NamedTuple):
     """The closed range of a number."""
 
-    least: float
-    most: float
+    lower: float
+    upper: float
 
 
 class CheckedRecord:
-    """Checks every field of a record against its annotation when it is made."""
+    """A record whose fields are checked against their annotations at construction."""
 
     def __post_init__(self) -> None:
         hints = _hints(type(self))
@@ -131,6 +131,6 @@ def _number(value: Any, kind: type[float] | type[int], where: str) -> float:
 
 
 def _bounded(value: float, bounds: Bounds, where: str) -> float:
-    if not bounds.least <= value <= bounds.most:
-        raise InputError(f"{where} = {value!r}: must be from {bounds.least:g} to {bounds.most:g}")
+    if not bounds.lower <= value <= bounds.upper:
+        raise InputError(f"{where} = {value!r}: must be from {bounds.lower:g} to {bounds.upper:g}")
     return value

@@ -42,7 +42,7 @@ def _at_one(polynomial: list[complex]) -> float:
 
 
 def _times(polynomial: list[complex], root: complex) -> list[complex]:
-    """``polynomial * (z - root)``."""
+    """Return ``polynomial * (z - root)``."""
     return [x - root * y for x, y in zip([*polynomial, 0.0], [0.0, *polynomial], strict=True)]
 
 

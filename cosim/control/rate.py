@@ -33,7 +33,7 @@ class _Law(NamedTuple):
 
 
 class RateAxis:
-    """PID on one axis.
+    """The PID of one axis, with its predictor and lead.
 
     ``u = p (r - y) + i integral(r - y) - d y'``, with ``y`` from the predictor and ``y'`` through a first-order
     filter.  The integral stops where allocation has left a residual of the error's sign, and is limited.  With a lead
@@ -201,16 +201,16 @@ class RateController:
         )
 
     def scale_roll_gains(self, p: float, i: float, d: float, lead: EngineLead | None) -> None:
-        """As :meth:`RateAxis.scale_gains`, on roll."""
+        """Scale the gains of roll; see :meth:`RateAxis.scale_gains`."""
         self._roll.scale_gains(p, i, d, lead)
 
     def keep_history(self, samples: int) -> None:
-        """As :meth:`RateAxis.keep_history`, on all axes."""
+        """Keep the history of all axes; see :meth:`RateAxis.keep_history`."""
         for axis in (self._roll, self._pitch, self._yaw):
             axis.keep_history(samples)
 
     def retune(self, gains: Sequence[RateGains], predictors: Sequence[Predictor] | None = None) -> None:
-        """As :meth:`RateAxis.retune`, on all axes."""
+        """Set other gains on all axes; see :meth:`RateAxis.retune`."""
         replacements = predictors or (None, None, None)
         for axis, gain, predictor in zip((self._roll, self._pitch, self._yaw), gains, replacements, strict=True):
             axis.retune(gain, predictor)
@@ -222,7 +222,7 @@ class RateController:
 
     @property
     def diagnostics(self) -> tuple[Diagnostics, Diagnostics, Diagnostics]:
-        """As :attr:`RateAxis.diagnostics`, of all axes."""
+        """The :attr:`RateAxis.diagnostics` of all axes."""
         return (self._roll.diagnostics, self._pitch.diagnostics, self._yaw.diagnostics)
 
     @property

@@ -22,7 +22,7 @@ def step_notes(scenario: Scenario) -> list[str]:
     if runs >= SUBSTEPS:
         return []
     measured = measured_errors(scenario.aircraft)
-    fewer, usual = (measured.at(each) for each in (runs, SUBSTEPS)) if measured else (None, None)
+    fewer, usual = (measured.errors_at(each) for each in (runs, SUBSTEPS)) if measured else (None, None)
     if fewer is None or usual is None:
         what = f"what fewer than {SUBSTEPS} cost {scenario.aircraft_name} in accuracy has not been measured"
     else:

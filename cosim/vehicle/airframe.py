@@ -120,7 +120,7 @@ def _group(node: Node, name: str, parts: Sequence[str], unit: float = 1.0) -> tu
 
 
 class Airframe:
-    """JSBSim flying one vehicle.
+    """The airframe of one vehicle, simulated by JSBSim.
 
     ``step`` and ``substeps``: control step [s] and JSBSim runs in it.  ``rotors``: spinning rotors are modelled;
     without them the model is the file's own.  Raises InputError if the model does not load.
@@ -356,11 +356,11 @@ class Airframe:
         return find_centre(self._vehicle.mass_kg, others)
 
     def jsbsim_run(self) -> Callable[[], bool]:
-        """JSBSim's own ``run``, good until the next reset: one of its steps with everything held, to time it alone."""
+        """Return JSBSim's own ``run``, valid until the next reset: one step with all inputs held, for timing."""
         return self._run
 
     def _use(self, method: float) -> None:
-        """From acceleration to velocity, of both kinds, from the next run on."""
+        """Set the integration methods from acceleration to velocity, of both kinds, from the next run on."""
         for set_method in self._methods:
             set_method(method)
         self._method, self._make_up = method, MAKE_UP[method]
@@ -450,7 +450,7 @@ class Airframe:
         self._spin = momentum
 
     def burn(self, mass: float) -> None:
-        """From the next run on the vehicle lacks ``mass`` [kg] of fuel: mass, centre of gravity and inertia follow.
+        """Remove ``mass`` [kg] of fuel from the next run on: mass, centre of gravity and inertia follow.
 
         The fuel is a point mass in its tank, and what is burnt a negative one beside the vehicle as built.
         """
@@ -522,7 +522,7 @@ class Airframe:
         return get("inertia/mass-slugs") * SLUG, (-cg[0], cg[1], -cg[2]), (inertia[0], inertia[1], inertia[2])
 
     def products_of_inertia(self) -> Vector3:
-        """As JSBSim carries them: the integrals of x y, x z and y z over the mass, kg m^2, body."""
+        """Return JSBSim's products of inertia: integrals of x y, x z and y z over the mass [kg m^2, body]."""
         names = zip(PRODUCTS, ("xy", "xz", "yz"), strict=True)
         xy, xz, yz = [
             PRODUCT_SIGN[name] * self._fdm.get_property_value(f"inertia/i{axes}-slugs_ft2") * SLUG_FT2
@@ -614,7 +614,7 @@ def _beyond(new: Vector3, old: Vector3, share: float) -> Vector3:
 
 
 def standing_height(vehicle: Vehicle) -> float:
-    """Height of the centre of gravity above the ground (m) when the vehicle stands at rest on its legs."""
+    """Return the height of the centre of gravity above the ground [m] of a vehicle at rest on its legs."""
     legs = [contact for contact in vehicle.contacts if contact.kind == "leg"]
     lowest = max(leg.position_m[2] for leg in legs)
     standing = [leg for leg in legs if leg.position_m[2] == lowest]
@@ -623,5 +623,5 @@ def standing_height(vehicle: Vehicle) -> float:
 
 
 def start_height(vehicle: Vehicle, initial: Initial) -> float:
-    """Height of the centre of gravity above the ground (m) at the start of a flight."""
+    """Return the height of the centre of gravity above the ground [m] at the start of a flight."""
     return standing_height(vehicle) if initial.on_ground else initial.altitude_m

@@ -268,11 +268,11 @@ class FaultySensors:
         self._faults: list[tuple[SensorFault, Measured]] = []
 
     def begin(self, fault: SensorFault, last: Measured) -> None:
-        """``fault`` acts on the next sample; ``last`` is the one before."""
+        """Start ``fault`` at the next sample; ``last`` is the sample before it."""
         self._faults.append((fault, last))
 
     def end(self, fault: SensorFault) -> None:
-        """``fault`` is over from the next sample on."""
+        """End ``fault`` from the next sample on."""
         self._faults = [entry for entry in self._faults if entry[0] is not fault]
 
     def reset(self, state: State) -> Measured:

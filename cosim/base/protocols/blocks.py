@@ -101,7 +101,7 @@ class Controller(Protocol):
 
     @property
     def signals(self) -> ControlSignals:
-        """Of the last update, for the log and the pilot; NaN for what this controller has not."""
+        """The signals of the last update, for the log and the pilot; NaN where this controller has none."""
 
     @property
     def lost(self) -> tuple[int, ...]:

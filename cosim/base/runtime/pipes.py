@@ -30,7 +30,7 @@ class Pipes:
         self._rest = b""
 
     def send(self, data: bytes) -> None:
-        """Write all of it."""
+        """Write all of ``data``."""
         count = os.write(self._writer, data)
         if count < len(data):
             view = memoryview(data)[count:]
@@ -38,7 +38,7 @@ class Pipes:
                 view = view[os.write(self._writer, view) :]
 
     def receive(self, count: int, limit: float | None = None) -> bytes:
-        """Read so many bytes."""
+        """Read ``count`` bytes."""
         data = self._rest or self._read(limit)
         if len(data) == count:
             self._rest = b""
@@ -54,11 +54,11 @@ class Pipes:
         self._rest = data[count:]
         return data[:count]
 
-    def receive_line(self, most: int, limit: float) -> bytes:
-        """Read a line and return it without its end.  Raises ValueError where it has more than ``most`` bytes."""
+    def receive_line(self, max_bytes: int, limit: float) -> bytes:
+        """Read a line and return it without its end.  Raises ValueError where it has more than ``max_bytes`` bytes."""
         end = monotonic() + limit
         while b"\n" not in self._rest:
-            if len(self._rest) > most:
+            if len(self._rest) > max_bytes:
                 raise ValueError("the line does not end")
             self._rest += self._read(max(0.0, end - monotonic()))
         line, _, self._rest = self._rest.partition(b"\n")
@@ -68,18 +68,18 @@ class Pipes:
         """Write bytes that :meth:`receive_message` at the other end returns as they are."""
         self.send(_LENGTH.pack(len(data)) + data)
 
-    def receive_message(self, most: int, limit: float | None = None) -> bytes:
-        """Read what the other end sent as one message.  Raises ValueError where it has more than ``most`` bytes."""
+    def receive_message(self, max_bytes: int, limit: float | None = None) -> bytes:
+        """Read what the other end sent as one message.  Raises ValueError above ``max_bytes`` bytes."""
         head = _LENGTH.size
         self._rest = data = self._rest or self._read(limit)
         if len(data) >= head:
             (length,) = _LENGTH.unpack_from(data)
-            if len(data) == head + length and length <= most:  # as nearly always
+            if len(data) == head + length and length <= max_bytes:  # as nearly always
                 self._rest = b""
                 return data[head:]
         (length,) = _LENGTH.unpack(self.receive(head, limit))
-        if length > most:
-            raise ValueError(f"a message of {length} bytes: at most {most}")
+        if length > max_bytes:
+            raise ValueError(f"a message of {length} bytes: at most {max_bytes}")
         return self.receive(length, limit) if length else b""
 
     def _read(self, limit: float | None) -> bytes:

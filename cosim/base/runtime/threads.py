@@ -14,6 +14,6 @@ ONE_THREAD = dict.fromkeys(
 
 
 def one_thread() -> None:
-    """Keep this process to one, where its environment does not say otherwise; before numpy is imported."""
+    """Limit numpy's libraries to one thread, unless the environment sets another number; call before its import."""
     for name, value in ONE_THREAD.items():
         os.environ.setdefault(name, value)

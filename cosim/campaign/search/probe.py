@@ -46,15 +46,15 @@ class BudgetSpentError(Exception):
     """None of the allowed flights is left."""
 
 
-def count_needed(share: float, flights: int) -> int:
+def count_needed(fraction: float, flights: int) -> int:
     """Return how many of a point's flights have to break before it does."""
-    return max(1, ceil(share * flights - 1e-9))
+    return max(1, ceil(fraction * flights - 1e-9))
 
 
 class Prober:
     """Flies points with every seed.
 
-    A point breaks if at least ``share`` of its flights do, and one in any case: where the flight does not end
+    A point breaks if at least ``fraction`` of its flights do, and one in any case: where the flight does not end
     ``completed``, or misses what the study asks for.
     """
 
@@ -62,14 +62,14 @@ class Prober:
         self,
         study: Study,
         seeds: Sequence[int],
-        share: float,
+        fraction: float,
         workers: Workers,
         journal: Journal | None = None,
         progress: Callable[[int], None] = lambda count: None,
     ) -> None:
         self.study = study
         self.seeds = tuple(seeds)
-        self.needed = count_needed(share, len(self.seeds))
+        self.needed = count_needed(fraction, len(self.seeds))
         self.remaining: int | None = None  # flights that are still allowed; None: as many as it takes
         self._workers = workers
         self._journal = journal

@@ -252,7 +252,7 @@ class _Ray:
         return self._plan.point(self._controller, self.values(position))
 
     def positions(self, ring: float, limit: float) -> list[float]:
-        """Every ``ring``, up to the first at ``limit`` or beyond it."""
+        """Return every ``ring``, up to the first at ``limit`` or beyond it."""
         count = int(np.ceil(min(self.reach, limit) / ring - 1e-9))
         return [min(1.0, number * ring / self.reach) for number in range(count + 1)]
 

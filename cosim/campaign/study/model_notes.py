@@ -15,11 +15,8 @@ from cosim.simulation.model_agreement import ModelAgreement, flown_agreements
 from cosim.spec.scenario import flown_parameters
 
 MAX_DRAWN = 1000  # flights whose values are compared for the ends of what varies: they cost nothing to draw
-UNSEEN = (
-    "mismatch.",
-    "command.",
-    "controller_parameters.",
-)  # prefixes of keys that change neither model nor stated vehicle
+# prefixes of keys that change neither model nor stated vehicle
+UNSEEN = ("mismatch.", "command.", "controller_parameters.")
 
 
 def model_notes(study: Study) -> list[str]:

@@ -259,7 +259,7 @@ class _Process:
         return message
 
     def is_late(self, limit: float) -> bool:
-        """Whether it is past its limit, and has not just said that it is done."""
+        """Return whether it is past its limit, and has not just reported its result."""
         is_busy = self.active_since is not None and self.queued
         return bool(is_busy) and time.monotonic() > (self.active_since or 0.0) + limit and not self.connection.poll()
 

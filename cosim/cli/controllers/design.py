@@ -152,12 +152,8 @@ def _prepare(out: Path) -> None:
         raise InputError(f"--out {out}: cannot be written to: {error.strerror or error}") from error
 
 
-AT_A_LEVEL = (
-    "peak |S|",
-    "phase deg",
-    "bandwidth Hz",
-    "tolerated",
-)  # columns at a fuel level; the report has every column
+# columns at a fuel level; the report has every column
+AT_A_LEVEL = ("peak |S|", "phase deg", "bandwidth Hz", "tolerated")
 NAME_WIDTH = 32  # "altitude, 75% of fuel, scheduled"
 
 

@@ -181,7 +181,7 @@ class TiltAllocator:
         )
 
     def _beyond(self, plan: Plan, throttles: list[float], missing: float) -> float:
-        """How much of the collective ``missing`` beyond the plan's own the engines at ``throttles`` can still give.
+        """Return the part of the collective ``missing`` beyond the plan's that engines at ``throttles`` can still give.
 
         It grows no faster than ``lift`` allows: engines that are all on their way up as fast as they go have none left
         between them to keep the vehicle level with, whatever their throttles say.

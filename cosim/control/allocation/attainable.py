@@ -23,9 +23,8 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 CELLS: Final = (16, 12, 8, 6, 4, 3, 2, 1)  # pieces of a hinge's range: as many as CORNERS allow
-CORNERS: Final = (
-    400  # most corners of one set of engines on common hinges; chosen by us: a program then takes milliseconds
-)
+# most corners of one set of engines on common hinges; chosen by us: a program then takes milliseconds
+CORNERS: Final = 400
 MOST_CORNERS: Final = 6000  # with more corners no bound is computed
 WIDEST: Final = 0.5  # rad, most half-width of a piece: its triangle is out by 14 %
 
@@ -56,7 +55,7 @@ class Hull:
         self._thrusts, self._angles = thrusts, angles  # of each corner: shape (corners, jets), (corners, hinges)
 
     @classmethod
-    def of(cls, layout: Layout, least: Array, most: Array, low: Array, high: Array) -> Hull | None:
+    def of(cls, layout: Layout, min_thrust: Array, max_thrust: Array, low: Array, high: Array) -> Hull | None:
         """Return the hull of a layout; None where its hinges do not allow one, or it has too many corners."""
         import numpy as np
 
@@ -66,7 +65,7 @@ class Hull:
             if None in effects or any(_deflects_outside_carrier(layout, jet) for jet in jets):
                 return None
             spans = [abs(effect or 0.0) * (high[h] - low[h]) for h, effect in zip(hinges, effects, strict=True)]
-            cells = _cells(spans, 2 ** sum(bool(least[jet] < most[jet]) for jet in jets))
+            cells = _cells(spans, 2 ** sum(bool(min_thrust[jet] < max_thrust[jet]) for jet in jets))
             if not cells:
                 return None
             arcs = [_arc(low[h], high[h], cells, effect or 0.0) for h, effect in zip(hinges, effects, strict=True)]
@@ -76,7 +75,7 @@ class Hull:
             at = np.zeros((len(corners), len(low)))
             for n, hinge in enumerate(hinges):
                 at[:, hinge] = arcs[n][0][corners[:, n]]
-            for ends in product(*(sorted({float(least[jet]), float(most[jet])}) for jet in jets)):
+            for ends in product(*(sorted({float(min_thrust[jet]), float(max_thrust[jet])}) for jet in jets)):
                 columns.append(sum(end * wrench[jet] for end, jet in zip(ends, jets, strict=True)))
                 thrust = np.zeros(len(layout.stations))
                 thrust[jets] = ends

@@ -74,7 +74,7 @@ class Authority(NamedTuple):
         return self.moment_bound is None
 
     def moment_range(self, axis: int) -> Range:
-        """Both bounds of the moment about an axis, N m."""
+        """Return both bounds of the moment about an axis [N m]."""
         least = 0.0 if self.moment is None else self.moment[axis]
         return Range(least, 0.0 if self.moment_bound is None else self.moment_bound[axis])
 
@@ -259,7 +259,7 @@ class Reach:
         return self._linear(np.zeros(len(self._layout.stations)), angles)[0]
 
     def _linear(self, thrust: Array, at: Any) -> tuple[Array, Array]:
-        """:meth:`effectiveness`, and what each hinge changes per rad: shapes (6, jets) and (6, hinges)."""
+        """Return :meth:`effectiveness` and the change per rad of each hinge: shapes (6, jets) and (6, hinges)."""
         import numpy as np
 
         layout, angles = self._layout, [float(angle) for angle in at]

@@ -54,8 +54,8 @@ FIRST_PASSES: Final = 60  # most Newton iterations without a previous solution
 class Effector(NamedTuple):
     """A hinge or a surface as allocation sees it."""
 
-    least: float
-    most: float
+    lower: float
+    upper: float
     rest: float
     step: float  # largest change of its command in a step
     effort: float
@@ -137,12 +137,12 @@ class EffectivenessAllocator:
         self._norms = (moment, moment, force, moment, force, force)  # scales of the rows
         self._scales = [
             (most - least) * span / effort for (least, most), effort in zip(shares, efforts, strict=True)
-        ] + [(effector.most - effector.least) / effector.effort for effector in effectors]
+        ] + [(effector.upper - effector.lower) / effector.effort for effector in effectors]
         self._described = _describe_effectors(model)
         self._solver = Solver(*self._described, self._scales, self._norms, self._weight, GIVEN)
         self.rest: PerServo = tuple([effector.rest for effector in effectors]) or (0.0, 0.0)
         self.pressure = 0.0  # dynamic pressure at the surfaces, Pa
-        self._servo_limits = [(effector.least, effector.most) for effector in effectors]
+        self._servo_limits = [(effector.lower, effector.upper) for effector in effectors]
         self._neutral = [
             effector.rest for effector in effectors
         ]  # where hinges and surfaces are left if there is a choice
@@ -157,7 +157,7 @@ class EffectivenessAllocator:
     # ---- what stays between steps: the last commands, and the health of the engines
 
     def reset(self) -> None:
-        """All engines are healthy, hinges at rest."""
+        """Start with all engines healthy and hinges at rest."""
         self._use([JetHealth()] * self._jets)
         self._settle()
         # commands begin where servos stand
@@ -311,7 +311,7 @@ class EffectivenessAllocator:
     def ahead(
         self, force: float, lift: float, pitch: float, torque: Vector3, tilts: Sequence[int]
     ) -> tuple[Actuation, float]:
-        """``force`` along body x and ``lift`` along -z [N], a pitching moment [N m] and angular accelerations.
+        """Allocate ``force`` along body x and ``lift`` along -z [N], a pitching moment [N m] and angular accelerations.
 
         The force ahead is last in priority, and jets are not asked to push down.  Where there is a choice the servos
         ``tilts`` stand along the force that is wanted, never far from it, and the thrusts share it, upright with no
@@ -359,7 +359,7 @@ class EffectivenessAllocator:
         return [self._weight * (1.0 / jets - per_arm * (arm - mean)) for arm in arms]
 
     def _actuation(self, found: list[float], missing: list[float]) -> Actuation:
-        """Of what was found, which is where the next step begins; ``missing`` is told per axis."""
+        """Return the actuation of a solution, from which the next step begins, with ``missing`` per axis."""
         self._last = found
         for row in range(6):
             if -GIVEN <= missing[row] * self._norms[row] <= GIVEN:
@@ -389,13 +389,13 @@ class EffectivenessAllocator:
         return tuple(answer)
 
     def _solve(self, wanted: list[float], lift: float, passes: int, rated: bool) -> tuple[list[float], list[float]]:
-        """Thrusts [N] and angles for a wrench, and what is missing of it; ``rated``: no faster than servos go."""
+        """Return thrusts [N] and angles for a wrench, and its residual; ``rated``: within the servos' rates."""
         return self._solve_by(wanted, lift, passes, rated, self._levels)
 
     def _solve_by(
         self, wanted: list[float], lift: float, passes: int, rated: bool, levels: list[tuple[int, ...]]
     ) -> tuple[list[float], list[float]]:
-        """As :meth:`_solve`, with the rows in these levels."""
+        """Solve as :meth:`_solve`, with the rows in these levels."""
         return self._solver.solve(
             wanted,
             lift,
@@ -420,13 +420,13 @@ def _describe_effectors(model: AllocationModel) -> tuple[list[StationOf], list[H
         links = [(number, effect, jet in layout.turns[number].carries) for number, effect in chain]
         stations.append((station.position, station.axis, station.twist, links))
     hinges: list[HingeOf] = [
-        (turn.point, turn.axis, effector.least, effector.most, effector.step, effector.lead)
+        (turn.point, turn.axis, effector.lower, effector.upper, effector.step, effector.lead)
         for turn, effector in zip(layout.turns, effectors, strict=False)
     ]
     surfaces: list[SurfaceOf] = []
     for effector in effectors[len(hinges) :]:
         fx, fy, fz, mx, my, mz = effector.wrench
-        surfaces.append(((mx, my, -fz, mz, fx, fy), effector.least, effector.most, effector.step, effector.lead))
+        surfaces.append(((mx, my, -fz, mz, fx, fy), effector.lower, effector.upper, effector.step, effector.lead))
     return stations, hinges, surfaces
 
 

@@ -94,7 +94,7 @@ class HingedRecovery(EffectivenessAllocator):
         super().__init__(model)
 
     def reset(self) -> None:
-        """All engines are healthy, hinges at rest."""
+        """Start with all engines healthy and hinges at rest."""
         self._reported: list[float] = []  # reported thrusts [N] after an engine is lost; empty: all run
         self._rising = [0.0] * self._jets  # slopes of the reported thrusts, N/s
         self._carrying: list[float] = []  # thrusts [N] and servos that give the lift in balance
@@ -127,16 +127,15 @@ class HingedRecovery(EffectivenessAllocator):
         self._reported = given
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
-        """As :meth:`EffectivenessAllocator.allocate`; without an engine see the module's text.
+        """Allocate as :meth:`EffectivenessAllocator.allocate`; without an engine see the module's text.
 
         What is told as missing of the lift is then what the balanced thrusts at rest miss of all that is asked of
         them, so that the height loop's integral waits until the engines have followed.
         """
         if not self._reported:
             return super().allocate(collective, torque, added)
-        self.pressure = (
-            0.0  # the pressure of the speed over the ground is wrong in wind, and far off where no heading is held
-        )
+        # the pressure of the speed over the ground is wrong in wind, and far off where no heading is held
+        self.pressure = 0.0
         lift = self.force(collective)
         wanted = self._wanted(lift, torque, added)
         jets, servos = self._jets, self._last[self._jets :]
@@ -159,12 +158,12 @@ class HingedRecovery(EffectivenessAllocator):
     def ahead(
         self, force: float, lift: float, pitch: float, torque: Vector3, tilts: Sequence[int]
     ) -> tuple[Actuation, float]:
-        """As :meth:`EffectivenessAllocator.ahead`; what was found for hover is searched for anew there."""
+        """Allocate as :meth:`EffectivenessAllocator.ahead`; the solution for hover is searched anew afterwards."""
         self._short, self._lifting, self.lean = True, [], (0.0, 0.0)
         return super().ahead(force, lift, pitch, torque, tilts)
 
     def _carried(self, lift: float) -> tuple[list[float], list[float]]:
-        """Thrusts [N] and servos for the lift in balance, and what they miss of it; see the module's text."""
+        """Return thrusts [N] and servos for the lift in balance, and the residual; see the module's text."""
         pushed = lift
         for thrust in self._reported:
             pushed -= PUSHED * thrust
@@ -179,7 +178,7 @@ class HingedRecovery(EffectivenessAllocator):
         return self._solve_within(options, wanted, lift, PASSES, False)
 
     def _lifts(self, servos: list[float]) -> bool:
-        """Whether the reported thrusts cannot hold the weight in balance; hinges follow the most lift meanwhile."""
+        """Return whether the reported thrusts cannot hold the weight in balance; then hinges follow the most lift."""
         rest, weight = self._neutral, [0.0, 0.0, self._weight, 0.0, 0.0, 0.0]
         starts, passes = [self._lifting], PASSES
         if not self._lifting:
@@ -211,7 +210,7 @@ class HingedRecovery(EffectivenessAllocator):
         passes: int,
         rated: bool,
     ) -> tuple[list[float], list[float]]:
-        """Servos beside the reported thrusts, from where servos are, and what is missing of the wanted."""
+        """Return servos for the reported thrusts, searched from ``servos``, and the residual of ``wanted``."""
         last, ends = [*self._reported, *servos], [(thrust, thrust) for thrust in self._reported]
         options = SolverOptions(last, ends, self._turns, servo_limits, neutral)
         found, missing = self._solve_within(options, wanted, wanted[LIFT], passes, rated)
@@ -220,7 +219,7 @@ class HingedRecovery(EffectivenessAllocator):
     def _solve_within(
         self, options: SolverOptions, wanted: list[float], lift: float, passes: int, rated: bool
     ) -> tuple[list[float], list[float]]:
-        """As :meth:`_solve`, by ``options``; ``rated``: as far as servos go in a step, and in a hurry."""
+        """Solve as :meth:`_solve`, by ``options``; ``rated``: as far as servos move in a step, with their lead."""
         last, thrust_limits, levels, servo_limits, neutral = options
         pressure, preferred = self.pressure, self._preferred
         return self._solver.solve(
@@ -228,7 +227,7 @@ class HingedRecovery(EffectivenessAllocator):
         )
 
     def _turns_on(self, wanted: Sequence[float], missing: Sequence[float], servos: Sequence[float]) -> bool:
-        """Whether hinges are at their limits, and with the thrusts that are on their way turn it against the wanted."""
+        """Return whether saturated hinges and the coming thrusts turn the vehicle against the demand."""
         if all(-GIVEN <= missing[row] * self._norms[row] <= GIVEN for row in (ROLL, PITCH)):
             return False
         lag = self._lag

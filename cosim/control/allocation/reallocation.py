@@ -30,21 +30,15 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 _KEPT = 0.15  # fraction of hover thrust kept either way for height while roll is used; chosen by us: 1.5 m/s^2 of climb
-_PARTS_KEPT = (
-    1.0,
-    0.5,
-    0.25,
-    0.1,
-)  # fractions of that reserve, tried in turn: an engine that runs away leaves little room downward
-_EXCESS_COST = (
-    0.05  # cost of the largest departure of a jet from its nominal command, against roll authority: spreads the load
-)
+# fractions of that reserve, tried in turn: an engine that runs away leaves little room downward
+_PARTS_KEPT = (1.0, 0.5, 0.25, 0.1)
+# cost of the largest departure of a jet from its nominal command, against roll authority: spreads the load
+_EXCESS_COST = 0.05
 _ROUNDING = 1e-9  # share m
 _LEAST_GAIN = 1e-6  # gain in collective below which a second direction is not used
 _FLAT = 1e-9  # throttle per collective below which a jet counts as constant
-_RESIDUAL_COST = (
-    1e3  # cost of pitch moment left to the tilt, against roll authority: throttle balances pitch where it can
-)
+# cost of pitch moment left to the tilt, against roll authority: throttle balances pitch where it can
+_RESIDUAL_COST = 1e3
 
 
 @dataclass(frozen=True)
@@ -182,7 +176,7 @@ def attainable(
 def attainable_sets(
     jets: Sequence[Jet], limits: AllocationLimits, hover: float, idle: float, most_lost: int = 2
 ) -> list[Attainable]:
-    """:func:`attainable` for every combination of up to ``most_lost`` lost jets; of a multirotor without yaw too."""
+    """Return :func:`attainable` for each combination of up to ``most_lost`` lost jets; multirotors without yaw too."""
     reacting = any(jet.reaction_m for jet in jets)
     return [
         attainable(jets, limits, hover, idle, lost, yaw)
@@ -204,7 +198,7 @@ def _roll_authority(rows: Array, left: list[int], weight: float, bounds: tuple[f
 
 
 def _rows(jets: Sequence[Jet]) -> Array:
-    """Force, and lever about x and y, of each jet: shape (3, jets)."""
+    """Return force, and lever about x and y, of each jet: shape (3, jets)."""
     import numpy as np
 
     return np.array([[1.0, jet.position_m[1], jet.position_m[0]] for jet in jets]).T
@@ -244,7 +238,7 @@ def load_solver() -> None:
 
 
 def _linprog(cost: Any, ub: Any = None, eq: Any = None, bounds: Any = None) -> Any:
-    """scipy's linear program; None where it has no solution."""
+    """Solve a linear program with scipy; None where it has no solution."""
     from scipy.optimize import linprog
 
     a, b = ub if ub is not None else (None, None)
@@ -293,7 +287,7 @@ def _boost(trim: Array, up: Array, centre: float, top: tuple[float, Array], high
 def _weights(
     given: Array, trim: Array, up: Array, roll: Array, side: Array, limits: tuple[float, float, float, float]
 ) -> tuple[Array, Array, Array, float] | None:
-    """Trim, the commands for ``up`` more and for ``reach`` of roll, and the largest ``reach`` for which all fit.
+    """Return trim, commands for ``up`` and for ``reach`` of roll, and the largest ``reach`` for which all fit.
 
     Every corner ``trim +- up +- roll`` is within the limits, which are low, high, centre and what is kept for ``up``.
     Pitch may be left over on ``up`` and ``roll``, at a cost; so may, at a small one, what the jets do beyond what
@@ -336,7 +330,7 @@ def _weights(
 
 
 def _exact(given: Array, value: Array, wanted: Array) -> Array:
-    """``value`` moved by the least that gives ``wanted`` to rounding, where the jets can."""
+    """Return ``value`` with the least change that gives ``wanted`` to rounding, where the jets can."""
     import numpy as np
 
     moved: Array = value + np.linalg.lstsq(given, wanted - given @ value, rcond=None)[0]

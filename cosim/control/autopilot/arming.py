@@ -15,7 +15,9 @@ _MOVING = 0.2  # rad/s: a vehicle that turns like this is being carried; chosen 
 
 
 class Arming:
-    """``since``: the step of arming, of the begin of a take-off, or of standing again; ``flew``: since arming."""
+    """Arming, the engines' state, and the reasons against either.
+
+    ``since`` is the step of arming, of the start of a take-off, or of standing again; ``flew``: since arming."""
 
     def __init__(self, course: Course, remote: Remote, watch: Watch, step: float) -> None:
         self._parameters, self._estimates, self._landmarks = course.parameters, course.estimates, course.landmarks

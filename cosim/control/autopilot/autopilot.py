@@ -150,7 +150,7 @@ class Autopilot:
 
     @property
     def failsafe(self) -> str:
-        """Why a failsafe acts; empty where none does."""
+        """The reason of the acting failsafe; empty where none acts."""
         return self._state.failsafe
 
     @property

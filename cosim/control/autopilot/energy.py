@@ -24,7 +24,9 @@ _END_S = 3.0  # from the ground's touch until it stands, or from spooling up unt
 
 
 class Energy:
-    """Remaining fuel or battery, and what ways take of it; ``hover``: the collective at which it hovers."""
+    """Remaining fuel or battery, and the energy that flights to positions need.
+
+    ``hover``: the collective at which the vehicle hovers."""
 
     def __init__(self, course: Course, headway: GroundSpeed, hover: float, step: float) -> None:
         self._course, self._parameters, self._landmarks = course, course.parameters, course.landmarks

@@ -13,10 +13,10 @@ Pair = tuple[float, float]
 _LEAST_UPRIGHT = 0.5  # beyond a lean of 60 degrees the acceleration is no longer read off the attitude
 
 
-def limit_length(north: float, east: float, most: float) -> Pair:
-    """Return a vector, shortened to the length ``most`` if it is longer."""
+def limit_length(north: float, east: float, limit: float) -> Pair:
+    """Return a vector, shortened to the length ``limit`` if it is longer."""
     size = hypot(north, east)
-    return (north, east) if size <= most else (north * most / size, east * most / size)
+    return (north, east) if size <= limit else (north * limit / size, east * limit / size)
 
 
 def lean_acceleration(attitude: Quaternion) -> Pair:

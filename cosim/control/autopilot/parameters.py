@@ -47,7 +47,7 @@ class Parameter:
 
 
 class Caution(NamedTuple):
-    """What is to be said of a loop that a change of parameters makes worse."""
+    """A warning about a loop that a change of parameters makes worse."""
 
     axis: str  # "roll", "pitch", "yaw", "altitude"
     unstable: bool
@@ -125,7 +125,7 @@ def table(
     level: str = "",
     jets: Sequence[Jet] = (),
 ) -> list[Parameter]:
-    """Every parameter of a vehicle; ``delay`` is that of its roll model in samples, None where it has no model.
+    """Return every parameter of a vehicle; ``delay``: of its roll model in samples, None where it has no model.
 
     ``level``: of a controller from outside; what tunes the loops in whose place it stands cannot be changed then.
     ``jets``: where its engines are, for ground stations that draw them.

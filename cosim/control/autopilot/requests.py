@@ -34,7 +34,7 @@ MOST_ZONES, MOST_CORNERS, MOST_RALLY = 50, 500, 100  # of a fence, of one polygo
 
 
 class Result(Enum):
-    """How a request ended, in MAVLink's words."""
+    """The result of a request, with MAVLink's names."""
 
     ACCEPTED = "accepted"
     DENIED = "denied"
@@ -79,7 +79,7 @@ class Takeoff(CheckedRecord):
 
 @dataclass(frozen=True)
 class Land(CheckedRecord):
-    """Land below the present place."""
+    """Land below the present position."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class ReturnHome(CheckedRecord):
 
 @dataclass(frozen=True)
 class Goto(CheckedRecord):
-    """Fly to a place and hold there; what is not given stays as it is."""
+    """Fly to a position and hold there; an omitted value keeps its present value."""
 
     north: Metres | None = None
     east: Metres | None = None
@@ -142,7 +142,7 @@ class SetSpeed(CheckedRecord):
 
 @dataclass(frozen=True)
 class SetHome(CheckedRecord):
-    """Where to return to; what is not given is taken from where the vehicle is."""
+    """Set the home position; an omitted value is the vehicle's present one."""
 
     north: Metres | None = None
     east: Metres | None = None
@@ -287,7 +287,7 @@ class MissionSetCurrent(CheckedRecord):
 
 @dataclass(frozen=True)
 class MissionClear(CheckedRecord):
-    """No mission."""
+    """Delete the mission."""
 
 
 class ZoneKind(Enum):
@@ -375,17 +375,17 @@ class InjectFault(CheckedRecord):
 
 @dataclass(frozen=True)
 class ClearFaults(CheckedRecord):
-    """Every injected fault ends."""
+    """End every injected fault."""
 
 
 @dataclass(frozen=True)
 class LinkLost(CheckedRecord):
-    """The last ground station has gone quiet."""
+    """Report that the link to the last ground station is lost."""
 
 
 @dataclass(frozen=True)
 class LinkBack(CheckedRecord):
-    """A ground station is there again."""
+    """Report that a ground station is connected again."""
 
 
 Request = (

@@ -17,15 +17,14 @@ from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.rate import RateController
 from cosim.spec.vehicle import AltitudeGains, AttitudeGains, Control, PredictorTuning, RateGains
 
-CATCH_UP_STEPS = (
-    1000  # steps of history that a predictor selected in flight starts from: 4 s at 250 Hz, 40 delays of a jet
-)
+# steps of history that a predictor selected in flight starts from: 4 s at 250 Hz, 40 delays of a jet
+CATCH_UP_STEPS = 1000
 
 PredictorMaker = Callable[[str, float, PredictorTuning], list[Predictor]]
 
 
 class Blocks(NamedTuple):
-    """What a change of a parameter reaches.
+    """The control blocks that a change of a parameter reaches.
 
     ``predictors`` makes the three axes' predictors for a controller's name, the delay of the roll model in samples
     and a tuning; it raises InputError where the vehicle has no model for them.

@@ -119,9 +119,9 @@ class Actuators:
         return total
 
 
-def positive_parameter(name: str, value: float, meaning: str, least: float = 1e-3, most: float = 1e3) -> Parameter:
+def positive_parameter(name: str, value: float, meaning: str, minimum: float = 1e-3, maximum: float = 1e3) -> Parameter:
     """Return a parameter without a unit, above 0."""
-    return Parameter(name, value, "", meaning, least, most)
+    return Parameter(name, value, "", meaning, minimum, maximum)
 
 
 def attitude_gain_parameter(value: float) -> Parameter:

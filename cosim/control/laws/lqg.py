@@ -37,7 +37,7 @@ def add_delay(A: Array, B: Array, samples: int) -> tuple[Array, Array]:
 
 
 def regulator(A: Array, B: Array, C: Array, rho: float) -> tuple[Array, float]:
-    """``K`` and ``N``: least ``sum y^2 + rho u^2``, and ``y`` at the set-point at rest."""
+    """Return ``K`` and ``N``: they minimise ``sum y^2 + rho u^2``, and set ``y`` to the set-point at rest."""
     from scipy.linalg import solve_discrete_are
 
     b = B[:, None]
@@ -47,7 +47,9 @@ def regulator(A: Array, B: Array, C: Array, rho: float) -> tuple[Array, float]:
 
 
 class KalmanFilter:
-    """Kalman's, at rest, of a model with a random walk ``d`` added to its input; ``walk`` over the noise's variance."""
+    """A steady-state Kalman filter of a model with a random walk ``d`` at its input.
+
+    ``walk``: the walk's variance over that of the noise."""
 
     def __init__(self, A: Array, B: Array, C: Array, walk: float) -> None:
         from scipy.linalg import solve_discrete_are

@@ -18,7 +18,7 @@ class SurfaceHover(FlightLaw):
         self._allocator = allocator
 
     def update(self, demand: Demand) -> Actuation:
-        """As :meth:`FlightLaw.update`, with the pressure of the speed over the ground."""
+        """Update as :meth:`FlightLaw.update`, with the dynamic pressure of the speed over the ground."""
         self._allocator.pressure = dynamic_pressure(demand.measured)
         return super().update(demand)
 

@@ -30,7 +30,7 @@ class ShutOpposite(FlightLaw):
         return self._is_recovering and demand.command.rate is None
 
     def update(self, demand: Demand) -> Actuation:
-        """As :meth:`FlightLaw.update`, with roll and collective of the recovery in place of those of the loops."""
+        """Update as :meth:`FlightLaw.update`, with roll and collective of the recovery in place of the loops'."""
         loops, recovery, command, measured = self.loops, self._recovery, demand.command, demand.measured
         assert recovery is not None
         climb = 0.0 if command.collective is not None else loops.altitude.climb(command.altitude - measured.altitude)

@@ -23,7 +23,7 @@ class SpunFlight(FlightLaw):
         return self._reduced.is_flying
 
     def update(self, demand: Demand) -> Actuation:
-        """As :meth:`FlightLaw.update`; the loops learn that none of their torque was used."""
+        """Update as :meth:`FlightLaw.update`; the loops get all of their torque as residual."""
         loops, rotors, thrust_map, command = self.loops, self._rotors, self._map, demand.command
         upright = command if command.rate is None else command._replace(attitude=ZERO3)
         total = rotors * (thrust_map.low + thrust_map.span * demand.collective)

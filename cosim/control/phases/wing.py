@@ -142,7 +142,7 @@ class WingFlight(FlightLaw):
         return super().steer(demand)
 
     def update(self, demand: Demand) -> Actuation:
-        """As :meth:`FlightLaw.update`, forces along and up of which the wing carries its part."""
+        """Update as :meth:`FlightLaw.update`, with forces forward and up of which the wing carries a part."""
         allocator, injected, measured = self._allocator, demand.injected, demand.measured
         if not allocator.surfaces:
             return super().update(demand)

@@ -95,14 +95,14 @@ class PredictorSpec:
         }
 
     def tuned(self, tuning: PredictorTuning, values: Own) -> PredictorTuning:
-        """``tuning`` with other values of some of its parameters."""
+        """Return ``tuning`` with other values of some of its parameters."""
         fields = {name: value for name, value in values.items() if name in _FIELDS}
         if others := {name: value for name, value in values.items() if name not in _FIELDS}:
             fields["own"] = tuning.own | {self.name: tuning.own.get(self.name, {}) | others}  # type: ignore[assignment]
         return tuning.model_copy(update=fields)
 
     def predictor(self, model: RateModel | None, tuning: PredictorTuning) -> Predictor:
-        """One of them, at rest."""
+        """Return a new predictor at rest."""
         return self.make(model, self.own(tuning))
 
 

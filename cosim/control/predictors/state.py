@@ -316,7 +316,7 @@ def _apart(poles: Sequence[complex]) -> list[complex]:
 
 
 def _exponential(l1: float, l2: float, t: float) -> Matrix:
-    """``exp([[0, 1], [-l1 l2, l1 + l2]] t)``."""
+    """Return ``exp([[0, 1], [-l1 l2, l1 + l2]] t)``."""
     e1, e2 = np.exp(l1 * t), np.exp(l2 * t)
     if abs(l1 - l2) < 1e-9 * max(1.0, abs(l1)):
         return np.asarray(e1 * np.array([[1.0 - l1 * t, t], [-l1 * l1 * t, 1.0 + l1 * t]]))

@@ -47,11 +47,11 @@ class StepErrors(Model):
         most = rows[SUBSTEPS] + CAMPAIGN_DEG
         return min(runs for runs, error in rows.items() if runs > 1 and error <= most)
 
-    def least(self, unit: str) -> float:
+    def smallest_error(self, unit: str) -> float:
         """Return the error with the most runs that were measured."""
         return self._errors(unit)[-1]
 
-    def at(self, runs: int) -> tuple[float, float] | None:
+    def errors_at(self, runs: int) -> tuple[float, float] | None:
         """Return the errors [deg, mm] with so many runs a step; None where that was not measured."""
         if runs not in self.runs:
             return None
@@ -108,8 +108,9 @@ def runs_for(error: str, aircraft: str, where: str) -> int:
         return measured.for_campaigns()
     runs = measured.fewest_runs(float(form["size"]), form["unit"])
     if runs is None:
+        smallest = f"{measured.smallest_error(form['unit']):g} {form['unit']}"
         raise InputError(
-            f"{said}: {aircraft} is off by {measured.least(form['unit']):g} {form['unit']} with {measured.runs[-1]}, "
+            f"{said}: {aircraft} is off by {smallest} with {measured.runs[-1]}, "
             "the most that is measured; state a number"
         )
     return runs

@@ -64,11 +64,11 @@ class RotorDynamics(Effect):
         self.momentum = self._sum(speeds, self._layout.axes(self._rest))
 
     def update(self, speeds: PerJet, tilt: PerServo) -> Vector3:
-        """``-dH/dt`` [N m], body, for the speeds [rad/s] and tilts [rad] at the end of the step."""
+        """Return ``-dH/dt`` [N m, body] for the speeds [rad/s] and tilts [rad] at the end of the step."""
         return self._change(speeds, self._layout.axes(tilt))
 
     def _change(self, speeds: PerJet, axes: Sequence[Vector3]) -> Vector3:
-        """As :meth:`update`, by the axes of the thrust."""
+        """Return ``-dH/dt`` as :meth:`update`, from the axes of the thrust."""
         x, y, z = self.momentum
         self.momentum = a, b, c = self._sum(speeds, axes)
         step = self._step

@@ -77,16 +77,23 @@ class CollectiveFloor:
     """
 
     def __init__(
-        self, hover: float, idle: float, least: float, most: float, near: float, answer: float, step: float
+        self,
+        hover: float,
+        idle: float,
+        throttle_min: float,
+        throttle_max: float,
+        near: float,
+        answer: float,
+        step: float,
     ) -> None:
         """Delay and lag [s] of the engines: ``near`` hover, and ``answer`` the longest anywhere in their range."""
         self._hover, self._idle = hover, idle
-        self._least, self._most = least, most
+        self._least, self._most = throttle_min, throttle_max
         self._step = step
-        self._braking = _CATCH_FRACTION * thrust_margins(hover, idle, least, most)[0]
+        self._braking = _CATCH_FRACTION * thrust_margins(hover, idle, throttle_min, throttle_max)[0]
         self._late = 4.0 * (answer + _SENSED_S)
         self._k = 0.5 / (near + _SENSED_S)
-        self._most_change = (most - least) * step / max(answer, step)
+        self._most_change = (throttle_max - throttle_min) * step / max(answer, step)
         self.reset()
 
     def reset(self) -> None:

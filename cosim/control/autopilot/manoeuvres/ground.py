@@ -21,13 +21,13 @@ _SETTLE_S = 0.7  # s from contact to idle
 class TakeOff:
     """From idle to a height: thrust up to that of hover, then a climb, level until the legs are free.
 
-    ``hover``: the collective at which it hovers; ``least``: that of the engines at idle.
+    ``hover``: the collective at which it hovers; ``idle``: that of the engines at idle.
     """
 
-    def __init__(self, course: Course, hover: float, least: float, step: float) -> None:
+    def __init__(self, course: Course, hover: float, idle: float, step: float) -> None:
         self._parameters, self._estimates, self._landmarks = course.parameters, course.estimates, course.landmarks
         self._course = course
-        self._hover, self._least = hover, least
+        self._hover, self._idle = hover, idle
         self._step = step
         self.reset()
 
@@ -66,7 +66,7 @@ class TakeOff:
             return None
         yaw = guide.to_yaw(None)
         if since < spool:
-            collective = self._least + (self._hover - self._least) * since / spool
+            collective = self._idle + (self._hover - self._idle) * since / spool
             return Command((0.0, 0.0, yaw), self._estimates.altitude, None, collective)
         return guide.command((0.0, 0.0), guide.at_climb(self._parameters["HJ_CLIMB_AUTO"]), yaw)
 
@@ -91,11 +91,11 @@ class Landing:
     :class:`Touchdown` evaluates the legs' contact; this class checks it against the height.
     """
 
-    def __init__(self, course: Course, touchdown: Touchdown, hover: float, least: float, step: float) -> None:
+    def __init__(self, course: Course, touchdown: Touchdown, hover: float, idle: float, step: float) -> None:
         self._estimates, self._landmarks = course.estimates, course.landmarks
         self._course = course
         self.touchdown = touchdown
-        self._hover, self._least = hover, least
+        self._hover, self._idle = hover, idle
         self._step = step
         self.reset()
 
@@ -167,7 +167,7 @@ class Landing:
     def settle(self, collective: float) -> Command:
         """Return the command that takes the thrust away, from this collective on."""
         self._course.descending = True
-        self.collective = max(self._least, collective - self._step * self._hover / _SETTLE_S)
+        self.collective = max(self._idle, collective - self._step * self._hover / _SETTLE_S)
         yaw = self._course.guide.to_yaw(None)
         return Command((0.0, 0.0, yaw), self._estimates.altitude, None, self.collective)
 
@@ -175,4 +175,4 @@ class Landing:
     def has_settled(self) -> bool:
         """Whether the thrust is gone and the vehicle stands."""
         stands = self.touchdown.is_standing or self.touchdown.legs_bear_weight
-        return self.collective is not None and self.collective <= self._least and stands
+        return self.collective is not None and self.collective <= self._idle and stands

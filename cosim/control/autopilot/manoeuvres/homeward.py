@@ -12,7 +12,7 @@ _CLIMB, _CRUISE, _DESCENT = range(3)
 
 
 class Homeward:
-    """The way back."""
+    """The return to home or to a nearer rally point."""
 
     def __init__(self, course: Course) -> None:
         self._estimates = course.estimates

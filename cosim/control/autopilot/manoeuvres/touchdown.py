@@ -50,7 +50,7 @@ class Touchdown:
         self.switch_failed = False
 
     def update(self, sink: float, lift: float | None, report: Report, descending: bool, flying: bool = False) -> None:
-        """One step; ``sink`` the rate downwards, ``descending``: a descent is asked for.
+        """Update the contact by one step; ``sink``: rate downwards [m/s]; ``descending``: a descent is commanded.
 
         ``lift``: specific force upwards over gravity, None where it is not known.  ``flying``: off the ground for
         certain, and not about to touch it.

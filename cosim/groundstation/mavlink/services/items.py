@@ -62,7 +62,7 @@ LEFT_OUT: dict[int, str] = {
 
 _SEA = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_GLOBAL_INT)  # z above the sea
 _HOME = (wire.MAV_FRAME_GLOBAL_RELATIVE_ALT, wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)  # z above home
-FARTHEST: float = get_args(Metres)[1].most  # m, either way, that the pilot takes
+FARTHEST: float = get_args(Metres)[1].upper  # m, either way, that the pilot takes
 NO_POSITION = 2**31 - 1  # x or y that is missing
 
 
